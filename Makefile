@@ -1,0 +1,68 @@
+# `make sim` is the whole project on a bare machine with Python 3.11 to 3.13; `make help` lists the rest.
+
+SHELL := /bin/sh
+.DEFAULT_GOAL := help
+.PHONY: help setup sim test bench clean
+
+# Passed through to `ltv-mpc sim`; empty: the scenario's own value.
+SCENARIO =
+SPEED =
+SEED =
+DURATION =
+OUT =
+
+BIN := .venv/bin
+# `ensurepip` is left out of Python by some distributions: a venv without it has no pip.
+FITS := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
+CANDIDATES := python3 python3.11 python3.12 python3.13 python
+KERNELS := $(shell grep -rl --include=*.py '@kernel' ltv_mpc sim)
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo "  make sim takes SCENARIO= SPEED= SEED= DURATION= OUT=, as in: make sim SPEED=1 SEED=7"
+
+setup: .venv/compiled  ## make .venv with everything in it; quick when nothing changed
+
+sim: setup  ## run the paper's descent as processes over Zenoh
+	@$(BIN)/ltv-mpc sim $(if $(SCENARIO),'$(SCENARIO)') $(if $(SPEED),--speed '$(SPEED)') $(if $(SEED),--seed '$(SEED)') \
+		$(if $(DURATION),--duration-s '$(DURATION)') $(if $(OUT),--out '$(OUT)')
+
+test: setup  ## lint, types, import contracts, all tests
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/pytest -q
+
+bench: setup  ## latency of a controller cycle by horizon
+	$(BIN)/ltv-mpc profile
+
+clean:  ## remove .venv and caches; runs/ stays
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build dist *.egg-info
+	find ltv_mpc sim services tests -type d -name __pycache__ -prune -exec rm -rf {} +
+
+.venv/made:
+	@for python in $(CANDIDATES); do \
+		if $$python -c '$(FITS)' >/dev/null 2>&1; then \
+			echo "making .venv with $$($$python --version)"; \
+			rm -rf .venv && $$python -m venv .venv && touch $@ && exit 0; \
+			echo "$$python -m venv .venv failed"; exit 1; \
+		fi; \
+	done; \
+	echo "No usable Python: version 3.11, 3.12 or 3.13 with venv and ensurepip is needed." >&2; \
+	for python in $(CANDIDATES); do \
+		if $$python --version >/dev/null 2>&1 && ! $$python -c 'import ensurepip' >/dev/null 2>&1; then \
+			echo "$$python is here but lacks ensurepip. On Debian and Ubuntu: apt-get install python3-venv" >&2; exit 1; \
+		fi; \
+	done; \
+	echo "On Debian and Ubuntu: apt-get install python3 python3-venv" >&2; exit 1
+
+.venv/installed: .venv/made pyproject.toml
+	@echo "installing into .venv"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,viz,bench]'
+	@touch $@
+
+.venv/compiled: .venv/installed $(KERNELS)
+	@echo "compiling, once (under a minute)"
+	@$(BIN)/python -P -m services.run.warm descent
+	@touch $@

@@ -1,0 +1,58 @@
+"""LTV-MPC of an underactuated AUV in a water current: what would run aboard.
+
+Importing this imports neither the simulation nor the services, and nothing heavy until a name is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ltv_mpc import references
+    from ltv_mpc.control.advance import advance
+    from ltv_mpc.control.config import ControllerConfig
+    from ltv_mpc.control.controller import Controller
+    from ltv_mpc.control.qp.sparse import build_qp
+    from ltv_mpc.control.solvers import solve_qp
+    from ltv_mpc.signals import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus
+    from ltv_mpc.vehicle.parameters import Vehicle
+
+_HOME = {
+    "Controller": "ltv_mpc.control.controller",
+    "ControllerConfig": "ltv_mpc.control.config",
+    "CurrentProfile": "ltv_mpc.signals",
+    "Estimate": "ltv_mpc.signals",
+    "Plan": "ltv_mpc.signals",
+    "PlanOrigin": "ltv_mpc.signals",
+    "SolveStatus": "ltv_mpc.signals",
+    "Vehicle": "ltv_mpc.vehicle.parameters",
+    "advance": "ltv_mpc.control.advance",
+    "build_qp": "ltv_mpc.control.qp.sparse",
+    "references": "ltv_mpc.references",
+    "solve_qp": "ltv_mpc.control.solvers",
+}
+
+__all__ = [
+    "Controller",
+    "ControllerConfig",
+    "CurrentProfile",
+    "Estimate",
+    "Plan",
+    "PlanOrigin",
+    "SolveStatus",
+    "Vehicle",
+    "advance",
+    "build_qp",
+    "references",
+    "solve_qp",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'ltv_mpc' has no attribute {name!r}")
+    if name == "references":
+        return import_module(_HOME[name])
+    return getattr(import_module(_HOME[name]), name)

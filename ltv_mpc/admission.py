@@ -1,0 +1,275 @@
+"""Who may pass a node's door: finite numbers, lengths that agree, times in order, values that a vehicle can have.
+
+One pure function, ``refusal(signal)``, stands in front of every node, in lock step and in processes alike. It runs on
+each message, so it only compares: ``low <= x <= high`` is false for NaN and for both infinities. The bounds are those
+of plausibility for any vehicle on earth; a vehicle's own limits (box, slew) belong to the node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from ltv_mpc.signals import (
+    AdcpPing,
+    Applied,
+    Array,
+    Clock,
+    CompassHeading,
+    CurrentProfile,
+    CycleTiming,
+    Estimate,
+    GnssFix,
+    ImuSample,
+    InboxEntry,
+    NodeStatus,
+    Plan,
+    PressureDepth,
+    Rejected,
+    Restore,
+    RunEvent,
+    Signal,
+    Solve,
+    StepRecord,
+    TdcpFix,
+    Truth,
+)
+
+
+class Range(NamedTuple):
+    """Closed; every number of the field, be it one, a tuple or an array, must lie in it."""
+
+    low: float
+    high: float
+    unit: str
+
+
+EXACT = 2**53 - 1  # larger integers are not exact in JavaScript
+TIME = Range(-EXACT, EXACT, "ns, 104 days either way")
+DURATION = Range(0, EXACT, "ns")
+INTERVAL = Range(1, EXACT, "ns")
+COUNT = Range(0, EXACT, "a count or a hash below 2^53")
+POSITIVE = Range(1, EXACT, "an integer")
+MICROSECONDS = Range(0, 1e12, "us")
+POSITION = Range(-1e6, 1e6, "m")
+DEPTH = Range(-100, 12_000, "m")
+SLANT_RANGE = Range(0, 10_000, "m")
+SPEED = Range(-100, 100, "m/s")
+CURRENT = Range(-20, 20, "m/s")
+SD = Range(0, 1e6, "m/s")
+ANGLE = Range(-1e4, 1e4, "rad; headings may be unwrapped")
+ANGULAR_RATE = Range(-100, 100, "rad/s")
+SPECIFIC_FORCE = Range(-1e4, 1e4, "m/s2")
+THRUST = Range(-1e6, 1e6, "N")
+STATE = Range(-1e6, 1e6, "m, m/s, rad, rad/s")
+VARIANCE = Range(-1e12, 1e12, "squares of m, m/s, rad, rad/s")
+RESIDUAL = Range(0, 1e300, "finite also where a solve failed")
+SEQUENCE_OR_NONE = Range(-1, EXACT, "-1 before the first")
+
+RANGES: Mapping[type, dict[str, Range]] = {
+    Truth: {
+        "t_ns": TIME,
+        "position_m": POSITION,
+        "velocity_mps": SPEED,
+        "attitude_rad": ANGLE,
+        "water_velocity_mps": SPEED,
+        "yaw_rate_radps": ANGULAR_RATE,
+        "current_mps": CURRENT,
+        "thrust_N": THRUST,
+    },
+    Applied: {
+        "t_ns": TIME,
+        "thrust_N": THRUST,
+        "command_N": THRUST,
+        "command_slew_N_per_s": THRUST,
+        "plan_epoch": COUNT,
+        "plan_sequence": SEQUENCE_OR_NONE,
+        "plan_cycle_t_ns": TIME,
+        "plan_received_t_ns": TIME,
+        "plans_late": COUNT,
+        "plans_refused": COUNT,
+    },
+    ImuSample: {
+        "t_ns": TIME,
+        "interval_ns": INTERVAL,
+        "angular_rate_radps": ANGULAR_RATE,
+        "specific_force_mps2": SPECIFIC_FORCE,
+    },
+    GnssFix: {
+        "t_ns": TIME,
+        "north_m": POSITION,
+        "east_m": POSITION,
+        "velocity_north_mps": SPEED,
+        "velocity_east_mps": SPEED,
+    },
+    TdcpFix: {"t_ns": TIME, "from_t_ns": TIME, "north_m": POSITION, "east_m": POSITION},
+    AdcpPing: {"t_ns": TIME, "range_m": SLANT_RANGE},
+    PressureDepth: {"t_ns": TIME, "depth_m": DEPTH},
+    CompassHeading: {"t_ns": TIME, "heading_rad": ANGLE},
+    CurrentProfile: {"depth_m": DEPTH, "north_mps": CURRENT, "east_mps": CURRENT, "sd_mps": SD},
+    Estimate: {
+        "t_ns": TIME,
+        "north_m": POSITION,
+        "east_m": POSITION,
+        "heading_rad": ANGLE,
+        "yaw_rate_radps": ANGULAR_RATE,
+        "velocity_north_mps": SPEED,
+        "velocity_east_mps": SPEED,
+        "depth_m": DEPTH,
+        "velocity_down_mps": SPEED,
+        "covariance": VARIANCE,
+    },
+    Solve: {"iterations": COUNT, "primal_residual": RESIDUAL, "dual_residual": RESIDUAL},
+    Plan: {
+        "cycle_t_ns": TIME,
+        "t_ns": TIME,
+        "thrust_N": THRUST,
+        "states": STATE,
+        "estimate_t_ns": TIME,
+        "expected_delay_ns": DURATION,
+        "reference_m": POSITION,
+        "reference_depth_m": DEPTH,
+    },
+    CycleTiming: {"t_ns": TIME, "compute_ns": DURATION, "compute_wall_ns": DURATION, "estimate_age_ns": TIME},
+    Rejected: {"t_ns": TIME, "crc": COUNT},
+    Restore: {"t_ns": TIME},
+    InboxEntry: {"epoch": COUNT, "sequence": COUNT, "crc": COUNT, "received_t_ns": TIME},
+    StepRecord: {"epoch": COUNT, "step": COUNT, "t_ns": TIME},
+    Clock: {
+        "clock_epoch": COUNT,
+        "clock_sequence": COUNT,
+        "at_monotonic_us": COUNT,
+        "vehicle_ns": TIME,
+        "speed_num": POSITIVE,
+        "speed_den": POSITIVE,
+    },
+    NodeStatus: {
+        "t_ns": TIME,
+        "steps": COUNT,
+        "published": COUNT,
+        "received": COUNT,
+        "dropped": COUNT,
+        "rejected": COUNT,
+        "step_us": MICROSECONDS,
+    },
+    RunEvent: {"t_ns": TIME},
+}
+"""Every signal that travels, and where its numbers may lie. A field that is None has nothing to check."""
+
+
+Reason: TypeAlias = str | None
+
+
+def refusal(signal: Signal | InboxEntry) -> Reason:
+    """Why a node must not see this signal, or None. A type without a row is refused."""
+    ranges = RANGES.get(type(signal))
+    if ranges is None:
+        return f"{type(signal).__name__} is not admitted anywhere"
+    consistency = CONSISTENCY.get(type(signal))
+    reason = consistency(signal) if consistency is not None else None
+    return reason or _out_of_range(signal, ranges)
+
+
+def _out_of_range(signal: Signal | InboxEntry, ranges: dict[str, Range]) -> Reason:
+    for name, (low, high, unit) in ranges.items():
+        value: Any = getattr(signal, name)
+        if value is None:
+            continue
+        if isinstance(value, tuple):
+            inside = all(low <= x <= high for x in value)
+        elif isinstance(value, np.ndarray):
+            # NaN passes through min and max, and fails the comparison.
+            inside = value.size == 0 or bool(low <= value.min() and value.max() <= high)
+        else:
+            inside = low <= value <= high
+        if not inside:
+            shown = "an entry" if isinstance(value, np.ndarray) else value
+            return f"{name} = {shown}: must be from {low:g} to {high:g} ({unit})"
+    return None
+
+
+def _tdcp(s: TdcpFix) -> Reason:
+    return None if s.from_t_ns < s.t_ns else f"from_t_ns = {s.from_t_ns}: must be before t_ns = {s.t_ns}"
+
+
+def _adcp(s: AdcpPing) -> Reason:
+    if s.range_m.ndim != 1 or not len(s.range_m) or s.beam_velocity_mps.shape != (4, len(s.range_m)):
+        return f"range_m {s.range_m.shape}, beam_velocity_mps {s.beam_velocity_mps.shape}: must be (K,), (4, K)"
+    if not (s.range_m[1:] > s.range_m[:-1]).all():
+        return "range_m: must increase"
+    # NaN is a beam without return, and passes; infinity is rubbish, and does not.
+    if (np.abs(s.beam_velocity_mps) > SPEED.high).any():
+        return f"beam_velocity_mps: at most {SPEED.high:g} m/s either way, or null"
+    return None
+
+
+def _profile(s: CurrentProfile) -> Reason:
+    shape = s.depth_m.shape
+    if len(shape) != 1 or not shape[0] or s.north_mps.shape != shape or s.east_mps.shape != shape:
+        return "depth_m, north_mps, east_mps: must be of one length, at least 1"
+    if s.sd_mps is not None and s.sd_mps.shape != shape:
+        return "sd_mps: must have one entry for each depth"
+    return None if (s.depth_m[1:] > s.depth_m[:-1]).all() else "depth_m: must increase"
+
+
+ASYMMETRY = 1e-9
+INDEFINITE = 1e-6 * np.eye(6)
+"""What rounding may leave in a filter's covariance, in correlations: metres and radians differ by orders."""
+
+
+def _covariance(P: Array) -> Reason:
+    if P.shape != (6, 6):
+        return f"covariance {P.shape}: must be (6, 6)"
+    if not (P.diagonal() >= 0).all():
+        return "covariance: its diagonal must not be negative"
+    sd = np.sqrt(P.diagonal())
+    sd[sd == 0.0] = 1.0  # exactly known: its row must be zero, else the factorisation below fails
+    R = P / np.outer(sd, sd)
+    if not np.abs(R - R.T).max() <= ASYMMETRY:
+        return "covariance: must be symmetric"
+    try:
+        np.linalg.cholesky(R + INDEFINITE)
+    except np.linalg.LinAlgError:
+        return "covariance: must be positive semidefinite"
+    return None
+
+
+def _estimate(s: Estimate) -> Reason:
+    reason = None if s.covariance is None else _covariance(s.covariance)
+    return reason or (None if s.current is None else refusal(s.current))
+
+
+def _plan(s: Plan) -> Reason:
+    knots = len(s.t_ns) if s.t_ns.ndim == 1 else 0
+    if knots < 2 or s.thrust_N.shape != (knots, 3) or s.states.shape != (knots, 6):
+        shapes = f"t_ns {s.t_ns.shape}, thrust_N {s.thrust_N.shape}, states {s.states.shape}"
+        return f"{shapes}: must be (N+1,), (N+1, 3), (N+1, 6), N at least 1"
+    if not (s.t_ns[1:] > s.t_ns[:-1]).all():
+        return "t_ns: knots must increase"
+    return refusal(s.solve)
+
+
+def _timing(s: CycleTiming) -> Reason:
+    low, high, unit = MICROSECONDS
+    if all(low <= x <= high for x in s.stage_us.values()):
+        return None
+    return f"stage_us: must be from {low:g} to {high:g} ({unit})"
+
+
+def _record(s: StepRecord) -> Reason:
+    return next(filter(None, map(refusal, s.inbox)), None)
+
+
+CONSISTENCY: Mapping[type, Callable[[Any], Reason]] = {
+    TdcpFix: _tdcp,
+    AdcpPing: _adcp,
+    CurrentProfile: _profile,
+    Estimate: _estimate,
+    Plan: _plan,
+    CycleTiming: _timing,
+    Restore: lambda s: None if s.plan is None else refusal(s.plan),
+    StepRecord: _record,
+}
+"""What relates one field to another, judged first: lengths, shapes, order."""

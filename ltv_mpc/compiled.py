@@ -1,0 +1,85 @@
+"""The one place that imports numba: a typed decorator, and a cache that is never stale.
+
+numba's own cache notices an edit of a function's file, not of another file that the function calls into. So the
+cache lives in a folder whose name is a hash of every source file with compiled functions, of the compiler's version
+and of the processor: an edit anywhere starts a new folder. Where no folder can be written, a temporary one serves; child
+processes inherit it through the environment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import tempfile
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import ParamSpec, TypeVar, cast
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+MARK = b"@kernel"
+
+
+def _sources() -> list[Path]:
+    here = Path(__file__).resolve().parent
+    roots = [here, here.parent / "sim"]
+    return sorted(p for root in roots if root.is_dir() for p in root.rglob("*.py") if MARK in p.read_bytes())
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return "\n".join(sorted({x for x in lines if x.startswith(("model name", "flags"))}))
+
+
+def fingerprint() -> str:
+    """A hash of all compiled sources, the compiler and the processor: 16 hexadecimal digits."""
+    digest = hashlib.sha256()
+    for path in _sources():
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    for package in ("numba", "llvmlite", "numpy"):
+        digest.update(f"{package} {metadata.version(package)}\n".encode())
+    digest.update(_processor().encode())
+    digest.update(platform.python_version().encode())
+    return digest.hexdigest()[:16]
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def cache_folder() -> tuple[Path, bool]:
+    """Where compiled code is kept, and whether it will be there next time."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        root = Path(base) if base else Path.home() / ".cache"
+    except RuntimeError:  # no HOME
+        root = Path("/nonexistent")
+    folder = root / "ltv-mpc" / fingerprint()
+    if _writable(folder):
+        return folder, True
+    return Path(tempfile.mkdtemp(prefix="ltv-mpc-")), False
+
+
+if "NUMBA_CACHE_DIR" not in os.environ:
+    CACHE, CACHE_IS_KEPT = cache_folder()
+    os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
+else:
+    CACHE, CACHE_IS_KEPT = Path(os.environ["NUMBA_CACHE_DIR"]), True
+
+import numba  # noqa: E402  (the variable above must be set first)
+
+
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile at the first call; floating-point operations keep their order (no fast-math), so that runs repeat."""
+    return cast("Callable[P, R]", numba.njit(cache=True, fastmath=False, error_model="numpy")(function))

@@ -1,0 +1,196 @@
+"""One TOML table becomes one frozen struct, or an error that names file, field, value and bound."""
+
+from __future__ import annotations
+
+import math
+import re
+import stat
+import tomllib
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from pathlib import Path, PurePath
+from typing import Any, TypeVar
+
+import msgspec
+import tomli_w
+
+from ltv_mpc import fields
+from ltv_mpc.errors import ConfigError, shown
+
+T = TypeVar("T")
+
+LARGEST_FILE = 1 << 20
+DEEPEST = 20
+"""Tables and lists inside one another: no settings file needs more, and the walk below is recursive."""
+
+
+def parse(table: Mapping[str, Any], kind: type[T], *, source: str) -> T:
+    """``table`` as ``kind`` (a frozen msgspec Struct). ``source`` names it in errors: ``scenario descent.toml``.
+
+    Raises ``ConfigError`` for unknown keys (with the nearest known name), missing keys, wrong types, values outside
+    their bounds, and anything that is not finite.
+    """
+    for path, value in _scalars(table, (), source):
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigError(source, place(path), "must be finite", value=value)
+    try:
+        return msgspec.convert(table, kind)
+    except msgspec.ValidationError as error:
+        raise _explained(str(error), table, kind, source) from None
+
+
+def read_toml(path: Path, *, what: str) -> dict[str, Any]:
+    """The file's tables. ``what`` is the kind of file in words ("scenario", "vehicle"). Raises ``ConfigError``."""
+    source = f"{what} {path}"
+    text = read_text(path, what=what)
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError(source, "", f"tables and lists inside one another: at most {DEEPEST} deep") from None
+    except ValueError as error:
+        raise ConfigError(source, "", f"no valid TOML: {error}") from None
+
+
+def read_text(path: Path, *, what: str) -> str:
+    """A settings file's text, which is not empty. Raises ``ConfigError`` saying what to do."""
+    source = f"{what} {path}"
+    try:
+        status = path.stat()
+        regular = stat.S_ISREG(status.st_mode)
+        content = path.read_bytes() if regular and status.st_size <= LARGEST_FILE else b""
+    except FileNotFoundError:
+        raise ConfigError(source, "", "no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        why = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(source, "", f"cannot be read: {why}") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise ConfigError(source, "", f"is a folder: give the {what} file itself")
+    if not regular:
+        raise ConfigError(source, "", "is no regular file")
+    if status.st_size > LARGEST_FILE:
+        raise ConfigError(source, "", f"has {status.st_size} bytes: at most {LARGEST_FILE}; is it the right file?")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(source, "", f"no UTF-8 text (byte {error.start}): is it the right file?") from None
+    if not text.strip():
+        raise ConfigError(source, "", "is empty")
+    if "\0" in text:
+        raise ConfigError(source, "", "no text but binary data: is it the right file?")
+    return text
+
+
+def is_path(name: str) -> bool:
+    """Whether NAME|FILE is a file: it has a suffix or a slash. A bare name is a shipped one."""
+    return "/" in name or "\\" in name or PurePath(name).suffix != ""
+
+
+def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
+    """NAME|FILE: a bare name is shipped in ``package``'s folder; with a suffix or a slash it is a path."""
+    if is_path(name):
+        return Path(name)
+    files = {path.name.removesuffix(suffix): path for path in _shipped(package, suffix)}
+    if name in files:
+        return files[name]
+    hints = ["no shipped name"]
+    if files:
+        hints.append(f"shipped: {', '.join(sorted(files))}")
+    if meant := fields.similar(name, files):
+        hints.append(f"did you mean {shown(meant)}?")
+    here = name not in ("", "..") and Path(name).is_file()
+    hints.append(f"for the file here write ./{name}" if here else "a file has a suffix or a slash")
+    raise ConfigError(f"{what} {shown(name)}", "", "; ".join(hints))
+
+
+def load(name: str, kind: type[T], *, what: str, package: str) -> T:
+    """Find, read and parse."""
+    path = find(name, what=what, package=package)
+    return parse(read_toml(path, what=what), kind, source=source_of(path, what=what, name=name))
+
+
+def to_toml(settings: msgspec.Struct) -> str:
+    """A struct as the TOML text that ``parse`` reads back to the same struct, bit for bit; None is left out."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(settings)))
+
+
+def source_of(path: Path, *, what: str, name: str) -> str:
+    """How errors call a file: as the user wrote it, and a shipped one by its file name."""
+    return f"{what} {path if is_path(name) else path.name}"
+
+
+def place(path: fields.Path) -> str:
+    """``("thruster", "port", "arm_m")`` as TOML's reader knows it: ``[thruster.port] arm_m``."""
+    keys = list(path)
+    tables: list[str] = []
+    while len(keys) > 1 and isinstance(keys[0], str) and isinstance(keys[1], str):
+        tables.append(str(keys.pop(0)))
+    key = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).removeprefix(".")
+    return f"[{'.'.join(tables)}] {key}" if tables else key
+
+
+def _without_none(table: dict[str, Any]) -> dict[str, Any]:
+    """TOML has no null."""
+    return {
+        key: _without_none(value) if isinstance(value, dict) else value
+        for key, value in table.items()
+        if value is not None
+    }
+
+
+def _shipped(package: str, suffix: str) -> Iterator[Path]:
+    parent, _, folder = package.rpartition(".")
+    try:
+        here = Path(str(resources.files(parent))) / folder
+    except ModuleNotFoundError:
+        return iter(())
+    return here.glob(f"*{suffix}")
+
+
+def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[fields.Path, Any]]:
+    """Everything in a tree of tables and lists, with its place."""
+    if len(path) > DEEPEST:
+        raise ConfigError(source, place(path[:1]), f"tables and lists inside one another: at most {DEEPEST} deep")
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _scalars(inner, (*path, str(key)), source)
+    elif isinstance(value, (list, tuple)):
+        for i, inner in enumerate(value):
+            yield from _scalars(inner, (*path, i), source)
+    else:
+        yield path, value
+
+
+_UNKNOWN = re.compile(r"Object contains unknown field `(.*)`", re.DOTALL)
+_MISSING = re.compile(r"Object missing required field `(.*)`", re.DOTALL)
+_OF_VALUE = ("Expected ", "Invalid ", "Number out of range", "Integer ")
+
+
+def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -> ConfigError:
+    """The error in words: with the value, all its bounds, and the name that was meant."""
+    problem, path = _split(message)
+    within = fields.at(kind, table, path)
+    where = f" in [{'.'.join(str(x) for x in path)}]" if path else ""
+    if unknown := _UNKNOWN.fullmatch(problem):
+        near = fields.nearest(unknown[1], fields.known(within))
+        return ConfigError(source, "", f"unknown key {shown(unknown[1])}{where}{near}")
+    if missing := _MISSING.fullmatch(problem):
+        inner = fields.at(kind, table, (*path, missing[1]))
+        wants = fields.tags(within) or fields.wanted(inner)
+        return ConfigError(source, "", f"key {shown(missing[1])}{where} is missing: must be {wants}")
+    value = fields.value_at(table, path)
+    if problem.startswith(_OF_VALUE):
+        outer = fields.at(kind, table, path[:-1]) if path else None
+        wants = fields.tags(outer) or fields.wanted(within, value)
+        return ConfigError(source, place(path), f"must be {wants}", value=value)
+    return ConfigError(source, place(path), problem, value=None if isinstance(value, dict) else value)
+
+
+def _split(message: str) -> tuple[str, fields.Path]:
+    """``Expected `float` >= 0.0 - at `$.water.sd_mps``` -> (problem, ("water", "sd_mps"))."""
+    problem, at, path = message.rpartition(" - at `$")
+    if not at:
+        return message, ()
+    steps: list[str | int] = []
+    for name, index in re.findall(r"\.([^.\[\]]+)|\[(\d+)\]", path.removesuffix("`").split("[...]")[0]):
+        steps.append(name or int(index))
+    return problem, steps

@@ -1,0 +1,1 @@
+"""The controller: one cycle from estimate to plan."""

@@ -1,0 +1,38 @@
+"""A vehicle that moves exactly as the controller's model says: for a first loop, and for tests."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control.prediction import Prediction, current_at
+from ltv_mpc.signals import Estimate, Plan
+from ltv_mpc.vehicle.parameters import Vehicle
+
+
+def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: float) -> Estimate:
+    """The estimate ``duration_s`` later, under ``plan``: exact flow of the nominal model.
+
+    Before the plan's start its first thrusts act, after its end they go to zero at the slew limit. An ``Estimate`` does
+    not hold the thrust being delivered: thrusters are taken to be where they are commanded at the beginning.
+    """
+    commands = SentCommands(vehicle)
+    commands.sent(plan)
+    end = Prediction(vehicle).roll(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
+    n, e, u, v, psi, r = (float(x) for x in end.X[:6])
+    deep = None if estimate.depth_m is None else end.depth_m
+    c = current_at(estimate.current, np.array([end.depth_m]))[0]
+    cos, sin = np.cos(psi), np.sin(psi)
+    return msgspec.structs.replace(
+        estimate,
+        t_ns=end.t_ns,
+        north_m=n,
+        east_m=e,
+        depth_m=deep,
+        heading_rad=float(np.arctan2(sin, cos)),
+        yaw_rate_radps=r,
+        velocity_north_mps=float(cos * u - sin * v + c[0]),
+        velocity_east_mps=float(sin * u + cos * v + c[1]),
+        velocity_down_mps=None if estimate.depth_m is None else end.sinking_mps,
+    )

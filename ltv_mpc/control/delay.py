@@ -1,0 +1,46 @@
+"""How long until a plan takes effect: from the start of its cycle to its arrival at the actuators.
+
+Measured, where the actuators report back, from the receipt of each plan (computing, publishing and transport at once);
+else from the cycle's own computing time. Expected is a high quantile of what was measured lately, so that a plan is
+rarely late; being too careful costs little, since the vehicle's motion until then is predicted.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from ltv_mpc.signals import Applied, CycleTiming
+
+REMEMBERED = 50
+"""Cycles: 15 s at the default period."""
+
+
+class Delay:
+    """Expected delay in vehicle nanoseconds."""
+
+    def __init__(self, first_ns: int, quantile: float) -> None:
+        self._first_ns = first_ns
+        self._quantile = quantile
+        self._receipts: deque[int] = deque(maxlen=REMEMBERED)
+        self._computing: deque[int] = deque(maxlen=REMEMBERED)
+        self._receipt_of: int | None = None  # the cycle whose receipt came last
+
+    def receipt(self, applied: Applied) -> None:
+        """The actuators say which plan they got, and when."""
+        if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._receipt_of:
+            return
+        self._receipt_of = applied.plan_cycle_t_ns
+        self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
+
+    def timing(self, timing: CycleTiming) -> None:
+        """What the last cycle took, without transport."""
+        self._computing.append(timing.compute_ns)
+
+    def expected_ns(self) -> int:
+        """From the start of a cycle to its plan's arrival."""
+        measured = self._receipts or self._computing
+        if not measured:
+            return self._first_ns
+        return int(np.quantile(np.array(measured), self._quantile, method="higher"))

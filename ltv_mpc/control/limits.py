@@ -1,0 +1,59 @@
+"""Box and slew of the two lateral thrusters over the horizon, and the last word on what is sent.
+
+A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h;  linear between knots, so
+|dF/dt| <= slew everywhere, and at the junction of two plans too, since U[0] is the command in force there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ltv_mpc.signals import Array
+from ltv_mpc.vehicle.parameters import Vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class ThrustLimits:
+    """Box (2,) each and the largest change between two knots (2,), in N."""
+
+    low: Array
+    high: Array
+    change: Array
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, stage_s: float) -> ThrustLimits:
+        """The lateral thrusters' limits for stages of ``stage_s``."""
+        lateral = vehicle.thrusters[:2]
+        return cls(
+            np.array([t.min_N for t in lateral]),
+            np.array([t.max_N for t in lateral]),
+            np.array([t.slew_N_per_s for t in lateral]) * stage_s,
+        )
+
+    @property
+    def scale(self) -> Array:
+        """The larger of both sides of the box (2,): what a thrust of 1 means in the cost."""
+        return np.maximum(self.high, -self.low)
+
+    def box(self, start: Array, stages: int) -> tuple[Array, Array]:
+        """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,).
+
+        A start outside the box (a limit that was just lowered) is brought in at the slew limit, so that the QP always
+        has a solution.
+        """
+        reach = np.arange(1, stages + 1)[:, None] * self.change
+        low = np.maximum(np.minimum(self.low, start + reach), start - reach)
+        high = np.minimum(np.maximum(self.high, start - reach), start + reach)
+        # The slew rows hold the commands within reach already: a box that is nowhere active costs the solver nothing.
+        return np.where(start >= self.low, self.low, low), np.where(start <= self.high, self.high, high)
+
+    def enforced(self, commands: Array) -> Array:
+        """``commands`` (N+1, 2) moved, knot by knot from the first, to the nearest that obey box and slew exactly."""
+        out = commands.copy()
+        low, high = self.box(commands[0], len(commands) - 1)
+        for k in range(1, len(out)):
+            within = np.minimum(np.maximum(out[k], out[k - 1] - self.change), out[k - 1] + self.change)
+            out[k] = np.minimum(np.maximum(within, low[k - 1]), high[k - 1])
+        return out

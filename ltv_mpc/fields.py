@@ -1,0 +1,167 @@
+"""The fields of a settings struct in words: what they are called, what each must be, which name was meant."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias
+
+from msgspec import inspect
+
+from ltv_mpc.errors import shown
+
+Type: TypeAlias = inspect.Type
+
+Path: TypeAlias = Sequence[str | int]
+"""Keys and list positions from the outermost table down: ``("thruster", "port", "arm_m")``."""
+
+
+def at(kind: Any, table: Any, path: Path) -> Type | None:
+    """The type that ``kind`` has at ``path``; ``table`` tells which member of a tagged union is meant."""
+    found: Type | None = inspect.type_info(kind)
+    for step in path:
+        found = _step(found, table, step)
+        table = _value(table, step)
+    return _member(found, table)
+
+
+def known(kind: Type | None) -> tuple[str, ...]:
+    """Names of the fields of a struct type, in their order."""
+    if isinstance(kind, inspect.StructType):
+        tag = (kind.tag_field,) if kind.tag_field else ()
+        return tag + tuple(f.encode_name for f in kind.fields)
+    return ()
+
+
+def settings(kind: Any) -> dict[str, Type]:
+    """Every scalar field of a struct of structs by its dotted key, ``{"water.sd_mps": FloatType(...), ...}``."""
+    return dict(_leaves(inspect.type_info(kind), ""))
+
+
+def similar(name: str, names: Iterable[str]) -> str | None:
+    """The one of ``names`` that was probably meant."""
+    names = list(names)
+    best = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
+    if not best:  # a beginning: "sd" for "sd_mps"
+        best = [x for x in names if name and x.startswith(name)][:1]
+    if not best:  # the last part alone: "horizon_s" for "controller.horizon_s"
+        best = [x for x in names if "." in x and x.rpartition(".")[2] == name.rpartition(".")[2]][:1]
+    return best[0] if best else None
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """``; did you mean "arm_m"?``, or the known names where none is near."""
+    names = list(names)
+    if meant := similar(name, names):
+        return f"; did you mean {shown(meant)}?"
+    return f"; known: {', '.join(names)}" if names else ""
+
+
+def wanted(kind: Type | None, value: Any = None) -> str:
+    """What a value must be: ``a number > 0 and <= 5``; of a ``value`` that is a number, its bounds alone."""
+    numeric = (int, float) if isinstance(kind, inspect.FloatType) else (int,)
+    if isinstance(kind, inspect.FloatType | inspect.IntType) and type(value) in numeric and _bounds(kind):
+        return _bounds(kind)
+    match kind:
+        case inspect.FloatType():
+            return f"a number {_bounds(kind)}".rstrip()
+        case inspect.IntType():
+            return f"an integer {_bounds(kind)}".rstrip()
+        case inspect.BoolType():
+            return "true or false"
+        case inspect.StrType():
+            return "a text" + ("" if not kind.min_length else f" of at least {kind.min_length} characters")
+        case inspect.LiteralType():
+            return " or ".join(shown(x) for x in kind.values)
+        case inspect.EnumType():
+            return " or ".join(shown(x.value) for x in kind.cls)
+        case inspect.TupleType():
+            return f"a list of {len(kind.item_types)}, each {wanted(kind.item_types[0])}"
+        case inspect.VarTupleType() | inspect.ListType():
+            least = f" of at least {kind.min_length}" if kind.min_length else ""
+            return f"a list{least}, each {wanted(kind.item_type)}"
+        case inspect.StructType():
+            return f"a table with {', '.join(known(kind))}"
+        case inspect.DictType():
+            return "a table"
+        case inspect.UnionType():
+            tags = [x.tag for x in kind.types if isinstance(x, inspect.StructType) and x.tag is not None]
+            if tags:
+                return f"a table whose {_tag_field(kind)} is {' or '.join(shown(x) for x in tags)}"
+            return " or ".join(wanted(x) for x in kind.types if not isinstance(x, inspect.NoneType))
+        case _:
+            return "another type"
+
+
+def is_text(kind: Type) -> bool:
+    """Whether a value of this type is a text."""
+    return isinstance(kind, inspect.StrType | inspect.EnumType) or (
+        isinstance(kind, inspect.LiteralType) and all(isinstance(x, str) for x in kind.values)
+    )
+
+
+def tags(kind: Type | None) -> str:
+    """What the tag of a union of structs may be: ``"hold" or "line"``; empty for any other type."""
+    if not isinstance(kind, inspect.UnionType):
+        return ""
+    return " or ".join(shown(x.tag) for x in kind.types if isinstance(x, inspect.StructType))
+
+
+def _bounds(kind: inspect.FloatType | inspect.IntType) -> str:
+    words = [
+        f"{sign} {bound:g}" if isinstance(bound, float) else f"{sign} {bound}"
+        for sign, bound in ((">", kind.gt), (">=", kind.ge), ("<", kind.lt), ("<=", kind.le))
+        if bound is not None
+    ]
+    return " and ".join(words)
+
+
+def _tag_field(kind: inspect.UnionType) -> str:
+    return next((x.tag_field for x in kind.types if isinstance(x, inspect.StructType) and x.tag_field), "kind")
+
+
+def _member(kind: Type | None, table: Any) -> Type | None:
+    """The member of a union that ``table`` is meant to be."""
+    if not isinstance(kind, inspect.UnionType):
+        return kind
+    members = [x for x in kind.types if not isinstance(x, inspect.NoneType)]
+    if len(members) == 1:
+        return members[0]
+    tag = table.get(_tag_field(kind)) if isinstance(table, dict) else None
+    return next((x for x in members if isinstance(x, inspect.StructType) and x.tag == tag), kind)
+
+
+def _step(kind: Type | None, table: Any, step: str | int) -> Type | None:
+    match _member(kind, table):
+        case inspect.StructType() as struct if isinstance(step, str):
+            return next((f.type for f in struct.fields if f.encode_name == step), None)
+        case inspect.DictType() as mapping:
+            return mapping.value_type
+        case inspect.TupleType() as fixed if isinstance(step, int) and step < len(fixed.item_types):
+            return fixed.item_types[step]
+        case inspect.VarTupleType() | inspect.ListType() as several:
+            return several.item_type
+        case _:
+            return None
+
+
+def _value(table: Any, step: str | int) -> Any:
+    try:
+        return table[step]
+    except (KeyError, IndexError, TypeError):
+        return None
+
+
+def value_at(table: Any, path: Path) -> Any:
+    """What stands at ``path``, or None."""
+    for step in path:
+        table = _value(table, step)
+    return table
+
+
+def _leaves(kind: Type, prefix: str) -> Iterable[tuple[str, Type]]:
+    if isinstance(kind, inspect.StructType):
+        for field in kind.fields:
+            yield from _leaves(field.type, f"{prefix}.{field.encode_name}" if prefix else field.encode_name)
+    else:
+        yield prefix, kind

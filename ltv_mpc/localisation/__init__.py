@@ -1,0 +1,1 @@
+"""ADCP-aided localisation: one filter for the vehicle and the water."""

@@ -1,0 +1,29 @@
+"""[estimator]: what the filter assumes of the water, and how often it speaks."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from ltv_mpc import config
+
+
+class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings of the localisation filter; the sensors' own numbers are in the sensors file."""
+
+    estimate_period_ns: Annotated[int, Meta(ge=10_000_000, le=10_000_000_000)] = 100_000_000
+    current_sd_mps: Annotated[float, Meta(gt=0, le=5)] = 0.04  # prior of the Gauss-Markov profile
+    current_mean_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.1  # prior of what all depths have in common
+    current_correlation_length_m: Annotated[float, Meta(gt=0, le=1000)] = 8.0
+    current_change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # slow random walk of each cell in time
+    cell_m: Annotated[float, Meta(gt=0, le=100)] = 1.0
+    deepest_m: Annotated[float, Meta(gt=0, le=2000)] = 70.0
+    afloat_acceleration_sd_mps2: Annotated[float, Meta(ge=0, le=10)] = 0.005  # horizontal, while it levels itself
+    gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
+
+    @classmethod
+    def load(cls, path: str) -> EstimatorConfig:
+        """A TOML file that holds the [estimator] table alone. Raises ``ConfigError``."""
+        return config.load(path, cls, what="estimator settings", package="ltv_mpc.localisation.settings")

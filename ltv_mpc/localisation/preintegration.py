@@ -1,0 +1,124 @@
+"""Strapdown integration of the inertial unit, and the error's transition gathered over many samples.
+
+State   p, v (NED), R (body to world), gyro bias b_g, accelerometer bias b_a; errors as in ``state.py``.
+Sample  mean angular rate w_m and specific force f_m over dt (body), Earth rate W (NED, zero where it is not sensed):
+        w = w_m - b_g,  f = f_m - b_a,  R_mid = exp(-W dt/2) R1 exp(w dt/2)
+        v2 = v1 + dt (R_mid f + g - 2 W x v1),  p2 = p1 + dt (v1 + v2) / 2,  R2 = exp(-W dt) R1 exp(w dt)
+        b  decays as first-order Gauss-Markov, b2 = exp(-dt/tau) b1
+Errors  t = W x phi1 + R_mid db_g,  phi2 = phi1 - dt t
+        dv2 = dv1 - dt ((R_mid f) x (phi1 - dt/2 t) + R_mid db_a + 2 W x dv1),  dp2 = dp1 + dt (dv1 + dv2) / 2
+Between two updates only Phi = Phi_k ... Phi_1 (15, 15) and Q (15, 15) are gathered; the large covariance is moved once.
+Source  Lupton & Sukkarieh 2012, IEEE T-RO 28(1); Groves 2013, chapters 5 and 14 (error equations in the world frame).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.frames import GRAVITY_MPS2, rotation_exp
+from ltv_mpc.localisation.suite import Imu
+from ltv_mpc.signals import Array, Triple
+
+
+def noise_of(imu: Imu) -> Array:
+    """What ``integrate`` reads of the unit: random walks and biases, (6,) in SI."""
+    return np.array(
+        [
+            imu.angle_random_walk_rad_per_rts,
+            imu.velocity_random_walk_mps_per_rts,
+            imu.gyro_bias_sd_radps,
+            imu.gyro_bias_tau_s,
+            imu.accelerometer_bias_sd_mps2,
+            imu.accelerometer_bias_tau_s,
+        ]
+    )
+
+
+@kernel
+def _cross(a: Array, b: Array) -> Array:
+    c = np.empty(3)
+    c[0] = a[1] * b[2] - a[2] * b[1]
+    c[1] = a[2] * b[0] - a[0] * b[2]
+    c[2] = a[0] * b[1] - a[1] * b[0]
+    return c
+
+
+@kernel
+def _transition(A: Array, C: Array, a: Array, W: Array, dt: float, keep_g: float, keep_a: float) -> None:
+    """A := Phi_k A for one sample, A is (15, m). C = R_mid, a = R_mid f, keep = exp(-dt/tau) of each bias."""
+    h = 0.5 * dt
+    for j in range(A.shape[1]):
+        v0, v1, v2 = A[3, j], A[4, j], A[5, j]
+        q0, q1, q2 = A[6, j], A[7, j], A[8, j]
+        g0, g1, g2 = A[9, j], A[10, j], A[11, j]
+        b0, b1, b2 = A[12, j], A[13, j], A[14, j]
+        # t = W x phi1 + R_mid db_g
+        t0 = W[1] * q2 - W[2] * q1 + C[0, 0] * g0 + C[0, 1] * g1 + C[0, 2] * g2
+        t1 = W[2] * q0 - W[0] * q2 + C[1, 0] * g0 + C[1, 1] * g1 + C[1, 2] * g2
+        t2 = W[0] * q1 - W[1] * q0 + C[2, 0] * g0 + C[2, 1] * g1 + C[2, 2] * g2
+        # R_mid db_a
+        B0 = C[0, 0] * b0 + C[0, 1] * b1 + C[0, 2] * b2
+        B1 = C[1, 0] * b0 + C[1, 1] * b1 + C[1, 2] * b2
+        B2 = C[2, 0] * b0 + C[2, 1] * b1 + C[2, 2] * b2
+        # dv2 = dv1 - dt (a x m + R_mid db_a + 2 W x dv1), m = phi at the middle
+        m0, m1, m2 = q0 - h * t0, q1 - h * t1, q2 - h * t2
+        n0 = v0 - dt * (a[1] * m2 - a[2] * m1 + B0 + 2.0 * (W[1] * v2 - W[2] * v1))
+        n1 = v1 - dt * (a[2] * m0 - a[0] * m2 + B1 + 2.0 * (W[2] * v0 - W[0] * v2))
+        n2 = v2 - dt * (a[0] * m1 - a[1] * m0 + B2 + 2.0 * (W[0] * v1 - W[1] * v0))
+        # dp2 = dp1 + dt (dv1 + dv2) / 2
+        A[0, j] += h * (v0 + n0)
+        A[1, j] += h * (v1 + n1)
+        A[2, j] += h * (v2 + n2)
+        A[3, j], A[4, j], A[5, j] = n0, n1, n2
+        A[6, j], A[7, j], A[8, j] = q0 - dt * t0, q1 - dt * t1, q2 - dt * t2
+        A[9, j], A[10, j], A[11, j] = keep_g * g0, keep_g * g1, keep_g * g2
+        A[12, j], A[13, j], A[14, j] = keep_a * b0, keep_a * b1, keep_a * b2
+
+
+@kernel
+def integrate(
+    x: Array, R: Array, Phi: Array, Q: Array, rate: Triple, force: Triple, dt: float, noise: Array, W: Array
+) -> None:
+    """One sample of ``dt`` (s), in place: x (n,) and R (3, 3) move, Phi and Q (15, 15) gather its transition."""
+    w = np.empty(3)
+    f = np.empty(3)
+    for i in range(3):
+        w[i] = rate[i] - x[9 + i]
+        f[i] = force[i] - x[12 + i]
+    C = rotation_exp(-0.5 * dt * W) @ R @ rotation_exp(0.5 * dt * w)  # R_mid
+    a = C @ f
+    v = x[3:6].copy()
+    coriolis = _cross(W, v)
+    for i in range(3):
+        x[3 + i] += dt * (a[i] - 2.0 * coriolis[i])
+    x[5] += dt * GRAVITY_MPS2
+    for i in range(3):
+        x[i] += 0.5 * dt * (v[i] + x[3 + i])
+    R[:, :] = rotation_exp(-dt * W) @ R @ rotation_exp(dt * w)
+    keep_g = math.exp(-dt / noise[3])
+    keep_a = math.exp(-dt / noise[5])
+    for i in range(3):
+        x[9 + i] *= keep_g
+        x[12 + i] *= keep_a
+
+    _transition(Phi, C, a, W, dt, keep_g, keep_a)
+    # Q := Phi_k Q Phi_k^T + Q_k, by rows, then by columns (Q is symmetric, so its transpose serves)
+    _transition(Q, C, a, W, dt, keep_g, keep_a)
+    Q[:, :] = Q.T.copy()
+    _transition(Q, C, a, W, dt, keep_g, keep_a)
+    s_g = noise[0] * noise[0] * dt
+    s_a = noise[1] * noise[1] * dt
+    d_g = noise[2] * noise[2] * (1.0 - keep_g * keep_g)
+    d_a = noise[4] * noise[4] * (1.0 - keep_a * keep_a)
+    for i in range(3):
+        # white noise of the sample's mean: dv = dt n, dp = dt^2/2 n
+        Q[i, i] += 0.25 * dt * dt * s_a
+        Q[i, 3 + i] += 0.5 * dt * s_a
+        Q[3 + i, i] += 0.5 * dt * s_a
+        Q[3 + i, 3 + i] += s_a
+        Q[6 + i, 6 + i] += s_g
+        Q[9 + i, 9 + i] += d_g
+        Q[12 + i, 12 + i] += d_a

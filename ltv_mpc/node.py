@@ -1,0 +1,86 @@
+"""What a node is: a pure step. It never asks what time it is, draws no unseeded number, and keeps no thread.
+
+Two callers exist: ``sim/lockstep.py`` (one process, simulated clock) and ``services/run/runner.py`` (Zenoh, wall
+clock). Given the same state and the same (t_ns, inbox) a step returns the same signals, bit for bit; so a recording
+replays through the nodes without tolerances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import msgspec
+
+from ltv_mpc.signals import Signal
+
+
+class Grid(msgspec.Struct, frozen=True):
+    """Steps at t_ns = k x period exactly; none is skipped."""
+
+    period_ns: int
+
+
+class Cycle(msgspec.Struct, frozen=True):
+    """A step starts at its period, or when the last one ends, if that is later; t_ns is the clock's reading."""
+
+    period_ns: int
+
+
+class OnMessage(msgspec.Struct, frozen=True):
+    """A step for each message of these types, in order of arrival; t_ns is the message's validity time."""
+
+    types: tuple[type[Signal], ...]
+
+
+Schedule: TypeAlias = Grid | Cycle | OnMessage
+
+
+class Arrival(msgspec.Struct, frozen=True, eq=False):
+    """One entry of an inbox: a signal that passed admission, its source's epoch and sequence, and its arrival."""
+
+    signal: Signal
+    epoch: int
+    sequence: int
+    received_t_ns: int
+
+
+Inbox: TypeAlias = Sequence[Arrival]
+
+
+class Node(Protocol):
+    """A component. ``reads`` are the types its inbox may hold, ``writes`` those its step may return."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def schedule(self) -> Schedule: ...
+    @property
+    def reads(self) -> tuple[type[Signal], ...]: ...
+    @property
+    def writes(self) -> tuple[type[Signal], ...]: ...
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """One step: consumes the inbox in its order, returns what is to be published, in order."""
+        ...
+
+
+Stopwatch: TypeAlias = Callable[[str], None]
+"""Called with a stage's name when that stage ends. The runner measures; lock step and replay pass ``no_stopwatch``."""
+
+
+def no_stopwatch(stage: str) -> None:
+    """Measure nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Phases:
+    """A grid of a period that need not divide the truth's: t_ns = k x period_ns."""
+
+    period_ns: int
+
+    def between(self, after_ns: int, until_ns: int) -> range:
+        """Sample times t with after_ns < t <= until_ns."""
+        first = (after_ns // self.period_ns + 1) * self.period_ns
+        return range(first, until_ns + 1, self.period_ns)

@@ -1,0 +1,386 @@
+"""Every message, one struct each: what nodes read and write, and what travels.
+
+Frames: world NED (north, east, down), body FRD (forward, starboard, down). SI units and radians, also on the wire.
+Times: ``t_ns`` is vehicle time in integer nanoseconds, 0 at the start of the descent (negative while afloat before it).
+Thrusts are in the order port, starboard, vertical (N). The signal's TYPE is the port: a node names the types it reads.
+The key, rate, delivery and writer of each are in ``services/bus/topics.py``; what makes one acceptable is in
+``admission.py``.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Annotated, Any, TypeAlias
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from msgspec import Meta
+
+Array: TypeAlias = npt.NDArray[np.float64]
+# What a description of the wire cannot see in an array's type: whole numbers, and rows in rows.
+Matrix: TypeAlias = Annotated[Array, Meta(extra_json_schema={"items": {"type": "array"}})]
+Times: TypeAlias = Annotated[npt.NDArray[np.int64], Meta(extra_json_schema={"items": {"type": "integer"}})]
+Pair: TypeAlias = tuple[float, float]
+Triple: TypeAlias = tuple[float, float, float]
+
+
+class Signal(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True):
+    """A message. Arrays are numpy arrays inside and lists on the wire."""
+
+
+# --- the world: written by the plant, read by sensors, recorder and displays, never aboard ---------------------------
+
+
+class Truth(Signal, frozen=True, kw_only=True, eq=False):
+    """The true state of the vehicle."""
+
+    t_ns: int
+    position_m: Triple  # NED
+    velocity_mps: Triple  # NED, over ground
+    attitude_rad: Triple  # roll, pitch, heading
+    water_velocity_mps: Triple  # surge, sway, heave relative to the water, in the level heading frame
+    yaw_rate_radps: float
+    current_mps: Pair  # north, east, at the vehicle
+    thrust_N: Triple  # delivered
+
+
+class Applied(Signal, frozen=True, kw_only=True, eq=False):
+    """What the thrusters do, and which plan they follow: the actuators' report to the controller."""
+
+    t_ns: int
+    thrust_N: Triple  # by eq 8 from the revolutions, after lag and saturation
+    command_N: Triple  # in force
+    command_slew_N_per_s: Triple  # largest |d command / dt| since the last report
+    plan_epoch: int  # of the plan accepted last; 0 before the first
+    plan_sequence: int  # of the plan accepted last; -1 before the first
+    plan_cycle_t_ns: int  # start of the cycle that made it, as the plan says; 0 before the first
+    plan_received_t_ns: int  # when it arrived
+    plan_late: bool  # it arrived after its start time: a deadline miss
+    plans_late: int  # so far
+    plans_refused: int  # so far: outside box or slew, or out of order
+
+
+# --- sensors ---------------------------------------------------------------------------------------------------------
+
+
+class ImuSample(Signal, frozen=True, kw_only=True, eq=False):
+    """Increments of a strapdown IMU divided by the interval that ends at ``t_ns``: means over it, body frame."""
+
+    t_ns: int
+    interval_ns: int
+    angular_rate_radps: Triple
+    specific_force_mps2: Triple
+
+
+class GnssFix(Signal, frozen=True, kw_only=True, eq=False):
+    """Position and velocity over ground, at the surface."""
+
+    t_ns: int
+    north_m: float
+    east_m: float
+    velocity_north_mps: float
+    velocity_east_mps: float
+
+
+class TdcpFix(Signal, frozen=True, kw_only=True, eq=False):
+    """Change of position between two epochs from time-differenced carrier phase, at the surface."""
+
+    t_ns: int
+    from_t_ns: int
+    north_m: float
+    east_m: float
+
+
+class AdcpPing(Signal, frozen=True, kw_only=True, eq=False):
+    """Velocity of the water relative to the transducer along each beam, positive away from the vehicle.
+
+    ``range_m`` (K,) is the slant range of each cell's centre; ``beam_velocity_mps`` is (4, K); NaN (null on the wire)
+    where a beam has no return.
+    """
+
+    t_ns: int
+    range_m: Array
+    beam_velocity_mps: Matrix
+
+
+class PressureDepth(Signal, frozen=True, kw_only=True, eq=False):
+    """Depth below the surface from pressure."""
+
+    t_ns: int
+    depth_m: float
+
+
+class CompassHeading(Signal, frozen=True, kw_only=True, eq=False):
+    """True heading from a magnetic compass, deviation and declination already taken off, (-pi, pi]."""
+
+    t_ns: int
+    heading_rad: float
+
+
+# --- aboard ----------------------------------------------------------------------------------------------------------
+
+
+class CurrentProfile(Signal, frozen=True, kw_only=True, eq=False):
+    """Horizontal water velocity over depth; linear between depths, constant beyond both ends. All arrays (K,)."""
+
+    depth_m: Array
+    north_mps: Array
+    east_mps: Array
+    sd_mps: Array | None = None
+
+
+class Estimate(Signal, frozen=True, kw_only=True, eq=False):
+    """Where the vehicle is and how it moves over ground.
+
+    ``covariance`` is (6, 6) over north, east (m), velocity north, east (m/s), heading (rad), yaw rate (rad/s).
+    """
+
+    t_ns: int
+    north_m: float
+    east_m: float
+    heading_rad: float
+    yaw_rate_radps: float
+    velocity_north_mps: float
+    velocity_east_mps: float
+    depth_m: float | None = None
+    velocity_down_mps: float | None = None
+    covariance: Matrix | None = None
+    current: CurrentProfile | None = None
+
+    @classmethod
+    def at_rest(
+        cls, *, north_m: float = 0.0, east_m: float = 0.0, heading_rad: float = 0.0, depth_m: float | None = None
+    ) -> Estimate:
+        """A vehicle that does not move over ground, at t = 0."""
+        return cls(
+            t_ns=0,
+            north_m=north_m,
+            east_m=east_m,
+            heading_rad=heading_rad,
+            yaw_rate_radps=0.0,
+            velocity_north_mps=0.0,
+            velocity_east_mps=0.0,
+            depth_m=depth_m,
+            velocity_down_mps=None if depth_m is None else 0.0,
+        )
+
+
+class PlanOrigin(enum.StrEnum):
+    """Where a plan's thrusts come from: the rungs of the ladder, best first."""
+
+    SOLVED = "solved"  # by the QP
+    SHIFTED = "shifted"  # the previous plan, brought to the new grid
+    DAMPING = "damping"  # stops the vehicle
+    ZERO = "zero"  # lateral thrusts to zero at the slew limit
+
+
+class SolveStatus(enum.StrEnum):
+    """How a solve ended, one vocabulary for every solver."""
+
+    SOLVED = "solved"
+    ITERATION_LIMIT = "iteration_limit"
+    INFEASIBLE = "infeasible"
+    NON_FINITE = "non_finite"  # the solver returned NaN or infinity
+    FAILED = "failed"
+    NOT_RUN = "not_run"  # no solve was asked for
+
+
+class Authority(enum.StrEnum):
+    """Who commands the thrusters."""
+
+    DISARMED = "disarmed"
+    CONTROLLER = "controller"
+    MANUAL = "manual"
+    STOPPED = "stopped"
+
+
+class Health(enum.StrEnum):
+    """How well the controller's inputs keep up."""
+
+    NOMINAL = "nominal"
+    DEGRADED = "degraded"
+    HOLD = "hold"
+    FAILSAFE = "failsafe"
+
+
+class Solve(Signal, frozen=True, kw_only=True, eq=False):
+    """The solver's account of one solve; residuals are those of the scaled problem."""
+
+    status: SolveStatus
+    iterations: int = 0
+    primal_residual: float = 0.0
+    dual_residual: float = 0.0
+    why: str = ""
+
+
+class Plan(Signal, frozen=True, kw_only=True, eq=False):
+    """Thrusts to come: piecewise linear through knots, enough to run the actuators to its end without another word.
+
+    ``t_ns`` (N+1,) knots; the plan takes effect at the first. ``thrust_N`` (N+1, 3) commands. ``states`` (N+1, 6)
+    predicted n, e (m), u, v (m/s, relative to the water), heading (rad), yaw rate (rad/s).
+    """
+
+    cycle_t_ns: int  # start of the cycle that made it
+    t_ns: Times
+    thrust_N: Matrix
+    states: Matrix
+    origin: PlanOrigin
+    solve: Solve
+    why: str = ""  # of the origin, where it is not "solved"
+    authority: Authority = Authority.CONTROLLER
+    health: Health = Health.NOMINAL
+    estimate_t_ns: int = 0  # validity time of the estimate it is built on
+    expected_delay_ns: int = 0
+    reference_m: Pair | None = None  # north, east that it steers to; None before the start
+    reference_depth_m: float | None = None
+
+    def thrust_at(self, t_ns: int) -> Array:
+        """Commanded thrust (3,) at ``t_ns``, linear between knots, constant beyond both ends."""
+        i = int(np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2))
+        t0, t1 = int(self.t_ns[i]), int(self.t_ns[i + 1])
+        s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0)
+        thrust: Array = self.thrust_N[i] + s * (self.thrust_N[i + 1] - self.thrust_N[i])
+        return thrust
+
+
+# --- how the run itself goes: times, records, faults -----------------------------------------------------------------
+
+
+class CycleTiming(Signal, frozen=True, kw_only=True, eq=False):
+    """What one controller cycle cost, measured by whoever called it (zero work in lock step, where the delay is set).
+
+    ``stage_us`` is wall time by name: predict, linearise, build, update, solve, read, publish. ``compute_ns`` is
+    vehicle time from the start of the cycle to its plan's publication, ``compute_wall_ns`` the same on the wall.
+    """
+
+    t_ns: int  # start of the cycle
+    compute_ns: int
+    compute_wall_ns: int
+    estimate_age_ns: int  # at the start of the cycle
+    stage_us: dict[str, float]
+
+
+class Rejected(Signal, frozen=True, kw_only=True, eq=False):
+    """A frame that was refused at a node's door."""
+
+    t_ns: int
+    node: str
+    key: str
+    reason: str
+    crc: int
+    payload_base64: str  # at most 4 KiB of it
+
+
+class Restore(Signal, frozen=True, kw_only=True, eq=False):
+    """State handed to a restarted node, first entry of its new epoch's inbox."""
+
+    t_ns: int
+    node: str
+    plan: Plan | None = None
+
+
+class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):
+    """One entry of a step's inbox as the record keeps it: enough to find the frame again."""
+
+    key: str
+    epoch: int
+    sequence: int
+    crc: int
+    received_t_ns: int
+
+
+class StepRecord(Signal, frozen=True, kw_only=True, eq=False):
+    """One step of one node, published before the step's outputs: what an exact replay needs."""
+
+    node: str
+    epoch: int
+    step: int
+    t_ns: int
+    cause: str  # "grid", "cycle" or the key of the message that caused it
+    inbox: tuple[InboxEntry, ...]
+
+
+class ClockState(enum.StrEnum):
+    """What vehicle time does."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    PAUSED = "paused"
+
+
+class Clock(Signal, frozen=True, kw_only=True, eq=False):
+    """Vehicle time = vehicle_ns + (monotonic - at_monotonic) x speed_num / speed_den while running.
+
+    Monotonic times are the host's CLOCK_MONOTONIC in microseconds: below 2^53 for 285 years, so every language reads
+    them exactly.
+    """
+
+    clock_epoch: int
+    clock_sequence: int
+    host_boot_id: str
+    at_monotonic_us: int
+    vehicle_ns: int
+    speed_num: int
+    speed_den: int
+    state: ClockState
+
+
+class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
+    """One process's word about itself: that it is ready, what it counts, what it waits for."""
+
+    node: str
+    t_ns: int
+    ready: bool
+    waiting_for: str
+    steps: int
+    published: int
+    received: int
+    dropped: int
+    rejected: int
+    step_us: float  # mean wall time of a step since the last status
+    finished: bool = False  # it has done all that it was asked for
+
+
+class RunEvent(Signal, frozen=True, kw_only=True, eq=False):
+    """Something worth a mark on the time axis: a phase, a loss, a restart."""
+
+    t_ns: int
+    node: str
+    kind: str
+    text: str
+
+
+def to_wire(value: Any) -> Any:
+    """For encoders: numpy arrays as nested lists with null for NaN, numpy scalars as plain numbers."""
+    if isinstance(value, np.ndarray):
+        plain = value.tolist()
+        if value.dtype.kind == "f" and np.isnan(value).any():
+            plain = _null_for_nan(plain)
+        return plain
+    if isinstance(value, np.generic):
+        return value.item()
+    raise NotImplementedError(f"{type(value).__name__} does not travel")
+
+
+def _null_for_nan(plain: Any) -> Any:
+    if isinstance(plain, list):
+        return [_null_for_nan(x) for x in plain]
+    return None if plain != plain else plain
+
+
+def from_wire(kind: type, value: Any) -> Any:
+    """For decoders: nested lists to float64 arrays (null to NaN), or int64 arrays where all are integers.
+
+    Raises ``ValueError`` where the rows differ in length or an entry is no number.
+    """
+    if kind is not np.ndarray and getattr(kind, "__origin__", None) is not np.ndarray:
+        raise NotImplementedError(f"{kind} does not travel")
+    if getattr(kind, "__args__", (None, None))[1] == np.dtype[np.int64]:
+        if not isinstance(value, list) or not all(type(x) is int for x in value):
+            raise ValueError("expected a list of integers")
+        return np.array(value, dtype=np.int64)
+    array = np.array(value, dtype=object)
+    if not isinstance(value, list) or not all(x is None or type(x) in (int, float) for x in array.ravel()):
+        raise ValueError("expected a list of numbers, rows of one length")
+    return np.array(value, dtype=np.float64)

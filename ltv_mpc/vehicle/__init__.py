@@ -1,0 +1,1 @@
+"""The vehicle: parameters, equations of motion, their exact flow, and its thrusters."""

@@ -1,0 +1,41 @@
+"""A fixed-pitch propeller: thrust from revolutions and inflow, and back.
+
+    F = a |n| n - b v_T |n|,   a = 0.4 rho d^4,   b = (1/3) rho d^3
+
+n revolutions per second, v_T inflow (m/s, surge for the stern thrusters, heave for the vertical one), d diameter (m).
+Source: Medagoda & Williams 2012, eq 8: the standard bilinear form, zero thrust at an advance ratio of 1.2.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ltv_mpc.compiled import kernel
+
+THRUST_COEFFICIENT = 0.4
+INFLOW_COEFFICIENT = 1.0 / 3.0
+
+
+@kernel
+def thrust(n: float, inflow: float, rho: float, d: float) -> float:
+    """F (N) of a propeller at n (rev/s) in an inflow v_T (m/s)."""
+    # F = 0.4 rho d^4 |n| n - (1/3) v_T rho d^3 |n|
+    return THRUST_COEFFICIENT * rho * d**4 * abs(n) * n - INFLOW_COEFFICIENT * inflow * rho * d**3 * abs(n)
+
+
+@kernel
+def revolutions(F: float, inflow: float, rho: float, d: float) -> float:
+    """The n (rev/s) that gives F (N) in an inflow v_T: F -> n -> F returns F.
+
+    One quadratic for each sign of n. Where two n give the same F (a small F against the inflow's sign) it takes the one
+    that reverses; where none does (F = 0) the propeller stands still.
+    """
+    a = THRUST_COEFFICIENT * rho * d**4
+    b = INFLOW_COEFFICIENT * inflow * rho * d**3
+    if F == 0.0:
+        return 0.0
+    if F > 0.0:
+        # n > 0: a n^2 - b n - F = 0 has one positive root
+        return (b + math.sqrt(b * b + 4.0 * a * F)) / (2.0 * a)
+    # n < 0: with m = -n > 0: -a m^2 - b m - F = 0, a m^2 + b m - |F| = 0 has one positive root
+    return -(-b + math.sqrt(b * b + 4.0 * a * -F)) / (2.0 * a)

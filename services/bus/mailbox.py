@@ -1,0 +1,54 @@
+"""All that a process hears, in one order: what arrives on any key is taken in the order of its arrival.
+
+Zenoh's receiving thread only stamps and appends, so it is never blocked by a slow reader; the step loop takes. A queue
+beyond its capacity drops what comes and counts it.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from typing import NamedTuple
+
+from services.bus.topics import Topic
+
+CAPACITY = 50_000  # frames: about 5 s of everything at 20 times real time, some 20 MB
+
+
+class Frame(NamedTuple):
+    """One message as it arrived."""
+
+    topic: Topic | None  # None on a key that the table does not know
+    key: str
+    payload: bytes
+    received_monotonic_us: int
+
+
+class Mailbox:
+    """An ordered queue between Zenoh's thread and the step loop."""
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self._capacity = capacity
+        self._queue: queue.SimpleQueue[Frame | None] = queue.SimpleQueue()
+        self.overflowed = 0
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
+        """Append; called on Zenoh's thread."""
+        if self._queue.qsize() >= self._capacity:
+            self.overflowed += 1
+            return
+        self._queue.put(Frame(topic, key, payload, time.monotonic_ns() // 1000))
+
+    def wake(self) -> None:
+        """Let a waiting ``take`` return at once; may be called from a signal handler."""
+        self._queue.put(None)
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The oldest frame, or None after ``timeout_s`` or a ``wake``."""
+        try:
+            return self._queue.get(timeout=timeout_s) if timeout_s > 0 else self._queue.get_nowait()
+        except queue.Empty:
+            return None
+
+    def __len__(self) -> int:
+        return self._queue.qsize()

@@ -1,0 +1,92 @@
+"""What travels: signal type, key, period, delivery, who writes it, who reads it. Keys, quality of service,
+documentation and the recording's channels all come from this table.
+"""
+
+from __future__ import annotations
+
+import enum
+
+import msgspec
+
+from ltv_mpc.signals import (
+    AdcpPing,
+    Applied,
+    Clock,
+    CompassHeading,
+    CycleTiming,
+    Estimate,
+    GnssFix,
+    ImuSample,
+    NodeStatus,
+    Plan,
+    PressureDepth,
+    Rejected,
+    RunEvent,
+    Signal,
+    StepRecord,
+    TdcpFix,
+    Truth,
+)
+
+
+class Delivery(enum.StrEnum):
+    """What a reader needs of a key."""
+
+    EVERY = "every"  # each sample counts: a queue that is always drained, losses counted
+    LATEST = "latest"  # the newest value: a ring of one
+
+
+EVERY, LATEST = Delivery.EVERY, Delivery.LATEST
+
+
+class Topic(msgspec.Struct, frozen=True):
+    """One row. ``written_by`` is the sole writer; "*" stands for every node, which then adds its name to the key.
+
+    ``period_ns`` is vehicle time between two messages, 0 where they come on events.
+    """
+
+    signal: type[Signal]
+    key: str
+    period_ns: int
+    delivery: Delivery
+    written_by: str
+    read_by: tuple[str, ...]
+
+
+TOPICS = (
+    #     signal          key                  period_ns      delivery  written by    read by
+    Topic(Truth,          "world/truth",        10_000_000,   EVERY,    "plant",      ("sensors",)),
+    Topic(Applied,        "applied",           100_000_000,   EVERY,    "plant",      ("controller",)),
+    Topic(ImuSample,      "sensor/imu",         10_000_000,   EVERY,    "sensors",    ("estimator",)),
+    Topic(GnssFix,        "sensor/gnss",     1_000_000_000,   EVERY,    "sensors",    ("estimator",)),
+    Topic(TdcpFix,        "sensor/tdcp",     1_000_000_000,   EVERY,    "sensors",    ("estimator",)),
+    Topic(AdcpPing,       "sensor/adcp",       333_333_333,   EVERY,    "sensors",    ("estimator",)),
+    Topic(PressureDepth,  "sensor/depth",      100_000_000,   EVERY,    "sensors",    ("estimator",)),
+    Topic(CompassHeading, "sensor/compass",  1_000_000_000,   EVERY,    "sensors",    ("estimator",)),
+    Topic(Estimate,       "estimate",          100_000_000,   LATEST,   "estimator",  ("controller",)),
+    Topic(Plan,           "plan",              300_000_000,   EVERY,    "controller", ("plant",)),
+    Topic(CycleTiming,    "timing",            300_000_000,   EVERY,    "controller", ("controller",)),
+    Topic(Clock,          "clock",                       0,   EVERY,    "plant",      ("*",)),
+    Topic(NodeStatus,     "status",                      0,   EVERY,    "*",          ("launcher",)),
+    Topic(StepRecord,     "record",                      0,   EVERY,    "*",          ()),
+    Topic(Rejected,       "rejected",                    0,   EVERY,    "*",          ()),
+    Topic(RunEvent,       "event",                       0,   EVERY,    "*",          ("launcher",)),
+)  # fmt: skip
+
+BY_SIGNAL = {topic.signal: topic for topic in TOPICS}
+BY_KEY = {topic.key: topic for topic in TOPICS}
+
+
+def key_of(kind: type[Signal], writer: str) -> str:
+    """The key on which ``writer`` publishes: the row's, with the writer's name behind it where every node writes."""
+    topic = BY_SIGNAL[kind]
+    return f"{topic.key}/{writer}" if topic.written_by == "*" else topic.key
+
+
+def topic_at(key: str) -> Topic | None:
+    """The row of a key as published, or None where the table knows no such key."""
+    topic = BY_KEY.get(key)
+    if topic is not None:
+        return topic if topic.written_by != "*" else None
+    topic = BY_KEY.get(key.rpartition("/")[0])
+    return topic if topic is not None and topic.written_by == "*" else None

@@ -1,0 +1,118 @@
+"""One message as bytes: a plain msgpack map, the header's fields first, then the signal's, units in their names.
+
+Encoding is ``plain`` (a map of builtins, which is also what a recording holds as JSON) packed with msgpack. Decoding
+is typed (unknown, missing and mistyped fields are refused) and checks meaning (``ltv_mpc/admission.py``). Whatever the
+bytes are, ``decode`` returns a signal that is fit for a node or raises ``WireError`` with the reason.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import msgpack
+import msgspec
+
+from ltv_mpc.admission import refusal
+from ltv_mpc.signals import Signal, from_wire, to_wire
+
+S = TypeVar("S", bound=Signal)
+T = TypeVar("T")
+
+MAX_PAYLOAD_BYTES = 1 << 20
+"""A larger frame is refused unread: the largest message, an estimate with its profile, has about 10 kB."""
+
+MAX_EPOCH = 2**48 - 1
+MAX_COUNT = 2**53 - 1  # beyond it JavaScript's numbers are not exact
+
+RUBBISH = (ValueError, TypeError, ArithmeticError, LookupError, RecursionError, msgpack.UnpackException)
+"""What msgpack, msgspec and numpy raise on hostile bytes; UnicodeDecodeError and ValidationError are ValueErrors."""
+
+
+class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Who sent a message and which of its messages it is."""
+
+    epoch: int  # 48 random bits for each start of a process
+    sequence: int  # of this key and epoch, from 0 without a gap
+    sent_monotonic_us: int  # the host's CLOCK_MONOTONIC at publication; 0 in lock step
+
+
+class WireError(ValueError):
+    """A frame that is refused; the text is the reason."""
+
+
+def plain(signal: Signal, header: Header) -> dict[str, Any]:
+    """Header and signal as one map of builtins: numbers, text, lists, maps, null."""
+    message: dict[str, Any] = {
+        "epoch": header.epoch,
+        "sequence": header.sequence,
+        "sent_monotonic_us": header.sent_monotonic_us,
+    }
+    message.update(msgspec.to_builtins(signal, enc_hook=to_wire))
+    if message["epoch"] != header.epoch:
+        raise ValueError(f"a record of epoch {message['epoch']} cannot be sent by epoch {header.epoch}")
+    return message
+
+
+def encode(signal: Signal, header: Header) -> bytes:
+    """The bytes that travel."""
+    payload: bytes = msgpack.packb(plain(signal, header))
+    return payload
+
+
+def decode(kind: type[S], payload: bytes) -> tuple[S, Header]:
+    """The signal and its header. Raises ``WireError``, and nothing else."""
+    return typed(kind, unpack(payload))
+
+
+def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
+    """The same of a plain map: what ``unpack`` gives, or a recording's JSON. Raises ``WireError``, and nothing else."""
+    header = _checked(_header, message)
+    signal = _checked(_signal, kind, message)
+    reason = _checked(refusal, signal)
+    if reason is not None:
+        raise WireError(reason)
+    return signal, header
+
+
+def unpack(payload: bytes) -> dict[str, Any]:
+    """The map that a frame holds, untyped, for the recorder. Raises ``WireError``."""
+    if len(payload) > MAX_PAYLOAD_BYTES:
+        raise WireError(f"too large: {len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
+    message = _checked(msgpack.unpackb, payload)
+    if not isinstance(message, dict):
+        raise WireError("not a map")
+    return message
+
+
+def crc(payload: bytes) -> int:
+    """CRC-32 of a frame, by which a step record finds it again."""
+    return zlib.crc32(payload)
+
+
+def _checked(function: Callable[..., T], *args: object) -> T:
+    try:
+        return function(*args)
+    except RUBBISH as error:
+        raise WireError((str(error) or type(error).__name__)[:200]) from None
+
+
+HEADER_FIELDS = tuple(Header.__struct_fields__)
+
+
+def _header(message: dict[str, Any]) -> Header:
+    epoch, sequence, sent = (message.get(name) for name in HEADER_FIELDS)
+    if not (type(epoch) is int and 0 <= epoch <= MAX_EPOCH):
+        raise ValueError("epoch: an integer of 48 bits is required")
+    if not (type(sequence) is int and 0 <= sequence <= MAX_COUNT):
+        raise ValueError("sequence: an integer from 0 to 2^53 - 1 is required")
+    if not (type(sent) is int and 0 <= sent <= MAX_COUNT):
+        raise ValueError("sent_monotonic_us: an integer from 0 to 2^53 - 1 is required")
+    return Header(epoch=epoch, sequence=sequence, sent_monotonic_us=sent)
+
+
+def _signal(kind: type[S], message: dict[str, Any]) -> S:
+    # A StepRecord has an ``epoch`` of its own; it is its sender's, so one entry of the map is both.
+    own = {k: v for k, v in message.items() if k not in HEADER_FIELDS or k in kind.__struct_fields__}
+    return msgspec.convert(own, kind, dec_hook=from_wire)

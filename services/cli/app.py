@@ -1,0 +1,68 @@
+"""The command line: every command in its panel, exit codes, errors in one line. Commands import inside themselves."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from services.cli import measure, processes, start, vehicle
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="ltv-mpc",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+start.register(app, "Start here")
+vehicle.register(app, "Your vehicle")
+measure.register(app, "Measure")
+processes.register(app, "One process each")
+
+
+@app.callback(invoke_without_command=True)
+def _commands(context: typer.Context) -> None:
+    """Model predictive control of an underactuated AUV in an estimated water current, over Zenoh."""
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command and exit: 0 done, 1 not completed, 2 bad input, 130 Ctrl-C."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """The exit code of a command line. Bad input is one line on stderr, without a traceback."""
+    try:
+        code = app(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
+    except typer.TyperException as error:
+        context = getattr(error, "ctx", None)
+        return _refuse(f"{context.command_path if context else 'ltv-mpc'}: {error.format_message()}")
+    except ValueError as error:
+        if not _is_config_error(error):
+            raise
+        return _refuse(f"ltv-mpc: {error}")
+    except (KeyboardInterrupt, typer.Abort):
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader of our output has gone: `ltv-mpc topics | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    return code if isinstance(code, int) else 0
+
+
+def _is_config_error(error: ValueError) -> bool:
+    from ltv_mpc.errors import ConfigError
+
+    return isinstance(error, ConfigError)
+
+
+def _refuse(text: str) -> int:
+    print(" ".join(text.split()), file=sys.stderr)  # noqa: T201 (the one line of a refusal)
+    return BAD_INPUT

@@ -1,0 +1,181 @@
+"""Start here: ``sim``."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from services.cli.options import Force, Json, Out, ScenarioName, short
+
+if TYPE_CHECKING:
+    from services.run.folder import RunFolder
+    from services.run.situation import Override, Situation
+    from sim.grading.summary import Summary
+
+KEYS = {
+    "--speed": "run.speed",
+    "--seed": "run.seed",
+    "--duration-s": "run.duration_s",
+    "--surface-time-s": "run.surface_time_s",
+    "--compute-delay-s": "run.compute_delay_s",
+    "--horizon-s": "controller.horizon_s",
+    "--currents": "water.file",
+    "--sensors": "sensors",
+    "--vehicle": "vehicle",
+    "--reference": "reference",
+}
+
+
+def register(app: typer.Typer, panel: str) -> None:
+    """Add the commands to their panel."""
+    app.command(rich_help_panel=panel)(sim)
+
+
+def sim(
+    scenario: ScenarioName = "descent",
+    speed: Annotated[str | None, short("--speed", KEYS["--speed"], "X", "Times real time.")] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="In one process on a simulated clock, as fast as it goes.")
+    ] = False,
+    seed: Annotated[str | None, short("--seed", KEYS["--seed"], "N", "Of every random draw.")] = None,
+    duration_s: Annotated[
+        str | None, short("--duration-s", KEYS["--duration-s"], "T", "Length after the surface phase.")
+    ] = None,
+    horizon_s: Annotated[
+        str | None, short("--horizon-s", KEYS["--horizon-s"], "H", "How far the controller looks ahead.")
+    ] = None,
+    compute_delay_s: Annotated[
+        str | None, short("--compute-delay-s", KEYS["--compute-delay-s"], "D", "Added to the controller's own delay.")
+    ] = None,
+    currents: Annotated[
+        str | None,
+        short("--currents", KEYS["--currents"], "FILE.csv", "A measured profile (depth_m, v_north_mps, u_east_mps)."),
+    ] = None,
+    sensors: Annotated[
+        str | None, short("--sensors", KEYS["--sensors"], "NAME|FILE", "What is mounted: paper, realistic, or a file.")
+    ] = None,
+    vehicle: Annotated[str | None, short("--vehicle", KEYS["--vehicle"], "NAME|FILE", "Paper, or a TOML file.")] = None,
+    reference: Annotated[
+        str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Where to be: descent, hover, or a file.")
+    ] = None,
+    surface_time_s: Annotated[
+        str | None, short("--surface-time-s", KEYS["--surface-time-s"], "S", "Afloat before the descent.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Any key of a scenario; repeatable.", show_default=False),
+    ] = None,
+    perfect_state: Annotated[
+        bool,
+        typer.Option(
+            "--perfect-state",
+            help="Give the controller the truth. Key run.perfect_state.",
+            rich_help_panel="Scenario keys",
+        ),
+    ] = False,
+    no_control: Annotated[
+        bool,
+        typer.Option(
+            "--no-control",
+            help="Lateral thrusters stay at zero. Key controller.lateral.",
+            rich_help_panel="Scenario keys",
+        ),
+    ] = False,
+    as_json: Json = False,
+    force: Force = False,
+    out: Out = None,
+) -> int:
+    """Run a scenario as processes, or in lock step.
+
+    SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
+    """
+    from services.run import folder
+    from services.run.situation import resolve
+
+    texts = {
+        "--speed": speed,
+        "--seed": seed,
+        "--duration-s": duration_s,
+        "--surface-time-s": surface_time_s,
+        "--compute-delay-s": compute_delay_s,
+        "--horizon-s": horizon_s,
+        "--currents": currents,
+        "--sensors": sensors,
+        "--vehicle": vehicle,
+        "--reference": reference,
+    }
+    given = {name: text for name, text in texts.items() if text is not None}
+    flags = {"--perfect-state": perfect_state, "--no-control": no_control}
+    overrides = _overrides(set_ or (), given, [name for name, on in flags.items() if on])
+    if lockstep:
+        _refuse_speed(overrides)
+    situation = resolve(scenario, overrides)
+    run_folder = folder.make(situation.name, situation.files, out=out, force=force)
+    for note in situation.notes:
+        typer.echo(note, err=True)
+    return (_locked if lockstep else _processes)(situation, run_folder, as_json)
+
+
+def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
+    """Last wins: --set first, then the options."""
+    from services.run.situation import Override
+
+    overrides = [Override("option --set", assignments)] if assignments else []
+    for name, text in given.items():
+        kind = ["water.kind=measured"] if name == "--currents" else []
+        overrides.append(Override(f"option {name}", [*kind, f"{KEYS[name]}={text}"]))
+    spelled = {"--perfect-state": "run.perfect_state=true", "--no-control": "controller.lateral=false"}
+    overrides += [Override(f"option {name}", [spelled[name]]) for name in flags]
+    return overrides
+
+
+def _refuse_speed(overrides: Sequence[Override]) -> None:
+    from ltv_mpc.errors import ConfigError
+
+    for source, assignments in overrides:
+        if any(text.partition("=")[0].strip() == KEYS["--speed"] for text in assignments):
+            problem = "cannot act together with --lockstep, whose simulated clock goes as fast as it can: leave one out"
+            raise ConfigError(source, KEYS["--speed"] if source == "option --set" else "", problem)
+
+
+def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
+    from services.run import locked
+    from services.views.terminal import progress_for
+
+    scenario = situation.scenario
+    with progress_for(scenario.start_ns, scenario.end_ns) as progress:
+        summary = locked.run(situation, folder, progress=progress)
+    _say_verdict(summary, folder, as_json)
+    return 0 if summary.duration_s >= scenario.run.duration_s else 1
+
+
+def _processes(situation: Situation, folder: RunFolder, as_json: bool) -> int:
+    from services.run import supervisor
+    from services.views.terminal import screen_for
+
+    limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
+    outcome = supervisor.run(situation, folder, screen_for(situation.scenario.title, limits))
+    if outcome.summary is not None:
+        _say_verdict(outcome.summary, folder, as_json)
+    return outcome.exit_code
+
+
+def _say_verdict(summary: Summary, folder: RunFolder, as_json: bool) -> None:
+    """On stdout: the object of summary.json alone, or a few lines and the folder."""
+    import msgspec
+
+    from services.views.verdict import verdict
+
+    plain = msgspec.to_builtins(summary)
+    if as_json:
+        typer.echo(json.dumps(plain, indent=2))
+        return
+    program = "ltv-mpc" if shutil.which("ltv-mpc") else ".venv/bin/ltv-mpc"
+    again = f"{program} sim {shlex.quote(str(folder.scenario))}"
+    next_commands = (f"{again} --lockstep", f"{again} --horizon-s 10 --compute-delay-s 0.71", f"{program} topics")
+    typer.echo(verdict(plain, folder.path, next_commands))

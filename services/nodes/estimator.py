@@ -1,0 +1,51 @@
+"""The estimator process: where the vehicle is and how the water moves, from sensor messages alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.frames import GRAVITY_MPS2
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.node import Arrival
+from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, Signal, TdcpFix
+from services.bus.session import BusOptions
+from services.run.process import serve
+from services.run.runner import Runner
+
+
+def main(suite: Suite, config: EstimatorConfig, bus: BusOptions) -> int:
+    """An estimate each period, from whatever measures."""
+    rehearse(suite, config)
+    return serve(
+        Estimator.name, bus, lambda request, say: Runner(Estimator(suite, config), stop=request.event, say=say)
+    )
+
+
+def rehearse(suite: Suite, config: EstimatorConfig) -> None:
+    """Have all compiled code loaded: a second afloat and at rest for a filter that is thrown away."""
+    estimator = Estimator(suite, config)
+    second, imu_ns = 1_000_000_000, suite.imu.period_ns
+    adcp = suite.adcp
+    range_m = adcp.blanking_m + adcp.cell_m * np.arange(0.5, max(1.0, (adcp.range_m - adcp.blanking_m) // adcp.cell_m))
+    still = {"north_m": 0.0, "east_m": 0.0}
+    messages: list[Signal] = [
+        GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0),
+        CompassHeading(t_ns=0, heading_rad=0.0),
+        PressureDepth(t_ns=0, depth_m=0.0),
+    ]
+    for t_ns in range(imu_ns, second + 1, imu_ns):
+        force = (0.0, 0.0, -GRAVITY_MPS2)
+        messages.append(
+            ImuSample(t_ns=t_ns, interval_ns=imu_ns, angular_rate_radps=(0.0, 0.0, 0.0), specific_force_mps2=force)
+        )
+    messages += [
+        AdcpPing(t_ns=second, range_m=range_m, beam_velocity_mps=np.zeros((4, len(range_m)))),
+        TdcpFix(t_ns=second, from_t_ns=0, **still),
+        PressureDepth(t_ns=second, depth_m=0.0),
+        CompassHeading(t_ns=second, heading_rad=0.0),
+        GnssFix(t_ns=second, **still, velocity_north_mps=0.0, velocity_east_mps=0.0),
+    ]
+    for message in messages:
+        estimator.step(0, [Arrival(message, 1, 0, 0)])

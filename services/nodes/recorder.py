@@ -1,0 +1,28 @@
+"""The recorder process: every message of the run into run.mcap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from services.bus.session import BusError, BusOptions, Stopped
+from services.recording.writer import RunWriter
+from services.run.process import FAILED, sayer, stop_on_signals
+from services.run.recording import NAME, RecordingLoop
+
+
+def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str, str]) -> int:
+    """Record into ``folder`` until told to stop. ``start_ns`` is where the run's time begins, log time 0."""
+    say = sayer(NAME)
+    with stop_on_signals() as request:
+        try:
+            with RunWriter(folder / "run.mcap", start_ns=start_ns, metadata=metadata) as writer:
+                loop = RecordingLoop(writer, start_ns=start_ns, stop=request.event, say=say)
+                request.wake = loop.mailbox.wake
+                loop.serve(bus)
+        except Stopped:
+            pass
+        except (BusError, OSError) as error:
+            say(str(error))
+            return FAILED
+        return request.exit_code

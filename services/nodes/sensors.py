@@ -1,0 +1,40 @@
+"""The sensors process: what the simulated sensors make of the true state."""
+
+from __future__ import annotations
+
+from ltv_mpc.node import Arrival
+from ltv_mpc.signals import Truth
+from services.bus.session import BusOptions
+from services.run.process import serve
+from services.run.runner import Runner
+from services.run.situation import Situation
+from sim.plant import PERIOD_NS
+from sim.sensors.node import Sensors
+
+
+def main(situation: Situation, bus: BusOptions) -> int:
+    """Answer each true state with what is measured at its time."""
+    rehearse(situation)
+    return serve(Sensors.name, bus, lambda request, say: Runner(_make(situation), stop=request.event, say=say))
+
+
+def rehearse(situation: Situation) -> None:
+    """Have all compiled code loaded: 1.4 s at rest for sensors that are thrown away, each speaking once at least."""
+    sensors = _make(situation)
+    still = (0.0, 0.0, 0.0)
+    for t_ns in range(-1_000_000_000, 400_000_000, PERIOD_NS):
+        truth = Truth(
+            t_ns=t_ns,
+            position_m=still,
+            velocity_mps=still,
+            attitude_rad=still,
+            water_velocity_mps=still,
+            yaw_rate_radps=0.0,
+            current_mps=(0.0, 0.0),
+            thrust_N=still,
+        )
+        sensors.step(t_ns, [Arrival(truth, 1, 0, t_ns)])
+
+
+def _make(situation: Situation) -> Sensors:
+    return Sensors(situation.scenario, situation.suite, situation.water)

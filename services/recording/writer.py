@@ -1,0 +1,96 @@
+"""A run's recording: run.mcap, which Foxglove and every MCAP library open.
+
+One channel a key, JSON messages with a JSON schema; a message is the plain map that travels (``services/bus/wire.py``).
+MCAP knows no negative times: ``log_time`` = ``publish_time`` = vehicle time of publication minus the run's start, ns.
+What the run was made of stands in the metadata record ``run``, at the head of the file, where a cut file has it too.
+
+Chunks have 64 KiB and are flushed at least every half second of wall time, so that a SIGKILL costs little. In lock
+step nothing is flushed by the wall clock: the file is a function of its messages, byte for byte.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.writer import CompressionType, Writer
+
+from ltv_mpc.signals import Signal
+from services.bus import schema, topics, wire
+
+CHUNK_BYTES = 64 * 1024
+FLUSH_S = 0.5
+PROFILE = ""  # of MCAP: none of the registered ones
+LIBRARY = "ltv-mpc"
+RUN = "run"
+"""Name of the metadata record."""
+
+
+class RunWriter:
+    """Writes ``path``; a context manager. ``flush_s`` None: by size alone."""
+
+    def __init__(
+        self, path: Path, *, start_ns: int, metadata: Mapping[str, str], flush_s: float | None = FLUSH_S
+    ) -> None:
+        self.messages = 0
+        self._start_ns = start_ns
+        self._flush_s = flush_s
+        self._flushed_at = time.monotonic()
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[type[Signal], int] = {}
+        self._file = path.open("wb")
+        # Any: the package leaves the types of some of its methods out.
+        self._mcap: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._mcap.start(PROFILE, LIBRARY)
+        self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
+
+    def write(self, writer: str, signal: Signal, header: wire.Header, t_ns: int) -> None:
+        """A signal that node ``writer`` published at vehicle time ``t_ns``."""
+        self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.plain(signal, header), t_ns)
+
+    def write_plain(self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int) -> None:
+        """A message as it travelled: ``wire.unpack`` of its payload. Raises ``WireError`` where JSON cannot hold it."""
+        log_time = max(0, t_ns - self._start_ns)
+        try:
+            data = msgspec.json.encode(message)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise wire.WireError(f"no plain map: {error}") from None
+        channel = self._channels.get(key)
+        if channel is None:
+            channel = self._register(key, kind)
+        self._mcap.add_message(channel, log_time, data, log_time, message["sequence"] & 0xFFFF_FFFF)
+        self.messages += 1
+        self.flush_if_due()
+
+    def flush_if_due(self) -> None:
+        """To be called also while nothing arrives."""
+        if self._flush_s is not None and time.monotonic() - self._flushed_at >= self._flush_s:
+            self.flush()
+
+    def flush(self) -> None:
+        """Everything so far to the operating system."""
+        self._mcap.flush()
+        self._flushed_at = time.monotonic()
+
+    def close(self) -> None:
+        """The index, and the end of the file."""
+        if not self._file.closed:
+            self._mcap.finish()
+            self._file.close()
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _register(self, key: str, kind: type[Signal]) -> int:
+        if kind not in self._schemas:
+            name = f"ltv_mpc.{kind.__name__}"
+            self._schemas[kind] = self._mcap.register_schema(name, "jsonschema", schema.text(kind))
+        channel: int = self._mcap.register_channel(key, "json", self._schemas[kind])
+        self._channels[key] = channel
+        return channel

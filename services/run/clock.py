@@ -1,0 +1,188 @@
+"""Vehicle time, in integers: one process keeps it, all others follow what it announces.
+
+    vehicle time = vehicle_ns + (monotonic - at_monotonic) x speed_num / speed_den      while running
+
+CLOCK_MONOTONIC is the same for all processes of one host, so a follower needs no exchange: it applies the newest line
+at that line's own instant. A change (start, pause, speed) is announced at least ``LEAD_US`` ahead. Who hears of it late
+holds still until the new line catches up: a reading never steps back.
+"""
+
+from __future__ import annotations
+
+import time
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from ltv_mpc.signals import Clock, ClockState
+
+LEAD_US = 50_000
+"""How far ahead a change is announced: many times a message's way through a router."""
+
+BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
+MAX_SPEED_DENOMINATOR = 1_000_000
+
+
+class ClockError(RuntimeError):
+    """A clock that cannot be followed."""
+
+
+def monotonic_us() -> int:
+    """The host's CLOCK_MONOTONIC."""
+    return time.monotonic_ns() // 1000
+
+
+@cache
+def boot_id() -> str:
+    """Which boot of which host this is: monotonic clocks are comparable within one only."""
+    try:
+        return BOOT_ID_FILE.read_text().strip()
+    except OSError:
+        return "unknown"
+
+
+class Line(NamedTuple):
+    """Vehicle time as a function of monotonic time, from ``at_us`` on."""
+
+    at_us: int
+    vehicle_ns: int
+    num: int
+    den: int
+    state: ClockState
+
+    def read(self, now_us: int) -> int:
+        """Vehicle time (ns)."""
+        if self.state is not ClockState.RUNNING or now_us <= self.at_us:
+            return self.vehicle_ns
+        return self.vehicle_ns + (now_us - self.at_us) * 1000 * self.num // self.den
+
+    def due_us(self, t_ns: int) -> int | None:
+        """The first monotonic time at which it reads ``t_ns`` or more; None where it stands still before that.
+
+        While the clock waits for the start nothing is due, not even the start itself.
+        """
+        if self.state is ClockState.WAITING:
+            return None
+        if t_ns <= self.vehicle_ns:
+            return self.at_us
+        if self.state is not ClockState.RUNNING:
+            return None
+        return self.at_us - (self.vehicle_ns - t_ns) * self.den // (1000 * self.num)
+
+
+class VehicleClock:
+    """A follower: reads vehicle time from the lines announced so far."""
+
+    def __init__(self) -> None:
+        self._lines: list[Line] = []  # in force, then those announced for later
+        self._epoch = 0
+        self._sequence = -1
+        self._last_ns: int | None = None
+
+    @classmethod
+    def own(cls, now_us: int) -> VehicleClock:
+        """A clock of one's own, from 0 at speed 1: aboard a real vehicle there is nobody to follow."""
+        clock = cls()
+        clock._lines = [Line(now_us, 0, 1, 1, ClockState.RUNNING)]
+        return clock
+
+    def hear(self, message: Clock) -> bool:
+        """Take an announcement; whether it is news. Raises ``ClockError`` for a clock that cannot be followed."""
+        if message.host_boot_id != boot_id():
+            raise ClockError(
+                f"the clock is kept on another host (boot {message.host_boot_id[:8]}, here {boot_id()[:8]}): "
+                "all processes of a run have to be on one host for now"
+            )
+        if self._lines and message.clock_epoch != self._epoch:
+            raise ClockError("another plant has started a clock of its own: start this process again to follow it")
+        if message.clock_sequence <= self._sequence:
+            return False
+        self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
+        line = Line(message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state)
+        self._lines.append(line)
+        return True
+
+    @property
+    def newest(self) -> Line | None:
+        """What was announced last, in force or not."""
+        return self._lines[-1] if self._lines else None
+
+    def read(self, now_us: int) -> int | None:
+        """Vehicle time (ns); None before the first line is in force. Never less than an earlier reading."""
+        while len(self._lines) > 1 and self._lines[1].at_us <= now_us:
+            self._lines.pop(0)
+        if not self._lines or now_us < self._lines[0].at_us:
+            return self._last_ns
+        reading = self._lines[0].read(now_us)
+        self._last_ns = reading if self._last_ns is None else max(self._last_ns, reading)
+        return self._last_ns
+
+    def due_us(self, t_ns: int) -> int | None:
+        """When the clock reads ``t_ns`` as far as is announced; None where it stands still before that."""
+        for i, line in enumerate(self._lines):
+            due = line.due_us(t_ns)
+            last = i + 1 == len(self._lines)
+            if due is not None and (last or due < self._lines[i + 1].at_us):
+                return due
+        return None
+
+
+class TimeKeeper:
+    """The one who says what time it is. Its messages are repeated as they are, so that late joiners hear them."""
+
+    def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
+        self._speed = Fraction(speed).limit_denominator(MAX_SPEED_DENOMINATOR)
+        self.slowed_ns = 0  # vehicle time that the wall could not keep up with, in all
+        self.slowed = 0  # how many times
+        self.message = Clock(
+            clock_epoch=epoch,
+            clock_sequence=0,
+            host_boot_id=boot_id(),
+            at_monotonic_us=now_us,
+            vehicle_ns=start_ns,
+            speed_num=self._speed.numerator,
+            speed_den=self._speed.denominator,
+            state=ClockState.WAITING,
+        )
+
+    @property
+    def speed(self) -> Fraction:
+        """Vehicle seconds per second."""
+        return self._speed
+
+    def run(self, now_us: int) -> Clock:
+        """Start, or go on after a pause."""
+        return self._announce(now_us, ClockState.RUNNING)
+
+    def pause(self, now_us: int) -> Clock:
+        """Stand still."""
+        return self._announce(now_us, ClockState.PAUSED)
+
+    def set_speed(self, now_us: int, speed: float) -> Clock:
+        """Go on at another speed."""
+        self._speed = Fraction(speed).limit_denominator(MAX_SPEED_DENOMINATOR)
+        return self._announce(now_us, self.message.state)
+
+    def slow(self, now_us: int, late_us: int) -> Clock:
+        """Give up ``late_us`` of wall time that cannot be caught up with: the clock stands still that much longer."""
+        self.slowed += 1
+        slip_ns = late_us * 1000 * self._speed.numerator // self._speed.denominator
+        self.slowed_ns += slip_ns
+        return self._announce(now_us, self.message.state, slip_ns=slip_ns)
+
+    def _announce(self, now_us: int, state: ClockState, *, slip_ns: int = 0) -> Clock:
+        old = self.message
+        line = Line(old.at_monotonic_us, old.vehicle_ns, old.speed_num, old.speed_den, old.state)
+        at_us = max(now_us + LEAD_US, old.at_monotonic_us)
+        self.message = Clock(
+            clock_epoch=old.clock_epoch,
+            clock_sequence=old.clock_sequence + 1,
+            host_boot_id=old.host_boot_id,
+            at_monotonic_us=at_us,
+            vehicle_ns=line.read(at_us) - slip_ns,
+            speed_num=self._speed.numerator,
+            speed_den=self._speed.denominator,
+            state=state,
+        )
+        return self.message

@@ -1,0 +1,41 @@
+"""What the screen shows of a run at one moment, from what the launcher hears."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ltv_mpc.signals import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from services.run.situation import Situation
+from services.run.watch import Watch
+from services.views.live import LiveView
+
+
+def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_s: float) -> LiveView:
+    """The newest of everything. ``states`` are the processes' own."""
+    scenario = situation.scenario
+    clock = watch.newest(Clock)
+    t_ns = watch.t_ns()
+    status = {name: word for name in states if (word := watch.newest(NodeStatus, name)) is not None}
+    return LiveView(
+        t_ns=scenario.start_ns if t_ns is None else min(t_ns, scenario.end_ns),
+        start_ns=scenario.start_ns,
+        end_ns=scenario.end_ns,
+        speed=scenario.run.speed if clock is None else clock.speed_num / clock.speed_den,
+        wall_s=wall_s,
+        phase=_phase(clock, t_ns),
+        truth=watch.newest(Truth),
+        estimate=watch.newest(Estimate),
+        plan=watch.newest(Plan),
+        applied=watch.newest(Applied),
+        timing=watch.newest(CycleTiming),
+        status=status,
+        state=states,
+    )
+
+
+def _phase(clock: Clock | None, t_ns: int | None) -> str:
+    if clock is None or t_ns is None or clock.state is ClockState.WAITING:
+        return "starting"
+    if clock.state is ClockState.PAUSED:
+        return "stopping"
+    return "afloat" if t_ns < 0 else "diving"

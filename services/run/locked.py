@@ -1,0 +1,134 @@
+"""A run in lock step: the nodes of a situation in this process, recorded and graded as they go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.signals import InboxEntry, Rejected, Signal, StepRecord
+from services.bus import topics, wire
+from services.bus.door import rejection
+from services.bus.mailbox import Frame
+from services.recording.writer import RunWriter
+from services.run.folder import RunFolder
+from services.run.situation import Situation
+from services.run.summary import LOCKSTEP, summarise
+from sim.grading.metrics import Grader
+from sim.grading.summary import Messages, Summary
+from sim.lockstep import EPOCH, Cause, LockStep
+from sim.plant import Plant
+from sim.sensors.node import Sensors
+
+LATEST = frozenset(topic.signal for topic in topics.TOPICS if topic.delivery is topics.LATEST)
+
+PROGRESS_NS = 1_000_000_000
+"""Vehicle time between two words about how far the run is."""
+
+
+def nodes(situation: Situation) -> list[Node]:
+    """Every node of the situation, in the order of the launch table."""
+    scenario = situation.scenario
+    plant = Plant(scenario, situation.vehicle, situation.water)
+    sensors = Sensors(scenario, situation.suite, situation.water)
+    controller = ControllerNode(situation.vehicle, situation.reference, scenario.controller)
+    if scenario.run.perfect_state:  # the sensors themselves write the estimate
+        return [plant, sensors, controller]
+    return [plant, sensors, Estimator(situation.suite, scenario.estimator), controller]
+
+
+def run(
+    situation: Situation, folder: RunFolder | None = None, *, progress: Callable[[int], None] | None = None
+) -> Summary:
+    """The whole run. With a ``folder`` it is recorded, its summary written; ``progress`` is told the vehicle time."""
+    if folder is None:
+        return _go(situation, None, progress)
+    metadata = {"mode": LOCKSTEP, "seed": str(situation.scenario.run.seed), **situation.files}
+    start_ns = situation.scenario.start_ns
+    with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
+        summary = _go(situation, writer, progress)
+    folder.write_summary(summary)
+    return summary
+
+
+def _go(situation: Situation, writer: RunWriter | None, progress: Callable[[int], None] | None) -> Summary:
+    scenario = situation.scenario
+    log = _Log(Grader(situation.vehicle), writer)
+    lockstep = LockStep(
+        nodes(situation),
+        start_ns=scenario.start_ns,
+        compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
+        observe=log,
+        latest=LATEST,
+        refused=_refused,
+    )
+    for t_ns in range(scenario.start_ns, scenario.end_ns, PROGRESS_NS):
+        lockstep.advance(t_ns)
+        if progress is not None:
+            progress(t_ns)
+    lockstep.advance(scenario.end_ns)
+    messages = Messages(published=log.published_count, dropped=0, rejected=log.rejected_count)
+    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages)
+
+
+class _Log:
+    """The run's observer: everything to the recording, if there is one, and to the grader."""
+
+    def __init__(self, grader: Grader, writer: RunWriter | None) -> None:
+        self.grader = grader
+        self.published_count = 0
+        self.rejected_count = 0
+        self._hears = grader.hears
+        self._writer = writer
+
+    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:
+        if self._writer is None:
+            return
+        record = StepRecord(
+            node=node,
+            epoch=EPOCH,
+            step=number,
+            t_ns=t_ns,
+            cause=cause if isinstance(cause, str) else _key(inbox[-1].signal, node),
+            inbox=tuple(_entry(message, node) for message in inbox),
+        )
+        self.published_count += 1
+        self._writer.write(node, record, _header(number), at_ns)
+
+    def published(self, node: str, message: Arrival) -> None:
+        signal = message.signal
+        self.published_count += 1
+        self.rejected_count += type(signal) is Rejected
+        if type(signal) in self._hears:
+            self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        if self._writer is not None:
+            self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
+
+
+def _header(sequence: int) -> wire.Header:
+    return wire.Header(epoch=EPOCH, sequence=sequence, sent_monotonic_us=0)
+
+
+def _entry(message: Arrival, reader: str) -> InboxEntry:
+    """What the record keeps of an arrival: the crc is that of the frame which processes would have sent."""
+    return InboxEntry(
+        key=_key(message.signal, reader),
+        epoch=message.epoch,
+        sequence=message.sequence,
+        crc=wire.crc(wire.encode(message.signal, _header(message.sequence))),
+        received_t_ns=message.received_t_ns,
+    )
+
+
+def _key(signal: Signal, reader: str) -> str:
+    """On which key it came. Of the types that every node writes, a node reads only its own: ``Rejected``."""
+    return topics.key_of(type(signal), reader)
+
+
+def _refused(node: str, message: Arrival, reason: str) -> Rejected:
+    """As the door of a process words it."""
+    signal = message.signal
+    payload = wire.encode(signal, _header(message.sequence))
+    frame = Frame(topics.BY_SIGNAL[type(signal)], _key(signal, node), payload, received_monotonic_us=0)
+    return rejection(frame, reason, node=node, t_ns=message.received_t_ns)

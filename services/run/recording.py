@@ -1,0 +1,137 @@
+"""The recorder's loop: everything on the run's keys into one file, nothing lost in silence.
+
+What is missing is proved twice: gaps in the sequences of each key and source, and, at the end, the count that each
+process gives in its last status of all that it has published.
+"""
+
+from __future__ import annotations
+
+import threading
+
+from ltv_mpc.signals import Clock, NodeStatus, Rejected, RunEvent
+from services.bus.door import rejection
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, open_session
+from services.bus.wire import Header, WireError, typed, unpack
+from services.recording.losses import Losses
+from services.recording.writer import RunWriter
+from services.run.clock import ClockError, VehicleClock, monotonic_us
+from services.run.status import Say, StatusReport
+
+NAME = "recorder"
+FLUSH_US = 500_000
+LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
+SILENCE_US = 200_000  # and no longer than this after the last message
+
+
+class RecordingLoop:
+    """Writes what arrives until ``stop`` is set, then what is still on its way."""
+
+    def __init__(self, writer: RunWriter, *, start_ns: int, stop: threading.Event, say: Say) -> None:
+        self._writer = writer
+        self._start_ns = start_ns
+        self._stop = stop
+        self._say = say
+        self.mailbox = Mailbox()
+        self._clock = VehicleClock()
+        self._losses = Losses()
+        self._of_source: dict[int, int] = {}  # messages by epoch
+        self._promised: dict[int, NodeStatus] = {}  # last words by epoch
+        self.received = 0
+        self.rejected = 0
+        self._out: Outbox
+        self._status: StatusReport
+
+    @property
+    def dropped(self) -> int:
+        """Messages that were published and are not in the file, as far as is known."""
+        return self._losses.missing
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """By process: what it says it has published, minus what is in the file; only where that is not 0."""
+        gaps = {status.node: status.published - self._of_source[epoch] for epoch, status in self._promised.items()}
+        return {node: gap for node, gap in gaps.items() if gap}
+
+    def serve(self, bus: BusOptions) -> None:
+        """Open, subscribe to everything, write, say the last word, close."""
+        with open_session(bus, stop=self._stop, say=self._say) as session:
+            self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, Rejected))
+            self._status = StatusReport(NAME, outbox=self._out, counts=self, clock=self._clock, reads=(), say=self._say)
+            session.subscribe("**", None, self.mailbox)
+            while not self._stop.is_set():
+                now_us = monotonic_us()
+                if now_us >= self._status.due_us:
+                    self._status.publish(now_us)
+                self._take((self._status.due_us - now_us) / 1e6)
+                self._writer.flush_if_due()
+            self._finish()
+
+    def _finish(self) -> None:
+        """Until every process has said how much it has published and all of that is here, or nothing more comes."""
+        started_us = heard_us = monotonic_us()
+        while self._take(0.0) or (
+            (self._unfinished or self.missing)
+            and monotonic_us() - heard_us < SILENCE_US
+            and monotonic_us() - started_us < LAST_WORDS_US
+        ):
+            if self._take(0.01):
+                heard_us = monotonic_us()
+        if lost := self._account():
+            self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="loss", text=lost))
+        self._say(f"{self.received} messages recorded, {lost or 'none lost'}")
+        self._status.publish(monotonic_us(), finished=True)
+        while self._take(0.05):
+            pass
+
+    @property
+    def _unfinished(self) -> bool:
+        return any(epoch not in self._promised for epoch in self._of_source if epoch != self._out.epoch)
+
+    @property
+    def _now_ns(self) -> int:
+        return self._clock.read(monotonic_us()) or 0
+
+    def _account(self) -> str:
+        """Losses in words; empty where there are none."""
+        gaps = [f"{count} of {node}" for node, count in self.missing.items()]
+        gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
+        return f"lost: {', '.join(gaps)}" if gaps else ""
+
+    def _take(self, timeout_s: float) -> bool:
+        frame = self.mailbox.take(timeout_s)
+        if frame is None:
+            return False
+        try:
+            self._record(frame)
+        except WireError as error:
+            self.rejected += 1
+            self._out.publish(rejection(frame, str(error), node=NAME, t_ns=self._now_ns))
+        return True
+
+    def _record(self, frame: Frame) -> None:
+        if frame.topic is None:
+            raise WireError("unknown key")
+        kind = frame.topic.signal
+        message = unpack(frame.payload)
+        if kind in (Clock, NodeStatus):
+            signal, header = typed(kind, message)
+            self._heed(signal, header)
+        epoch, sequence, sent_us = message.get("epoch"), message.get("sequence"), message.get("sent_monotonic_us")
+        if not (isinstance(epoch, int) and isinstance(sequence, int) and isinstance(sent_us, int)):
+            raise WireError("no header")
+        t_ns = self._clock.read(sent_us)
+        self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns)
+        self.received += 1
+        self._losses.saw(frame.key, epoch, sequence)
+        self._of_source[epoch] = self._of_source.get(epoch, 0) + 1
+
+    def _heed(self, signal: object, header: Header) -> None:
+        if isinstance(signal, NodeStatus) and signal.finished:
+            self._promised[header.epoch] = signal
+        elif isinstance(signal, Clock):
+            try:
+                self._clock.hear(signal)
+            except ClockError as error:  # it records what is said, by whomever
+                self._say(str(error))

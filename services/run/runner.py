@@ -1,0 +1,298 @@
+"""The second caller of nodes: one pure node on a Zenoh session, by the vehicle clock.
+
+All that a step sees comes through its inbox, one ordered list, past the node's door; the step's record goes out before
+the step's outputs. Records of steps without outputs wait for the next step that has some, at most half a second.
+"""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+
+from ltv_mpc.node import Cycle, Node, OnMessage
+from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Plan, Rejected, RunEvent, Signal, StepRecord
+from services.bus.door import Door, rejection
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import WireError, crc
+from services.run.clock import TimeKeeper, VehicleClock, monotonic_us
+from services.run.inbox import PendingInbox
+from services.run.schedule import Timetable
+from services.run.status import Say, StatusReport
+from services.run.stopwatch import StageTimer
+from services.run.timekeeping import TimeKeeping
+
+LAST_FRAMES_US = 300_000
+"""At most so long a process that is told to stop takes what has arrived before."""
+
+
+class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
+    """What the process that keeps the time has to know."""
+
+    start_ns: int
+    end_ns: int
+    speed: float  # vehicle seconds per second
+    expects: tuple[str, ...]  # nodes that must be ready before the clock starts
+
+
+class Runner:
+    """Runs ``node`` until ``stop`` is set, or until the last step of a grid that ends.
+
+    ``keeps_time`` makes it the time-keeper; ``own_clock`` frees it from any (a real vehicle). ``stages`` is the
+    stopwatch that the node was given, ``compute_delay_ns`` is added between a plan and its publication.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        stop: threading.Event,
+        say: Say,
+        keeps_time: KeepsTime | None = None,
+        own_clock: bool = False,
+        compute_delay_ns: int = 0,
+        stages: StageTimer | None = None,
+    ) -> None:
+        self._node = node
+        self._stop = stop
+        self._say = say
+        self._keeps_time = keeps_time
+        self._follows = keeps_time is None and not own_clock
+        self._compute_delay_ns = compute_delay_ns
+        self._stages = stages or StageTimer()
+        self._causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
+        self._timetable = Timetable(node.schedule, end_ns=keeps_time.end_ns if keeps_time else None)
+        self._times_cycles = isinstance(node.schedule, Cycle) and CycleTiming in node.reads
+        # What it hears by subscription: not its own words, which it hands to itself.
+        self._hears = [k for k in node.reads if BY_SIGNAL[k].written_by != node.name and k not in (Rejected, Clock)]
+        self.mailbox = Mailbox()
+        self.epoch = new_epoch()
+        self._door = Door()
+        self._clock = VehicleClock.own(monotonic_us()) if own_clock else VehicleClock()
+        self._inbox = PendingInbox()
+        self._records: list[StepRecord] = []
+        self._timekeeping: TimeKeeping | None = None
+        self._out: Outbox
+        self._status: StatusReport
+
+    @property
+    def finished(self) -> bool:
+        """Whether every step that was asked for is done."""
+        return self._timetable.finished
+
+    def ask_to_stop(self) -> None:
+        """From any thread or signal handler: finish the current step, then come to an end."""
+        self._stop.set()
+        self.mailbox.wake()
+
+    def serve(self, bus: BusOptions) -> None:
+        """Open, say "ready", run, say the last word, close.
+
+        Raises ``BusError``, ``ClockError``, ``Stopped`` (told to before it was connected), or what the node raised.
+        """
+        with open_session(bus, stop=self._stop, say=self._say) as session:
+            self._connect(session)
+            gc.collect()
+            gc.freeze()  # what lives until the end is not looked at again by any collection
+            try:
+                self._run()
+            finally:
+                self._flush()
+                self._status.publish(monotonic_us(), finished=True)
+
+    # --- the loop ----------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self.finished and self._wait(self._due_us):
+            self._step_by_time()
+        if self._timekeeping is not None:
+            self._timekeeping.stop(monotonic_us())
+        until_us = monotonic_us() + LAST_FRAMES_US
+        while monotonic_us() < until_us and (frame := self.mailbox.take(0.0)) is not None:
+            self._take(frame)
+
+    def _wait(self, due_us: Callable[[], int | None]) -> bool:
+        """Take what arrives until ``due_us`` has passed and nothing more is there; False when told to stop."""
+        while not self._stop.is_set():
+            now_us = monotonic_us()
+            self._tend(now_us)
+            due = due_us()
+            wake_us = self._status.due_us if due is None else min(due, self._status.due_us)
+            if self._timekeeping is not None:
+                wake_us = min(wake_us, self._timekeeping.due_us)
+            frame = self.mailbox.take((wake_us - now_us) / 1e6)
+            if frame is not None:
+                self._take(frame)
+            elif due is not None and monotonic_us() >= due:
+                return True
+        return False
+
+    def _due_us(self) -> int | None:
+        return None if self._timetable.next_ns is None else self._clock.due_us(self._timetable.next_ns)
+
+    def _step_by_time(self) -> None:
+        t_ns = self._timetable.next_ns
+        assert t_ns is not None
+        now_us = monotonic_us()
+        self._stages.start()
+        if self._timetable.on_grid:
+            if self._timekeeping is not None:
+                self._timekeeping.late(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
+            self._step(t_ns, "grid", now_us)
+        else:
+            self._step(max(t_ns, self._now_ns(now_us)), "cycle", now_us)
+        self._timetable.stepped(self._now_ns(monotonic_us()))
+
+    def _tend(self, now_us: int) -> None:
+        """What is due by the wall: the clock, the status, and the records that wait."""
+        if self._timekeeping is not None:
+            self._timekeeping.tend(now_us)
+        if now_us >= self._status.due_us:
+            self._flush()
+            self._status.publish(now_us, others=self._timekeeping.waiting_for if self._timekeeping else "")
+
+    # --- one step ----------------------------------------------------------------------------------------------------
+
+    def _step(self, t_ns: int, cause: str, started_us: int) -> None:
+        arrivals, entries = self._inbox.take()
+        self._records.append(
+            StepRecord(
+                node=self._node.name, epoch=self.epoch, step=self._status.steps, t_ns=t_ns, cause=cause, inbox=entries
+            )
+        )
+        self._stages("read")
+        outputs = self._node.step(t_ns, arrivals)
+        self._status.stepped(monotonic_us() - started_us)
+        if not outputs:
+            return
+        self._flush()
+        plan = next((signal for signal in outputs if isinstance(signal, Plan)), None) if self._times_cycles else None
+        if plan is not None and self._compute_delay_ns:
+            self._hold(self._compute_delay_ns)
+        for signal in outputs:
+            self._out.publish(signal)
+        if plan is not None:
+            self._time_cycle(plan, t_ns, started_us)
+
+    def _flush(self) -> None:
+        for record in self._records:
+            self._out.publish(record)
+        self._records.clear()
+
+    def _hold(self, delay_ns: int) -> None:
+        """Be slow on purpose: a slower machine's computation, on the vehicle's clock."""
+        until_ns = self._now_ns(monotonic_us()) + delay_ns
+        self._wait(lambda: self._clock.due_us(until_ns))
+        self._stages.resume()
+
+    def _time_cycle(self, plan: Plan, t_ns: int, started_us: int) -> None:
+        """Publish what the cycle cost, and hand it to the next one as any other message."""
+        self._stages("publish")
+        now_us = monotonic_us()
+        now_ns = self._now_ns(now_us)
+        timing = CycleTiming(
+            t_ns=t_ns,
+            compute_ns=max(0, now_ns - t_ns),
+            compute_wall_ns=(now_us - started_us) * 1000,
+            estimate_age_ns=t_ns - plan.estimate_t_ns,
+            stage_us=self._stages.stage_us,
+        )
+        self._hand_own(timing, now_ns)
+
+    # --- what arrives ------------------------------------------------------------------------------------------------
+
+    def _take(self, frame: Frame) -> None:
+        now_ns = self._now_ns(frame.received_monotonic_us)
+        try:
+            signal, header = self._door.admit(frame)
+        except WireError as error:
+            self._refuse(frame, str(error), now_ns)
+            return
+        kind = type(signal)
+        self._status.heard(kind)
+        if isinstance(signal, Clock):
+            self._hear_clock(signal)
+        elif isinstance(signal, NodeStatus) and self._timekeeping is not None:
+            self._timekeeping.heard(signal)
+        if kind not in self._node.reads:
+            return
+        self._inbox.add(
+            signal,
+            key=frame.key,
+            epoch=header.epoch,
+            sequence=header.sequence,
+            crc=crc(frame.payload),
+            received_t_ns=now_ns,
+        )
+        if kind in self._causes:
+            validity: Any = signal  # a type that causes steps has its validity time
+            self._step(validity.t_ns, frame.key, monotonic_us())
+
+    def _refuse(self, frame: Frame, reason: str, now_ns: int) -> None:
+        rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
+        if Rejected in self._node.reads:
+            self._hand_own(rejected, now_ns)
+        else:
+            self._out.publish(rejected)
+
+    def _hand_own(self, signal: Signal, now_ns: int) -> None:
+        sent = self._out.publish(signal)
+        self._inbox.add(
+            signal, key=sent.key, epoch=self.epoch, sequence=sent.sequence, crc=sent.crc, received_t_ns=now_ns
+        )
+
+    def _hear_clock(self, message: Clock) -> None:
+        self._status.heard_clock(monotonic_us())
+        if self._clock.hear(message):
+            self._begin()
+
+    # --- before the first step ---------------------------------------------------------------------------------------
+
+    def _connect(self, session: Session) -> None:
+        node = self._node
+        kinds: list[type[Signal]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
+        if self._times_cycles:
+            kinds.append(CycleTiming)
+        if self._keeps_time is not None:
+            kinds.append(Clock)
+        self._out = Outbox(session, node=node.name, epoch=self.epoch, kinds=dict.fromkeys(kinds))
+        self._status = StatusReport(
+            node.name,
+            outbox=self._out,
+            counts=self._door,
+            clock=self._clock,
+            reads=self._hears,
+            say=self._say,
+        )
+        hears: list[type[Signal]] = [*self._hears]
+        if self._keeps_time is not None:
+            hears.append(NodeStatus)
+        elif self._follows:
+            hears.append(Clock)
+        for kind in dict.fromkeys(hears):
+            topic = BY_SIGNAL[kind]
+            session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, self.mailbox)
+        if self._keeps_time is not None:
+            self._timekeeping = self._keep_time(self._keeps_time)
+        self._begin()
+
+    def _keep_time(self, settings: KeepsTime) -> TimeKeeping:
+        keeper = TimeKeeper(epoch=self.epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=monotonic_us())
+        return TimeKeeping(keeper, self._clock, expects=settings.expects, publish=self._out.publish)
+
+    def _begin(self) -> None:
+        """The clock is known: the first step has its time."""
+        newest = self._clock.newest
+        if newest is not None:
+            reading = self._clock.read(monotonic_us())
+            self._timetable.begin(newest.vehicle_ns if reading is None else reading)
+
+    def _now_ns(self, now_us: int) -> int:
+        reading = self._clock.read(now_us)
+        return 0 if reading is None else reading

@@ -1,0 +1,100 @@
+"""Everything a run is made of, read and checked before a process starts or a folder is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from ltv_mpc import config, references
+from ltv_mpc.control import solvers
+from ltv_mpc.currents import read_profile
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.references import Reference
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.run.made_by import made_by
+from sim import water
+from sim.scenario import Scenario, checked, overridden
+
+
+class Override(NamedTuple):
+    """Settings that one option stands for, and what errors call it."""
+
+    source: str
+    assignments: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """Resolved inputs of a run. ``files`` is what its folder holds so that it can be run again: path in it, text."""
+
+    name: str  # of the scenario: "descent"
+    scenario: Scenario
+    vehicle: Vehicle
+    suite: Suite
+    reference: Reference
+    water: water.WaterColumn
+    files: Mapping[str, str]
+    notes: tuple[str, ...]  # what a reader of the result should know of the inputs
+
+
+def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
+    """The situation of a scenario (NAME or FILE) and of options on top of it. Raises ``ConfigError``."""
+    scenario = Scenario.load(name)
+    for override in overrides:
+        scenario = overridden(scenario, override.assignments, source=override.source)
+    scenario = checked(scenario, source=f"scenario {name}")
+    vehicle = Vehicle.load(scenario.vehicle)
+    suite = Suite.load(scenario.sensors)
+    solvers.make(scenario.controller)  # refuses one that is not there
+    reference = references.load(scenario.reference)
+    return Situation(
+        name=Path(name).stem,
+        scenario=scenario,
+        vehicle=vehicle,
+        suite=suite,
+        reference=reference,
+        water=water.make(scenario.water, scenario.run.seed),
+        files=_files(scenario),
+        notes=_notes(scenario),
+    )
+
+
+def _files(scenario: Scenario) -> dict[str, str]:
+    """Settings files as they were read, comments and all; the aboard tables without any word of the truth."""
+    files = {
+        f"config/{what}.toml": config.read_text(config.find(name, what=what, package=package), what=what)
+        for what, name, package in (
+            ("vehicle", scenario.vehicle, "ltv_mpc.vehicle.files"),
+            ("sensors", scenario.sensors, "ltv_mpc.localisation.files"),
+            ("reference", scenario.reference, "ltv_mpc.references.files"),
+        )
+    }
+    files["config/controller.toml"] = config.to_toml(scenario.controller)
+    files["config/estimator.toml"] = config.to_toml(scenario.estimator)
+    if scenario.water.file:
+        files["config/currents.csv"] = config.read_text(Path(scenario.water.file), what="currents")
+    again = msgspec.structs.replace(
+        scenario,
+        vehicle="config/vehicle.toml",
+        sensors="config/sensors.toml",
+        reference="config/reference.toml",
+        water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if scenario.water.file else ""),
+        made_by=made_by(),
+    )
+    files["scenario.toml"] = config.to_toml(again)
+    return files
+
+
+def _notes(scenario: Scenario) -> tuple[str, ...]:
+    stages = scenario.controller.stages
+    notes = [f"horizon {scenario.controller.horizon_s:g} s: {stages} stages, {stages * 0.3:.1f} s"]
+    if scenario.water.file:
+        profile = read_profile(scenario.water.file)
+        first, last = float(profile.depth_m[0]), float(profile.depth_m[-1])
+        name = Path(scenario.water.file).name
+        notes.append(f"currents {name}: {first:g} to {last:g} m, held constant above and below")
+    return tuple(notes)

@@ -1,0 +1,106 @@
+"""A process's word about itself: twice a second from its own step loop, so that it is a heartbeat, and a last one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from ltv_mpc.signals import ClockState, NodeStatus, Signal
+from services.bus.outbox import Outbox
+from services.bus.topics import BY_SIGNAL
+from services.run.clock import VehicleClock
+
+PERIOD_US = 500_000
+EARLY_PERIOD_US = 100_000  # before the start: who waits for this word should not wait long
+SILENCE_US = 2_000_000  # without a word of the clock
+
+Say = Callable[[str], None]
+
+
+class Counts(Protocol):
+    """What became of the messages that came."""
+
+    @property
+    def received(self) -> int: ...
+    @property
+    def dropped(self) -> int: ...
+    @property
+    def rejected(self) -> int: ...
+
+
+class StatusReport:
+    """Counts a process's steps, knows what it waits for, and publishes both."""
+
+    def __init__(
+        self,
+        node: str,
+        *,
+        outbox: Outbox,
+        counts: Counts,
+        clock: VehicleClock,
+        reads: Iterable[type[Signal]],
+        say: Say,
+    ) -> None:
+        self._node = node
+        self._outbox = outbox
+        self._counts = counts
+        self._clock = clock
+        self._say = say
+        self._said = ""
+        self._never_heard = dict.fromkeys(reads)
+        self._clock_heard_us: int | None = None
+        self._busy_us, self._busy_steps = 0, 0
+        self.steps = 0
+        self.due_us = 0
+
+    def heard(self, kind: type[Signal]) -> None:
+        """A signal of this kind was let in."""
+        self._never_heard.pop(kind, None)
+
+    def heard_clock(self, now_us: int) -> None:
+        """The time-keeper lives."""
+        self._clock_heard_us = now_us
+
+    def stepped(self, took_us: int) -> None:
+        """A step is done."""
+        self.steps += 1
+        self._busy_us += took_us
+        self._busy_steps += 1
+
+    def publish(self, now_us: int, *, others: str = "", finished: bool = False) -> None:
+        """Say it now. ``others`` names the nodes that the time-keeper waits for."""
+        waiting_for = "" if finished else others or self._waiting_for(now_us)
+        if waiting_for and waiting_for != self._said:
+            self._say(f"waiting for {waiting_for}")
+        self._said = waiting_for
+        newest = self._clock.newest
+        running = newest is not None and newest.state is ClockState.RUNNING
+        self.due_us = now_us + (PERIOD_US if running else EARLY_PERIOD_US)
+        self._outbox.publish(
+            NodeStatus(
+                node=self._node,
+                t_ns=self._clock.read(now_us) or 0,
+                ready=True,
+                waiting_for=waiting_for,
+                steps=self.steps,
+                published=self._outbox.published + 1,  # this one included
+                received=self._counts.received,
+                dropped=self._counts.dropped,
+                rejected=self._counts.rejected,
+                step_us=self._busy_us / self._busy_steps if self._busy_steps else 0.0,
+                finished=finished,
+            )
+        )
+        self._busy_us, self._busy_steps = 0, 0
+
+    def _waiting_for(self, now_us: int) -> str:
+        newest = self._clock.newest
+        if newest is None:
+            return "the clock, which `ltv-mpc plant` keeps"
+        if newest.state is ClockState.WAITING:
+            return "the start"
+        if newest.state is ClockState.PAUSED:
+            return "the clock, which stands still"
+        if self._clock_heard_us is not None and now_us - self._clock_heard_us > SILENCE_US:
+            return "the clock, which has fallen silent"
+        return ", ".join(BY_SIGNAL[kind].key for kind in self._never_heard)

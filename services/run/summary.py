@@ -1,0 +1,86 @@
+"""What a run came to, from its grader or from its recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ltv_mpc.control.config import STAGE_NS
+from ltv_mpc.signals import NodeStatus, Rejected
+from services.bus import topics
+from services.bus.wire import WireError
+from services.recording.losses import Losses
+from services.recording.reader import Recording
+from services.run.situation import Situation
+from sim.grading.metrics import Grader, quantiles
+from sim.grading.summary import Messages, Summary
+from sim.plant import PERIOD_NS
+
+SERVICES = "services"
+LOCKSTEP = "lockstep"
+
+STATUS = topics.BY_SIGNAL[NodeStatus].key + "/"
+"""Every process says under it how it is: an epoch more is a start more."""
+
+
+def summarise(situation: Situation, grader: Grader, *, mode: str, messages: Messages, restarts: int = 0) -> Summary:
+    """The summary of a run that ``grader`` has seen."""
+    scenario = situation.scenario
+    measured = mode == SERVICES
+    tracking, true, localisation, absolute = grader.errors()
+    stages = scenario.controller.stages
+    nothing = quantiles([])
+    return Summary(
+        scenario=situation.name,
+        mode=mode,
+        seed=scenario.run.seed,
+        speed=scenario.run.speed if measured else None,
+        duration_s=_duration_ns(grader.until_ns, scenario.end_ns) / 1e9,
+        cycles=grader.cycles,
+        tracking_error_m=tracking,
+        true_error_m=true,
+        localisation_error_m=localisation,
+        localisation_error_absolute_m=absolute,
+        thrust=grader.thrust(),
+        compute_delay_s=grader.compute_delay(),
+        compute_delay_wall_s=grader.compute_delay(wall=True) if measured else nothing,
+        end_to_end_delay_s=grader.end_to_end_delay(),
+        end_to_end_delay_wall_s=grader.end_to_end_delay(wall=True) if measured else nothing,
+        stages_us=grader.stages() if measured else {},
+        deadline_misses=grader.deadline_misses,
+        plans_refused=grader.plans_refused,
+        qp_status=dict(sorted(grader.qp_status.items())),
+        plan_origin=dict(sorted(grader.plan_origin.items())),
+        restarts=restarts,
+        messages=messages,
+        stages=stages,
+        horizon_s=stages * STAGE_NS / 1e9,
+    )
+
+
+def _duration_ns(until_ns: int, end_ns: int) -> int:
+    """How far it came after t = 0: to the end, if the plant's next step would have been beyond it."""
+    return end_ns if until_ns + PERIOD_NS > end_ns else max(0, until_ns)
+
+
+def of_recording(situation: Situation, path: Path) -> Summary:
+    """The summary of a run of processes, from its run.mcap, be it complete or cut off."""
+    grader = Grader(situation.vehicle, speed=situation.scenario.run.speed)
+    losses = Losses()
+    rejected = 0
+    for message in Recording(path):
+        epoch, sequence = message.plain["epoch"], message.plain["sequence"]
+        losses.saw(message.key, epoch, sequence)
+        rejected += message.kind is Rejected
+        if message.kind in grader.hears:
+            try:
+                signal, _ = message.typed()
+            except WireError:  # its readers have turned it away too
+                continue
+            grader.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
+    return summarise(
+        situation,
+        grader,
+        mode=SERVICES,
+        messages=Messages(published=losses.published, dropped=losses.missing, rejected=rejected),
+        restarts=sum(starts - 1 for key, starts in losses.epochs().items() if key.startswith(STATUS)),
+    )

@@ -1,0 +1,264 @@
+"""The launcher: starts every process of a run, watches, stops them in order, and says truthfully how it went.
+
+Plant, sensors and the rest run until the plant has done its last step; a child that dies before, never gets ready or
+falls silent fails the run, named, with its last lines. Ctrl-C ends everything within two seconds. The recorder is
+stopped last, so that it hears the last word of all others.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import socket
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from ltv_mpc.signals import Clock, ClockState, NodeStatus
+from services.bus.session import BusOptions, Stopped, open_session
+from services.run import launch, warm
+from services.run.children import Child, how_it_ended
+from services.run.folder import RunFolder
+from services.run.live import view_of
+from services.run.orphans import Guard
+from services.run.process import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
+from services.run.situation import Situation
+from services.run.summary import of_recording
+from services.run.watch import Watch
+from services.views.live import Screen
+from sim.grading.summary import Summary
+
+TICK_S = 0.05
+READY_S = 60.0  # from its start to its first word: the slowest needs 2 s on busy cores, cold code included 30
+SILENT_S = 10.0
+ORDERLY_S = 2.0  # for one process to stop at the end of a run
+HASTY_S = 0.7  # for all of them together after Ctrl-C; the recorder and the router come after, within 2 s in all
+RECORDER_S, ROUTER_S = 0.9, 0.2
+BYTES_PER_VEHICLE_S = 200_000  # of recording, generously: 200 s were 12 MB
+LATE_TICK_S = 1.0  # the supervisor itself was stopped or starved: silence says nothing then
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """How a run went. ``why`` and the failed child's last lines are empty where it completed."""
+
+    completed: bool
+    exit_code: int
+    why: str = ""
+    last_lines: tuple[str, ...] = ()
+    summary: Summary | None = None
+
+
+class _Failed(Exception):
+    def __init__(self, why: str, last_lines: tuple[str, ...] = ()) -> None:
+        self.why = why
+        self.last_lines = last_lines
+
+
+def run(situation: Situation, folder: RunFolder, screen: Screen) -> Outcome:
+    """Run it into ``folder``. To be called from the main thread: signals come to it, and children live with it."""
+    supervisor = Supervisor(situation, folder, screen)
+    try:
+        outcome = supervisor.run()
+        for line in (outcome.why, *(f"    {text}" for text in outcome.last_lines)):
+            if line:
+                screen.say(line)
+    finally:
+        screen.close()
+    return outcome
+
+
+class Supervisor:
+    """One run. ``children`` are by name, in the order of their start."""
+
+    def __init__(self, situation: Situation, folder: RunFolder, screen: Screen) -> None:
+        self._situation = situation
+        self._folder = folder
+        self._screen = screen
+        self._started = time.monotonic()
+        self._ticked = self._started
+        self._watch: Watch | None = None
+        self._guard: Guard
+        self._request: StopRequest
+        self.children: dict[str, Child] = {}
+
+    def run(self) -> Outcome:
+        """From the first process to the last, and the summary."""
+        with stop_on_signals() as self._request:
+            outcome = self._supervise()
+        if not outcome.completed:
+            return outcome
+        summary = of_recording(self._situation, self._folder.recording)
+        self._folder.write_summary(summary)
+        return Outcome(completed=True, exit_code=DONE, summary=summary)
+
+    def _supervise(self) -> Outcome:
+        in_order = False
+        with ExitStack() as sessions:
+            self._guard = Guard()
+            try:
+                self._check_space()
+                self._warm()
+                self._start(sessions)
+                self._await(self._plant_is_done, None, "")
+                in_order = True
+            except _Failed as failure:
+                return Outcome(completed=False, exit_code=FAILED, why=failure.why, last_lines=failure.last_lines)
+            except Stopped:
+                code = INTERRUPTED if self._request.interrupted else FAILED
+                return Outcome(completed=False, exit_code=code, why="stopped; what was recorded until then is kept")
+            finally:
+                killed = self._stop(sessions, in_order=in_order)
+                self._guard.close()
+        if "recorder" in killed:
+            return Outcome(completed=False, exit_code=FAILED, why="recorder: did not finish its file and was killed")
+        return Outcome(completed=True, exit_code=DONE)
+
+    # --- starting ----------------------------------------------------------------------------------------------------
+
+    def _check_space(self) -> None:
+        run = self._situation.scenario.run
+        needed = round((run.surface_time_s + run.duration_s) * BYTES_PER_VEHICLE_S)
+        free = shutil.disk_usage(self._folder.path).free
+        if free < needed:
+            raise _Failed(f"{self._folder.path}: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed")
+
+    def _warm(self) -> None:
+        if warm.is_warm():
+            return
+        self._screen.say("compiling, once after a change of the sources: about half a minute")
+        process = warm.fill(self._folder.scenario)
+        self._guard.watch(process.pid)
+        try:
+            while process.poll() is None:
+                self._tick()
+            if process.returncode != 0:
+                assert process.stdout is not None
+                lines = process.stdout.read().decode(errors="replace").splitlines()
+                raise _Failed(f"compiling {how_it_ended(process.returncode)}", tuple(lines[-12:]))
+        finally:
+            process.kill()
+            process.wait()
+            self._guard.release(process.pid)
+
+    def _start(self, sessions: ExitStack) -> None:
+        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        namespace = f"auv/{secrets.token_hex(4)}"
+        places = {
+            "router": endpoint,
+            "namespace": namespace,
+            "run": str(self._folder.path.absolute()),
+            "compute_delay_s": repr(self._situation.scenario.run.compute_delay_s),
+        }
+        rows = launch.processes(self._situation.scenario)
+        for row in (row for row in rows if not row.needs):
+            self._spawn(row, places)
+        self._await(lambda: _answers(endpoint), "router", "does not answer")
+        options = BusOptions(connect=(endpoint,), namespace=namespace)
+        session = open_session(options, stop=self._request.event, say=self._screen.say)
+        sessions.enter_context(session)
+        watch = self._watch = Watch(session, [row.name for row in rows])
+        for row in (row for row in rows if row.needs):
+            for name in row.needs:
+                self._await(lambda name=name: watch.newest(NodeStatus, name) is not None, name, "never got ready")  # type: ignore[misc]
+            self._spawn(row, places)
+        for row in rows:
+            if row.name != "router":
+                self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "never got ready")  # type: ignore[misc]
+
+    def _spawn(self, row: launch.Process, places: dict[str, str]) -> None:
+        logs = self._folder.path / "logs"
+        logs.mkdir(exist_ok=True)
+        command = launch.command(row, places)
+        self.children[row.name] = Child(row.name, command, log=logs / f"{row.name}.log", guard=self._guard)
+
+    # --- watching ----------------------------------------------------------------------------------------------------
+
+    def _await(self, ready: Callable[[], bool], name: str | None, failure: str) -> None:
+        """Tick until ``ready``. With a ``name`` that must be within ``READY_S``, else that child has failed."""
+        until = time.monotonic() + READY_S
+        while not ready():
+            if name is not None and time.monotonic() > until:
+                raise _Failed(f"{name}: {failure} within {READY_S:.0f} s", self.children[name].last_lines())
+            self._tick()
+
+    def _plant_is_done(self) -> bool:
+        return self.children["plant"].exit_code() == DONE
+
+    def _tick(self) -> None:
+        """Look after everyone once. Raises ``_Failed``, or ``Stopped`` after a signal."""
+        if self._request.event.wait(TICK_S):
+            raise Stopped
+        for name, child in self.children.items():
+            code = child.exit_code()
+            if code is not None and not (name == "plant" and code == DONE):
+                raise _Failed(f"{name} {how_it_ended(code)}; its last lines:", child.last_lines())
+        now = time.monotonic()
+        in_time = now - self._ticked < LATE_TICK_S
+        self._ticked = now
+        if self._watch is None:
+            return
+        for event in self._watch.events():
+            self._screen.say(f"{event.t_ns / 1e9:.1f} s  {event.node}: {event.text}")
+        for name in self.children:
+            silent_s = self._watch.silent_s(name)
+            if in_time and silent_s is not None and silent_s > SILENT_S and not self._plant_is_done():
+                raise _Failed(f"{name}: not a word for {silent_s:.0f} s", self.children[name].last_lines())
+        self._screen.update(view_of(self._situation, self._watch, self._states(), now - self._started))
+
+    def _states(self) -> dict[str, str]:
+        assert self._watch is not None
+        clock = self._watch.newest(Clock)
+        running = clock is not None and clock.state is ClockState.RUNNING
+        states = {}
+        for name, child in self.children.items():
+            if (code := child.exit_code()) is not None:
+                states[name] = "ended" if code == DONE else "failed"
+            elif name == "router" or self._watch.newest(NodeStatus, name) is not None:
+                states[name] = "running" if running else "ready"
+            else:
+                states[name] = "spawned"
+        return states
+
+    # --- stopping ----------------------------------------------------------------------------------------------------
+
+    def _stop(self, sessions: ExitStack, *, in_order: bool) -> list[str]:
+        """Nodes first, then the recorder, then the router; the names of those that had to be killed."""
+        nodes = [child for name, child in self.children.items() if name not in ("router", "recorder")]
+        killed = []
+        if not in_order:
+            for child in nodes:
+                child.ask_to_stop()
+        until = time.monotonic() + HASTY_S
+        for child in nodes:  # in order: each hears all that the one before it has said
+            child.ask_to_stop()
+            if not child.end(ORDERLY_S if in_order else until - time.monotonic()):
+                killed.append(child.name)
+        recorder_s = 5 * ORDERLY_S if in_order else RECORDER_S
+        for name, within_s in (("recorder", recorder_s), ("router", ROUTER_S)):
+            if name == "router":
+                sessions.close()
+            if name in self.children:
+                self.children[name].ask_to_stop()
+                if not self.children[name].end(within_s):
+                    killed.append(name)
+        for child in self.children.values():
+            child.close()
+        return killed
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _answers(endpoint: str) -> bool:
+    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=0.2).close()
+    except OSError:
+        return False
+    return True

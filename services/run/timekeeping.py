@@ -1,0 +1,71 @@
+"""The time-keeper's part in a process: repeat the clock ten times a second, start it when all are ready, slow it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ltv_mpc.signals import Clock, ClockState, NodeStatus, RunEvent
+from services.run.clock import TimeKeeper, VehicleClock
+
+REPEAT_US = 100_000
+MOST_CATCH_UP_US = 100_000
+"""By how much wall time the grid may be behind; what is beyond that the clock gives up."""
+
+
+class TimeKeeping:
+    """Drives a ``TimeKeeper`` from a step loop; ``clock`` is what the process itself reads."""
+
+    def __init__(
+        self,
+        keeper: TimeKeeper,
+        clock: VehicleClock,
+        *,
+        expects: tuple[str, ...],
+        publish: Callable[[Clock | RunEvent], object],
+    ) -> None:
+        self._keeper = keeper
+        self._clock = clock
+        self._publish = publish
+        self._missing = dict.fromkeys(expects)  # a dict keeps the order of the launch table
+        self.due_us = 0
+        clock.hear(keeper.message)
+
+    @property
+    def waiting_for(self) -> str:
+        """The nodes that are not ready."""
+        return ", ".join(self._missing)
+
+    def heard(self, status: NodeStatus) -> None:
+        """Another process's word."""
+        if status.ready and not status.finished:
+            self._missing.pop(status.node, None)
+
+    def tend(self, now_us: int) -> None:
+        """What is due by the wall: the start, the repetition."""
+        if self._keeper.message.state is ClockState.WAITING and not self._missing:
+            self._change(self._keeper.run(now_us), now_us)
+        elif now_us >= self.due_us:
+            self._send(now_us)
+
+    def late(self, now_us: int, due_us: int, node: str) -> None:
+        """A step of the grid that was due at ``due_us`` starts only now."""
+        beyond_us = now_us - due_us - MOST_CATCH_UP_US
+        if beyond_us <= 0 or self._keeper.message.at_monotonic_us > now_us:  # a change is on its way already
+            return
+        self._change(self._keeper.slow(now_us, beyond_us), now_us)
+        text = (
+            f"clock slowed {self._keeper.slowed} times, by {self._keeper.slowed_ns / 1e9:.2f} s of vehicle time in all"
+        )
+        self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
+
+    def stop(self, now_us: int) -> None:
+        """The run is complete: time stands still for whoever is left."""
+        self._change(self._keeper.pause(now_us), now_us)
+
+    def _change(self, message: Clock, now_us: int) -> None:
+        self._clock.hear(message)
+        self._send(now_us)
+
+    def _send(self, now_us: int) -> None:
+        self._publish(self._keeper.message)
+        self.due_us = now_us + REPEAT_US

@@ -1,0 +1,40 @@
+"""Fill the cache of compiled code in one process, before any child: five at once would each compile all of it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from ltv_mpc.compiled import CACHE
+
+MARK = "rehearsed"
+"""A file in the cache's folder, which is named after the sources: where it stands, nothing is left to compile."""
+
+
+def is_warm() -> bool:
+    """Whether a rehearsal has filled the cache before."""
+    return (CACHE / MARK).exists()
+
+
+def fill(scenario: Path) -> subprocess.Popen[bytes]:
+    """Start a process that compiles what a run of this scenario needs; it exits 0 when that is done."""
+    command = [sys.executable, "-P", "-m", "services.run.warm", str(scenario)]
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+
+
+def main() -> None:
+    """Rehearse every node of the scenario that is named."""
+    from services.nodes import controller, estimator, plant, sensors
+    from services.run.situation import resolve
+
+    situation = resolve(sys.argv[1])
+    plant.rehearse(situation)
+    sensors.rehearse(situation)
+    estimator.rehearse(situation.suite, situation.scenario.estimator)
+    controller.rehearse(situation.vehicle, situation.reference, situation.scenario.controller)
+    (CACHE / MARK).touch()
+
+
+if __name__ == "__main__":
+    main()

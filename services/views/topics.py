@@ -1,0 +1,88 @@
+"""The topics table for people, and the fields of one message."""
+
+from __future__ import annotations
+
+import json
+from inspect import cleandoc
+from typing import Any
+
+from ltv_mpc.errors import ConfigError, shown
+from ltv_mpc.fields import nearest
+from ltv_mpc.signals import Signal
+from services.bus.schema import Schema, schema
+from services.bus.topics import TOPICS, Topic
+
+
+def text(key: str | None, *, as_json: bool) -> str:
+    """All topics, or the fields of the one at ``key``. Raises ``ConfigError`` where there is none."""
+    if key is None:
+        rows = [_row(topic) for topic in TOPICS]
+        return json.dumps(rows, indent=2) + "\n" if as_json else _table(rows)
+    found = next((topic for topic in TOPICS if topic.key == key), None)
+    if found is None:
+        raise ConfigError(f"topic {shown(key)}", "", f"does not travel{nearest(key, [t.key for t in TOPICS])}")
+    fields = _fields(found.signal)
+    if as_json:
+        return json.dumps(_row(found) | {"fields": fields}, indent=2) + "\n"
+    about = cleandoc(found.signal.__doc__ or "").replace("``", "")
+    return "\n".join([f"{key}: {found.signal.__name__}", about, "", *_columns(list(fields.items()))]) + "\n"
+
+
+def _row(topic: Topic) -> dict[str, Any]:
+    return {
+        "key": f"{topic.key}/<node>" if topic.written_by == "*" else topic.key,
+        "signal": topic.signal.__name__,
+        "period_ns": topic.period_ns,
+        "delivery": str(topic.delivery),
+        "written_by": "every node" if topic.written_by == "*" else topic.written_by,
+        "read_by": ["every node" if reader == "*" else reader for reader in topic.read_by],
+    }
+
+
+def _table(rows: list[dict[str, Any]]) -> str:
+    header = ("key", "signal", "period", "delivery", "written by", "read by")
+    cells = [
+        (
+            row["key"],
+            row["signal"],
+            _period(row["period_ns"]),
+            row["delivery"],
+            row["written_by"],
+            ", ".join(row["read_by"]) or "-",
+        )
+        for row in rows
+    ]
+    return "\n".join(_columns([header, *cells])) + "\n"
+
+
+def _period(period_ns: int) -> str:
+    return f"{period_ns / 1e6:.4g} ms" if period_ns else "on events"
+
+
+def _fields(signal: type[Signal]) -> dict[str, str]:
+    """Name (with its unit) -> what it is as it travels; the header's fields come first."""
+    described = schema(signal)
+    simple, others = described["properties"], described["patternProperties"]
+    return {name: _words(simple.get(name) or others[f"^{name}$"]) for name in described["required"]}
+
+
+def _words(value: Schema) -> str:
+    """``3 numbers``, ``list of lists of numbers or null``."""
+    if "anyOf" in value:
+        return " or ".join(_words(x) for x in value["anyOf"])
+    if "enum" in value:
+        return " | ".join(value["enum"])
+    kind = value["type"]
+    if isinstance(kind, list):
+        return " or ".join(kind)
+    if kind == "array":
+        many = f"{value['minItems']} x" if "minItems" in value else "list of"
+        return f"{many} {_words(value['items'])}"
+    if kind == "object":
+        return f"map of {', '.join(value['required'])}" if value.get("required") else "map"
+    return str(kind)
+
+
+def _columns(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -1,0 +1,144 @@
+"""The plant: the true vehicle in the true water, with its actuators' gate.
+
+Before t = 0 it is afloat: thrusts zero, its depth kept, drifting with the surface's water. From then on it follows the
+plans that its gate lets through. Steps of 10 ms; the command is linear over a step.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc import frames
+from ltv_mpc.node import Arrival, Grid, Inbox
+from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.signals import Applied, Array, Plan, Signal, Triple, Truth
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from sim import motion
+from sim.attitude import Attitude
+from sim.scenario import Mismatch, Scenario
+from sim.water import WaterColumn
+
+PERIOD_NS = 10_000_000
+REPORT_NS = 100_000_000
+"""Time between two reports of the actuators; a plan that arrives is answered at once besides."""
+
+
+class Plant:
+    """Reads ``Plan``; writes ``Truth`` each step, ``Applied`` each 100 ms and with each plan that arrives."""
+
+    name = "plant"
+    schedule = Grid(PERIOD_NS)
+    reads: tuple[type[Signal], ...] = (Plan,)
+    writes: tuple[type[Signal], ...] = (Truth, Applied)
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, water: WaterColumn) -> None:
+        """``vehicle`` is the controller's model; the scenario's mismatch makes the true one of it."""
+        start = scenario.plant
+        self._water = water
+        self._attitude = Attitude(start.tilt_rms_rad, start.tilt_period_s, scenario.run.seed)
+        self._coefficients = mismatched(vehicle.coefficients(), start.mismatch)
+        self._propellers = np.array([[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters])
+        self._density, self._factor = vehicle.water_density_kgpm3, start.mismatch.thrust
+        self._state = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
+        self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
+        self._command: Triple = (0.0, 0.0, 0.0)
+        self._slew: Triple = (0.0, 0.0, 0.0)
+        self._t_ns: int | None = None
+        self._gate = Gate(vehicle)
+        self._receipt: tuple[Plan, Arrival, Verdict] | None = None  # of the plan accepted last
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """The vehicle at ``t_ns``, after what arrived up to then."""
+        from_ns = t_ns if self._t_ns is None else self._t_ns
+        for arrival in inbox:
+            if isinstance(arrival.signal, Plan):
+                # A plan acts from its arrival on, wherever in the step that is.
+                self._gate.command_at(max(min(max(arrival.received_t_ns, from_ns), t_ns), 0))
+                verdict = self._gate.offer(arrival.signal, arrival.epoch, arrival.sequence, arrival.received_t_ns)
+                if verdict in (Verdict.ACCEPTED, Verdict.LATE):
+                    self._receipt = arrival.signal, arrival, verdict
+        if t_ns > from_ns:
+            self._move(from_ns, t_ns)
+        self._t_ns = t_ns
+        signals: list[Signal] = [self._truth(t_ns)]
+        if t_ns % REPORT_NS == 0 or inbox:
+            signals.append(self._report(t_ns))
+        return signals
+
+    def _move(self, from_ns: int, t_ns: int) -> None:
+        before, self._command = self._command, self._gate.command_at(max(t_ns, 0))
+        seconds = (t_ns - from_ns) * 1e-9
+        p, q, r = (abs(b - a) / seconds for a, b in zip(before, self._command, strict=True))
+        self._slew = max(self._slew[0], p), max(self._slew[1], q), max(self._slew[2], r)
+        earlier, later, share = self._water.between((from_ns + t_ns) // 2)
+        motion.step(
+            self._state,
+            self._revolutions,
+            np.array(before),
+            np.array(self._command),
+            t_ns <= 0,
+            seconds,
+            self._water.depth_m,
+            earlier,
+            later,
+            share,
+            self._coefficients,
+            self._propellers,
+            self._density,
+            self._factor,
+            self._thrust,
+        )
+
+    def _truth(self, t_ns: int) -> Truth:
+        n, e, u, v, psi, r, z, w = self._state.tolist()
+        current = self._water.at(z, t_ns)
+        roll, pitch = self._attitude.at(t_ns)
+        # [n', e'] = R(psi) [u, v] + c(z)
+        north, east = level_to_ned(u, v, psi)
+        return Truth(
+            t_ns=t_ns,
+            position_m=(n, e, z),
+            velocity_mps=(north + current[0], east + current[1], w),
+            attitude_rad=(roll, pitch, frames.wrap_angle(psi)),
+            water_velocity_mps=(u, v, w),
+            yaw_rate_radps=r,
+            current_mps=current,
+            thrust_N=_triple(self._factor * self._thrust),
+        )
+
+    def _report(self, t_ns: int) -> Applied:
+        slew, self._slew = self._slew, (0.0, 0.0, 0.0)
+        plan, arrival, verdict = self._receipt or (None, None, Verdict.ACCEPTED)
+        return Applied(
+            t_ns=t_ns,
+            thrust_N=_triple(self._thrust),
+            command_N=self._command,
+            command_slew_N_per_s=slew,
+            plan_epoch=0 if arrival is None else arrival.epoch,
+            plan_sequence=-1 if arrival is None else arrival.sequence,
+            plan_cycle_t_ns=0 if plan is None else plan.cycle_t_ns,
+            plan_received_t_ns=0 if arrival is None else arrival.received_t_ns,
+            plan_late=verdict is Verdict.LATE,
+            plans_late=self._gate.plans_late,
+            plans_refused=self._gate.plans_refused,
+        )
+
+
+def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
+    """The true vehicle's coefficients: ``mass`` scales masses and inertia (not the net buoyancy), ``drag`` damping."""
+    factors = {name: mismatch.drag for name in p._fields if name.startswith(("linear", "quadratic"))}
+    factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mismatch.mass)
+    return p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()})
+
+
+def level_to_ned(u: float, v: float, heading: float) -> tuple[float, float]:
+    """R(heading) [u, v]: north and east of a horizontal vector given ahead and to starboard."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    return cos * u - sin * v, sin * u + cos * v
+
+
+def _triple(a: Array) -> Triple:
+    x, y, z = a.tolist()
+    return x, y, z

@@ -1,0 +1,186 @@
+"""A situation: which water, which plant, which settings, how long. One file a scenario; tables with one owner each."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Sequence
+from functools import reduce
+from operator import getitem
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from ltv_mpc import config, fields
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.errors import ConfigError, shown
+from ltv_mpc.localisation.config import EstimatorConfig
+
+MOST_WATER_CELLS = 20_000
+MOST_ESTIMATOR_CELLS = 500
+"""Each cell is two states of the filter, whose covariance grows with their square."""
+
+Factor: TypeAlias = Annotated[float, Meta(gt=0, le=10)]
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class Water(_Table, frozen=True, kw_only=True):
+    """The current over depth: a seeded Gauss-Markov profile, or a measured one."""
+
+    kind: Literal["markov", "measured"] = "markov"
+    sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.04  # paper: about 4 cm/s
+    correlation_length_m: Annotated[float, Meta(gt=0, le=1000)] = 8.0  # from measured profiles
+    bound_sd: Annotated[float, Meta(gt=0, le=10)] = 3.0  # paper: bounded; 2 would shrink the sd to 0.86 to 0.92 of it
+    deepest_m: Annotated[float, Meta(gt=0, le=2000)] = 70.0  # 40 m of descent and 30 m of ADCP range
+    cell_m: Annotated[float, Meta(gt=0, le=100)] = 1.0
+    file: str = ""  # a currents CSV, where kind is "measured"
+    change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # each cell's random walk in time
+
+
+class Mismatch(_Table, frozen=True, kw_only=True):
+    """What the plant has otherwise than the controller's model: factors on the vehicle file."""
+
+    mass: Factor = 1.0
+    drag: Factor = 1.0
+    thrust: Factor = 1.0
+
+
+class Plant(_Table, frozen=True, kw_only=True):
+    """The simulated vehicle's own effects."""
+
+    mismatch: Mismatch = Mismatch()
+    tilt_rms_rad: Annotated[float, Meta(ge=0, le=0.5)] = 0.026179938779914945  # 1.5 deg of roll and of pitch
+    tilt_period_s: Annotated[float, Meta(ge=0.5, le=1000)] = 4.0
+    north_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0  # where it starts
+    east_m: Annotated[float, Meta(ge=-1e5, le=1e5)] = 0.0
+    depth_m: Annotated[float, Meta(ge=0, le=2000)] = 0.0
+    heading_rad: Annotated[float, Meta(ge=-3.1416, le=3.1416)] = 0.0
+
+
+class Run(_Table, frozen=True, kw_only=True):
+    """How long, how fast, which seed."""
+
+    duration_s: Annotated[float, Meta(gt=0, le=1e6)] = 200.0  # after the surface phase
+    surface_time_s: Annotated[float, Meta(ge=1, le=1e5)] = 1.0  # 1: one TDCP fix
+    seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
+    speed: Annotated[float, Meta(ge=0.01, le=1000)] = 10.0  # times real time; lock step does not read it
+    compute_delay_s: Annotated[float, Meta(ge=0, le=60)] = 0.0  # added to the controller's own
+    perfect_state: bool = False  # the controller is given the truth
+
+
+class Scenario(_Table, frozen=True, kw_only=True):
+    """Everything that a run is made of."""
+
+    title: str
+    vehicle: str = "paper"  # NAME or FILE
+    sensors: str = "paper"  # NAME or FILE
+    reference: str = "descent"  # NAME or FILE
+    run: Run = Run()
+    water: Water = Water()
+    plant: Plant = Plant()
+    controller: ControllerConfig = ControllerConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    made_by: dict[str, str] | None = None  # in a run's folder: versions, commit, processor
+
+    @classmethod
+    def load(cls, name: str) -> Scenario:
+        """A shipped scenario by name (``"descent"``, ``"hover"``), or a TOML file by path. Raises ``ConfigError``.
+
+        Relative paths in a file are relative to that file's folder.
+        """
+        path = config.find(name, what="scenario", package="sim.scenarios")
+        source = config.source_of(path, what="scenario", name=name)
+        scenario = config.parse(config.read_toml(path, what="scenario"), cls, source=source)
+        here = path.parent
+        water = scenario.water
+        return checked(
+            msgspec.structs.replace(
+                scenario,
+                vehicle=_beside(here, scenario.vehicle),
+                sensors=_beside(here, scenario.sensors),
+                reference=_beside(here, scenario.reference),
+                water=msgspec.structs.replace(water, file=str(here / water.file) if water.file else ""),
+            ),
+            source=source,
+        )
+
+    @property
+    def start_ns(self) -> int:
+        """Vehicle time at which the run begins: afloat, before t = 0."""
+        return -round(self.run.surface_time_s * 1e9)
+
+    @property
+    def end_ns(self) -> int:
+        """Vehicle time at which it is complete."""
+        return round(self.run.duration_s * 1e9)
+
+
+def checked(scenario: Scenario, *, source: str) -> Scenario:
+    """The scenario, after what no single field can tell. Raises ``ConfigError``."""
+    water, estimator, controller = scenario.water, scenario.estimator, scenario.controller
+    if water.kind == "measured" and not water.file:
+        raise ConfigError(source, "[water] file", 'must name a currents CSV where kind = "measured"', value="")
+    if water.kind == "markov" and water.file:
+        problem = 'is not read where kind = "markov": set kind = "measured", or file = ""'
+        raise ConfigError(source, "[water] file", problem, value=water.file)
+    for table, deepest_m, cell_m, most in (
+        ("water", water.deepest_m, water.cell_m, MOST_WATER_CELLS),
+        ("estimator", estimator.deepest_m, estimator.cell_m, MOST_ESTIMATOR_CELLS),
+    ):
+        if not 1 <= deepest_m / cell_m <= most:
+            problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
+            raise ConfigError(source, f"[{table}] cell_m", problem, value=cell_m)
+    if controller.period_s > controller.horizon_s:
+        problem = f"must be <= horizon_s = {controller.horizon_s:g}: a plan lasts until the next one"
+        raise ConfigError(source, "[controller] period_s", problem, value=controller.period_s)
+    return scenario
+
+
+def overridden(scenario: Scenario, assignments: Sequence[str], *, source: str = "option --set") -> Scenario:
+    """The scenario after ``["water.sd_mps=0.1", "vehicle=otter.toml", ...]``; ``checked`` is left to the caller.
+
+    Values are TOML values; a text needs no quotes. Raises ``ConfigError``, with the nearest known name of a key that
+    is not there.
+    """
+    kinds = {key: kind for key, kind in fields.settings(Scenario).items() if key != "made_by"}
+    for assignment in assignments:
+        key, equals, text = (part.strip() for part in assignment.partition("="))
+        if not equals:
+            raise ConfigError(source, shown(assignment), "must be KEY=VALUE, as in water.sd_mps=0.1")
+        if key not in kinds:
+            inside = [name for name in kinds if name.startswith(f"{key}.")]
+            problem = f"is a table: set one of {', '.join(inside)}" if inside else f"unknown key{_near(key, kinds)}"
+            raise ConfigError(source, shown(key), problem)
+        table = msgspec.to_builtins(scenario)
+        *outer, last = key.split(".")
+        reduce(getitem, outer, table)[last] = _value(text, kinds[key], key, source)
+        scenario = config.parse(table, Scenario, source=source)
+    return scenario
+
+
+def _near(key: str, known: Iterable[str]) -> str:
+    meant = fields.similar(key, known)
+    return f"; did you mean {shown(meant)}?" if meant else "; the keys are those of a run's scenario.toml"
+
+
+def _value(text: str, kind: fields.Type, key: str, source: str) -> Any:
+    """A TOML value; a text may stand without quotes."""
+    try:
+        table = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        table = {}
+    value = table["value"] if len(table) == 1 else None
+    if fields.is_text(kind):
+        return value if isinstance(value, str) else text
+    if value is None:
+        raise ConfigError(source, config.place(key.split(".")), f"must be {fields.wanted(kind)}", value=text)
+    return value
+
+
+def _beside(folder: Path, name: str) -> str:
+    """A file named in a scenario file; a shipped name stays one."""
+    return str(folder / name) if config.is_path(name) else name

@@ -1,0 +1,28 @@
+"""Magnetic compass: heading_m = heading + b(t) + N(0, sd^2), wrapped; the bias b drifts (first-order Gauss-Markov)."""
+
+from __future__ import annotations
+
+from ltv_mpc.frames import roll_pitch_heading, wrap_angle
+from ltv_mpc.localisation.suite import Compass
+from ltv_mpc.signals import CompassHeading
+from sim.draws import Stream, generator
+from sim.sensors.drift import Drift
+from sim.sensors.instant import Instant
+
+
+class MagneticCompass:
+    """Tilt-compensated: roll and pitch do not enter."""
+
+    def __init__(self, settings: Compass, seed: int) -> None:
+        """Bias and noise are drawn from the compass's own stream."""
+        self._sd, self._draws = settings.heading_sd_rad, generator(seed, Stream.COMPASS)
+        self._bias = Drift(settings.bias_sd_rad, settings.bias_tau_s, 1, self._draws)
+        self._last_ns: int | None = None
+
+    def sample(self, now: Instant) -> list[CompassHeading]:
+        """Heading now."""
+        noise = self._sd * float(self._draws.standard_normal())
+        bias = self._bias.value if self._last_ns is None else self._bias.advance((now.t_ns - self._last_ns) * 1e-9)
+        self._last_ns = now.t_ns
+        heading = roll_pitch_heading(now.rotation)[2]
+        return [CompassHeading(t_ns=now.t_ns, heading_rad=wrap_angle(heading + float(bias[0]) + noise))]

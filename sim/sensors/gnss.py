@@ -1,0 +1,35 @@
+"""Satellite position and velocity, while the vehicle is afloat: t <= 0.
+
+p_m = p + N(0, sd_p^2),  v_m = v + N(0, sd_v^2),  north and east, white from fix to fix
+"""
+
+from __future__ import annotations
+
+from ltv_mpc.localisation.suite import Gnss
+from ltv_mpc.signals import GnssFix
+from sim.draws import Stream, generator
+from sim.sensors.instant import Instant
+
+
+class Receiver:
+    """Its antenna is at the vehicle's origin."""
+
+    def __init__(self, settings: Gnss, seed: int) -> None:
+        """Noise is drawn from the receiver's own stream."""
+        self._settings, self._draws = settings, generator(seed, Stream.GNSS)
+
+    def sample(self, now: Instant) -> list[GnssFix]:
+        """A fix, as long as there are satellites."""
+        if now.t_ns > 0:
+            return []
+        p, q, v, w = self._draws.standard_normal(4).tolist()
+        sd_m, sd_mps = self._settings.position_sd_m, self._settings.velocity_sd_mps
+        return [
+            GnssFix(
+                t_ns=now.t_ns,
+                north_m=now.position_m[0] + sd_m * p,
+                east_m=now.position_m[1] + sd_m * q,
+                velocity_north_mps=now.velocity_mps[0] + sd_mps * v,
+                velocity_east_mps=now.velocity_mps[1] + sd_mps * w,
+            )
+        ]

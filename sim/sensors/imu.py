@@ -1,0 +1,74 @@
+"""Strapdown inertial unit: the increments between two instants, as means over their interval, with its errors.
+
+Inertial attitude over dt, with the Earth's rate W (NED; zero where the unit is said not to sense it):
+    w = log(R1^T exp(W dt) R2) / dt                                   mean angular rate, body
+    R_mid = exp(-W dt/2) R1 exp(w dt/2)
+    f = R_mid^T ((v2 - v1) / dt - g + 2 W x (v1 + v2) / 2)            mean specific force, body
+This is the inverse of the strapdown R2 = exp(-W dt) R1 exp(w dt), v2 = v1 + dt (R_mid f + g - 2 W x v): a perfect
+sample takes that integration from one truth to the next, so a filter's error is the sensors' and not the integration's.
+Errors: w_m = w + b_g + N(0, ARW^2 / dt), f_m = f + b_a + N(0, VRW^2 / dt), with biases that drift.
+Source  Groves 2013, sections 5.4 (navigation equations in a local frame) and 4.4 (errors).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation_exp, rotation_log
+from ltv_mpc.localisation.suite import Imu
+from ltv_mpc.signals import Array, ImuSample, Triple
+from sim.draws import Stream, generator
+from sim.sensors.drift import Drift
+from sim.sensors.instant import Instant
+
+
+class InertialUnit:
+    """Its first instant only starts the first interval."""
+
+    def __init__(self, settings: Imu, latitude_rad: float, seed: int) -> None:
+        """Biases and noise are drawn from the unit's own stream."""
+        self._draws = generator(seed, Stream.IMU)
+        self._gyro = Drift(settings.gyro_bias_sd_radps, settings.gyro_bias_tau_s, 3, self._draws)
+        self._accelerometer = Drift(
+            settings.accelerometer_bias_sd_mps2, settings.accelerometer_bias_tau_s, 3, self._draws
+        )
+        self._walks = np.repeat([settings.angle_random_walk_rad_per_rts, settings.velocity_random_walk_mps_per_rts], 3)
+        self._earth_rate = earth_rate(latitude_rad) if settings.senses_earth_rate else np.zeros(3)
+        self._last: Instant | None = None
+
+    def sample(self, now: Instant) -> list[ImuSample]:
+        """The mean over the interval that ends now."""
+        last, self._last = self._last, now
+        if last is None:
+            return []
+        interval_ns = now.t_ns - last.t_ns
+        dt = interval_ns * 1e-9
+        means = increments(last.rotation, last.velocity_mps, now.rotation, now.velocity_mps, self._earth_rate, dt)
+        means += self._walks / math.sqrt(dt) * self._draws.standard_normal(6)
+        means[:3] += self._gyro.advance(dt)
+        means[3:] += self._accelerometer.advance(dt)
+        p, q, r, x, y, z = means.tolist()
+        return [
+            ImuSample(
+                t_ns=now.t_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z)
+            )
+        ]
+
+
+@kernel
+def increments(R1: Array, v1: Triple, R2: Array, v2: Triple, W: Array, dt: float) -> Array:
+    """Error-free mean angular rate and specific force between two instants, shape (6,)."""
+    w = rotation_log(R1.T @ rotation_exp(dt * W) @ R2) / dt
+    R_mid = rotation_exp(-0.5 * dt * W) @ R1 @ rotation_exp(0.5 * dt * w)
+    x, y, z = 0.5 * (v1[0] + v2[0]), 0.5 * (v1[1] + v2[1]), 0.5 * (v1[2] + v2[2])
+    a = np.empty(3)
+    a[0] = (v2[0] - v1[0]) / dt + 2.0 * (W[1] * z - W[2] * y)
+    a[1] = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)
+    a[2] = (v2[2] - v1[2]) / dt + 2.0 * (W[0] * y - W[1] * x) - GRAVITY_MPS2
+    means = np.empty(6)
+    means[:3] = w
+    means[3:] = R_mid.T @ a
+    return means

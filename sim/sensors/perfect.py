@@ -1,0 +1,47 @@
+"""The truth as an estimate: what a controller does when localisation is not the question."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.frames import roll_pitch_heading
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.signals import CurrentProfile, Estimate
+from sim.sensors.instant import Instant
+from sim.water import WaterColumn
+
+
+class PerfectState:
+    """State without error, and the true current in the estimator's cells with a standard deviation of 0."""
+
+    def __init__(self, settings: EstimatorConfig, water: WaterColumn) -> None:
+        """Depths 0, cell, 2 cell, ... down to the first at or below the deepest."""
+        self._water = water
+        cells = math.ceil(settings.deepest_m / settings.cell_m - 1e-9)
+        self._depth = settings.cell_m * np.arange(cells + 1, dtype=np.float64)
+        self._sd = np.zeros(cells + 1)
+
+    def sample(self, now: Instant) -> list[Estimate]:
+        """The truth now."""
+        current = self._water.over(self._depth, now.t_ns)
+        return [
+            Estimate(
+                t_ns=now.t_ns,
+                north_m=now.position_m[0],
+                east_m=now.position_m[1],
+                heading_rad=roll_pitch_heading(now.rotation)[2],
+                yaw_rate_radps=now.heading_rate_radps,
+                velocity_north_mps=now.velocity_mps[0],
+                velocity_east_mps=now.velocity_mps[1],
+                depth_m=now.position_m[2],
+                velocity_down_mps=now.velocity_mps[2],
+                current=CurrentProfile(
+                    depth_m=self._depth,
+                    north_mps=np.ascontiguousarray(current[:, 0]),
+                    east_mps=np.ascontiguousarray(current[:, 1]),
+                    sd_mps=self._sd,
+                ),
+            )
+        ]

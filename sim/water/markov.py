@@ -1,0 +1,61 @@
+"""A bounded first-order Gauss-Markov current over depth (the paper's section IV-A).
+
+x_k+1 = a x_k + sqrt(1 - a^2) w,  a = exp(-cell / length),  c_k = sd x_k,  north and east independent
+Bound: w is drawn from the normal distribution cut to the values that keep |x_k+1| <= bound, which is what rejecting
+and redrawing gives, with one draw a cell. Stationary: the cut chain is in detailed balance with
+p(x) ~ phi(x) P(|a x + sqrt(1 - a^2) w| <= bound), and x_0 is drawn from p, so that every depth has the same statistics.
+Its standard deviation is less than its name: times 0.982 for a bound of 3 and 0.856 for one of 2 (8 cells of correlation).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from ltv_mpc.signals import Array
+
+
+def depths(deepest_m: float, cell_m: float) -> Array:
+    """Centres 0, cell, 2 cell, ... down to the first at or below ``deepest_m``, shape (K,)."""
+    cells = math.ceil(deepest_m / cell_m - 1e-9)
+    return cell_m * np.arange(cells + 1, dtype=np.float64)
+
+
+def series(
+    draws: np.random.Generator,
+    cells: int,
+    *,
+    sd_mps: float,
+    cell_m: float,
+    correlation_length_m: float,
+    bound_sd: float,
+) -> Array:
+    """One axis of the current, shape (cells,)."""
+    a = math.exp(-cell_m / correlation_length_m)
+    s = math.sqrt(-math.expm1(-2.0 * cell_m / correlation_length_m))
+    x = np.empty(cells)
+    x[0] = _stationary(draws, a, s, bound_sd)
+    for k in range(1, cells):
+        x[k] = _cut_normal(draws, a * x[k - 1], s, bound_sd)
+    return sd_mps * x
+
+
+def _cut_normal(draws: np.random.Generator, mean: float, sd: float, bound: float) -> float:
+    """N(mean, sd^2) given that it lies within +-bound: the inverse distribution function of a uniform number."""
+    low, high = float(ndtr((-bound - mean) / sd)), float(ndtr((bound - mean) / sd))
+    value = mean + sd * float(ndtri(low + (high - low) * draws.random()))
+    return min(max(value, -bound), bound)
+
+
+def _stationary(draws: np.random.Generator, a: float, s: float, bound: float) -> float:
+    """A normal number within the bound, accepted as often as its successor would be."""
+
+    def stays(x: float) -> float:
+        return float(ndtr((bound - a * x) / s) - ndtr((-bound - a * x) / s))
+
+    while True:
+        x = _cut_normal(draws, 0.0, 1.0, bound)
+        if draws.random() * stays(0.0) <= stays(x):
+            return x

@@ -1,0 +1,82 @@
+"""A closed loop made of the nominal model alone, and the problems that it meets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan, Vehicle, advance, references
+from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.signals import Array
+
+PAPER = Vehicle.load("paper")
+
+
+def rough_current(seed: int) -> CurrentProfile:
+    """A rough current of 4 cm/s: cosines of random phase."""
+    rng = np.random.default_rng(seed)
+    z = np.arange(71.0)
+    north, east = (
+        sum(0.028 * np.cos(z / length + rng.uniform(0, 2 * np.pi)) for length in (4.0, 9.0)) for _ in range(2)
+    )
+    return CurrentProfile(depth_m=z, north_mps=np.array(north), east_mps=np.array(east))
+
+
+def descend(
+    seed: int, cycles: int, config: ControllerConfig | None = None, start: dict[str, float] | None = None
+) -> tuple[list[Estimate], list[Plan]]:
+    """A descent on the nominal model, one cycle every 0.3 s, from rest or from ``start``."""
+    controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=60.0), config)
+    estimate = Estimate.at_rest(depth_m=0.0, **(start or {}))
+    estimate = msgspec.structs.replace(estimate, current=rough_current(seed))
+    estimates, plans = [estimate], []
+    for _ in range(cycles):
+        plan = controller.plan(estimate)
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+        plans.append(plan)
+        estimates.append(estimate)
+    return estimates, plans
+
+
+@pytest.fixture(scope="session")
+def profile() -> Callable[[int], CurrentProfile]:
+    """A current by its seed."""
+    return rough_current
+
+
+@pytest.fixture(scope="session")
+def closed_loop() -> Callable[..., tuple[list[Estimate], list[Plan]]]:
+    """A descent by its seed and number of cycles."""
+    return descend
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What one cycle's QP was made of."""
+
+    form: SparseForm
+    lin: Linearisation
+    reference: Array
+
+
+@pytest.fixture(scope="session")
+def cycles() -> list[Cycle]:
+    """Over 200 problems of closed loops: descents, one from 2 m off with the heading wrong."""
+    seen: list[Cycle] = []
+    build = SparseForm.build
+
+    def remembered(self, lin, reference):  # type: ignore[no-untyped-def]
+        seen.append(Cycle(self, lin, np.array(reference)))
+        return build(self, lin, reference)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SparseForm, "build", remembered)
+        descend(1, 70)
+        descend(2, 70)
+        descend(3, 70, start={"north_m": 2.0, "heading_rad": 3.0})
+    return seen

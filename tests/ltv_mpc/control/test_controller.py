@@ -1,0 +1,225 @@
+"""A cycle as a user sees it: the plan it gives, in closed loop, in hard starts, and when the solver fails."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
+from ltv_mpc.control.vertical import VerticalLaw
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import Solve
+
+PAPER = Vehicle.load("paper")
+POINT = references.Point(north_m=0.0, east_m=0.0)
+
+
+def distance(estimate: Estimate) -> float:
+    return float(np.hypot(estimate.north_m, estimate.east_m))
+
+
+def test_a_horizon_is_whole_stages_of_0_3_s():
+    assert [ControllerConfig(horizon_s=h).stages for h in (0.3, 2.5, 5.0, 10.0)] == [1, 8, 17, 33]
+    plan = Controller(PAPER, POINT).plan(Estimate.at_rest(north_m=1.0))
+    assert plan.thrust_N.shape == (18, 3)
+    assert plan.states.shape == (18, 6)
+    np.testing.assert_array_equal(np.diff(plan.t_ns), 300_000_000)
+
+
+def test_plans_join_without_a_jump_and_stay_inside_box_and_slew(closed_loop):
+    _, plans = closed_loop(7, 60, start={"north_m": 3.0, "heading_rad": 2.5})
+    limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in PAPER.thrusters])
+    for before, after in pairwise(plans):
+        np.testing.assert_allclose(after.thrust_N[0], before.thrust_at(int(after.t_ns[0])), atol=1e-9)
+    for plan in plans:
+        assert (plan.thrust_N >= limits[:, 0]).all()
+        assert (plan.thrust_N <= limits[:, 1]).all()
+        assert (np.abs(np.diff(plan.thrust_N, axis=0)) / 0.3 <= limits[:, 2] + 1e-9).all()
+
+
+def test_the_plan_s_states_are_what_the_vehicle_then_does(profile):
+    estimate = msgspec.structs.replace(Estimate.at_rest(north_m=1.0, depth_m=5.0), current=profile(3))
+    controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=30.0))
+    for _ in range(5):
+        plan = controller.plan(estimate)
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+    plan = controller.plan(estimate)
+    start_s = (int(plan.t_ns[0]) - estimate.t_ns) * 1e-9
+    for knot in (0, 5, 17):
+        there = advance(PAPER, estimate, plan, duration_s=start_s + 0.3 * knot)
+        np.testing.assert_allclose(plan.states[knot, :2], [there.north_m, there.east_m], atol=2e-3)
+
+
+def test_the_descent_holds_the_line_where_an_uncontrolled_vehicle_drifts(closed_loop):
+    held, _ = closed_loop(5, 200)
+    drifting, _ = closed_loop(5, 200, ControllerConfig(lateral=False))
+    assert np.mean([distance(e) for e in held[20:]]) < 0.05
+    assert distance(drifting[-1]) > 0.3
+
+
+@pytest.mark.parametrize(("north", "heading"), [(2.0, 1.0), (2.0, 3.0), (-2.0, 1.57), (5.0, -1.57)])
+def test_from_metres_off_with_the_heading_wrong_it_comes_back_and_stays(north, heading):
+    controller = Controller(PAPER, POINT)
+    estimate = Estimate.at_rest(north_m=north, heading_rad=heading)
+    for _ in range(240):
+        plan = controller.plan(estimate)
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+        assert plan.origin is PlanOrigin.SOLVED
+    assert distance(estimate) < 0.1
+
+
+def test_looking_ahead_at_the_current_is_worth_metres(profile):
+    """The preview is what makes a horizon worth having: the same loop, told the water at its own depth alone."""
+
+    def mean_error(*, preview: bool) -> float:
+        controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=60.0))
+        water = profile(11)
+        estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=water)
+        off = []
+        for _ in range(300):
+            told = estimate
+            if not preview:
+                here = np.interp([estimate.depth_m], water.depth_m, water.north_mps)
+                there = np.interp([estimate.depth_m], water.depth_m, water.east_mps)
+                flat = msgspec.structs.replace(
+                    water, depth_m=np.array([estimate.depth_m]), north_mps=here, east_mps=there
+                )
+                told = msgspec.structs.replace(estimate, current=flat)
+            estimate = msgspec.structs.replace(
+                advance(PAPER, estimate, controller.plan(told), duration_s=0.3), current=water
+            )
+            off.append(distance(estimate))
+        return float(np.mean(off[30:]))
+
+    assert mean_error(preview=True) < 0.6 * mean_error(preview=False)
+
+
+def test_dead_time_is_compensated(closed_loop):
+    """With plans that take effect 0.7 s later, the error stays near that without delay."""
+
+    def mean_error(delay_s: float) -> float:
+        config = ControllerConfig(first_delay_s=delay_s)
+        estimates, _ = closed_loop(12, 300, config)
+        return float(np.mean([distance(e) for e in estimates[30:]]))
+
+    assert mean_error(0.71) < 2.5 * mean_error(0.0)
+
+
+def test_a_plan_starts_one_expected_delay_after_now():
+    controller = Controller(PAPER, POINT, ControllerConfig(first_delay_s=0.4))
+    plan = controller.plan(Estimate.at_rest(), t_ns=250_000_000)
+    assert plan.cycle_t_ns == 250_000_000
+    assert plan.t_ns[0] == 650_000_000
+    assert plan.expected_delay_ns == 400_000_000
+
+
+def test_before_its_start_the_reference_leaves_the_vehicle_alone_and_then_anchors_where_it_is():
+    controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
+    before = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=4.0, depth_m=0.0), t_ns=-500_000_000))
+    assert before.origin is PlanOrigin.ZERO
+    assert before.reference_m is None
+    assert not before.thrust_N.any()
+    after = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=4.1, east_m=1.0, depth_m=0.0), t_ns=0))
+    assert after.reference_m == (4.1, 1.0)
+    assert after.thrust_N[-1, 2] > 30.0
+
+
+class FailsFrom:
+    """A solver that answers like the real one until told to fail."""
+
+    def __init__(self, real) -> None:
+        self.real, self.failing = real, False
+
+    def solve(self, qp, warm_x, warm_y):
+        solution = self.real.solve(qp, warm_x, warm_y)
+        if not self.failing:
+            return solution
+        failed = Solve(status=SolveStatus.ITERATION_LIMIT, primal_residual=0.5, why="as asked")
+        return type(solution)(solution.x + np.nan, solution.y, failed)
+
+
+def test_when_a_solve_fails_the_same_cycle_sends_the_previous_plan_shifted_and_recovers_at_once():
+    controller = Controller(PAPER, POINT)
+    controller._solver = fails = FailsFrom(controller._solver)
+    estimate = Estimate.at_rest(north_m=1.0)
+    for _ in range(5):
+        good = controller.plan(estimate)
+        estimate = advance(PAPER, estimate, good, duration_s=0.3)
+    fails.failing = True
+    shifted = controller.plan(estimate)
+    assert shifted.origin is PlanOrigin.SHIFTED
+    assert shifted.why == "as asked"
+    np.testing.assert_allclose(shifted.thrust_N[:-1, :2], good.thrust_N[1:, :2], atol=1e-9)
+    fails.failing = False
+    assert controller.plan(advance(PAPER, estimate, shifted, duration_s=0.3)).origin is PlanOrigin.SOLVED
+
+
+def test_when_the_first_solve_fails_the_thrusters_are_let_go():
+    controller = Controller(PAPER, POINT)
+    controller._solver = fails = FailsFrom(controller._solver)
+    fails.failing = True
+    plan = controller.plan(Estimate.at_rest(north_m=1.0))
+    assert plan.origin is PlanOrigin.ZERO
+    assert not plan.thrust_N.any()
+
+
+def test_two_controllers_given_the_same_inputs_give_the_same_bits(closed_loop):
+    first, second = closed_loop(9, 30)[1], closed_loop(9, 30)[1]
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a.thrust_N, b.thrust_N)
+        np.testing.assert_array_equal(a.states, b.states)
+
+
+def test_an_unknown_solver_is_refused_by_name():
+    with pytest.raises(ConfigError, match='solver = "gurobbi"'):
+        Controller(PAPER, POINT, ControllerConfig(solver="gurobbi"))
+
+
+def test_another_solver_by_name_gives_the_same_first_thrust():
+    estimate = Estimate.at_rest(north_m=1.0, heading_rad=2.0)
+    ours = Controller(PAPER, POINT).plan(estimate)
+    theirs = Controller(PAPER, POINT, ControllerConfig(solver="daqp")).plan(estimate)
+    np.testing.assert_allclose(ours.thrust_N[1], theirs.thrust_N[1], atol=0.2)
+
+
+# --- depth -----------------------------------------------------------------------------------------------------------
+
+
+def sink(depth_m: float, rate: float, seconds: float, vehicle: Vehicle = PAPER) -> list[Estimate]:
+    controller = Controller(PAPER, references.Point(north_m=0, east_m=0, depth_m=depth_m, descent_rate_mps=rate))
+    estimate, out = Estimate.at_rest(depth_m=0.0), []
+    for _ in range(round(seconds / 0.3)):
+        estimate = advance(vehicle, estimate, controller.plan(estimate), duration_s=0.3)
+        out.append(estimate)
+    return out
+
+
+def test_it_ramps_down_to_a_depth_and_holds_it():
+    way = sink(8.0, 0.15, 120)
+    assert way[100].depth_m == pytest.approx(0.15 * 30.3, abs=0.35)
+    assert max(e.depth_m for e in way) < 8.3
+    assert way[-1].depth_m == pytest.approx(8.0, abs=0.02)
+
+
+def test_the_integral_takes_up_a_buoyancy_that_the_model_does_not_know():
+    heavier = msgspec.structs.replace(PAPER, net_buoyancy_N=24.0)
+    assert sink(8.0, 0.15, 300, heavier)[-1].depth_m == pytest.approx(8.0, abs=0.02)
+
+
+def test_on_a_ramp_that_is_too_fast_the_thruster_is_at_its_maximum_and_the_integral_does_not_wind_up():
+    law = VerticalLaw(PAPER)
+    plan = law.plan(
+        depth_m=1.0,
+        sinking_mps=0.2,
+        thrust_N=62.5,
+        command_N=62.5,
+        integral_N=0.0,
+        depth_ref_m=np.full(18, 9.0),
+        sinking_ref_mps=np.full(18, 0.3),
+        stage_s=0.3,
+    )
+    np.testing.assert_array_equal(plan.thrust_N, 62.5)
+    assert plan.integral_N == 0.0

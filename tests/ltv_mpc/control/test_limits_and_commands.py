@@ -1,0 +1,80 @@
+"""Box and slew on everything that is sent, also where two plans meet; which command is in force when."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.signals import Solve
+
+PAPER = Vehicle.load("paper")
+LIMITS = ThrustLimits.of(PAPER, 0.3)
+SECOND = 1_000_000_000
+
+
+def plan(start_ns: int, thrust) -> Plan:
+    thrust = np.array(thrust, dtype=float)
+    return Plan(
+        cycle_t_ns=start_ns,
+        t_ns=start_ns + np.arange(len(thrust), dtype=np.int64) * 300_000_000,
+        thrust_N=thrust,
+        states=np.zeros((len(thrust), 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+    )
+
+
+@given(arrays(np.float64, (6, 2), elements=st.floats(-500, 500)), arrays(np.float64, 2, elements=st.floats(-80, 80)))
+def test_enforced_commands_obey_slew_exactly_and_the_box_as_soon_as_they_can(commands, start):
+    commands[0] = start
+    out = LIMITS.enforced(commands)
+    np.testing.assert_array_equal(out[0], start)
+    assert (np.abs(np.diff(out, axis=0)) <= 30.0 + 1e-9).all()
+    for k in range(1, 6):
+        low = np.minimum(-62.5, start + 30.0 * k)
+        high = np.maximum(62.5, start - 30.0 * k)
+        assert (out[k] >= low - 1e-9).all()
+        assert (out[k] <= high + 1e-9).all()
+
+
+@given(arrays(np.float64, (6, 2), elements=st.floats(-12, 12)))
+def test_commands_inside_the_limits_are_left_alone(commands):
+    np.testing.assert_array_equal(LIMITS.enforced(commands), commands)
+
+
+def test_nothing_was_sent_so_nothing_is_in_force():
+    np.testing.assert_array_equal(SentCommands(PAPER).at(np.array([0, SECOND])), np.zeros((2, 3)))
+
+
+def test_a_plan_is_in_force_from_its_first_knot_and_the_next_takes_over_at_its_own():
+    sent = SentCommands(PAPER)
+    sent.sent(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
+    sent.sent(plan(150_000_000, [[15, -15, 5], [0, 0, 0], [0, 0, 0]]))
+    at = sent.at(np.array([75_000_000, 150_000_000, 300_000_000, 450_000_000]))
+    np.testing.assert_allclose(at[:, 0], [7.5, 15.0, 7.5, 0.0], atol=1e-6)
+    np.testing.assert_allclose(at[:, 1], [-7.5, -15.0, -7.5, 0.0], atol=1e-6)
+
+
+def test_after_the_last_knot_every_thruster_goes_to_rest_at_its_own_slew_limit():
+    vehicle = msgspec.structs.replace(PAPER, failsafe_vertical_N=-10.0)
+    sent = SentCommands(vehicle)
+    sent.sent(plan(0, [[0, 0, 0], [20, -10, 30]]))
+    end = 300_000_000
+    at = sent.at(np.array([end, end + 100_000_000, end + 200_000_000, end + 400_000_000, end + 2 * SECOND]))
+    np.testing.assert_allclose(at[:, 0], [20, 10, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(at[:, 1], [-10, 0, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(at[:, 2], [30, 20, 10, -10, -10], atol=1e-6)
+
+
+def test_between_gives_both_ends_and_the_knots_inside():
+    sent = SentCommands(PAPER)
+    sent.sent(plan(0, np.zeros((4, 3))))
+    np.testing.assert_array_equal(
+        sent.between(100_000_000, 700_000_000), [100_000_000, 300_000_000, 600_000_000, 700_000_000]
+    )

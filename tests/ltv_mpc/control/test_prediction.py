@@ -1,0 +1,153 @@
+"""Dead time: the estimate is rolled through what was sent, lag included, to where the plan will start."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
+from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control.delay import Delay
+from ltv_mpc.control.prediction import Prediction, current_at
+from ltv_mpc.signals import Applied, CycleTiming, Solve
+from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
+
+PAPER = Vehicle.load("paper")
+P = PAPER.coefficients()
+PROFILE = CurrentProfile(
+    depth_m=np.array([0.0, 10.0, 11.0, 40.0]),
+    north_mps=np.array([0.0, 0.02, 0.1, 0.1]),
+    east_mps=np.array([0.05, 0.05, -0.05, 0.0]),
+)
+
+
+def sent() -> SentCommands:
+    commands = SentCommands(PAPER)
+    thrust = np.array([[0.0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]])
+    commands.sent(
+        Plan(
+            cycle_t_ns=0,
+            t_ns=np.arange(5, dtype=np.int64) * 300_000_000,
+            thrust_N=thrust,
+            states=np.zeros((5, 6)),
+            origin=PlanOrigin.SOLVED,
+            solve=Solve(status=SolveStatus.SOLVED),
+        )
+    )
+    return commands
+
+
+def estimate(t_ns: int) -> Estimate:
+    return Estimate(
+        t_ns=t_ns,
+        north_m=1.0,
+        east_m=-2.0,
+        depth_m=10.2,
+        heading_rad=0.7,
+        yaw_rate_radps=0.1,
+        velocity_north_mps=0.1,
+        velocity_east_mps=0.02,
+        velocity_down_mps=0.15,
+        current=PROFILE,
+    )
+
+
+def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
+    fields = {
+        "t_ns": t_ns,
+        "thrust_N": thrust,
+        "command_N": thrust,
+        "command_slew_N_per_s": (0.0, 0.0, 0.0),
+        "plan_epoch": 1,
+        "plan_sequence": 0,
+        "plan_cycle_t_ns": 0,
+        "plan_received_t_ns": 0,
+        "plan_late": False,
+        "plans_late": 0,
+        "plans_refused": 0,
+    }
+    return Applied(**fields | changes)
+
+
+def test_the_roll_agrees_with_an_independent_integration_through_the_same_commands():
+    commands, prediction = sent(), Prediction(PAPER)
+    prediction.report(applied(100_000_000, (8.0, -3.0, 10.0)))
+    start = prediction.roll(estimate(200_000_000), 1_000_000_000, commands)
+    c0 = current_at(PROFILE, np.array([10.2]))[0]
+    turn = np.exp(-1j * 0.7) * ((0.1 - c0[0]) + 1j * (0.02 - c0[1]))
+
+    def rhs(t, y):
+        u = commands.at(np.array([round(t * 1e9)]))[0]
+        c = current_at(PROFILE, y[8:9])[0]
+        slope = (current_at(PROFILE, y[8:9] + 1e-6)[0] - current_at(PROFILE, y[8:9] - 1e-6)[0]) / 2e-6
+        dx = np.empty(6)
+        derivative(y[:6], y[6:8], c, slope * y[9], P, dx)
+        lateral = (u[:2] - y[6:8]) / 0.3
+        return np.concatenate([dx, lateral, [y[9], heave_acceleration(y[9], y[10], P), (u[2] - y[10]) / 0.3]])
+
+    def lag(t, F):
+        return (commands.at(np.array([round(t * 1e9)]))[0] - F) / 0.3
+
+    # the thrust reported at 0.1 s is first brought to the estimate's time
+    F = solve_ivp(lag, (0.1, 0.2), [8.0, -3.0, 10.0], max_step=0.01, rtol=1e-9).y[:, -1]
+    y0 = [1.0, -2.0, turn.real, turn.imag, 0.7, 0.1, F[0], F[1], 10.2, 0.15, F[2]]
+    want = solve_ivp(rhs, (0.2, 1.0), y0, max_step=0.005, rtol=1e-9, atol=1e-12).y[:, -1]
+    np.testing.assert_allclose(start.X[:6], want[:6], atol=2e-4)
+    np.testing.assert_allclose(start.X[6:], want[6:8], atol=1e-3)
+    np.testing.assert_allclose([start.depth_m, start.sinking_mps, start.vertical_N], want[8:], atol=1e-3)
+    np.testing.assert_allclose(start.command, commands.at(np.array([1_000_000_000]))[0])
+
+
+def test_without_reports_the_thrusters_are_taken_to_do_as_they_were_told():
+    start = Prediction(PAPER).roll(estimate(300_000_000), 300_000_000, sent())
+    np.testing.assert_allclose(start.X[6:], [25.0, -10.0])
+
+
+def test_a_report_that_is_newer_than_the_estimate_does_not_hide_the_one_before_it():
+    prediction, commands = Prediction(PAPER), sent()
+    prediction.report(applied(200_000_000, (1.0, 2.0, 3.0)))
+    prediction.report(applied(300_000_000, (40.0, 40.0, 40.0)))
+    np.testing.assert_allclose(prediction.delivered(200_000_000, commands), [1.0, 2.0, 3.0])
+
+
+def test_the_current_is_constant_beyond_both_ends_of_the_profile_and_zero_without_one():
+    np.testing.assert_allclose(current_at(PROFILE, np.array([-1.0, 10.5, 99.0])), [[0, 0.05], [0.06, 0], [0.1, 0]])
+    np.testing.assert_array_equal(current_at(None, np.array([5.0])), [[0.0, 0.0]])
+
+
+# --- how long it takes -----------------------------------------------------------------------------------------------
+
+
+def timing(compute_ns: int) -> CycleTiming:
+    return CycleTiming(t_ns=0, compute_ns=compute_ns, compute_wall_ns=0, estimate_age_ns=0, stage_us={})
+
+
+def test_before_anything_was_measured_the_setting_counts():
+    assert Delay(50_000_000, 1.0).expected_ns() == 50_000_000
+
+
+def test_the_cycles_own_time_counts_until_the_actuators_report():
+    delay = Delay(0, 1.0)
+    delay.timing(timing(400))
+    assert delay.expected_ns() == 400
+    delay.receipt(applied(10, plan_cycle_t_ns=1000, plan_received_t_ns=1700))
+    assert delay.expected_ns() == 700
+
+
+def test_expected_is_a_quantile_of_lately_and_each_receipt_counts_once():
+    delay = Delay(0, 0.5)
+    for k, took in enumerate([100, 200, 300]):
+        for _ in range(5):  # the actuators repeat their report
+            delay.receipt(applied(10, plan_cycle_t_ns=1000 * k, plan_received_t_ns=1000 * k + took))
+    assert delay.expected_ns() == 200
+    for k in range(100):
+        delay.receipt(applied(10, plan_cycle_t_ns=10_000 * (k + 1), plan_received_t_ns=10_000 * (k + 1) + 7))
+    assert delay.expected_ns() == 7
+
+
+@pytest.mark.parametrize("sequence", [-1])
+def test_no_plan_accepted_yet_is_no_receipt(sequence):
+    delay = Delay(5, 1.0)
+    delay.receipt(applied(10, plan_sequence=sequence))
+    assert delay.expected_ns() == 5

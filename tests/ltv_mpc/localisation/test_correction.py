@@ -1,0 +1,86 @@
+"""One update against the textbook's, and the gate."""
+
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.correction import correct
+from ltv_mpc.localisation.measurements.rows import Rows
+from ltv_mpc.localisation.state import ATTITUDE, Belief, Layout
+from ltv_mpc.localisation.suite import Suite
+
+LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+OPEN = 1e9
+
+
+@pytest.fixture
+def belief():
+    rng = np.random.default_rng(0)
+    belief = Belief.blank(LAYOUT, 0)
+    root = rng.standard_normal((LAYOUT.size, LAYOUT.size)) / 10
+    belief.P = root @ root.T
+    return belief
+
+
+def random_rows(m, seed=1):
+    rng = np.random.default_rng(seed)
+    state = np.array([rng.choice(LAYOUT.size, 6, replace=False) for _ in range(m)])
+    partial = rng.standard_normal((m, 6))
+    partial[:, 4] = 0.0  # padding
+    return Rows(state, partial, 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
+
+
+@pytest.mark.parametrize("m", [1, 2, 60, 120])
+def test_an_update_is_the_textbooks(belief, m):
+    """K = P H^T (H P H^T + R)^-1, and Joseph's form of the covariance."""
+    rows, P = random_rows(m), belief.P.copy()
+    H, R = rows.dense(LAYOUT.size), np.diag(rows.variance)
+    K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    I_KH = np.eye(LAYOUT.size) - K @ H
+    correction = correct(belief, rows, OPEN)
+    assert correction.accepted.all()
+    np.testing.assert_allclose(belief.x, K @ rows.residual, atol=1e-11)
+    np.testing.assert_allclose(belief.P, I_KH @ P @ I_KH.T + K @ R @ K.T, atol=1e-11)
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    np.testing.assert_allclose(correction.nis, rows.residual**2 / np.diag(H @ P @ H.T + R))
+
+
+def test_all_rows_at_once_are_the_same_as_one_after_another(belief):
+    rows, one_by_one = random_rows(40), belief.copy()
+    correct(belief, rows, OPEN)
+    for i in range(40):
+        k = slice(i, i + 1)
+        done = rows.partial[k] @ one_by_one.x[rows.state[i]]  # rows are linear: the residual of now
+        correct(one_by_one, Rows(rows.state[k], rows.partial[k], rows.residual[k] - done, rows.variance[k]), OPEN)
+    linear = np.delete(np.arange(LAYOUT.size), np.arange(ATTITUDE.start, ATTITUDE.stop))
+    np.testing.assert_allclose(one_by_one.x[linear], belief.x[linear], atol=1e-10)
+    np.testing.assert_allclose(one_by_one.P, belief.P, atol=1e-10)
+
+
+def test_a_row_beyond_the_gate_changes_nothing(belief):
+    rows, without = random_rows(30), belief.copy()
+    rows.residual[7] = 1e3
+    keep = np.arange(30) != 7
+    correction = correct(belief, rows, 10.8)
+    correct(without, Rows(rows.state[keep], rows.partial[keep], rows.residual[keep], rows.variance[keep]), OPEN)
+    np.testing.assert_array_equal(correction.accepted, keep)
+    np.testing.assert_allclose(belief.x, without.x, atol=1e-13)
+    np.testing.assert_allclose(belief.P, without.P, atol=1e-13)
+
+
+def test_rows_all_beyond_the_gate_leave_the_belief_as_it_was(belief):
+    rows, before = random_rows(5), belief.copy()
+    rows.residual[:] = 1e3
+    assert not correct(belief, rows, 10.8).accepted.any()
+    np.testing.assert_array_equal(belief.x, before.x)
+    np.testing.assert_array_equal(belief.P, before.P)
+
+
+def test_a_covariance_that_is_none_is_reported_and_left_alone(belief):
+    belief.P[:] = -belief.P
+    before = belief.copy()
+    correction = correct(belief, random_rows(20), np.inf)
+    assert not correction.definite
+    assert not correction.accepted.any()
+    np.testing.assert_array_equal(belief.P, before.P)
+    np.testing.assert_array_equal(belief.x, before.x)

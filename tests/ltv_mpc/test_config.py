@@ -1,0 +1,204 @@
+"""Settings files: what is refused says file, field, value and bound in one line, and nothing else escapes."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ltv_mpc import config
+from ltv_mpc.control.config import ControllerConfig, Weights
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.references import Hold, Point, Reference
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PAPER = (Path(config.__file__).parent / "vehicle" / "files" / "paper.toml").read_text()
+
+
+def refusal(text: str, kind: Any, source: str = "settings x.toml") -> str:
+    with pytest.raises(ConfigError) as error:
+        config.parse(tomllib.loads(text), kind, source=source)
+    assert str(error.value).isprintable()
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("horizon_s = -5", "settings x.toml: horizon_s = -5: must be >= 0.3 and <= 120"),
+        ("horizon_s = 0", "settings x.toml: horizon_s = 0: must be >= 0.3 and <= 120"),
+        ("horizon_s = nan", "settings x.toml: horizon_s = nan: must be finite"),
+        ("horizon_s = -inf", "settings x.toml: horizon_s = -inf: must be finite"),
+        ('horizon_s = "5"', 'settings x.toml: horizon_s = "5": must be a number >= 0.3 and <= 120'),
+        ("horizon_s = true", "settings x.toml: horizon_s = true: must be a number >= 0.3 and <= 120"),
+        ("horizon_s = 2020-01-01", "settings x.toml: horizon_s = 2020-01-01: must be a number >= 0.3 and <= 120"),
+        ("horizon_s = [5.0]", "settings x.toml: horizon_s = [5.0]: must be a number >= 0.3 and <= 120"),
+        ("max_iterations = 1.5", "settings x.toml: max_iterations = 1.5: must be an integer >= 1 and <= 100000"),
+        ("lateral = 1", "settings x.toml: lateral = 1: must be true or false"),
+        ("horizon = 5", 'settings x.toml: unknown key "horizon"; did you mean "horizon_s"?'),
+        ('"a\\nb" = 5', 'settings x.toml: unknown key "a\\nb"; known: horizon_s,'),
+        ("[weights]\nthrst = 1", 'settings x.toml: unknown key "thrst" in [weights]; did you mean "thrust"?'),
+        ("[weights]\nthrust = -1", "settings x.toml: [weights] thrust = -1: must be >= 0 and <= 1e+06"),
+        ("weights = 3", "settings x.toml: weights = 3: must be a table with position_per_m2,"),
+        ("[[weights]]\nthrust = 1", "settings x.toml: weights = "),
+    ],
+)
+def test_a_refusal_names_file_field_value_and_bound(text: str, says: str) -> None:
+    assert refusal(text, ControllerConfig).startswith(says)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("arm_m ", "arm_meters ", 'vehicle o.toml: unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
+        ("arm_m = 0.2", "", 'vehicle o.toml: key "arm_m" in [thruster.port] is missing: must be a number >= 0'),
+        ("lag_s = 0.3", "lag_s = nan", "vehicle o.toml: [thruster.port] lag_s = nan: must be finite"),
+        ("min_N = -62.5", "min_N = 62.5", "vehicle o.toml: [thruster.port] min_N = 62.5: must be >= -1e+06 and <= 0"),
+        ("[yaw]", "[yow]", 'vehicle o.toml: unknown key "yow"; did you mean "yaw"?'),
+    ],
+)
+def test_a_mistake_in_a_vehicle_is_found_at_its_place(before: str, after: str, says: str) -> None:
+    assert refusal(PAPER.replace(before, after, 1), Vehicle, "vehicle o.toml").startswith(says)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", 'reference r.toml: key "kind" is missing: must be "point" or "hold"'),
+        ('kind = "holt"', 'reference r.toml: kind = "holt": must be "point" or "hold"'),
+        ('kind = "hold"\ndepth_m = -1', "reference r.toml: depth_m = -1: must be >= 0 and <= 11000"),
+        ('kind = "point"\nnorth_m = 1', 'reference r.toml: key "east_m" is missing: must be a number >= -1e+06'),
+        ('kind = "hold"\nnorth_m = 1', 'reference r.toml: unknown key "north_m"; known: kind, start_s,'),
+    ],
+)
+def test_a_union_of_kinds_is_explained_by_the_kind_that_was_meant(text: str, says: str) -> None:
+    assert refusal(text, Reference, "reference r.toml").startswith(says)
+
+
+def test_an_integer_is_good_where_a_number_is_expected() -> None:
+    assert config.parse({"horizon_s": 5}, ControllerConfig, source="x").horizon_s == 5.0
+
+
+def test_a_list_of_the_wrong_length_is_refused() -> None:
+    text = config.to_toml(Suite.load("paper")).replace("    0.0,\n    0.0,\n    0.0,\n", "    0.0,\n")
+    assert "[adcp] lever_arm_m = [0.0]: must be a list of 3, each a number" in refusal(text, Suite)
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is empty"),
+        (b"  \n\n", "is empty"),
+        (bytes(range(256)), "no UTF-8 text (byte 128)"),
+        (b"a = 1\0", "no text but binary data"),
+        (b"a = ", "no valid TOML"),
+        (b"a = 1\na = 2", "no valid TOML"),
+        (b"a = " + b"[" * 100_000, "deep"),
+        (b"a = " + b"9" * 5000, "no valid TOML"),
+        (b"#" * (config.LARGEST_FILE + 1), f"at most {config.LARGEST_FILE}; is it the right file?"),
+    ],
+)
+def test_a_file_that_is_no_settings_file_is_refused(tmp_path: Path, content: bytes, says: str) -> None:
+    file = tmp_path / "x.toml"
+    file.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"x\.toml") as error:
+        ControllerConfig.load(str(file))
+    assert says in str(error.value)
+    assert str(error.value).isprintable()
+
+
+def test_what_is_no_regular_file_is_refused_without_reading_it(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.toml"
+    os.mkfifo(pipe)
+    for name, says in (
+        (str(tmp_path) + "/", "is a folder"),
+        (str(pipe), "is no regular file"),
+        ("/dev/zero", "is no regular file"),
+        (str(tmp_path / "absent.toml"), "no such file"),
+        ("a\0b.toml", "cannot be read"),
+        ("x" * 5000 + ".toml", "cannot be read"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            Vehicle.load(name)
+
+
+def test_a_bare_name_is_a_shipped_one_and_an_unknown_one_lists_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "paper").write_text("not this one")
+    (tmp_path / "otter").write_text(PAPER)
+    assert Vehicle.load("paper").name == "paper"
+    with pytest.raises(
+        ConfigError, match=r'vehicle "papr": no shipped name; shipped: .*paper.*; did you mean "paper"\?'
+    ):
+        Vehicle.load("papr")
+    with pytest.raises(ConfigError, match=r"for the file here write \./otter"):
+        Vehicle.load("otter")
+    assert Vehicle.load("./otter").name == "paper"
+
+
+def test_what_is_written_is_read_back_bit_for_bit() -> None:
+    settings_ = ControllerConfig(horizon_s=0.1 + 0.2, weights=Weights(thrust=1e-300), max_iterations=7)
+    assert config.parse(tomllib.loads(config.to_toml(settings_)), ControllerConfig, source="x") == settings_
+    point = Point(north_m=1.0, east_m=2.0)
+    assert config.parse(tomllib.loads(config.to_toml(point)), Reference, source="x") == point  # None is left out
+
+
+scalars = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=8)
+    | st.sampled_from(
+        [10**400, datetime.date(2020, 1, 1), datetime.time(1), datetime.datetime(2020, 1, 1), -0.0, 1e308]
+    )
+)
+KINDS = (ControllerConfig, EstimatorConfig, Weights, Vehicle, Suite, Point, Hold, Reference)
+NAMES = sorted(
+    {f.name for k in KINDS[:-1] for f in msgspec.structs.fields(k)} | {"kind", "port", "mass_kg", "lever_arm_m"}
+)
+keys = st.sampled_from(NAMES) | st.text(max_size=5)
+tables = st.recursive(scalars, lambda x: st.lists(x, max_size=3) | st.dictionaries(keys, x, max_size=5), max_leaves=12)
+
+
+def outcome(table: dict[str, Any], kind: Any) -> str:
+    """``""`` where it was accepted, else the refusal; anything but a ``ConfigError`` fails the test."""
+    try:
+        config.parse(table, kind, source="settings x.toml")
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+@settings(max_examples=400, deadline=None)
+@given(table=st.dictionaries(keys, tables, max_size=6), kind=st.sampled_from(KINDS))
+def test_whatever_a_table_holds_it_is_a_struct_or_a_config_error(table: dict[str, Any], kind: Any) -> None:
+    refusal = outcome(table, kind)
+    assert refusal.startswith("settings x.toml: ") or refusal == ""
+    assert refusal.isprintable()
+
+
+@settings(max_examples=200, deadline=None)
+@given(data=st.data())
+def test_one_changed_value_in_a_good_file_is_accepted_or_named(data: st.DataObject) -> None:
+    table = tomllib.loads(PAPER)
+    inner = table
+    while True:
+        key = data.draw(st.sampled_from(sorted(inner)))
+        if not isinstance(inner[key], dict) or data.draw(st.booleans()):
+            break
+        inner = inner[key]
+    inner[key] = data.draw(tables)
+    refusal = outcome(table, Vehicle)
+    assert refusal == "" or key in refusal

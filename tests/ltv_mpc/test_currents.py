@@ -1,0 +1,98 @@
+"""Currents from CSV files: the published ones as they are, and every way to get one wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ltv_mpc.currents import read_profile, write_profile
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import CurrentProfile
+
+GOOD = "depth_m,v_north_mps,u_east_mps\n0,0.1,-0.2\n10,0.3,0.4\n"
+
+
+def read(tmp_path: Path, content: str | bytes) -> CurrentProfile:
+    path = tmp_path / "currents.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_profile(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        GOOD,
+        "\ufeff" + GOOD,
+        GOOD.replace("\n", "\r\n"),
+        "u_east_mps,quality,depth_m,v_north_mps\n-0.2,good,0,0.1\n0.4,?,10,0.3\n",
+        "# from a ship\n\ndepth_m , v_north_mps, u_east_mps\n# between\n 0, 0.1 ,-0.2\n10,0.3,0.4,,\n",
+        "# depth_m,v_north_mps,u_east_mps  (from a glider, smoothed)\n0,0.1,-0.2\n10,0.3,0.4\n",
+        "# these are depth_m, v_north_mps, u_east_mps\n" + GOOD,
+        "# depth_m, v_north_mps, u_east_mps, in words\nv_north_mps,depth_m,u_east_mps\n0.1,0,-0.2\n0.3,10,0.4\n",
+    ],
+    ids=["plain", "bom", "crlf", "order", "comments", "header-in-comment", "prose", "comment-and-header"],
+)
+def test_a_profile_is_read_whatever_the_order_of_columns_and_the_comments(tmp_path, content):
+    profile = read(tmp_path, content)
+    np.testing.assert_array_equal(profile.depth_m, [0.0, 10.0])
+    np.testing.assert_array_equal(profile.north_mps, [0.1, 0.3])
+    np.testing.assert_array_equal(profile.east_mps, [-0.2, 0.4])
+
+
+def test_a_single_depth_is_a_profile(tmp_path):
+    assert read(tmp_path, "depth_m,v_north_mps,u_east_mps\n5,0.1,0.2\n").depth_m.tolist() == [5.0]
+
+
+def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
+    draws = np.random.default_rng(1)
+    depth, north, east = np.cumsum(draws.random(50)), draws.normal(0, 0.1, 50), draws.normal(0, 0.1, 50)
+    write_profile(tmp_path / "c.csv", CurrentProfile(depth_m=depth, north_mps=north, east_mps=east))
+    again = read_profile(tmp_path / "c.csv")
+    np.testing.assert_array_equal(again.depth_m, depth)
+    np.testing.assert_array_equal(again.north_mps, north)
+    np.testing.assert_array_equal(again.east_mps, east)
+
+
+HEADER = "depth_m,v_north_mps,u_east_mps\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (HEADER + "0,0,0\n10,0,0\n5,0,0\n", ["line 4", "depth_m", "5", "10 m"]),
+        (HEADER + "0,0,0\n10,0,0\n10,0,0\n", ["line 4", "depth_m", "10"]),
+        ("depth_m,v_north_mps\n0,0\n", ["line 1", "u_east_mps"]),
+        ("0,0.1,0.2\n1,0.1,0.2\n", ["line 1", "depth_m"]),
+        ("depth_m,depth_m,v_north_mps,u_east_mps\n0,0,0,0\n", ["line 1", "depth_m", "twice"]),
+        (HEADER + "0,fast,0\n", ["line 2", "v_north_mps", "fast", "number"]),
+        (HEADER + "0,1_0,0\n", ["line 2", "v_north_mps", "1_0", "number"]),
+        (HEADER + "0,,0\n", ["line 2", "v_north_mps", "number"]),
+        (HEADER + "0,0,nan\n", ["line 2", "u_east_mps", "nan", "finite"]),
+        (HEADER + "0,0,-inf\n", ["line 2", "u_east_mps", "-inf", "finite"]),
+        (HEADER + "-1,0,0\n", ["line 2", "depth_m", "-1", ">= 0"]),
+        (HEADER + "0,0,0\n1,5.1,0\n", ["line 3", "v_north_mps", "5.1", "5 m/s"]),
+        (HEADER + "0,0,-25\n", ["line 2", "u_east_mps", "-25", "5 m/s"]),
+        (HEADER + "# a comment\n0,0\n", ["line 3", "u_east_mps", "missing"]),
+        ("", ["empty"]),
+        ("\n \n", ["empty"]),
+        ("# only words\n", ["header"]),
+        (HEADER, ["no row"]),
+        (b"\x7f\x7f\x00\x10\x9c\xff\xfe", ["byte", "text"]),
+        (b"depth_m,v_north_mps,u_east_mps\n0,0,\x000\n", ["byte 35", "zero bytes"]),
+    ],
+)
+def test_a_wrong_profile_is_refused_with_file_line_field_value_and_bound(tmp_path, content, words):
+    with pytest.raises(ConfigError) as refused:
+        read(tmp_path, content)
+    text = str(refused.value)
+    assert "\n" not in text
+    for word in ["currents.csv", *words]:
+        assert word in text, text
+
+
+def test_a_file_that_is_not_there_and_a_folder_are_refused(tmp_path):
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(ConfigError, match="cannot be read"):
+            read_profile(path)

@@ -1,0 +1,95 @@
+"""A door lets each frame in once, in order, and counts the rest by reason."""
+
+from __future__ import annotations
+
+import base64
+
+import msgpack
+import pytest
+
+from ltv_mpc.signals import PressureDepth
+from services.bus.door import Door, rejection
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, WireError, crc, encode
+
+TOPIC = BY_SIGNAL[PressureDepth]
+
+
+def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOPIC.key) -> Frame:
+    header = Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0)
+    return Frame(TOPIC, key, encode(PressureDepth(t_ns=0, depth_m=depth_m), header), 0)
+
+
+def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
+    door = Door()
+    for sequence in (5, 6, 9):  # it joined late: what was before 5 it never was to have
+        door.admit(frame(sequence))
+    assert (door.received, door.dropped, door.rejected) == (3, 2, 0)
+
+
+@pytest.mark.parametrize("again", [7, 3])
+def test_a_doubled_or_reordered_frame_is_refused(again: int) -> None:
+    door = Door()
+    for sequence in (3, 7):
+        door.admit(frame(sequence))
+    with pytest.raises(WireError, match="out of order"):
+        door.admit(frame(again))
+    door.admit(frame(8))
+    assert (door.received, door.dropped, door.rejected) == (3, 3, 1)
+
+
+def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
+    door = Door()
+    door.admit(frame(100, epoch=1))
+    door.admit(frame(0, epoch=2))
+    with pytest.raises(WireError, match="former epoch"):
+        door.admit(frame(101, epoch=1))
+    door.admit(frame(1, epoch=2))
+    assert (door.received, door.dropped, door.rejected) == (3, 0, 1)
+
+
+def test_keys_are_counted_apart() -> None:
+    door = Door()
+    door.admit(frame(5, key="status/a"))
+    door.admit(frame(0, key="status/b"))
+    assert door.dropped == 0
+
+
+def test_refusals_are_counted_by_kind_not_by_value_so_that_the_count_stays_small() -> None:
+    door = Door()
+    for i in range(100):
+        for bad in (frame(i, depth_m=2e4 + i), Frame(TOPIC, TOPIC.key, b"", 0), Frame(None, "who/knows", b"", 0)):
+            with pytest.raises(WireError):
+                door.admit(bad)
+    assert door.rejected == 300
+    assert len(door.refused) == 3
+    assert door.refused["depth_m"] == 100
+
+
+def test_a_refused_frame_does_not_move_the_sequence() -> None:
+    door = Door()
+    door.admit(frame(0))
+    with pytest.raises(WireError):
+        door.admit(frame(900, depth_m=float("nan")))
+    door.admit(frame(1))
+    assert door.dropped == 0
+
+
+def test_a_rejection_holds_the_frame_by_its_crc_and_at_most_four_kibibytes_of_it() -> None:
+    payload = msgpack.packb(list(range(100_000)))
+    rejected = rejection(Frame(TOPIC, TOPIC.key, payload, 0), "not a map", node="estimator", t_ns=5)
+    assert rejected.crc == crc(payload)
+    assert len(rejected.payload_base64) <= 4096
+    assert payload.startswith(base64.b64decode(rejected.payload_base64))
+
+
+def test_a_mailbox_gives_back_in_order_of_arrival_and_drops_beyond_its_capacity() -> None:
+    box = Mailbox(capacity=3)
+    for key in "abcde":
+        box.offer(None, key, b"")
+    taken = [box.take(0.0) for _ in range(4)]
+    assert [frame.key if frame else None for frame in taken] == ["a", "b", "c", None]
+    assert box.overflowed == 2
+    box.wake()
+    assert box.take(60.0) is None  # at once

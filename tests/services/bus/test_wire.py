@@ -1,0 +1,389 @@
+"""What travels is what was sent, or it is refused: held against json, a second decoder, and 10,000 hostile frames."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from typing import Any
+
+import msgpack
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.admission import CONSISTENCY, RANGES, refusal
+from ltv_mpc.signals import (
+    AdcpPing,
+    Applied,
+    Clock,
+    ClockState,
+    CompassHeading,
+    CurrentProfile,
+    CycleTiming,
+    Estimate,
+    GnssFix,
+    ImuSample,
+    InboxEntry,
+    NodeStatus,
+    Plan,
+    PlanOrigin,
+    PressureDepth,
+    Rejected,
+    RunEvent,
+    Signal,
+    Solve,
+    SolveStatus,
+    StepRecord,
+    TdcpFix,
+    Truth,
+)
+from services.bus.topics import BY_SIGNAL, TOPICS
+from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, plain, unpack
+
+HEADER = Header(epoch=2**48 - 1, sequence=7, sent_monotonic_us=123_456_789)
+TRIPLE = (0.1, -2.5e-17, 3.0)
+
+PROFILE = CurrentProfile(
+    depth_m=np.arange(70.0), north_mps=0.1 * np.sin(np.arange(70.0)), east_mps=np.zeros(70), sd_mps=np.full(70, 0.02)
+)
+EXAMPLES: tuple[Signal, ...] = (
+    Truth(
+        t_ns=-1_000_000_000,
+        position_m=TRIPLE,
+        velocity_mps=TRIPLE,
+        attitude_rad=TRIPLE,
+        water_velocity_mps=TRIPLE,
+        yaw_rate_radps=0.2,
+        current_mps=(0.04, -0.03),
+        thrust_N=TRIPLE,
+    ),
+    Applied(
+        t_ns=5,
+        thrust_N=TRIPLE,
+        command_N=TRIPLE,
+        command_slew_N_per_s=TRIPLE,
+        plan_epoch=0,
+        plan_sequence=-1,
+        plan_cycle_t_ns=0,
+        plan_received_t_ns=0,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    ),
+    ImuSample(t_ns=10_000_000, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE),
+    GnssFix(t_ns=0, north_m=1.0, east_m=-1.0, velocity_north_mps=0.0, velocity_east_mps=0.0),
+    TdcpFix(t_ns=0, from_t_ns=-1_000_000_000, north_m=0.01, east_m=0.02),
+    AdcpPing(
+        t_ns=333_333_333,
+        range_m=np.arange(1.0, 31.0),
+        beam_velocity_mps=np.where(np.arange(120.0) % 7 == 0, np.nan, 0.1).reshape(4, 30),
+    ),
+    PressureDepth(t_ns=0, depth_m=12.5),
+    CompassHeading(t_ns=0, heading_rad=-math.pi),
+    Estimate.at_rest(),
+    Estimate(
+        t_ns=100_000_000,
+        north_m=0.1,
+        east_m=0.2,
+        heading_rad=0.3,
+        yaw_rate_radps=0.4,
+        velocity_north_mps=0.5,
+        velocity_east_mps=0.6,
+        depth_m=20.0,
+        velocity_down_mps=0.2,
+        covariance=np.diag([25.0, 25.0, 1e-3, 1e-3, 1e-4, 1e-9]),
+        current=PROFILE,
+    ),
+    Plan(
+        cycle_t_ns=0,
+        t_ns=np.arange(18) * 300_000_000,
+        thrust_N=np.linspace(-50.0, 50.0, 54).reshape(18, 3),
+        states=np.ones((18, 6)),
+        origin=PlanOrigin.SHIFTED,
+        solve=Solve(status=SolveStatus.ITERATION_LIMIT, iterations=200, primal_residual=3.1e-2, why="limit"),
+        why="limit",
+        reference_m=(0.0, 0.0),
+    ),
+    CycleTiming(t_ns=0, compute_ns=5, compute_wall_ns=5, estimate_age_ns=-3, stage_us={"solve": 41.5}),
+    Clock(
+        clock_epoch=3,
+        clock_sequence=0,
+        host_boot_id="b",
+        at_monotonic_us=1,
+        vehicle_ns=-1_000_000_000,
+        speed_num=21,
+        speed_den=2,
+        state=ClockState.RUNNING,
+    ),
+    NodeStatus(
+        node="plant",
+        t_ns=0,
+        ready=True,
+        waiting_for="",
+        steps=1,
+        published=2,
+        received=3,
+        dropped=4,
+        rejected=5,
+        step_us=6.5,
+    ),
+    StepRecord(
+        node="plant",
+        epoch=HEADER.epoch,
+        step=0,
+        t_ns=0,
+        cause="grid",
+        inbox=(InboxEntry(key="plan", epoch=1, sequence=0, crc=2**32 - 1, received_t_ns=5),),
+    ),
+    Rejected(t_ns=0, node="plant", key="plan", reason="no map", crc=1, payload_base64="AAA="),
+    RunEvent(t_ns=0, node="plant", kind="slowed", text="by 0.4 s"),
+)
+
+
+def same(a: object, b: object) -> bool:
+    """Equal to the last bit, NaN equal to NaN."""
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, msgspec.Struct):
+        return type(a) is type(b) and all(same(getattr(a, f), getattr(b, f)) for f in a.__struct_fields__)
+    if isinstance(a, tuple):
+        return isinstance(b, tuple) and len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return type(a) is type(b) and a == b
+
+
+def test_every_topic_has_an_example_here() -> None:
+    assert {topic.signal for topic in TOPICS} == {type(example) for example in EXAMPLES}
+
+
+@pytest.mark.parametrize("signal", EXAMPLES, ids=lambda s: type(s).__name__)
+def test_what_is_decoded_is_what_was_sent_to_the_last_bit(signal: Signal) -> None:
+    decoded, header = decode(type(signal), encode(signal, HEADER))
+    assert header == HEADER
+    assert same(decoded, signal)
+
+
+@pytest.mark.parametrize("signal", EXAMPLES, ids=lambda s: type(s).__name__)
+def test_the_map_that_travels_survives_strict_json_unchanged(signal: Signal) -> None:
+    """A recording keeps the map as JSON: no NaN in it, and nothing that JSON would change."""
+    message = plain(signal, HEADER)
+    assert list(message)[:3] == ["epoch", "sequence", "sent_monotonic_us"]
+    assert json.loads(json.dumps(message, allow_nan=False)) == json.loads(msgspec.json.encode(message))
+    assert unpack(encode(signal, HEADER)) == json.loads(json.dumps(message, allow_nan=False))
+
+
+def test_a_beam_without_return_is_null_on_the_wire_and_nan_inside() -> None:
+    ping = next(e for e in EXAMPLES if isinstance(e, AdcpPing))
+    message = plain(ping, HEADER)
+    assert message["beam_velocity_mps"][0][0] is None
+    assert math.isnan(decode(AdcpPing, encode(ping, HEADER))[0].beam_velocity_mps[0, 0])
+
+
+def test_a_record_cannot_be_sent_under_another_epoch_than_its_own() -> None:
+    record = next(e for e in EXAMPLES if isinstance(e, StepRecord))
+    with pytest.raises(ValueError, match="epoch"):
+        encode(record, Header(epoch=5, sequence=0, sent_monotonic_us=0))
+
+
+def test_the_crc_is_that_of_every_other_implementation() -> None:
+    assert crc(b"123456789") == 0xCBF43926  # the check value of CRC-32/ISO-HDLC
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"", "incomplete"),
+        (b"\xc1", "."),
+        (msgpack.packb([1, 2]), "not a map"),
+        (msgpack.packb({}), "epoch"),
+        (msgpack.packb({"epoch": 1, "sequence": 0, "sent_monotonic_us": 0}), "t_ns"),
+        (msgpack.packb({"epoch": 2**48, "sequence": 0, "sent_monotonic_us": 0}), "48 bits"),
+        (msgpack.packb({"epoch": True, "sequence": 0, "sent_monotonic_us": 0}), "48 bits"),
+        (msgpack.packb({"epoch": 1, "sequence": -1, "sent_monotonic_us": 0}), "sequence"),
+        (b"\x91" * 100_000, "."),
+        (b"\xdd\xff\xff\xff\xff", "."),
+        (b"\xa1\xff", "."),
+        (b"\x00" * (MAX_PAYLOAD_BYTES + 1), "too large"),
+    ],
+    ids=[
+        "empty",
+        "reserved",
+        "list",
+        "no header",
+        "no body",
+        "epoch",
+        "bool",
+        "negative",
+        "deep",
+        "long",
+        "utf8",
+        "big",
+    ],
+)
+def test_rubbish_is_refused_by_reason(payload: bytes, reason: str) -> None:
+    with pytest.raises(WireError, match=reason):
+        decode(PressureDepth, payload)
+
+
+def changed(signal: Signal, **fields: Any) -> bytes:
+    return msgpack.packb(plain(signal, HEADER) | fields)  # type: ignore[no-any-return]
+
+
+DEPTH = PressureDepth(t_ns=0, depth_m=12.5)
+ESTIMATE = next(e for e in EXAMPLES if isinstance(e, Estimate) and e.covariance is not None)
+PLAN = next(e for e in EXAMPLES if isinstance(e, Plan))
+SKEW = np.diag([1.0] * 6)
+SKEW[0, 1] = 0.5
+INDEFINITE = np.diag([1.0] * 6)
+INDEFINITE[0, 1] = INDEFINITE[1, 0] = 1.5
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "reason"),
+    [
+        (PressureDepth, changed(DEPTH, depth_m=math.nan), "depth_m"),
+        (PressureDepth, changed(DEPTH, depth_m=-math.inf), "depth_m"),
+        (PressureDepth, changed(DEPTH, depth_m="12"), "float"),
+        (PressureDepth, changed(DEPTH, depth_m=None), "float"),
+        (PressureDepth, changed(DEPTH, t_ns=0.5), "int"),
+        (PressureDepth, changed(DEPTH, t_ns=2**63), "t_ns"),
+        (PressureDepth, changed(DEPTH, depth_ft=1.0), "depth_ft"),
+        (Estimate, changed(ESTIMATE, covariance=SKEW.tolist()), "symmetric"),
+        (Estimate, changed(ESTIMATE, covariance=INDEFINITE.tolist()), "semidefinite"),
+        (Estimate, changed(ESTIMATE, covariance=(-np.eye(6)).tolist()), "diagonal"),
+        (Estimate, changed(ESTIMATE, covariance=np.eye(5).tolist()), "6, 6"),
+        (Estimate, changed(ESTIMATE, covariance=[[1.0], [1.0, 2.0]]), "one length"),
+        (Estimate, changed(ESTIMATE, current={"depth_m": [1, 0], "north_mps": [0, 0], "east_mps": [0, 0]}), "increase"),
+        (Estimate, changed(ESTIMATE, current={"depth_m": [], "north_mps": [], "east_mps": []}), "length"),
+        (Plan, changed(PLAN, thrust_N=PLAN.thrust_N[:-1].tolist()), "thrust_N"),
+        (Plan, changed(PLAN, t_ns=PLAN.t_ns[::-1].tolist()), "increase"),
+        (Plan, changed(PLAN, t_ns=[0] * 17 + [2**64 - 1]), "."),
+        (Plan, changed(PLAN, states=[[None] * 6] * 18), "states"),
+        (Plan, changed(PLAN, origin="guess"), "guess"),
+    ],
+)
+def test_a_frame_of_right_form_and_wrong_meaning_is_refused_by_reason(
+    kind: type[Signal], payload: bytes, reason: str
+) -> None:
+    with pytest.raises(WireError, match=reason):
+        decode(kind, payload)
+
+
+def test_a_singular_covariance_passes_and_a_perfectly_known_state_too() -> None:
+    rank_one = np.outer([5.0, 5.0, 1e-2, 1e-2, 1e-2, 1e-5], [5.0, 5.0, 1e-2, 1e-2, 1e-2, 1e-5])
+    for covariance in (rank_one, np.zeros((6, 6))):
+        assert refusal(msgspec.structs.replace(ESTIMATE, covariance=covariance)) is None
+
+
+def numbers(value: object) -> list[float]:
+    """Every number in a decoded signal."""
+    if isinstance(value, np.ndarray):
+        return [float(x) for x in value.ravel()]
+    if isinstance(value, msgspec.Struct):
+        return [x for name in value.__struct_fields__ for x in numbers(getattr(value, name))]
+    if isinstance(value, dict):
+        return [x for part in value.values() for x in numbers(part)]
+    if isinstance(value, tuple):
+        return [x for part in value for x in numbers(part)]
+    return [float(value)] if isinstance(value, int | float) and not isinstance(value, bool) else []
+
+
+RUBBISH: tuple[Any, ...] = (
+    math.nan,
+    math.inf,
+    -math.inf,
+    1e308,
+    -1,
+    2**63,
+    2**64 - 1,
+    -(2**63),
+    None,
+    True,
+    "x",
+    b"\xff",
+    [],
+    {},
+    [[]],
+)
+
+
+def mutated(rng: random.Random, signal: Signal) -> bytes:
+    """A frame of ``signal`` with one or two things wrong, from bits to meanings."""
+    message: Any = unpack(encode(signal, HEADER))
+    for _ in range(rng.choice((1, 1, 2))):
+        place: Any = message
+        while isinstance(place, dict | list) and place:
+            key = rng.choice(list(place) if isinstance(place, dict) else range(len(place)))
+            if not isinstance(place[key], dict | list) or not place[key] or rng.random() < 0.3:
+                break
+            place = place[key]
+        match rng.randrange(4):
+            case 0:
+                place[key] = rng.choice(RUBBISH)
+            case 1:
+                del place[key]
+            case 2 if isinstance(place, list):
+                place.append(rng.choice((*RUBBISH, place[key])))
+            case _:
+                place[key] = [place[key]]
+    payload = bytearray(msgpack.packb(message))
+    if rng.random() < 0.3:
+        for _ in range(rng.randrange(1, 4)):
+            payload[rng.randrange(len(payload))] = rng.randrange(256)
+    if rng.random() < 0.1:
+        del payload[rng.randrange(len(payload)) :]
+    return bytes(payload)
+
+
+def test_of_ten_thousand_hostile_frames_none_crashes_and_none_gets_in_with_a_wrong_value() -> None:
+    rng = random.Random(1)
+    accepted = 0
+    for i in range(10_000):
+        signal = EXAMPLES[i % len(EXAMPLES)]
+        payload = mutated(rng, signal) if i % 10 else rng.randbytes(rng.randrange(64))
+        try:
+            decoded, _ = decode(type(signal), payload)
+        except WireError:
+            continue
+        accepted += 1
+        values = numbers(decoded)
+        if isinstance(decoded, AdcpPing):
+            values = [x for x in values if not math.isnan(x)]
+            assert decoded.beam_velocity_mps.shape == (4, len(decoded.range_m))
+        assert all(math.isfinite(x) for x in values), (type(signal), payload)
+        if isinstance(decoded, Plan):
+            assert decoded.thrust_N.shape == (len(decoded.t_ns), 3)
+            assert decoded.states.shape == (len(decoded.t_ns), 6)
+            assert (np.diff(decoded.t_ns) > 0).all()
+        if isinstance(decoded, Estimate) and decoded.covariance is not None:
+            assert np.linalg.eigvalsh(decoded.covariance / 25.0).min() > -1e-4
+    assert accepted < 2_500  # a changed digit is still a number; the rest was seen through
+
+
+def test_no_number_of_any_signal_is_left_without_a_range() -> None:
+    """NaN in any field that holds numbers is refused (a beam's NaN alone means something)."""
+    for example in EXAMPLES:
+        for field in example.__struct_fields__:
+            value = getattr(example, field)
+            if isinstance(value, tuple) and value and isinstance(value[0], float):
+                bad: Any = (math.nan, *value[1:])
+            elif isinstance(value, float):
+                bad = math.nan
+            elif isinstance(value, np.ndarray) and value.dtype == np.float64 and field != "beam_velocity_mps":
+                bad = value.copy()
+                bad.flat[-1] = math.nan
+            elif isinstance(value, dict):
+                bad = dict.fromkeys(value, math.nan)
+            elif type(value) is int:
+                bad = 2**60
+            else:
+                continue
+            assert refusal(msgspec.structs.replace(example, **{field: bad})) is not None, (type(example), field)
+
+
+def test_tables_of_admission_know_no_signal_that_does_not_travel() -> None:
+    inner = {CurrentProfile, Solve, InboxEntry}
+    from ltv_mpc.signals import Restore  # travels with restarts, which have their own issue
+
+    assert set(RANGES) - inner - {Restore} == set(BY_SIGNAL)
+    assert set(CONSISTENCY) <= set(RANGES)

@@ -1,0 +1,172 @@
+"""Bad input ends before anything starts: exit code 2, one line with file, field, value and bound, nothing made."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.vehicle import parameters
+from services.cli.app import run
+
+CSV = "depth_m,v_north_mps,u_east_mps\n"
+PAPER = (Path(parameters.__file__).parent / "files" / "paper.toml").read_text()
+
+FILES: dict[str, str | bytes] = {
+    "empty.toml": "",
+    "empty.csv": "",
+    "binary.toml": bytes(range(256)),
+    "binary.csv": bytes(range(256)),
+    "broken.toml": "title = ",
+    "scenario-unknown.toml": 'title = "x"\n[water]\nsd = 1.0\n',
+    "scenario-negative.toml": 'title = "x"\n[water]\nsd_mps = -0.04\n',
+    "scenario-nan.toml": 'title = "x"\n[run]\nduration_s = nan\n',
+    "scenario-inf.toml": 'title = "x"\n[run]\nspeed = inf\n',
+    "scenario-untitled.toml": "[run]\nseed = 1\n",
+    "scenario-vehicle.toml": 'title = "x"\nvehicle = "vehicles/none.toml"\n',
+    "scenario-measured.toml": 'title = "x"\n[water]\nkind = "measured"\n',
+    "vehicle-unknown.toml": PAPER.replace("arm_m", "arm_meters", 1),
+    "vehicle-slew.toml": PAPER.replace("slew_N_per_s = 100.0", "slew_N_per_s = 0.0", 1),
+    "vehicle-mass.toml": PAPER.replace("mass_kg = 500.0", 'mass_kg = "heavy"', 1),
+    "sensors-rate.toml": 'name = "x"\ndescription = ""\nlatitude_rad = 0.0\n[imu]\nperiod_ns = 0\n',
+    "reference-kind.toml": 'kind = "circle"\n',
+    "reference-rate.toml": 'kind = "hold"\ndescent_rate_mps = 0.0\n',
+    "columns.csv": "depth_m,v_north_mps\n1,0\n",
+    "unsorted.csv": CSV + "1,0,0\n3,0,0\n2,0,0\n",
+    "nan.csv": CSV + "1,nan,0\n",
+    "inf.csv": CSV + "1,0,inf\n",
+    "words.csv": CSV + "1,fast,0\n",
+    "rows.csv": CSV,
+}
+
+CASES = [
+    # --- scenario -------------------------------------------------------------------------------------------------
+    ("sim decsent", 'scenario "decsent": no shipped name; shipped: descent, hover; did you mean "descent"?'),
+    ("sim none.toml", "scenario none.toml: no such file"),
+    ("sim folder/", "scenario folder: is a folder"),
+    ("sim ./folder", "scenario folder: is a folder"),
+    ("sim empty.toml", "scenario empty.toml: is empty"),
+    ("sim binary.toml", "scenario binary.toml: no UTF-8 text"),
+    ("sim broken.toml", "scenario broken.toml: no valid TOML: Invalid value (at "),
+    ("sim scenario-unknown.toml", 'scenario-unknown.toml: unknown key "sd" in [water]; did you mean "sd_mps"?'),
+    ("sim scenario-negative.toml", "scenario-negative.toml: [water] sd_mps = -0.04: must be >= 0 and <= 5"),
+    ("sim scenario-nan.toml", "scenario-nan.toml: [run] duration_s = nan: must be finite"),
+    ("sim scenario-inf.toml", "scenario-inf.toml: [run] speed = inf: must be finite"),
+    ("sim scenario-untitled.toml", 'scenario-untitled.toml: key "title" is missing'),
+    ("sim scenario-vehicle.toml", "vehicle vehicles/none.toml: no such file"),
+    ("sim scenario-measured.toml", '[water] file = "": must name a currents CSV where kind = "measured"'),
+    # --- the files it names ---------------------------------------------------------------------------------------
+    ("sim --vehicle papr", 'vehicle "papr": no shipped name; shipped: paper; did you mean "paper"?'),
+    ("sim --vehicle vehicle-unknown.toml", 'unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
+    ("sim --vehicle vehicle-slew.toml", "[thruster.port] slew_N_per_s = 0.0: must be > 0 and <= 1e+06"),
+    ("sim --vehicle vehicle-mass.toml", 'vehicle-mass.toml: [surge] mass_kg = "heavy": must be a number > 0'),
+    ("sim --vehicle folder/", "vehicle folder: is a folder"),
+    ("sim --sensors sensors-rate.toml", "sensors-rate.toml: [imu] period_ns = 0: must be >= 1000000 and <= "),
+    ("sim --sensors good", 'sensors "good": no shipped name; shipped: paper, realistic'),
+    ("sim --reference reference-kind.toml", 'reference-kind.toml: kind = "circle": must be "point" or "hold"'),
+    ("sim --reference reference-rate.toml", "descent_rate_mps = 0.0: must be > 0 and <= 10"),
+    ("sim --currents none.csv", "currents none.csv"),
+    ("sim --currents folder", "currents folder"),
+    ("sim --currents empty.csv", "currents empty.csv: "),
+    ("sim --currents binary.csv", "currents binary.csv: "),
+    ("sim --currents columns.csv", "missing column u_east_mps"),
+    ("sim --currents unsorted.csv", "line 4 depth_m = 2.0: must be"),
+    ("sim --currents nan.csv", "line 2 v_north_mps = "),
+    ("sim --currents inf.csv", "line 2 u_east_mps = "),
+    ("sim --currents words.csv", 'line 2 v_north_mps = "fast": must be a number'),
+    ("sim --currents rows.csv", "currents rows.csv: no row"),
+    # --- options and --set ----------------------------------------------------------------------------------------
+    ("sim --duration-s 0", "option --duration-s: [run] duration_s = 0: must be > 0 and <= 1e+06"),
+    ("sim --duration-s nan", "option --duration-s: [run] duration_s = nan: must be finite"),
+    ("sim --duration-s ten", 'option --duration-s: [run] duration_s = "ten": must be a number > 0'),
+    ("sim --horizon-s -1", "option --horizon-s: [controller] horizon_s = -1: must be >= 0.3 and <= 120"),
+    ("sim --horizon-s 0", "option --horizon-s: [controller] horizon_s = 0: must be >= 0.3"),
+    ("sim --speed 0", "option --speed: [run] speed = 0: must be >= 0.01"),
+    ("sim --speed inf", "option --speed: [run] speed = inf: must be finite"),
+    ("sim --seed -1", "option --seed: [run] seed = -1: must be >= 0"),
+    ("sim --seed 1.5", "option --seed: [run] seed = 1.5: must be an integer >= 0"),
+    ("sim --compute-delay-s -0.1", "option --compute-delay-s: [run] compute_delay_s = -0.1: must be >= 0"),
+    ("sim --surface-time-s 0", "option --surface-time-s: [run] surface_time_s = 0: must be >= 1"),
+    ("sim --lockstep --speed 5", "option --speed: cannot act together with --lockstep"),
+    ("sim --lockstep --set run.speed=5", "option --set: run.speed: cannot act together with --lockstep"),
+    ("sim --set water.sd=1", 'option --set: "water.sd": unknown key; did you mean "water.sd_mps"?'),
+    ("sim --set horizon_s=5", 'option --set: "horizon_s": unknown key; did you mean "controller.horizon_s"?'),
+    ("sim --set water", 'option --set: "water": must be KEY=VALUE'),
+    ("sim --set water=3", 'option --set: "water": is a table: set one of water.kind, '),
+    ("sim --set water.sd_mps=", "option --set: [water] sd_mps"),
+    ("sim --set water.kind=makrov", 'option --set: [water] kind = "makrov": must be "markov" or "measured"'),
+    ("sim --set controller.solver=ospq", 'solver = "ospq": '),
+    ("sim --set controller.period_s=8", "[controller] period_s = 8.0: must be <= horizon_s = 5"),
+    ("sim --set estimator.cell_m=0.01", "[estimator] cell_m = 0.01: must be <= deepest_m = 70, and at least 0.14"),
+    ("sim --out full", 'option --out: "full": '),
+    ("sim --out rows.csv", 'option --out: "rows.csv": '),
+    ("sim --out rows.csv/below", 'option --out: "rows.csv/below": '),
+    # --- the command line itself ----------------------------------------------------------------------------------
+    ("smi", "No such command 'smi'"),
+    ("sim --horizonn 5", "No such option: --horizonn"),
+    ("sim --seed", "requires an argument"),
+    ("sim descent hover", "unexpected extra argument"),
+    ("topics plann", 'topic "plann": does not travel; did you mean "plan"?'),
+    ("profile --horizons 5,x", 'option --horizons: [controller] horizon_s = "x": must be a number'),
+    ("profile --horizons 5,,", "option --horizons"),
+    ("profile --cycles 0", "--cycles"),
+    # --- one process each -----------------------------------------------------------------------------------------
+    ("plant none.toml", "scenario none.toml: no such file"),
+    ("sensors decsent", 'scenario "decsent": no shipped name'),
+    ("recorder scenario-nan.toml", "[run] duration_s = nan: must be finite"),
+    ("controller --vehicle vehicle-unknown.toml", 'unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
+    ("controller --settings scenario-negative.toml", 'unknown key "title"'),
+    ("controller --reference reference-kind.toml", 'kind = "circle": must be "point" or "hold"'),
+    ("estimator --sensors sensors-rate.toml", "[imu] period_ns = 0: must be >= 1000000"),
+    ("estimator --settings empty.toml", "is empty"),
+    ("router --connect nowhere", 'option --connect: "nowhere": must be PROTOCOL/ADDRESS'),
+    ("router --listen tcp/", 'option --listen: "tcp/": must be PROTOCOL/ADDRESS'),
+    ("router --mode boss", 'mode = "boss": must be "client" or "peer" or "router"'),
+    ("router --config none.json5", "none.json5: no such file"),
+    ("router --namespace a*b", 'option --namespace: "a*b": must be names joined by /'),
+]
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, content in FILES.items():
+        (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("keep")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("line", "says"), CASES, ids=[line for line, _ in CASES])
+def test_bad_input_is_refused_in_one_line(
+    line: str, says: str, bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = sorted(bench.rglob("*"))
+    assert run(line.split()) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert says in err
+    assert err.startswith("ltv-mpc")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert sorted(bench.rglob("*")) == before
+
+
+@pytest.mark.parametrize("line", ["sim scenario-negative.toml", "controller --vehicle vehicle-mass.toml", "smi"])
+def test_a_process_exits_with_2_without_a_traceback(line: str, bench: Path) -> None:
+    command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
+    result = subprocess.run(command, cwd=bench, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert "Traceback" not in result.stderr
+
+
+def test_a_name_that_holds_line_breaks_still_makes_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["sim", "a\nb.toml", "--set", "x\ny=1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert run(["sim", "--set", "x\ny=1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1

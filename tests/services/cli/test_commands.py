@@ -1,0 +1,153 @@
+"""Commands: what help says and costs, which option wins, what stdout holds, what a process may import."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from services.cli.app import run
+from services.cli.start import KEYS
+from services.recording.reader import Recording
+
+COMMANDS = ("sim", "controller", "topics", "profile", "router", "plant", "sensors", "estimator", "recorder")
+CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
+
+
+def cli(line: str) -> int:
+    return run(line.split())
+
+
+def imported(stderr: str) -> set[str]:
+    """Top-level packages, from what ``-X importtime`` prints."""
+    names = re.findall(r"^import time: +\d+ \| +\d+ \| +(\S+)$", stderr, re.MULTILINE)
+    return {name.partition(".")[0] for name in names}
+
+
+def test_the_command_alone_lists_every_command_in_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([]) == 0
+    alone = capsys.readouterr().out
+    assert cli("--help") == 0
+    assert capsys.readouterr().out == alone
+    listed = re.findall(r"^│ (\w\S*) +\S.*│$", alone, re.MULTILINE)
+    assert tuple(name for name in listed if not name.startswith("-")) == COMMANDS
+
+
+def test_help_imports_nothing_that_is_slow() -> None:
+    """Numba, OSQP and scipy alone would cost 0.6 s."""
+    for arguments in ([], ["sim", "--help"], ["controller", "--help"]):
+        result = subprocess.run([*CLI, *arguments], capture_output=True, text=True, timeout=60, check=True)
+        slow = {"numpy", "scipy", "numba", "osqp", "qpsolvers", "zenoh", "msgspec", "mcap", "ltv_mpc", "sim"}
+        assert imported(result.stderr) & slow == set()
+
+
+def test_help_prints_the_key_of_each_short_spelling(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert cli("sim --help") == 0
+    lines = capsys.readouterr().out.splitlines()
+    for option, key in (
+        *KEYS.items(),
+        ("--perfect-state", "run.perfect_state"),
+        ("--no-control", "controller.lateral"),
+    ):
+        (line,) = (line for line in lines if re.search(rf"{option}\b", line))
+        assert f"Key {key}." in line
+
+
+def test_an_option_wins_over_set_and_set_over_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(
+        'title = "x"\n[run]\nseed = 1\nduration_s = 0.3\ncompute_delay_s = 0.1\n[controller]\nhorizon_s = 3.0\n'
+    )
+    line = "sim mine.toml --lockstep --out r --seed 3 --set run.seed=2 --set run.compute_delay_s=0.2 --perfect-state"
+    assert cli(line) == 0
+    written = Path("r/scenario.toml").read_text()
+    assert "seed = 3" in written  # option
+    assert "compute_delay_s = 0.2" in written  # --set
+    assert "horizon_s = 3.0" in written  # file
+    assert "perfect_state = true" in written
+
+
+def test_json_has_stdout_to_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli("sim --lockstep --duration-s 0.3 --json --perfect-state --out r") == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(Path("r/summary.json").read_text())
+
+
+def test_the_verdict_ends_with_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli("sim --lockstep --duration-s 0.3 --no-control --perfect-state") == 0
+    folder = Path(capsys.readouterr().out.splitlines()[-1])
+    assert folder.parent == Path("runs")
+    assert (folder / "run.mcap").is_file()
+
+
+def test_a_run_s_scenario_runs_again_to_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("water.csv").write_text("depth_m,v_north_mps,u_east_mps\n1,0.05,0\n20,0,0.05\n")
+    assert cli("sim --lockstep --duration-s 1 --currents water.csv --sensors realistic --seed 5 --out a") == 0
+    Path("water.csv").unlink()
+    Path("a").rename("elsewhere")
+    assert cli("sim elsewhere/scenario.toml --lockstep --out b") == 0
+    assert Path("b/run.mcap").read_bytes() == Path("elsewhere/run.mcap").read_bytes()
+
+
+def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("r").mkdir()
+    Path("r/mine.txt").write_text("keep")
+    line = "sim --lockstep --duration-s 0.3 --perfect-state --out r"
+    assert cli(line) == 2
+    assert cli(f"{line} --force") == 0
+    assert Path("r/mine.txt").read_text() == "keep"
+
+
+def test_ctrl_c_in_lock_step_ends_with_130_and_a_recording_that_reads(tmp_path: Path) -> None:
+    line = "sim --lockstep --duration-s 100000 --out r"
+    command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
+    recording = tmp_path / "r" / "run.mcap"
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60
+        while not (recording.exists() and recording.stat().st_size > 100_000) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 130
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
+    messages = Recording(recording)
+    assert sum(1 for _ in messages) > 1000
+    assert not messages.cut
+
+
+@pytest.mark.parametrize("line", ["controller --own-clock", "estimator"])
+def test_what_runs_aboard_never_imports_the_simulation(line: str, tmp_path: Path) -> None:
+    """Not even through another module: the process itself says what it has imported."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    errors = tmp_path / "stderr"
+    with errors.open("w") as sink, subprocess.Popen([*CLI, *line.split(), "-l", endpoint], stderr=sink) as process:
+        deadline = time.monotonic() + 60
+        while "waiting for" not in errors.read_text() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        os.kill(process.pid, signal.SIGTERM)
+        assert process.wait(20) == 0
+    names = imported(errors.read_text())
+    assert {"ltv_mpc", "services", "zenoh"} <= names
+    assert "sim" not in names

@@ -1,0 +1,217 @@
+"""Vehicle time: exact integers, one time for all who hear in time, and never a step back for who hears late."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ltv_mpc.signals import ClockState, NodeStatus
+from services.run.clock import LEAD_US, ClockError, Line, TimeKeeper, VehicleClock
+from services.run.timekeeping import MOST_CATCH_UP_US, TimeKeeping
+
+START_NS = -1_000_000_000
+T0_US = 50_000_000
+
+
+def keeper(speed: float = 10.0) -> TimeKeeper:
+    return TimeKeeper(epoch=1, start_ns=START_NS, speed=speed, now_us=T0_US)
+
+
+def follower(keeper: TimeKeeper) -> VehicleClock:
+    clock = VehicleClock()
+    clock.hear(keeper.message)
+    return clock
+
+
+def test_before_the_start_it_stands_at_the_start_and_nothing_is_due() -> None:
+    clock = follower(keeper())
+    assert clock.read(T0_US + 10_000_000) == START_NS
+    assert clock.due_us(START_NS) is None
+
+
+def test_it_runs_at_its_speed_from_the_announced_instant_on() -> None:
+    k = keeper(2.5)
+    clock = follower(k)
+    clock.hear(k.run(T0_US))
+    begin = T0_US + LEAD_US
+    assert clock.read(begin - 1) == START_NS
+    assert clock.due_us(START_NS) == begin
+    assert clock.read(begin + 1_000_000) == START_NS + 2_500_000_000
+
+
+def test_a_pause_freezes_it_and_it_goes_on_where_it_stood() -> None:
+    k = keeper(10)
+    clock = follower(k)
+    clock.hear(k.run(T0_US))
+    clock.hear(k.pause(T0_US + 1_000_000))
+    frozen = START_NS + 10_000_000_000  # 1 s of wall time ran, lead after lead
+    assert clock.read(T0_US + 5_000_000) == frozen
+    assert clock.due_us(frozen + 1) is None
+    clock.hear(k.run(T0_US + 9_000_000))
+    assert clock.read(T0_US + 9_000_000) == frozen
+    assert clock.read(T0_US + 9_000_000 + LEAD_US + 100) == frozen + 1_000_000
+
+
+def test_a_change_of_speed_bends_the_line_without_a_jump() -> None:
+    k = keeper(1)
+    clock = follower(k)
+    clock.hear(k.run(T0_US))
+    clock.hear(k.set_speed(T0_US + 1_000_000, 20))
+    bend = T0_US + 1_000_000 + LEAD_US
+    at_bend = START_NS + 1_000_000_000
+    assert [clock.read(bend + d) for d in (-1000, 0, 1000)] == [at_bend - 1_000_000, at_bend, at_bend + 20_000_000]
+
+
+@given(
+    at=st.integers(0, 2**40),
+    vehicle=st.integers(-(2**50), 2**50),
+    num=st.integers(1, 10**6),
+    den=st.integers(1, 10**6),
+    ahead=st.integers(1, 2**50),
+)
+def test_due_is_the_first_microsecond_at_which_the_time_is_reached(
+    at: int, vehicle: int, num: int, den: int, ahead: int
+) -> None:
+    line = Line(at, vehicle, num, den, ClockState.RUNNING)
+    due = line.due_us(vehicle + ahead)
+    assert due is not None
+    assert line.read(due) >= vehicle + ahead > line.read(due - 1)
+
+
+@given(at=st.integers(0, 2**40), num=st.integers(1, 10**6), den=st.integers(1, 10**6), after=st.integers(0, 2**40))
+def test_a_reading_is_exact_to_the_nanosecond_below(at: int, num: int, den: int, after: int) -> None:
+    exact = Fraction(after * 1000 * num, den)
+    assert 0 <= exact - Line(at, 0, num, den, ClockState.RUNNING).read(at + after) < 1
+
+
+CHANGES = st.lists(
+    st.tuples(
+        st.integers(1, 400_000),  # us since the change before
+        st.sampled_from(("pause", "run", "speed", "slow")),
+        st.floats(0.01, 1000),
+        st.integers(0, 300_000),  # us until a follower hears of it
+        st.booleans(),  # never heard at all
+    ),
+    max_size=12,
+)
+
+
+@given(changes=CHANGES, readings=st.lists(st.integers(1, 90_000), min_size=5, max_size=60))
+def test_no_follower_ever_steps_back_however_late_it_hears_and_whatever_it_misses(
+    changes: list[tuple[int, str, float, int, bool]], readings: list[int]
+) -> None:
+    k = keeper()
+    now_us, heard = T0_US, []
+    messages = [(T0_US, k.message), (T0_US, k.run(T0_US))]
+    for wait, what, speed, delay, lost in changes:
+        now_us += wait
+        if what == "speed":
+            message = k.set_speed(now_us, speed)
+        elif what == "slow":
+            message = k.slow(now_us, int(speed * 100))
+        else:
+            message = k.pause(now_us) if what == "pause" else k.run(now_us)
+        if not lost:
+            messages.append((now_us + delay, message))
+    messages.sort(key=lambda pair: pair[0])
+    clock, at_us = VehicleClock(), T0_US
+    for wait in readings:
+        at_us += wait
+        while messages and messages[0][0] <= at_us:
+            clock.hear(messages.pop(0)[1])
+        reading = clock.read(at_us)
+        if reading is not None:
+            heard.append(reading)
+    assert all(a <= b for a, b in pairwise(heard))
+
+
+@given(changes=CHANGES)
+def test_who_hears_in_time_reads_what_the_keeper_reads(changes: list[tuple[int, str, float, int, bool]]) -> None:
+    k = keeper()
+    own, other = follower(k), follower(k)
+    now_us = T0_US
+    start = k.run(T0_US)
+    own.hear(start)
+    other.hear(start)
+    for wait, what, speed, delay, _ in changes:
+        now_us += LEAD_US + wait
+        own.read(now_us)
+        message = (
+            k.set_speed(now_us, speed) if what == "speed" else k.pause(now_us) if what == "pause" else k.run(now_us)
+        )
+        own.hear(message)
+        other.hear(msgspec.structs.replace(message))
+        at_us = now_us + min(delay, LEAD_US)
+        assert own.read(at_us) == other.read(at_us)
+
+
+def test_a_line_that_slows_lets_readers_hold_still_until_it_catches_up() -> None:
+    k = keeper(10)
+    clock = follower(k)
+    clock.hear(k.run(T0_US))
+    now_us = T0_US + 1_000_000
+    before = clock.read(now_us + LEAD_US - 1)
+    clock.hear(k.slow(now_us, 30_000))
+    held = clock.read(now_us + LEAD_US)
+    assert held is not None
+    assert before is not None
+    assert before <= held <= before + 10_000
+    assert clock.read(now_us + LEAD_US + 20_000) == clock.read(now_us + LEAD_US)
+    assert clock.read(now_us + LEAD_US + 40_000) == START_NS + 10_000 * (1_000_000 + 40_000 - 30_000)
+    assert (k.slowed, k.slowed_ns) == (1, 300_000_000)
+
+
+def test_a_clock_of_another_host_or_of_another_plant_is_refused_in_words() -> None:
+    clock = follower(keeper())
+    with pytest.raises(ClockError, match="another host"):
+        clock.hear(msgspec.structs.replace(keeper().message, host_boot_id="other", clock_sequence=1))
+    with pytest.raises(ClockError, match="another plant"):
+        clock.hear(msgspec.structs.replace(keeper().message, clock_epoch=2, clock_sequence=1))
+
+
+def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:
+    sent: list[object] = []
+    clock = VehicleClock()
+    keeping = TimeKeeping(keeper(), clock, expects=("sensors", "controller"), publish=sent.append)
+    keeping.tend(T0_US)
+    keeping.heard(status("controller"))
+    keeping.tend(T0_US + 1)
+    assert keeping.waiting_for == "sensors"
+    assert clock.due_us(START_NS) is None
+    keeping.heard(status("sensors"))
+    keeping.tend(T0_US + 2)
+    assert clock.due_us(START_NS) == T0_US + 2 + LEAD_US
+
+
+def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_clock() -> None:
+    sent: list[object] = []
+    clock = VehicleClock()
+    keeping = TimeKeeping(keeper(), clock, expects=(), publish=sent.append)
+    keeping.tend(T0_US)
+    now_us = T0_US + 5_000_000
+    keeping.late(now_us, now_us - MOST_CATCH_UP_US, "plant")
+    assert len(sent) == 1
+    keeping.late(now_us, now_us - MOST_CATCH_UP_US - 7_000, "plant")
+    assert len(sent) == 3  # the clock, and an event that counts
+    keeping.late(now_us + 1, now_us - 900_000, "plant")  # the change is on its way already
+    assert len(sent) == 3
+
+
+def status(node: str) -> NodeStatus:
+    return NodeStatus(
+        node=node,
+        t_ns=0,
+        ready=True,
+        waiting_for="",
+        steps=0,
+        published=1,
+        received=0,
+        dropped=0,
+        rejected=0,
+        step_us=0.0,
+    )

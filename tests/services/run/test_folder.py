@@ -1,0 +1,89 @@
+"""The folder of a run: where it is made, what is refused, what is written."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.errors import ConfigError
+from services.run import folder
+from services.run.situation import resolve
+from services.run.summary import LOCKSTEP, summarise
+from sim.grading.metrics import Grader
+from sim.grading.summary import Messages
+
+FILES = {"scenario.toml": 'title = "abc"\n', "config/vehicle.toml": 'name = "Ä"\n'}
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_without_out_it_is_named_by_utc_time_and_scenario_and_is_the_latest() -> None:
+    made = folder.make("descent", FILES)
+    assert made.path.parent == Path("runs")
+    stamp, _, name = made.path.name.partition("-")
+    assert name == "descent"
+    assert len(stamp) == len("20261121T054500Z")
+    assert Path("runs/latest").resolve() == made.path.resolve()
+    assert os.readlink("runs/latest") == made.path.name  # the tree may be moved
+
+
+def test_two_runs_within_one_second_have_a_folder_each_and_the_second_is_the_latest() -> None:
+    made = [folder.make("descent", FILES).path for _ in range(3)]
+    assert len(set(made)) == 3
+    assert Path("runs/latest").resolve() == made[-1].resolve()
+
+
+def test_the_settings_files_are_written_as_they_are() -> None:
+    made = folder.make("descent", FILES, out=Path("a/b"))
+    assert made.scenario.read_text() == FILES["scenario.toml"]
+    assert made.config("vehicle").read_text(encoding="utf-8") == FILES["config/vehicle.toml"]
+    assert not Path("runs").exists()
+
+
+def test_an_empty_folder_is_taken_and_one_that_is_not_is_refused_untouched() -> None:
+    Path("empty").mkdir()
+    folder.make("descent", FILES, out=Path("empty"))
+    before = sorted(Path("empty").rglob("*"))
+    with pytest.raises(ConfigError, match=r"--out.*empty.*--force"):
+        folder.make("descent", {"other.toml": ""}, out=Path("empty"))
+    assert sorted(Path("empty").rglob("*")) == before
+
+
+def test_force_takes_a_full_folder_and_removes_only_what_would_be_taken_for_this_run() -> None:
+    Path("full").mkdir()
+    for name in ("run.mcap", "run.2.mcap", "summary.json", "notes.txt"):
+        Path("full", name).write_text("old")
+    folder.make("descent", FILES, out=Path("full"), force=True)
+    assert sorted(p.name for p in Path("full").iterdir()) == ["config", "notes.txt", "scenario.toml"]
+
+
+def test_a_file_in_the_way_is_refused_in_words() -> None:
+    Path("file").write_text("")
+    with pytest.raises(ConfigError, match="--out"):
+        folder.make("descent", FILES, out=Path("file"))
+    with pytest.raises(ConfigError, match="--out"):
+        folder.make("descent", FILES, out=Path("file/below"))
+
+
+def test_a_root_that_cannot_be_made_is_refused_in_words() -> None:
+    Path("runs").write_text("")
+    with pytest.raises(ConfigError, match="runs"):
+        folder.make("descent", FILES)
+
+
+def test_the_summary_is_json_with_nulls_and_leaves_no_draft() -> None:
+    situation = resolve("descent")
+    nothing = Messages(published=0, dropped=0, rejected=0)
+    summary = summarise(situation, Grader(situation.vehicle), mode=LOCKSTEP, messages=nothing)
+    made = folder.make("descent", FILES, out=Path("here"))
+    made.write_summary(summary)
+    read = json.loads(made.summary.read_text())
+    assert read["mode"] == "lockstep"
+    assert read["thrust"]["max_abs_N"] is None
+    assert sorted(p.name for p in Path("here").iterdir()) == ["config", "scenario.toml", "summary.json"]

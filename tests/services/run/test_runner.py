@@ -1,0 +1,322 @@
+"""Pure nodes on a real router on loopback: nothing skipped, nothing lost, every step told before its outputs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+
+import numpy as np
+import pytest
+
+from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
+from ltv_mpc.signals import (
+    Applied,
+    CompassHeading,
+    CycleTiming,
+    Estimate,
+    ImuSample,
+    NodeStatus,
+    Plan,
+    PlanOrigin,
+    PressureDepth,
+    Rejected,
+    Signal,
+    Solve,
+    SolveStatus,
+    StepRecord,
+    Truth,
+)
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, crc, decode
+from services.run.runner import KeepsTime, Runner
+
+TICK_NS = 10_000_000
+ZERO = (0.0, 0.0, 0.0)
+PATIENCE_S = 20.0
+
+
+class Plant:
+    name = "plant"
+    schedule = Grid(TICK_NS)
+    reads: tuple[type[Signal], ...] = (Plan,)
+    writes: tuple[type[Signal], ...] = (Truth, Applied)
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        truth = Truth(
+            t_ns=t_ns,
+            position_m=ZERO,
+            velocity_mps=ZERO,
+            attitude_rad=ZERO,
+            water_velocity_mps=ZERO,
+            yaw_rate_radps=0.0,
+            current_mps=(0.0, 0.0),
+            thrust_N=ZERO,
+        )
+        return [truth]
+
+
+class Sensors:
+    name = "sensors"
+    schedule = OnMessage((Truth,))
+    reads: tuple[type[Signal], ...] = (Truth,)
+    writes: tuple[type[Signal], ...] = (Estimate,)
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """Speaks at every tenth step only."""
+        assert [type(arrival.signal) for arrival in inbox] == [Truth]
+        return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
+
+
+class Controller:
+    name = "controller"
+    schedule = Cycle(300_000_000)
+    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Signal], ...] = (Plan,)
+
+    def __init__(self) -> None:
+        self.inboxes: list[list[Signal]] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        self.inboxes.append([arrival.signal for arrival in inbox])
+        return [
+            Plan(
+                cycle_t_ns=t_ns,
+                t_ns=np.array([t_ns, t_ns + 300_000_000]),
+                thrust_N=np.zeros((2, 3)),
+                states=np.zeros((2, 6)),
+                origin=PlanOrigin.SOLVED,
+                solve=Solve(status=SolveStatus.SOLVED),
+            )
+        ]
+
+
+class Listener:
+    """Reads what a test publishes by hand."""
+
+    name = "estimator"
+    schedule = OnMessage((ImuSample, PressureDepth, CompassHeading))
+    reads: tuple[type[Signal], ...] = (ImuSample, PressureDepth, CompassHeading)
+    writes: tuple[type[Signal], ...] = ()
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.heard: list[Signal] = []
+        self._error = error
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        self.heard += [arrival.signal for arrival in inbox]
+        if self._error is not None:
+            raise self._error
+        return []
+
+
+@pytest.fixture(scope="module")
+def router(free_port: int) -> Iterator[str]:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with open_session(BusOptions(listen=(endpoint,)), stop=threading.Event(), say=print):
+        yield endpoint
+
+
+@pytest.fixture
+def bus(router: str, request: pytest.FixtureRequest) -> BusOptions:
+    return BusOptions(connect=(router,), namespace=f"test/{abs(hash(request.node.name))}")
+
+
+@contextmanager
+def listening(bus: BusOptions) -> Iterator[tuple[Session, Mailbox]]:
+    with open_session(bus, stop=threading.Event(), say=print) as session:
+        box = Mailbox()
+        session.subscribe("**", None, box)
+        yield session, box
+
+
+@contextmanager
+def running(bus: BusOptions, *runners: Runner) -> Iterator[None]:
+    """Each in a thread, told to stop and waited for at the end."""
+    threads = [threading.Thread(target=runner.serve, args=(bus,)) for runner in runners]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        for runner, thread in zip(runners, threads, strict=True):
+            runner.ask_to_stop()
+            thread.join(PATIENCE_S)
+        assert not any(thread.is_alive() for thread in threads)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def read(frames: Sequence[Frame]) -> list[tuple[Frame, Signal, Header]]:
+    messages = []
+    for frame in frames:
+        assert frame.topic is not None
+        messages.append((frame, *decode(frame.topic.signal, frame.payload)))
+    return messages
+
+
+def drained(box: Mailbox, into: list[Frame]) -> list[Frame]:
+    while (frame := box.take(0.0)) is not None:
+        into.append(frame)
+    return into
+
+
+def finished(frames: Sequence[Frame], nodes: int) -> bool:
+    return sum(s.finished for _, s, _ in read(frames) if isinstance(s, NodeStatus)) == nodes
+
+
+def run(bus: BusOptions, nodes: Sequence[tuple[Node, int]], *, end_ns: int, speed: float) -> list[Frame]:
+    """All that was said in a run of ``nodes``, each with its compute delay; the first keeps the time."""
+    frames: list[Frame] = []
+    others = tuple(node.name for node, _ in nodes[1:])
+    keeps_time = KeepsTime(start_ns=-100_000_000, end_ns=end_ns, speed=speed, expects=others)
+    runners = [
+        Runner(
+            node,
+            stop=threading.Event(),
+            say=print,
+            keeps_time=keeps_time if i == 0 else None,
+            compute_delay_ns=delay_ns,
+        )
+        for i, (node, delay_ns) in enumerate(nodes)
+    ]
+    with listening(bus) as (_, box):
+        with running(bus, *runners):
+            until(lambda: runners[0].finished)
+        until(lambda: finished(drained(box, frames), len(nodes)))
+    return frames
+
+
+def test_a_run_skips_no_step_loses_no_message_and_tells_each_step_before_its_outputs(bus: BusOptions) -> None:
+    controller = Controller()
+    frames = run(bus, [(Plant(), 0), (Sensors(), 0), (controller, 0)], end_ns=2_000_000_000, speed=5)
+    messages = read(frames)
+
+    ticks = [s.t_ns for _, s, _ in messages if isinstance(s, Truth)]
+    assert ticks == list(range(-100_000_000, 2_000_000_001, TICK_NS))
+
+    # All that each process says it has published is here.
+    heard = Counter(header.epoch for _, _, header in messages)
+    promised = {h.epoch: s.published for _, s, h in messages if isinstance(s, NodeStatus) and s.finished}
+    assert heard == promised
+
+    # Records: numbered without a gap, before the outputs of their step, and each entry names a frame that is here.
+    seen = {(frame.key, header.epoch, header.sequence): crc(frame.payload) for frame, _, header in messages}
+    steps: Counter[str] = Counter()
+    for _, signal, _ in messages:
+        if isinstance(signal, StepRecord):
+            assert signal.step == steps[signal.node]
+            steps[signal.node] += 1
+            for entry in signal.inbox:
+                assert seen[(entry.key, entry.epoch, entry.sequence)] == entry.crc
+        elif isinstance(signal, Truth):
+            assert steps["plant"] == (signal.t_ns + 100_000_000) // TICK_NS + 1
+        elif isinstance(signal, Plan):
+            assert steps["controller"] == 1 + sum(t < signal.cycle_t_ns for t in cycle_times(messages))
+    assert steps["plant"] == steps["sensors"] == len(ticks)
+    assert controller.inboxes[-1]
+
+
+def cycle_times(messages: Sequence[tuple[Frame, Signal, Header]]) -> list[int]:
+    return [s.cycle_t_ns for _, s, _ in messages if isinstance(s, Plan)]
+
+
+def test_of_a_latest_key_a_cycle_sees_one_message_and_its_own_timing_comes_with_the_next_inbox(bus: BusOptions) -> None:
+    controller = Controller()
+    frames = run(bus, [(Plant(), 0), (Sensors(), 0), (controller, 0)], end_ns=2_000_000_000, speed=5)
+    timings = {s.t_ns: s for _, s, _ in read(frames) if isinstance(s, CycleTiming)}
+    times = cycle_times(read(frames))
+    for number, inbox in enumerate(controller.inboxes):
+        kinds = Counter(type(signal) for signal in inbox)
+        assert kinds[Estimate] <= 1
+        own = [signal for signal in inbox if isinstance(signal, CycleTiming)]
+        assert [s.t_ns for s in own] == times[number - 1 : number]
+    assert set(timings) == set(times)
+    assert all(set(s.stage_us) == {"read", "publish"} for s in timings.values())
+
+
+def test_cycles_keep_their_period_where_they_are_quick(bus: BusOptions) -> None:
+    frames = run(bus, [(Plant(), 0), (Controller(), 0)], end_ns=3_000_000_000, speed=3)
+    times = cycle_times(read(frames))
+    assert len(times) == 11  # 0, 0.3, ... 3.0 s
+    late = [t - k * 300_000_000 for k, t in enumerate(times)]
+    assert min(late) >= 0  # never early, and no drift: lateness does not add up
+    assert np.median(late) < 60_000_000
+
+
+def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bus: BusOptions) -> None:
+    """0.71 s of vehicle time, longer than the period of 0.3 s: one solve in flight."""
+    delay_ns = 710_000_000
+    controller = Controller()
+    frames = run(bus, [(Plant(), 0), (controller, delay_ns)], end_ns=4_000_000_000, speed=4)
+    messages = read(frames)
+    timings = [s for _, s, _ in messages if isinstance(s, CycleTiming)]
+    assert len(timings) >= 4
+    for timing, following in zip(timings, timings[1:], strict=False):
+        assert timing.compute_ns >= delay_ns
+        assert following.t_ns >= timing.t_ns + timing.compute_ns - 1_000_000
+        assert timing.compute_wall_ns == pytest.approx(timing.compute_ns / 4, rel=0.2)
+
+
+def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> None:
+    node = Listener()
+    runner = Runner(node, stop=threading.Event(), say=print, own_clock=True)
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="test", epoch=5, kinds=node.reads)
+        for i in range(900):
+            match i % 3:
+                case 0:
+                    out.publish(ImuSample(t_ns=i, interval_ns=1, angular_rate_radps=ZERO, specific_force_mps2=ZERO))
+                case 1:
+                    out.publish(PressureDepth(t_ns=i, depth_m=0.0))
+                case _:
+                    out.publish(CompassHeading(t_ns=i, heading_rad=0.0))
+        until(lambda: len(node.heard) == 900)
+    assert [signal.t_ns for signal in node.heard] == list(range(900))  # type: ignore[attr-defined]
+
+
+def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
+    node = Listener()
+    runner = Runner(node, stop=threading.Event(), say=print, own_clock=True)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        raw = session.publisher(BY_SIGNAL[PressureDepth].key)
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        raw.put(b"\xc1")
+        out.publish(PressureDepth(t_ns=0, depth_m=float("nan")))
+        out.publish(PressureDepth(t_ns=1, depth_m=3.0))
+
+        def refusals() -> list[Rejected]:
+            known = [f for f in drained(box, frames) if f.key.startswith("rejected/")]
+            return [s for _, s, _ in read(known) if isinstance(s, Rejected)]
+
+        until(lambda: len(node.heard) == 1 and len(refusals()) == 2)
+        assert [s.node for s in refusals()] == ["estimator", "estimator"]
+        assert "depth_m" in refusals()[1].reason
+    assert [signal.t_ns for signal in node.heard] == [1]  # type: ignore[attr-defined]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus: BusOptions) -> None:
+    """So that a replay can raise it again."""
+    runner = Runner(Listener(ArithmeticError("made up")), stop=threading.Event(), say=print, own_clock=True)
+    frames: list[Frame] = []
+    with ExitStack() as stack:
+        session, box = stack.enter_context(listening(bus))
+        stack.enter_context(running(bus, runner))
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        Outbox(session, node="test", epoch=5, kinds=(PressureDepth,)).publish(PressureDepth(t_ns=0, depth_m=1.0))
+        until(lambda: finished(drained(box, frames), 1))
+    assert [s.inbox[0].key for _, s, _ in read(frames) if isinstance(s, StepRecord)] == ["sensor/depth"]

@@ -1,0 +1,75 @@
+"""The summary of a recording of processes, written by hand: losses, restarts, refusals, wall times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.signals import CycleTiming, Estimate, NodeStatus, PressureDepth, Rejected
+from services.bus import wire
+from services.recording.writer import RunWriter
+from services.run.situation import Override, resolve
+from services.run.summary import of_recording
+from sim.grading.summary import Messages, Summary
+
+ESTIMATE = Estimate.at_rest()
+REJECTED = Rejected(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
+DEPTH = PressureDepth(t_ns=0, depth_m=1.0)
+
+
+def status(node: str) -> NodeStatus:
+    counts = dict.fromkeys(("steps", "published", "received", "dropped", "rejected"), 0)
+    return NodeStatus(node=node, t_ns=0, ready=True, waiting_for="", step_us=0.0, **counts)
+
+
+def timing(ms: int) -> CycleTiming:
+    return CycleTiming(
+        t_ns=0,
+        compute_ns=10 * ms * 1_000_000,
+        compute_wall_ns=ms * 1_000_000,
+        estimate_age_ns=50_000_000,
+        stage_us={"solve": 100.0 * ms},
+    )
+
+
+@pytest.fixture
+def summary(tmp_path: Path) -> Summary:
+    path = tmp_path / "run.mcap"
+    with RunWriter(path, start_ns=0, metadata={}) as writer:
+        for node, signal, epoch, sequence in (
+            ("controller", status("controller"), 11, 0),
+            ("controller", status("controller"), 11, 1),
+            ("controller", status("controller"), 12, 0),  # started anew
+            ("controller", timing(1), 11, 0),
+            ("controller", timing(3), 11, 3),  # two are missing
+            ("estimator", status("estimator"), 13, 0),
+            ("estimator", REJECTED, 13, 0),
+            ("estimator", ESTIMATE, 13, 0),
+            ("sensors", DEPTH, 14, 0),
+        ):
+            writer.write(node, signal, wire.Header(epoch=epoch, sequence=sequence, sent_monotonic_us=5), 0)
+        # An estimate that no node would let in: it counts as published and is not graded.
+        rubbish = wire.plain(ESTIMATE, wire.Header(epoch=13, sequence=1, sent_monotonic_us=5)) | {"north_m": None}
+        writer.write_plain("estimate", Estimate, rubbish, 0)
+    return of_recording(resolve("descent", [Override("test", ["run.speed=10"])]), path)
+
+
+def test_gaps_of_the_sequences_are_dropped_messages(summary: Summary) -> None:
+    assert summary.messages == Messages(published=3 + 4 + 1 + 1 + 2 + 1, dropped=2, rejected=1)
+
+
+def test_each_further_epoch_of_a_process_is_a_restart(summary: Summary) -> None:
+    assert summary.restarts == 1
+
+
+def test_times_are_in_vehicle_and_in_wall_seconds_and_stages_in_wall_microseconds(summary: Summary) -> None:
+    assert summary.speed == 10.0
+    assert (summary.compute_delay_s.median, summary.compute_delay_wall_s.median) == (0.02, 0.002)
+    assert summary.stages_us["solve"].median == 200.0
+    assert summary.stages_us["age"].median == 5000.0
+
+
+def test_a_run_that_never_began_has_no_errors_and_no_duration(summary: Summary) -> None:
+    assert (summary.mode, summary.duration_s, summary.cycles) == ("services", 0.0, 0)
+    assert summary.true_error_m.mean is None

@@ -1,0 +1,274 @@
+"""The order of steps and deliveries, on nodes small enough to write the answer down by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, OnMessage, Schedule
+from ltv_mpc.signals import (
+    CycleTiming,
+    Estimate,
+    Plan,
+    PlanOrigin,
+    PressureDepth,
+    Rejected,
+    RunEvent,
+    Signal,
+    Solve,
+    SolveStatus,
+    Truth,
+)
+from sim import lockstep
+
+MS = 1_000_000
+
+
+def truth(t_ns: int) -> Truth:
+    still = (0.0, 0.0, 0.0)
+    return Truth(
+        t_ns=t_ns,
+        position_m=still,
+        velocity_mps=still,
+        attitude_rad=still,
+        water_velocity_mps=still,
+        yaw_rate_radps=0.0,
+        current_mps=(0.0, 0.0),
+        thrust_N=still,
+    )
+
+
+def estimate(t_ns: int) -> Estimate:
+    return Estimate(
+        t_ns=t_ns,
+        north_m=0.0,
+        east_m=0.0,
+        heading_rad=0.0,
+        yaw_rate_radps=0.0,
+        velocity_north_mps=0.0,
+        velocity_east_mps=0.0,
+    )
+
+
+def plan(cycle_t_ns: int, estimate_t_ns: int) -> Plan:
+    knots = cycle_t_ns + 300 * MS * np.arange(3)
+    return Plan(
+        cycle_t_ns=cycle_t_ns,
+        t_ns=knots,
+        thrust_N=np.zeros((3, 3)),
+        states=np.zeros((3, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+        estimate_t_ns=estimate_t_ns,
+    )
+
+
+class Fake:
+    """A node that answers with a function and keeps what it was handed."""
+
+    def __init__(self, name: str, schedule: Schedule, reads: tuple[type[Signal], ...], answer: Any = None) -> None:
+        self.name = name
+        self.schedule = schedule
+        self.reads = reads
+        self.writes: tuple[type[Signal], ...] = ()
+        self.answer = answer or (lambda _t_ns, _inbox: [])
+        self.seen: list[tuple[int, list[tuple[type[Signal], int, int]]]] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
+        return self.answer(t_ns, inbox)
+
+    @property
+    def times_ms(self) -> list[float]:
+        return [t_ns / MS for t_ns, _ in self.seen]
+
+
+class Log:
+    """Writes down what an observer is told."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[Any, ...]] = []
+
+    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: str | type[Signal], inbox: Inbox) -> None:
+        self.lines.append(("step", at_ns // MS, node, number, t_ns / MS, cause, len(inbox)))
+
+    def published(self, node: str, message: Arrival) -> None:
+        kind = type(message.signal)
+        self.lines.append(("out", message.received_t_ns // MS, node, kind, message.epoch, message.sequence))
+
+
+def plant(**kw: Any) -> Fake:
+    return Fake("plant", Grid(10 * MS), (Plan,), lambda t_ns, _: [truth(t_ns)], **kw)
+
+
+def controller(period_ms: int = 300) -> Fake:
+    newest = {"t_ns": 0}
+
+    def answer(t_ns: int, inbox: Inbox) -> list[Signal]:
+        for arrival in inbox:
+            if isinstance(arrival.signal, Estimate):
+                newest["t_ns"] = arrival.signal.t_ns
+        return [plan(t_ns, newest["t_ns"])]
+
+    return Fake("controller", Cycle(period_ms * MS), (Estimate, CycleTiming), answer)
+
+
+def test_a_grid_steps_at_whole_multiples_of_its_period_from_the_start_to_the_end_both_included() -> None:
+    node = plant()
+    lockstep.run([node], start_ns=-25 * MS, end_ns=30 * MS)
+    assert node.times_ms == [-20, -10, 0, 10, 20, 30]
+
+
+def test_at_one_instant_nodes_step_in_the_order_of_the_list_however_their_schedules_differ() -> None:
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=0.0)])
+    estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)])
+    log = Log()
+    lockstep.run([plant(), sensors, estimator, controller(20)], start_ns=0, end_ns=20 * MS, observe=log)
+    steps = [(line[1], line[2]) for line in log.lines if line[0] == "step"]
+    table = ["plant", "sensors", "estimator", "controller"]
+    assert steps == [(0, n) for n in table] + [(10, n) for n in table[:3]] + [(20, n) for n in table]
+
+
+def test_the_observer_hears_of_a_step_before_its_outputs_with_cause_number_epoch_and_sequence() -> None:
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=0.0)])
+    log = Log()
+    lockstep.run([plant(), sensors], start_ns=0, end_ns=10 * MS, observe=log)
+    assert log.lines == [
+        ("step", 0, "plant", 0, 0, "grid", 0),
+        ("out", 0, "plant", Truth, 1, 0),
+        ("step", 0, "sensors", 0, 0, Truth, 1),
+        ("out", 0, "sensors", PressureDepth, 1, 0),
+        ("step", 10, "plant", 1, 10, "grid", 0),
+        ("out", 10, "plant", Truth, 1, 1),
+        ("step", 10, "sensors", 1, 10, Truth, 1),
+        ("out", 10, "sensors", PressureDepth, 1, 1),
+    ]
+
+
+def test_a_step_on_a_message_is_for_its_validity_time_and_its_outputs_are_published_when_it_arrived() -> None:
+    sensors = Fake(
+        "sensors", OnMessage((Truth,)), (Truth,), lambda t_ns, _: [PressureDepth(t_ns=t_ns - 3 * MS, depth_m=0.0)]
+    )
+    estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)])
+    log = Log()
+    lockstep.run([plant(), sensors, estimator], start_ns=10 * MS, end_ns=10 * MS, observe=log)
+    assert log.lines[-2:] == [
+        ("step", 10, "estimator", 0, 7, PressureDepth, 1),
+        ("out", 10, "estimator", Estimate, 1, 0),
+    ]
+
+
+def test_several_messages_at_once_are_stepped_on_one_by_one_in_their_order_of_arrival() -> None:
+    def two(t_ns: int, _: Inbox) -> list[Signal]:
+        return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=0.0), PressureDepth(t_ns=t_ns, depth_m=0.0)]
+
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), two)
+    estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,))
+    lockstep.run([plant(), sensors, estimator], start_ns=0, end_ns=0)
+    assert estimator.seen == [(-2 * MS, [(PressureDepth, 0, 0)]), (0, [(PressureDepth, 1, 0)])]
+
+
+def test_what_causes_no_step_waits_in_the_inbox_and_comes_before_the_message_that_does() -> None:
+    first = Fake("first", Grid(10 * MS), (), lambda t_ns, _: [RunEvent(t_ns=t_ns, node="first", kind="k", text="")])
+    source = Fake("plant", Grid(20 * MS), (), lambda t_ns, _: [truth(t_ns)])
+    reader = Fake("reader", OnMessage((Truth,)), (Truth, RunEvent))
+    lockstep.run([first, source, reader], start_ns=0, end_ns=20 * MS)
+    assert [kinds for _, kinds in reader.seen] == [
+        [(RunEvent, 0, 0), (Truth, 0, 0)],
+        [(RunEvent, 1, 10 * MS), (RunEvent, 2, 20 * MS), (Truth, 1, 20 * MS)],
+    ]
+
+
+def test_without_delay_a_plan_made_at_t_is_in_the_plants_next_step() -> None:
+    node = plant()
+    lockstep.run([node, controller()], start_ns=0, end_ns=20 * MS)
+    assert [kinds for _, kinds in node.seen] == [[], [(Plan, 0, 0)], []]
+
+
+@pytest.mark.parametrize(
+    ("delay_ms", "cycles_ms"),
+    [(0, [0, 300, 600, 900]), (200, [0, 300, 600, 900]), (300, [0, 300, 600, 900]), (400, [0, 400, 800])],
+)
+def test_a_cycle_starts_at_its_period_or_when_the_last_one_ends_if_that_is_later(
+    delay_ms: int, cycles_ms: list[int]
+) -> None:
+    node = controller()
+    lockstep.run([node], start_ns=0, end_ns=1000 * MS, compute_delay_ns=delay_ms * MS)
+    assert node.times_ms == cycles_ms
+
+
+def test_a_plan_arrives_exactly_one_delay_after_its_cycle_began_and_before_the_steps_of_that_instant() -> None:
+    node = plant()
+    lockstep.run([node, controller()], start_ns=0, end_ns=730 * MS, compute_delay_ns=710 * MS)
+    got = {t_ns // MS: kinds for t_ns, kinds in node.seen if kinds}
+    assert got == {710: [(Plan, 0, 710 * MS)]}
+
+
+def test_the_next_cycle_hears_what_the_last_one_took_even_if_it_starts_the_instant_that_one_ends() -> None:
+    node = controller()
+    lockstep.run([node], start_ns=0, end_ns=710 * MS, compute_delay_ns=710 * MS)
+    assert node.seen == [(0, []), (710 * MS, [(CycleTiming, 0, 710 * MS)])]
+
+
+def test_a_cycles_timing_is_the_set_delay_exactly_with_nothing_measured() -> None:
+    told: list[CycleTiming] = []
+
+    class Ear(Log):
+        def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
+            if isinstance(message.signal, CycleTiming):
+                told.append(message.signal)
+
+    source = Fake("estimator", Grid(350 * MS), (), lambda t_ns, _: [estimate(t_ns)])
+    lockstep.run([source, controller()], start_ns=0, end_ns=1000 * MS, compute_delay_ns=400 * MS, observe=Ear())
+    assert [(t.t_ns // MS, t.estimate_age_ns // MS) for t in told] == [(0, 0), (400, 50)]
+    assert {(t.compute_ns // MS, t.compute_wall_ns, len(t.stage_us)) for t in told} == {(400, 0, 0)}
+
+
+def test_a_cycle_that_makes_no_plan_takes_no_time_and_tells_no_timing() -> None:
+    node = Fake("controller", Cycle(300 * MS), (CycleTiming,))
+    lockstep.run([node], start_ns=-100 * MS, end_ns=700 * MS, compute_delay_ns=500 * MS)
+    assert node.seen == [(0, []), (300 * MS, []), (600 * MS, [])]
+
+
+def test_of_estimates_a_cycle_is_handed_the_newest_and_of_everything_else_each() -> None:
+    source = Fake(
+        "estimator",
+        Grid(100 * MS),
+        (),
+        lambda t_ns, _: [estimate(t_ns), RunEvent(t_ns=t_ns, node="estimator", kind="k", text="")],
+    )
+    node = Fake("controller", Cycle(300 * MS), (Estimate, RunEvent))
+    lockstep.run([source, node], start_ns=0, end_ns=300 * MS)
+    at_300 = node.seen[1][1]
+    assert at_300 == [
+        (RunEvent, 1, 100 * MS),
+        (RunEvent, 2, 200 * MS),
+        (Estimate, 3, 300 * MS),
+        (RunEvent, 3, 300 * MS),
+    ]
+
+
+def test_an_inadmissible_signal_reaches_no_node_and_its_reader_is_told() -> None:
+    source = Fake("sensors", Grid(10 * MS), (), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=float("nan"))])
+    reader = Fake("estimator", Grid(10 * MS), (PressureDepth, Rejected))
+    deaf = Fake("deaf", Grid(10 * MS), (PressureDepth,))
+    other = Fake("controller", Grid(10 * MS), (Rejected,))
+    log = Log()
+    lockstep.run([source, reader, deaf, other], start_ns=0, end_ns=0, observe=log)
+    assert reader.seen == [(0, [(Rejected, 0, 0)])]
+    assert deaf.seen == other.seen == [(0, [])]
+    told = [line[2] for line in log.lines if line[0] == "out" and line[3] is Rejected]
+    assert told == ["estimator", "deaf"]
+
+
+def test_advancing_in_pieces_is_the_same_as_at_once() -> None:
+    def lines(pieces_ms: list[int]) -> list[tuple[Any, ...]]:
+        log = Log()
+        run = lockstep.LockStep([plant(), controller(30)], start_ns=0, compute_delay_ns=45 * MS, observe=log)
+        for piece_ms in pieces_ms:
+            run.advance(piece_ms * MS)
+        return log.lines
+
+    assert lines([1, 45, 46, 50, 200]) == lines([200])

@@ -1,0 +1,219 @@
+"""The true vehicle's motion against conservation laws, closed forms and an independent integration of the equations."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from sim import motion
+from sim.plant import mismatched
+from sim.scenario import Mismatch
+
+PAPER = Vehicle.load("paper").coefficients()
+UNEQUAL = PAPER._replace(mass_surge=350.0, mass_sway=520.0, linear_surge=9.0, linear_sway=21.0, linear_heave=4.0)
+DRAGLESS = {name: 0.0 for name in PAPER._fields if name.startswith(("linear", "quadratic"))}
+RHO, DIAMETER, N_MAX = 1025.0, 0.25, 7.2
+DEPTHS = np.arange(71.0)
+DRAWS = np.random.default_rng(8)
+SHEARED = np.cumsum(DRAWS.normal(0, 0.02, (71, 2)), axis=0)
+STILL = np.zeros((71, 2))
+H = 0.01
+
+
+def travel(
+    s: list[float],
+    commands: np.ndarray,
+    p: Coefficients,
+    *,
+    current: np.ndarray = STILL,
+    lag: float = 0.3,
+    factor: float = 1.0,
+    held: bool = False,
+    h: float = H,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States (T, 8), revolutions (T, 3) and thrusts (T, 3) for commands (T, 3), one a step."""
+    state, n, F = np.array(s, dtype=float), np.zeros(3), np.zeros(3)
+    propellers = np.tile([DIAMETER, N_MAX, lag], (3, 1))
+    states, revs, thrusts = [state.copy()], [n.copy()], [F.copy()]
+    for y0, y1 in itertools.pairwise(commands):
+        water = (DEPTHS, current, current, 0.0)
+        motion.step(state, n, y0, y1, held, h, *water, p, propellers, RHO, factor, F)
+        states.append(state.copy())
+        revs.append(n.copy())
+        thrusts.append(F.copy())
+    return np.array(states), np.array(revs), np.array(thrusts)
+
+
+def none(seconds: float) -> np.ndarray:
+    return np.zeros((round(seconds / H) + 1, 3))
+
+
+def constant(seconds: float, *thrust: float) -> np.ndarray:
+    return np.tile(thrust, (round(seconds / H) + 1, 1))
+
+
+def test_full_ahead_reaches_half_a_metre_a_second():
+    states, _, thrusts = travel([0] * 8, constant(60, 62.5, 62.5, 0), PAPER)
+    assert states[-1, 2] == pytest.approx(0.5, abs=1e-4)
+    np.testing.assert_allclose(thrusts[-1, :2], 62.5, atol=1e-3)
+    np.testing.assert_allclose(states[:, [1, 3, 4, 5]], 0.0)
+
+
+def test_full_vertical_thrust_sinks_at_a_fifth_of_a_metre_a_second():
+    states, _, _ = travel([0] * 8, constant(30, 0, 0, 62.5), PAPER)
+    assert states[-1, 7] == pytest.approx(0.2, abs=1e-5)
+
+
+def test_port_thrust_turns_to_starboard():
+    states, _, _ = travel([0] * 8, constant(3, 20, 0, 0), PAPER)
+    assert states[-1, 4] > 0.01
+    assert states[-1, 1] > 0
+
+
+def test_without_drag_and_thrust_kinetic_energy_is_conserved():
+    """Coriolis forces do no work, and RK4 keeps it to nine digits over a minute."""
+    p = UNEQUAL._replace(net_buoyancy=0.0, **DRAGLESS)
+    states, _, _ = travel([0, 0, 0.4, -0.3, 0.3, 0.25, 10, 0.0], none(60), p)
+    u, v, r = states[:, 2], states[:, 3], states[:, 5]
+    energy = 0.5 * (p.mass_surge * u**2 + p.mass_sway * v**2 + p.inertia_yaw * r**2)
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+    assert np.ptp(u) > 0.3  # and it is exchanged
+
+
+def test_sinking_through_shear_keeps_the_momentum_of_dry_mass_over_ground_and_added_mass_in_the_water():
+    """m V + (M - m) V_r is constant in the world, V over ground, V_r in the water, where no force acts."""
+    p = PAPER._replace(net_buoyancy=0.0, **DRAGLESS)
+    states, _, _ = travel([0, 0, 0.2, -0.1, 0.5, 0.02, 3.3, 0.2], none(100), p, current=SHEARED)
+    u, v, psi, z = states[:, 2], states[:, 3], states[:, 4], states[:, 6]
+    assert z[-1] == pytest.approx(23.3)
+    relative = np.column_stack([np.cos(psi) * u - np.sin(psi) * v, np.sin(psi) * u + np.cos(psi) * v])
+    current = np.column_stack([np.interp(z, DEPTHS, SHEARED[:, i]) for i in range(2)])
+    momentum = p.dry_mass * (relative + current) + (p.mass_surge - p.dry_mass) * relative
+    # Where a step crosses a cell's centre the slope of the current jumps in it: 2e-3 m/s at most, of 10 ms.
+    np.testing.assert_allclose(momentum, np.broadcast_to(momentum[0], momentum.shape), atol=0.2)
+    assert np.abs(p.dry_mass * (current - current[0])).max() > 10 * 0.2
+
+
+def test_the_way_made_good_is_that_through_the_water_plus_that_of_the_water():
+    states, _, _ = travel([0, 0, 0, 0, 0, 0, 20, 0], none(10), PAPER, current=np.tile([0.1, -0.2], (71, 1)), held=True)
+    np.testing.assert_allclose(states[-1, :2], [1.0, -2.0])
+
+
+def equations(t, x, p, command, lag, current):
+    """model.md, section "Equations of motion", written again: scalars, governor without sampling."""
+    u, v, psi, r, z, w, n1, n2, n3 = x[2:]
+    m_x, m_y, m_z, i_z = p.mass_surge, p.mass_sway, p.mass_heave, p.inertia_yaw
+    a, b = 0.4 * RHO * DIAMETER**4, RHO * DIAMETER**3 / 3
+
+    def governed(F, inflow):
+        roots = np.roots([a, -b * inflow, -F]) if F > 0 else -np.roots([a, b * inflow, F])
+        real = [x for x in roots.real if x * F > 0]
+        return min(max(real[0] if real else 0.0, -N_MAX), N_MAX)
+
+    def eq8(n, inflow):
+        return a * abs(n) * n - b * inflow * abs(n)
+
+    y = command(t)
+    F1, F2, F3 = eq8(n1, u), eq8(n2, u), eq8(n3, w)
+    c = [np.interp(z, DEPTHS, current[:, i]) for i in range(2)]
+    slope = [np.interp(z + 1e-6, DEPTHS, current[:, i]) - np.interp(z - 1e-6, DEPTHS, current[:, i]) for i in range(2)]
+    shear_n, shear_e = slope[0] / 2e-6 * w, slope[1] / 2e-6 * w
+    cos, sin = math.cos(psi), math.sin(psi)
+    return [
+        cos * u - sin * v + c[0],
+        sin * u + cos * v + c[1],
+        (F1 + F2 - p.linear_surge * u - p.quadratic_surge * u * abs(u) + m_y * v * r) / m_x
+        - p.dry_mass / m_x * (cos * shear_n + sin * shear_e),
+        (-p.linear_sway * v - p.quadratic_sway * v * abs(v) - m_x * u * r) / m_y
+        - p.dry_mass / m_y * (-sin * shear_n + cos * shear_e),
+        r,
+        ((F1 - F2) * 0.2 - p.linear_yaw * r - p.quadratic_yaw * r * abs(r) + (m_x - m_y) * u * v) / i_z,
+        w,
+        (F3 - p.linear_heave * w - p.quadratic_heave * w * abs(w) - p.net_buoyancy) / m_z,
+        (governed(y[0], u) - n1) / lag,
+        (governed(y[1], u) - n2) / lag,
+        (governed(y[2], w) - n3) / lag,
+    ]
+
+
+def test_the_motion_is_that_of_an_independent_integration_of_the_equations():
+    def command(t):
+        return 30 + 25 * math.sin(0.9 * t), 35 - 20 * math.sin(0.7 * t + 0.4), 50 + 10 * math.cos(0.5 * t)
+
+    smooth = np.column_stack([0.1 * np.sin(DEPTHS / 9.0), 0.1 * np.cos(DEPTHS / 7.0)])
+    start = [1.0, -2.0, 0.2, -0.05, 0.4, 0.03, 5.2, 0.1]
+    times = np.arange(0.0, 20.0 + H / 2, H)
+    states, revs, _ = travel(start, np.array([command(t) for t in times]), UNEQUAL, current=smooth)
+    exact = solve_ivp(
+        equations, (0, 20), [*start, 0, 0, 0], args=(UNEQUAL, command, 0.3, smooth), rtol=1e-7, atol=1e-9, max_step=0.2
+    ).y[:, -1]
+    # The plant's governor sees the inflow of the step's start, 10 ms late at most: below 1e-3 in each quantity.
+    np.testing.assert_allclose(states[-1], exact[:8], atol=1e-3)
+    np.testing.assert_allclose(revs[-1], exact[8:], atol=3e-3)
+
+
+@pytest.mark.parametrize("lag", [0.0, 1e-9, 0.1, 0.3, 1.0])
+def test_revolutions_follow_with_the_lags_time_constant(lag):
+    heavy = PAPER._replace(mass_surge=1e7, mass_sway=1e7, mass_heave=1e7, inertia_yaw=1e7)
+    _, revs, thrusts = travel([0] * 8, constant(max(5 * lag, 0.1), 40, -40, 40), heavy, lag=lag, held=True)
+    asked = math.sqrt(40 / (0.4 * RHO * DIAMETER**4))
+    if lag < 1e-3:
+        np.testing.assert_allclose(thrusts[1:], np.tile([40, -40, 40], (len(thrusts) - 1, 1)), atol=1e-3)
+    else:
+        k = round(lag / H)
+        np.testing.assert_allclose(revs[k], asked * (1 - math.exp(-1)) * np.array([1, -1, 1]), rtol=1e-4)
+
+
+def test_thrust_asked_for_is_thrust_delivered_until_the_propeller_turns_as_fast_as_it_can():
+    asked = np.linspace(-90, 90, 37)
+    for inflow in (-0.3, 0.0, 0.4):
+        for F in asked:
+            heavy = PAPER._replace(mass_surge=1e9, mass_sway=1e9, mass_heave=1e9, inertia_yaw=1e9)
+            _, revs, thrusts = travel([0, 0, inflow, 0, 0, 0, 9, 0], constant(0.02, F, F, 0), heavy, lag=0.0)
+            most = 0.4 * RHO * DIAMETER**4 * N_MAX**2 - inflow * RHO * DIAMETER**3 * N_MAX / 3
+            least = -0.4 * RHO * DIAMETER**4 * N_MAX**2 - inflow * RHO * DIAMETER**3 * N_MAX / 3
+            assert np.abs(revs).max() <= N_MAX
+            assert thrusts[-1, 0] == pytest.approx(min(max(F, least), most), abs=1e-6)
+
+
+def test_a_weaker_thruster_pushes_less_than_eq_8_says_of_its_revolutions():
+    half, _, said = travel([0] * 8, constant(0.5, 20, 20, 0), PAPER, factor=0.5)
+    full, _, _ = travel([0] * 8, constant(0.5, 10, 10, 0), PAPER)
+    assert said[-1, 0] == pytest.approx(20 * (1 - math.exp(-0.5 / 0.3)) ** 2, rel=0.02)
+    assert half[-1, 2] == pytest.approx(full[-1, 2], rel=0.03)
+
+
+def test_a_buoyant_vehicle_rises_to_the_surface_and_stays():
+    states, _, _ = travel([0, 0, 0, 0, 0, 0, 1.0, 0], none(30), PAPER)
+    depth, w = states[:, 6], states[:, 7]
+    assert depth.min() == 0.0
+    assert w.min() == pytest.approx(-math.sqrt(30.5 / 800), abs=1e-3)
+    assert (depth[-1000:] == 0.0).all()
+    assert (w[-1000:] == 0.0).all()
+
+
+def test_at_the_surface_it_sinks_once_the_vertical_thrust_beats_the_buoyancy():
+    weak, _, _ = travel([0] * 8, constant(5, 0, 0, 30), PAPER)
+    strong, _, _ = travel([0] * 8, constant(5, 0, 0, 32), PAPER)
+    assert weak[-1, 6] == 0.0
+    assert strong[-1, 6] > 0.0
+
+
+def test_a_held_vehicle_keeps_its_depth():
+    states, _, _ = travel([0, 0, 0, 0, 0, 0, 20.0, 0], none(5), PAPER, held=True)
+    assert (states[:, 6] == 20.0).all()
+
+
+def test_mismatch_scales_masses_and_damping_and_leaves_the_rest():
+    true = mismatched(UNEQUAL, Mismatch(mass=1.1, drag=0.8))
+    assert true.mass_surge == pytest.approx(1.1 * UNEQUAL.mass_surge)
+    assert true.inertia_yaw == pytest.approx(1.1 * UNEQUAL.inertia_yaw)
+    assert true.dry_mass == pytest.approx(1.1 * UNEQUAL.dry_mass)
+    assert true.linear_surge == pytest.approx(0.8 * UNEQUAL.linear_surge)
+    assert true.quadratic_yaw == pytest.approx(0.8 * UNEQUAL.quadratic_yaw)
+    assert (true.net_buoyancy, true.arm_port, true.lag_port) == (30.5, 0.2, 0.3)

@@ -1,0 +1,86 @@
+"""Scenarios: what --set does, what no single field can tell, and that what is written is read back."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+from sim.scenario import Scenario, checked, overridden
+
+
+@pytest.mark.parametrize("name", ["descent", "hover"])
+def test_a_scenario_written_as_toml_is_read_back_bit_for_bit(name: str) -> None:
+    scenario = Scenario.load(name)
+    assert config.parse(tomllib.loads(config.to_toml(scenario)), Scenario, source="x") == scenario
+
+
+def test_an_assignment_changes_its_key_and_nothing_else() -> None:
+    before = Scenario.load("descent")
+    after = overridden(before, ["water.sd_mps=0.1", "run.perfect_state=true", "run.seed = 7", "vehicle=my otter.toml"])
+    assert (after.water.sd_mps, after.run.perfect_state, after.run.seed) == (0.1, True, 7)
+    assert after.vehicle == "my otter.toml"
+    back = [f"water.sd_mps={before.water.sd_mps}", "run.perfect_state=false", "run.seed=0", 'vehicle="paper"']
+    assert overridden(after, back) == before
+
+
+def test_of_two_assignments_to_one_key_the_last_wins() -> None:
+    assert overridden(Scenario.load("descent"), ["run.seed=1", "run.seed=2"]).run.seed == 2
+
+
+@pytest.mark.parametrize(
+    ("assignment", "says"),
+    [
+        ("controller.weights.thrst=1", 'unknown key; did you mean "controller.weights.thrust"?'),
+        ("controller.weights=1", "is a table: set one of controller.weights.position_per_m2, "),
+        ("made_by.python=3", "unknown key"),
+        ("run.seed=1\nrun.speed=3", "must be an integer"),
+        ("run.perfect_state=yes", '[run] perfect_state = "yes": must be true or false'),
+        ("=", 'option --set: "": unknown key'),
+    ],
+)
+def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        overridden(Scenario.load("descent"), [assignment])
+    assert says in str(error.value)
+    assert str(error.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("assignments", "says"),
+    [
+        (["water.kind=measured"], '[water] file = "": must name a currents CSV'),
+        (["water.file=a.csv"], 'is not read where kind = "markov"'),
+        (["water.cell_m=100"], "[water] cell_m = 100.0: must be <= deepest_m = 70"),
+        (
+            ["estimator.deepest_m=2000"],
+            "[estimator] cell_m = 1.0: must be <= deepest_m = 2000, and at least 4: at most 500",
+        ),
+        (["controller.period_s=5.5"], "[controller] period_s = 5.5: must be <= horizon_s = 5"),
+    ],
+)
+def test_fields_that_contradict_each_other_are_refused(assignments: list[str], says: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        checked(overridden(Scenario.load("descent"), assignments), source="scenario descent")
+    assert says in str(error.value)
+
+
+def test_files_that_a_scenario_names_are_beside_it_and_shipped_names_stay(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'title = "x"\nvehicle = "cars/otter.toml"\nsensors = "realistic"\nreference = "/abs/line.toml"\n'
+        '[water]\nkind = "measured"\nfile = "a.csv"\n'
+    )
+    scenario = Scenario.load(str(file))
+    assert scenario.vehicle == str(tmp_path / "cars/otter.toml")
+    assert scenario.sensors == "realistic"
+    assert scenario.reference == "/abs/line.toml"
+    assert scenario.water.file == str(tmp_path / "a.csv")
+
+
+def test_the_run_begins_afloat_and_ends_after_the_descent() -> None:
+    scenario = overridden(Scenario.load("descent"), ["run.surface_time_s=2.5", "run.duration_s=10"])
+    assert (scenario.start_ns, scenario.end_ns) == (-2_500_000_000, 10_000_000_000)
