@@ -23,8 +23,8 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] = 1.0
     terminal_position_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 40.0
     terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 600.0
-    thrust: Annotated[float, Meta(ge=0, le=1e6)] = 3e-3
-    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1e-3
+    thrust: Annotated[float, Meta(ge=0, le=1e6)] = 5e-3
+    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 3e-3
 
 
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -37,7 +37,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
     tolerance: Annotated[float, Meta(gt=0, le=1e-1)] = 5e-6
     solver: str = "osqp"
-    delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.95
+    delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected before anything was measured
 
     @classmethod

@@ -108,8 +108,8 @@ class Controller:
         """One cycle.
 
         ``estimate``: the newest; ``t_ns``: now, the estimate's own time if left out; ``applied``: the actuators'
-        report, without which the controller assumes that its plans were followed. Never raises for what an input holds: a plan
-        that is not the QP's says so in ``origin`` and ``why``.
+        report, without which the controller assumes that its plans were followed. Never raises for what an input
+        holds: a plan that is not the QP's says so in ``origin`` and ``why``.
         """
         now = estimate.t_ns if t_ns is None else t_ns
         if applied is not None:

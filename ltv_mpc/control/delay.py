@@ -13,8 +13,8 @@ import numpy as np
 
 from ltv_mpc.signals import Applied, CycleTiming
 
-REMEMBERED = 50
-"""Cycles: 15 s at the default period."""
+REMEMBERED = 100
+"""Cycles: 30 s at the default period."""
 
 
 class Delay:

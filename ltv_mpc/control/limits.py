@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -53,7 +54,14 @@ class ThrustLimits:
         """``commands`` (N+1, 2) moved, knot by knot from the first, to the nearest that obey box and slew exactly."""
         out = commands.copy()
         low, high = self.box(commands[0], len(commands) - 1)
-        for k in range(1, len(out)):
-            within = np.minimum(np.maximum(out[k], out[k - 1] - self.change), out[k - 1] + self.change)
-            out[k] = np.minimum(np.maximum(within, low[k - 1]), high[k - 1])
+        _bring_in(out, self.change, low, high)
         return out
+
+
+@kernel
+def _bring_in(U: Array, change: Array, low: Array, high: Array) -> None:
+    """U (N+1, 2) in place: slew from the knot before, then the box (N, 2)."""
+    for k in range(1, U.shape[0]):
+        for i in range(2):
+            U[k, i] = min(max(U[k, i], U[k - 1, i] - change[i]), U[k - 1, i] + change[i])
+            U[k, i] = min(max(U[k, i], low[k - 1, i]), high[k - 1, i])

@@ -97,7 +97,7 @@ class Alignment:
         return total / seconds, self._suite.imu.velocity_random_walk_mps_per_rts**2 / seconds
 
     def belief(self) -> tuple[Belief, list[ImuSample | Aiding]]:
-        """The belief at t0 and what has to be applied to it since. Raises ``RuntimeError`` while something is missing."""
+        """The belief at t0, and what is to be applied to it since. ``RuntimeError`` while something is missing."""
         fix, heading, depth = self._fix, self._heading, self._depth
         if fix is None or heading is None or depth is None:
             raise RuntimeError(f"cannot align: waiting for {self.waiting_for}")

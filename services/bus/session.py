@@ -157,10 +157,10 @@ class Session:
         self._session.close()  # type: ignore[no-untyped-call]
 
 
-def open_session(options: BusOptions, *, stop: threading.Event, say: Callable[[str], None]) -> Session:
+def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable[[str], None]) -> Session:
     """Open, and wait for the router as long as it takes; after a second ``say`` what is waited for.
 
-    Raises ``BusError`` where waiting would not help, and ``Stopped`` when ``stop`` is set meanwhile.
+    Raises ``BusError`` where waiting would not help, and ``Stopped`` when ``stop`` turns true meanwhile.
     """
     config = configuration(options)
     result: list[zenoh.Session | zenoh.ZError] = []
@@ -178,7 +178,7 @@ def open_session(options: BusOptions, *, stop: threading.Event, say: Callable[[s
     if thread.is_alive():
         say(waiting_for_router(options.connects_to))
     while thread.is_alive():
-        if stop.is_set():
+        if stop():
             raise Stopped
         thread.join(0.1)
     (opened,) = result

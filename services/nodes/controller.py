@@ -31,7 +31,7 @@ def main(
         bus,
         lambda request, say: Runner(
             ControllerNode(vehicle, reference, config, stopwatch=stages),
-            stop=request.event,
+            stop=request,
             say=say,
             own_clock=own_clock,
             compute_delay_ns=round(compute_delay_s * 1e9),

@@ -18,9 +18,7 @@ from services.run.runner import Runner
 def main(suite: Suite, config: EstimatorConfig, bus: BusOptions) -> int:
     """An estimate each period, from whatever measures."""
     rehearse(suite, config)
-    return serve(
-        Estimator.name, bus, lambda request, say: Runner(Estimator(suite, config), stop=request.event, say=say)
-    )
+    return serve(Estimator.name, bus, lambda request, say: Runner(Estimator(suite, config), stop=request, say=say))
 
 
 def rehearse(suite: Suite, config: EstimatorConfig) -> None:

@@ -23,7 +23,7 @@ def main(situation: Situation, bus: BusOptions, *, expects: tuple[str, ...] = ()
     return serve(
         Plant.name,
         bus,
-        lambda request, say: Runner(_make(situation), stop=request.event, say=say, keeps_time=keeps_time),
+        lambda request, say: Runner(_make(situation), stop=request, say=say, keeps_time=keeps_time),
     )
 
 

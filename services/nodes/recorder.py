@@ -7,8 +7,8 @@ from pathlib import Path
 
 from services.bus.session import BusError, BusOptions, Stopped
 from services.recording.writer import RunWriter
-from services.run.process import FAILED, sayer, stop_on_signals
 from services.run.recording import NAME, RecordingLoop
+from services.run.stopping import FAILED, sayer, stop_on_signals
 
 
 def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str, str]) -> int:
@@ -17,9 +17,7 @@ def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str,
     with stop_on_signals() as request:
         try:
             with RunWriter(folder / "run.mcap", start_ns=start_ns, metadata=metadata) as writer:
-                loop = RecordingLoop(writer, start_ns=start_ns, stop=request.event, say=say)
-                request.wake = loop.mailbox.wake
-                loop.serve(bus)
+                RecordingLoop(writer, start_ns=start_ns, stop=request, say=say).serve(bus)
         except Stopped:
             pass
         except (BusError, OSError) as error:

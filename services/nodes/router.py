@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from services.bus.session import ROUTER_ENDPOINT, BusError, BusOptions, Stopped, open_session
-from services.run.process import FAILED, sayer, stop_on_signals
+from services.run.stopping import FAILED, sayer, stop_on_signals
 
 
 def main(bus: BusOptions) -> int:
@@ -15,9 +15,9 @@ def main(bus: BusOptions) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace="")
     with stop_on_signals() as request:
         try:
-            with open_session(options, stop=request.event, say=say):
+            with open_session(options, stop=request, say=say):
                 say(f"ready at {', '.join(endpoints)}")
-                request.event.wait()
+                request.wait()
         except Stopped:
             pass
         except BusError as error:

@@ -15,7 +15,7 @@ from sim.sensors.node import Sensors
 def main(situation: Situation, bus: BusOptions) -> int:
     """Answer each true state with what is measured at its time."""
     rehearse(situation)
-    return serve(Sensors.name, bus, lambda request, say: Runner(_make(situation), stop=request.event, say=say))
+    return serve(Sensors.name, bus, lambda request, say: Runner(_make(situation), stop=request, say=say))
 
 
 def rehearse(situation: Situation) -> None:

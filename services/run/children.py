@@ -69,11 +69,16 @@ class Child:
 
     def last_lines(self) -> tuple[str, ...]:
         """The end of what it said."""
-        try:
-            text = self._log.read_bytes()[-LOG_TAIL_BYTES:].decode(errors="replace")
-        except OSError:
-            return ()
-        return tuple(line for line in text.splitlines() if line.strip())[-LAST_LINES:]
+        return last_lines(self._log)
+
+
+def last_lines(log: Path) -> tuple[str, ...]:
+    """The end of a log; nothing where there is none."""
+    try:
+        text = log.read_bytes()[-LOG_TAIL_BYTES:].decode(errors="replace")
+    except OSError:
+        return ()
+    return tuple(line for line in text.splitlines() if line.strip())[-LAST_LINES:]
 
 
 def how_it_ended(code: int) -> str:

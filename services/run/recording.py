@@ -6,8 +6,6 @@ process gives in its last status of all that it has published.
 
 from __future__ import annotations
 
-import threading
-
 from ltv_mpc.signals import Clock, NodeStatus, Rejected, RunEvent
 from services.bus.door import rejection
 from services.bus.mailbox import Frame, Mailbox
@@ -17,7 +15,8 @@ from services.bus.wire import Header, WireError, typed, unpack
 from services.recording.losses import Losses
 from services.recording.writer import RunWriter
 from services.run.clock import ClockError, VehicleClock, monotonic_us
-from services.run.status import Say, StatusReport
+from services.run.status import StatusReport
+from services.run.stopping import Say, StopRequest
 
 NAME = "recorder"
 FLUSH_US = 500_000
@@ -26,14 +25,15 @@ SILENCE_US = 200_000  # and no longer than this after the last message
 
 
 class RecordingLoop:
-    """Writes what arrives until ``stop`` is set, then what is still on its way."""
+    """Writes what arrives until ``stop`` is asked for, then what is still on its way."""
 
-    def __init__(self, writer: RunWriter, *, start_ns: int, stop: threading.Event, say: Say) -> None:
+    def __init__(self, writer: RunWriter, *, start_ns: int, stop: StopRequest, say: Say) -> None:
         self._writer = writer
         self._start_ns = start_ns
         self._stop = stop
         self._say = say
         self.mailbox = Mailbox()
+        stop.wakes(self.mailbox.wake)
         self._clock = VehicleClock()
         self._losses = Losses()
         self._of_source: dict[int, int] = {}  # messages by epoch
@@ -60,7 +60,7 @@ class RecordingLoop:
             self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, Rejected))
             self._status = StatusReport(NAME, outbox=self._out, counts=self, clock=self._clock, reads=(), say=self._say)
             session.subscribe("**", None, self.mailbox)
-            while not self._stop.is_set():
+            while not self._stop():
                 now_us = monotonic_us()
                 if now_us >= self._status.due_us:
                     self._status.publish(now_us)

@@ -7,7 +7,6 @@ the step's outputs. Records of steps without outputs wait for the next step that
 from __future__ import annotations
 
 import gc
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -24,7 +23,8 @@ from services.bus.wire import WireError, crc
 from services.run.clock import TimeKeeper, VehicleClock, monotonic_us
 from services.run.inbox import PendingInbox
 from services.run.schedule import Timetable
-from services.run.status import Say, StatusReport
+from services.run.status import StatusReport
+from services.run.stopping import Say, StopRequest
 from services.run.stopwatch import StageTimer
 from services.run.timekeeping import TimeKeeping
 
@@ -42,7 +42,7 @@ class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Runner:
-    """Runs ``node`` until ``stop`` is set, or until the last step of a grid that ends.
+    """Runs ``node`` until ``stop`` is asked for, or until the last step of a grid that ends.
 
     ``keeps_time`` makes it the time-keeper; ``own_clock`` frees it from any (a real vehicle). ``stages`` is the
     stopwatch that the node was given, ``compute_delay_ns`` is added between a plan and its publication.
@@ -52,7 +52,7 @@ class Runner:
         self,
         node: Node,
         *,
-        stop: threading.Event,
+        stop: StopRequest,
         say: Say,
         keeps_time: KeepsTime | None = None,
         own_clock: bool = False,
@@ -60,7 +60,7 @@ class Runner:
         stages: StageTimer | None = None,
     ) -> None:
         self._node = node
-        self._stop = stop
+        self.stop = stop
         self._say = say
         self._keeps_time = keeps_time
         self._follows = keeps_time is None and not own_clock
@@ -72,6 +72,7 @@ class Runner:
         # What it hears by subscription: not its own words, which it hands to itself.
         self._hears = [k for k in node.reads if BY_SIGNAL[k].written_by != node.name and k not in (Rejected, Clock)]
         self.mailbox = Mailbox()
+        stop.wakes(self.mailbox.wake)
         self.epoch = new_epoch()
         self._door = Door()
         self._clock = VehicleClock.own(monotonic_us()) if own_clock else VehicleClock()
@@ -86,17 +87,12 @@ class Runner:
         """Whether every step that was asked for is done."""
         return self._timetable.finished
 
-    def ask_to_stop(self) -> None:
-        """From any thread or signal handler: finish the current step, then come to an end."""
-        self._stop.set()
-        self.mailbox.wake()
-
     def serve(self, bus: BusOptions) -> None:
         """Open, say "ready", run, say the last word, close.
 
         Raises ``BusError``, ``ClockError``, ``Stopped`` (told to before it was connected), or what the node raised.
         """
-        with open_session(bus, stop=self._stop, say=self._say) as session:
+        with open_session(bus, stop=self.stop, say=self._say) as session:
             self._connect(session)
             gc.collect()
             gc.freeze()  # what lives until the end is not looked at again by any collection
@@ -119,7 +115,7 @@ class Runner:
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
         """Take what arrives until ``due_us`` has passed and nothing more is there; False when told to stop."""
-        while not self._stop.is_set():
+        while not self.stop():
             now_us = monotonic_us()
             self._tend(now_us)
             due = due_us()

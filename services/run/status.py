@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Protocol
 
 from ltv_mpc.signals import ClockState, NodeStatus, Signal
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_SIGNAL
 from services.run.clock import VehicleClock
+from services.run.stopping import Say
 
 PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: who waits for this word should not wait long
 SILENCE_US = 2_000_000  # without a word of the clock
-
-Say = Callable[[str], None]
 
 
 class Counts(Protocol):

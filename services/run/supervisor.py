@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from ltv_mpc.signals import Clock, ClockState, NodeStatus
 from services.bus.session import BusOptions, Stopped, open_session
 from services.run import launch, warm
-from services.run.children import Child, how_it_ended
+from services.run.children import Child, how_it_ended, last_lines
 from services.run.folder import RunFolder
 from services.run.live import view_of
 from services.run.orphans import Guard
-from services.run.process import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
+from services.run.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.run.situation import Situation
 from services.run.summary import of_recording
 from services.run.watch import Watch
@@ -75,6 +75,8 @@ class Supervisor:
     def __init__(self, situation: Situation, folder: RunFolder, screen: Screen) -> None:
         self._situation = situation
         self._folder = folder
+        self._logs = folder.path / "logs"
+        self._logs.mkdir(exist_ok=True)
         self._screen = screen
         self._started = time.monotonic()
         self._ticked = self._started
@@ -128,15 +130,14 @@ class Supervisor:
         if warm.is_warm():
             return
         self._screen.say("compiling, once after a change of the sources: about half a minute")
-        process = warm.fill(self._folder.scenario)
+        log = self._logs / "compiling.log"
+        process = warm.fill(self._folder.scenario, log)
         self._guard.watch(process.pid)
         try:
             while process.poll() is None:
                 self._tick()
             if process.returncode != 0:
-                assert process.stdout is not None
-                lines = process.stdout.read().decode(errors="replace").splitlines()
-                raise _Failed(f"compiling {how_it_ended(process.returncode)}", tuple(lines[-12:]))
+                raise _Failed(f"compiling {how_it_ended(process.returncode)}; its last lines:", last_lines(log))
         finally:
             process.kill()
             process.wait()
@@ -156,7 +157,7 @@ class Supervisor:
             self._spawn(row, places)
         self._await(lambda: _answers(endpoint), "router", "does not answer")
         options = BusOptions(connect=(endpoint,), namespace=namespace)
-        session = open_session(options, stop=self._request.event, say=self._screen.say)
+        session = open_session(options, stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         watch = self._watch = Watch(session, [row.name for row in rows])
         for row in (row for row in rows if row.needs):
@@ -168,10 +169,8 @@ class Supervisor:
                 self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "never got ready")  # type: ignore[misc]
 
     def _spawn(self, row: launch.Process, places: dict[str, str]) -> None:
-        logs = self._folder.path / "logs"
-        logs.mkdir(exist_ok=True)
         command = launch.command(row, places)
-        self.children[row.name] = Child(row.name, command, log=logs / f"{row.name}.log", guard=self._guard)
+        self.children[row.name] = Child(row.name, command, log=self._logs / f"{row.name}.log", guard=self._guard)
 
     # --- watching ----------------------------------------------------------------------------------------------------
 
@@ -188,7 +187,7 @@ class Supervisor:
 
     def _tick(self) -> None:
         """Look after everyone once. Raises ``_Failed``, or ``Stopped`` after a signal."""
-        if self._request.event.wait(TICK_S):
+        if self._request.wait(TICK_S):
             raise Stopped
         for name, child in self.children.items():
             code = child.exit_code()

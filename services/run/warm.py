@@ -17,10 +17,13 @@ def is_warm() -> bool:
     return (CACHE / MARK).exists()
 
 
-def fill(scenario: Path) -> subprocess.Popen[bytes]:
+def fill(scenario: Path, log: Path) -> subprocess.Popen[bytes]:
     """Start a process that compiles what a run of this scenario needs; it exits 0 when that is done."""
     command = [sys.executable, "-P", "-m", "services.run.warm", str(scenario)]
-    return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    with log.open("wb") as output:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+        )
 
 
 def main() -> None:

@@ -196,7 +196,7 @@ def build_qp(
 
     ``X`` (N+1, 8) states n, e, u, v, psi, r and delivered port and starboard thrust; ``U`` (N+1, 2) their commands;
     ``current`` (N+1, 2) north and east (m/s), all at knots 0.3 s apart; ``reference`` (N, 2) north and east (m) wanted
-    at the knots 1 .. N. Its unknowns are scaled deviations from X and U, in the order of the stages: see this file's head.
+    at the knots 1 .. N. Its unknowns are scaled deviations from X and U in the order of the stages: this file's head.
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())

@@ -1,8 +1,8 @@
 """OSQP on the sparse QP: set up once, updated in place, warm started in primal and dual.
 
 The problem comes scaled (qp/sparse.py), so OSQP's own scaling and step adaptation are off, and every solve starts from
-an explicit guess: its answer depends on that QP and that guess alone, bit for bit. It is limited by iterations, never by
-time.
+an explicit guess: its answer depends on that QP and that guess alone, bit for bit. It is limited by iterations, never
+by time.
 """
 
 from __future__ import annotations

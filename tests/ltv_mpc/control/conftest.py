@@ -9,10 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan, Vehicle, advance, references
+from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan, Vehicle, references
+from ltv_mpc.control.advance import as_estimate
+from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.signals import Array
+from ltv_mpc.signals import Applied, Array
 
 PAPER = Vehicle.load("paper")
 
@@ -35,12 +38,34 @@ def descend(
     estimate = Estimate.at_rest(depth_m=0.0, **(start or {}))
     estimate = msgspec.structs.replace(estimate, current=rough_current(seed))
     estimates, plans = [estimate], []
+    commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
     for _ in range(cycles):
         plan = controller.plan(estimate)
-        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+        commands.sent(plan)
+        end = vehicle.roll(estimate, estimate.t_ns + 300_000_000, commands)
+        vehicle.report(applied(end))
+        controller.report(applied(end))
+        estimate = as_estimate(end, estimate)
         plans.append(plan)
         estimates.append(estimate)
     return estimates, plans
+
+
+def applied(end: Start) -> Applied:
+    """The actuators' report of what they deliver."""
+    return Applied(
+        t_ns=end.t_ns,
+        thrust_N=(end.X[6], end.X[7], end.vertical_N),
+        command_N=tuple(end.command),
+        command_slew_N_per_s=(0.0, 0.0, 0.0),
+        plan_epoch=0,
+        plan_sequence=-1,
+        plan_cycle_t_ns=0,
+        plan_received_t_ns=0,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    )
 
 
 @pytest.fixture(scope="session")

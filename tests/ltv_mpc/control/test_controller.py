@@ -105,7 +105,7 @@ def test_dead_time_is_compensated(closed_loop):
         estimates, _ = closed_loop(12, 300, config)
         return float(np.mean([distance(e) for e in estimates[30:]]))
 
-    assert mean_error(0.71) < 2.5 * mean_error(0.0)
+    assert mean_error(0.71) < 1.3 * mean_error(0.0)
 
 
 def test_a_plan_starts_one_expected_delay_after_now():

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import Header, crc, decode
 from services.run.runner import KeepsTime, Runner
+from services.run.stopping import StopRequest
 
 TICK_NS = 10_000_000
 ZERO = (0.0, 0.0, 0.0)
@@ -48,6 +50,7 @@ class Plant:
     writes: tuple[type[Signal], ...] = (Truth, Applied)
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        assert all(type(arrival.signal) is Plan for arrival in inbox)
         truth = Truth(
             t_ns=t_ns,
             position_m=ZERO,
@@ -109,6 +112,7 @@ class Listener:
         self._error = error
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        assert t_ns == inbox[-1].signal.t_ns  # type: ignore[attr-defined]
         self.heard += [arrival.signal for arrival in inbox]
         if self._error is not None:
             raise self._error
@@ -118,18 +122,18 @@ class Listener:
 @pytest.fixture(scope="module")
 def router(free_port: int) -> Iterator[str]:
     endpoint = f"tcp/127.0.0.1:{free_port}"
-    with open_session(BusOptions(listen=(endpoint,)), stop=threading.Event(), say=print):
+    with open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print):
         yield endpoint
 
 
 @pytest.fixture
 def bus(router: str, request: pytest.FixtureRequest) -> BusOptions:
-    return BusOptions(connect=(router,), namespace=f"test/{abs(hash(request.node.name))}")
+    return BusOptions(connect=(router,), namespace=f"test/{request.node.name}")
 
 
 @contextmanager
 def listening(bus: BusOptions) -> Iterator[tuple[Session, Mailbox]]:
-    with open_session(bus, stop=threading.Event(), say=print) as session:
+    with open_session(bus, stop=StopRequest(), say=print) as session:
         box = Mailbox()
         session.subscribe("**", None, box)
         yield session, box
@@ -145,7 +149,7 @@ def running(bus: BusOptions, *runners: Runner) -> Iterator[None]:
         yield
     finally:
         for runner, thread in zip(runners, threads, strict=True):
-            runner.ask_to_stop()
+            runner.stop.ask()
             thread.join(PATIENCE_S)
         assert not any(thread.is_alive() for thread in threads)
 
@@ -183,7 +187,7 @@ def run(bus: BusOptions, nodes: Sequence[tuple[Node, int]], *, end_ns: int, spee
     runners = [
         Runner(
             node,
-            stop=threading.Event(),
+            stop=StopRequest(),
             say=print,
             keeps_time=keeps_time if i == 0 else None,
             compute_delay_ns=delay_ns,
@@ -210,21 +214,26 @@ def test_a_run_skips_no_step_loses_no_message_and_tells_each_step_before_its_out
     promised = {h.epoch: s.published for _, s, h in messages if isinstance(s, NodeStatus) and s.finished}
     assert heard == promised
 
-    # Records: numbered without a gap, before the outputs of their step, and each entry names a frame that is here.
+    # Records: numbered without a gap, each before the outputs of its step, each entry a frame that is here.
     seen = {(frame.key, header.epoch, header.sequence): crc(frame.payload) for frame, _, header in messages}
     steps: Counter[str] = Counter()
+    newest: dict[str, int] = {}
     for _, signal, _ in messages:
-        if isinstance(signal, StepRecord):
-            assert signal.step == steps[signal.node]
-            steps[signal.node] += 1
-            for entry in signal.inbox:
-                assert seen[(entry.key, entry.epoch, entry.sequence)] == entry.crc
-        elif isinstance(signal, Truth):
-            assert steps["plant"] == (signal.t_ns + 100_000_000) // TICK_NS + 1
-        elif isinstance(signal, Plan):
-            assert steps["controller"] == 1 + sum(t < signal.cycle_t_ns for t in cycle_times(messages))
+        match signal:
+            case StepRecord():
+                assert signal.step == steps[signal.node]
+                steps[signal.node] += 1
+                newest[signal.node] = signal.t_ns
+                for entry in signal.inbox:
+                    assert seen[(entry.key, entry.epoch, entry.sequence)] == entry.crc
+            case Truth():
+                assert newest["plant"] == signal.t_ns
+            case Estimate():
+                assert newest["sensors"] * 1e-9 == signal.north_m
+            case Plan():
+                assert newest["controller"] == signal.cycle_t_ns
     assert steps["plant"] == steps["sensors"] == len(ticks)
-    assert controller.inboxes[-1]
+    assert steps["controller"] == len(cycle_times(messages))
 
 
 def cycle_times(messages: Sequence[tuple[Frame, Signal, Header]]) -> list[int]:
@@ -245,15 +254,6 @@ def test_of_a_latest_key_a_cycle_sees_one_message_and_its_own_timing_comes_with_
     assert all(set(s.stage_us) == {"read", "publish"} for s in timings.values())
 
 
-def test_cycles_keep_their_period_where_they_are_quick(bus: BusOptions) -> None:
-    frames = run(bus, [(Plant(), 0), (Controller(), 0)], end_ns=3_000_000_000, speed=3)
-    times = cycle_times(read(frames))
-    assert len(times) == 11  # 0, 0.3, ... 3.0 s
-    late = [t - k * 300_000_000 for k, t in enumerate(times)]
-    assert min(late) >= 0  # never early, and no drift: lateness does not add up
-    assert np.median(late) < 60_000_000
-
-
 def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bus: BusOptions) -> None:
     """0.71 s of vehicle time, longer than the period of 0.3 s: one solve in flight."""
     delay_ns = 710_000_000
@@ -262,7 +262,7 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
     messages = read(frames)
     timings = [s for _, s, _ in messages if isinstance(s, CycleTiming)]
     assert len(timings) >= 4
-    for timing, following in zip(timings, timings[1:], strict=False):
+    for timing, following in pairwise(timings):
         assert timing.compute_ns >= delay_ns
         assert following.t_ns >= timing.t_ns + timing.compute_ns - 1_000_000
         assert timing.compute_wall_ns == pytest.approx(timing.compute_ns / 4, rel=0.2)
@@ -270,7 +270,7 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
 
 def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> None:
     node = Listener()
-    runner = Runner(node, stop=threading.Event(), say=print, own_clock=True)
+    runner = Runner(node, stop=StopRequest(), say=print, own_clock=True)
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
         out = Outbox(session, node="test", epoch=5, kinds=node.reads)
@@ -288,7 +288,7 @@ def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> N
 
 def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
     node = Listener()
-    runner = Runner(node, stop=threading.Event(), say=print, own_clock=True)
+    runner = Runner(node, stop=StopRequest(), say=print, own_clock=True)
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -311,7 +311,7 @@ def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus: BusOptions) -> None:
     """So that a replay can raise it again."""
-    runner = Runner(Listener(ArithmeticError("made up")), stop=threading.Event(), say=print, own_clock=True)
+    runner = Runner(Listener(ArithmeticError("made up")), stop=StopRequest(), say=print, own_clock=True)
     frames: list[Frame] = []
     with ExitStack() as stack:
         session, box = stack.enter_context(listening(bus))

@@ -1,0 +1,253 @@
+"""Whole runs as processes: complete, failed, interrupted, orphaned; and every node alone, in any order of start."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.signals import NodeStatus, Plan, Truth
+from services.recording.losses import Losses
+from services.recording.reader import Recording
+from services.run import folder, supervisor
+from services.run.situation import Override, Situation, resolve
+from services.views.live import LiveView
+
+CLI = [sys.executable, "-P", "-m", "services.cli"]
+PATIENCE_S = 90.0
+
+
+class Screen:
+    """Keeps what it is told; ``on_diving`` is called once, as soon as the vehicle dives."""
+
+    def __init__(self, on_diving: Callable[[], None] = lambda: None) -> None:
+        self.said: list[str] = []
+        self.views: list[LiveView] = []
+        self.closed = False
+        self._on_diving = on_diving
+
+    def update(self, view: LiveView) -> None:
+        if view.phase == "diving" and (not self.views or self.views[-1].phase != "diving"):
+            self._on_diving()
+        self.views.append(view)
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def situation(duration_s: float, speed: float = 10.0) -> Situation:
+    settings = (f"run.duration_s={duration_s}", f"run.speed={speed}", "run.compute_delay_s=0.05")
+    return resolve("descent", [Override("test", settings)])
+
+
+def children_of(parent: int) -> dict[int, str]:
+    """Pid and command line of every living child."""
+    children = {}
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                children[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:
+            continue
+    return {pid: words for pid, words in children.items() if words}
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def until(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never came to that"
+        time.sleep(0.01)
+
+
+def recorded(path: Path) -> tuple[Recording, dict[str, int], Losses]:
+    """The recording, messages by type, and what is missing in it."""
+    recording, count, losses = Recording(path), dict[str, int](), Losses()
+    finals = {}
+    of_epoch: dict[int, int] = {}
+    for message in recording:
+        epoch = message.plain["epoch"]
+        count[message.key] = count.get(message.key, 0) + 1
+        of_epoch[epoch] = of_epoch.get(epoch, 0) + 1
+        losses.saw(message.key, epoch, message.plain["sequence"])
+        if message.kind is NodeStatus and message.plain["finished"]:
+            finals[epoch] = message.plain["published"]
+    assert all(of_epoch[epoch] == published for epoch, published in finals.items()), "published is not recorded"
+    return recording, count, losses
+
+
+@pytest.fixture
+def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+    """``ltv-mpc sim`` in a process of its own, running: the vehicle dives and is recorded."""
+    out = tmp_path / "run"
+    log = (tmp_path / "launcher.log").open("wb")
+    process = subprocess.Popen(
+        [*CLI, "sim", "--duration-s", "600", "--out", str(out)], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+    )
+    try:
+        recording = out / "run.mcap"
+        until(lambda: process.poll() is not None or (recording.exists() and recording.stat().st_size > 100_000))
+        assert process.poll() is None, (tmp_path / "launcher.log").read_text()
+        yield process, out
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        log.close()
+
+
+def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process_left(tmp_path: Path) -> None:
+    s = situation(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    screen = Screen()
+    outcome = supervisor.run(s, run, screen)
+    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
+    recording, count, losses = recorded(run.recording)
+    assert not recording.cut
+    assert losses.missing == 0
+    assert count["world/truth"] == count["record/plant"] == 401
+    assert count["plan"] == count["timing"]
+    assert outcome.summary is not None
+    assert run.summary.exists()
+    assert outcome.summary.messages.dropped == outcome.summary.messages.rejected == 0
+    assert outcome.summary.compute_delay_s.median is not None
+    assert outcome.summary.compute_delay_s.median > 0.05  # added in vehicle time
+    assert not children_of(os.getpid())
+    assert screen.closed
+    assert {view.phase for view in screen.views} >= {"starting", "diving"}
+    assert isinstance(screen.views[-1].truth, Truth)
+    assert isinstance(screen.views[-1].plan, Plan)
+
+
+def test_a_child_that_dies_fails_the_run_and_is_named_with_its_last_lines(tmp_path: Path) -> None:
+    s = situation(600.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+
+    def kill_the_estimator() -> None:
+        (pid,) = (pid for pid, words in children_of(os.getpid()).items() if " estimator " in words)
+        os.kill(pid, signal.SIGKILL)
+
+    screen = Screen(kill_the_estimator)
+    outcome = supervisor.run(s, run, screen)
+    assert (outcome.completed, outcome.exit_code) == (False, 1)
+    assert "estimator was ended by SIGKILL" in outcome.why
+    assert any("estimator: waiting for" in line for line in outcome.last_lines)
+    assert outcome.why in screen.said
+    assert not children_of(os.getpid())
+    recording, count, _ = recorded(run.recording)
+    assert not recording.cut
+    assert count["world/truth"] > 0
+
+
+def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
+    s = situation(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    run.config("controller").write_text("horizon_s = -1.0\n")
+    outcome = supervisor.run(s, run, Screen())
+    assert outcome.exit_code == 1
+    assert "controller ended with exit code 2" in outcome.why
+    assert "horizon_s" in outcome.last_lines[-1]
+    assert not children_of(os.getpid())
+
+
+def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    process, out = launcher
+    pids = children_of(process.pid)
+    assert len(pids) == 7  # six and the guard
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 130
+    assert time.monotonic() - began < 2.0
+    assert not any(alive(pid) for pid in pids)
+    recording, count, losses = recorded(out / "run.mcap")
+    assert not recording.cut
+    assert losses.missing == 0
+    assert count["world/truth"] > 0
+
+
+def test_when_the_supervisor_is_killed_no_orphan_is_left_and_the_recorder_finishes_its_file(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    """One child is stopped, so that it can do nothing about it itself."""
+    process, out = launcher
+    pids = children_of(process.pid)
+    (stopped,) = (pid for pid, words in pids.items() if " estimator " in words)
+    os.kill(stopped, signal.SIGSTOP)
+    process.kill()
+    until(lambda: not any(alive(pid) for pid in pids), within_s=5.0)
+    assert not recorded(out / "run.mcap")[0].cut
+
+
+def test_a_recorder_that_is_stopped_when_the_supervisor_is_killed_is_ended_by_the_guard(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    process, out = launcher
+    pids = children_of(process.pid)
+    (stopped,) = (pid for pid, words in pids.items() if " recorder " in words)
+    os.kill(stopped, signal.SIGSTOP)
+    process.kill()
+    until(lambda: not any(alive(pid) for pid in pids), within_s=5.0)
+    assert recorded(out / "run.mcap")[0].cut  # it had no chance; all but the last half second is there
+
+
+def test_started_in_the_wrong_order_each_node_waits_says_for_what_and_goes_on(tmp_path: Path, free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    scenario = tmp_path / "short.toml"
+    scenario.write_text('title = "short"\n[run]\nduration_s = 2.0\nspeed = 5.0\n')
+    bus = ["--connect", endpoint, "--namespace", "test"]
+    logs = {name: tmp_path / f"{name}.log" for name in ("controller", "estimator", "sensors", "recorder", "plant")}
+    arguments = {
+        "sensors": [str(scenario)],
+        "recorder": [str(scenario), "--out", str(tmp_path / "run")],
+        "plant": [str(scenario), "--expect", "recorder"],
+    }
+    processes: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        for name, log in logs.items():
+            with log.open("wb") as file:
+                processes[name] = subprocess.Popen(
+                    [*CLI, name, *arguments.get(name, []), *bus], stdin=subprocess.DEVNULL, stderr=file
+                )
+        until(lambda: all("`ltv-mpc router` starts one" in log.read_text() for log in logs.values()))
+        processes["router"] = subprocess.Popen([*CLI, "router", "--listen", endpoint], stderr=subprocess.DEVNULL)
+        assert processes["plant"].wait(PATIENCE_S) == 0
+        assert "waiting for" in logs["plant"].read_text()
+        for name in ("sensors", "estimator", "controller", "recorder", "router"):
+            processes[name].send_signal(signal.SIGTERM)
+            assert processes[name].wait(PATIENCE_S) == 0
+        assert "none lost" in logs["recorder"].read_text()
+    finally:
+        for process in processes.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+    recording, count, _ = recorded(tmp_path / "run" / "run.mcap")
+    assert not recording.cut
+    assert count["world/truth"] == 301
+    assert count["plan"] > 0
+
+
+def test_controller_and_estimator_processes_never_import_the_simulation() -> None:
+    program = (
+        "import sys, services.run.child\n"
+        "from services.nodes import controller, estimator\n"
+        "sys.exit(any(name.split('.')[0] == 'sim' for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-P", "-c", program], check=False).returncode == 0
