@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim test bench clean
+.PHONY: help setup sim test figures bench clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -34,7 +34,14 @@ test: setup  ## lint, types, import contracts, all tests
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q
 
-bench: setup  ## latency of a controller cycle by horizon
+figures: setup  ## docs/descent.png: no control, 2.5 s and 5 s horizon, from three runs in lock step
+	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/none --no-control
+	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/2.5s --horizon-s 2.5
+	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/5s --horizon-s 5
+	$(BIN)/python -P -m services.views.figures docs/descent.png runs/figures/none runs/figures/2.5s runs/figures/5s
+
+bench: setup  ## tables of the README: errors over 20 seeds, latency of a cycle by horizon
+	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
 
 clean:  ## remove .venv and caches; runs/ stays

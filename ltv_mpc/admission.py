@@ -8,156 +8,24 @@ of plausibility for any vehicle on earth; a vehicle's own limits (box, slew) bel
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from ltv_mpc.ranges import MICROSECONDS, RANGES, SPEED, Range
 from ltv_mpc.signals import (
     AdcpPing,
-    Applied,
     Array,
-    Clock,
-    CompassHeading,
     CurrentProfile,
     CycleTiming,
     Estimate,
-    GnssFix,
-    ImuSample,
     InboxEntry,
-    NodeStatus,
     Plan,
-    PressureDepth,
-    Rejected,
     Restore,
-    RunEvent,
     Signal,
-    Solve,
     StepRecord,
     TdcpFix,
-    Truth,
 )
-
-
-class Range(NamedTuple):
-    """Closed; every number of the field, be it one, a tuple or an array, must lie in it."""
-
-    low: float
-    high: float
-    unit: str
-
-
-EXACT = 2**53 - 1  # larger integers are not exact in JavaScript
-TIME = Range(-EXACT, EXACT, "ns, 104 days either way")
-DURATION = Range(0, EXACT, "ns")
-INTERVAL = Range(1, EXACT, "ns")
-COUNT = Range(0, EXACT, "a count or a hash below 2^53")
-POSITIVE = Range(1, EXACT, "an integer")
-MICROSECONDS = Range(0, 1e12, "us")
-POSITION = Range(-1e6, 1e6, "m")
-DEPTH = Range(-100, 12_000, "m")
-SLANT_RANGE = Range(0, 10_000, "m")
-SPEED = Range(-100, 100, "m/s")
-CURRENT = Range(-20, 20, "m/s")
-SD = Range(0, 1e6, "m/s")
-ANGLE = Range(-1e4, 1e4, "rad; headings may be unwrapped")
-ANGULAR_RATE = Range(-100, 100, "rad/s")
-SPECIFIC_FORCE = Range(-1e4, 1e4, "m/s2")
-THRUST = Range(-1e6, 1e6, "N")
-STATE = Range(-1e6, 1e6, "m, m/s, rad, rad/s")
-VARIANCE = Range(-1e12, 1e12, "squares of m, m/s, rad, rad/s")
-RESIDUAL = Range(0, 1e300, "finite also where a solve failed")
-SEQUENCE_OR_NONE = Range(-1, EXACT, "-1 before the first")
-
-RANGES: Mapping[type, dict[str, Range]] = {
-    Truth: {
-        "t_ns": TIME,
-        "position_m": POSITION,
-        "velocity_mps": SPEED,
-        "attitude_rad": ANGLE,
-        "water_velocity_mps": SPEED,
-        "yaw_rate_radps": ANGULAR_RATE,
-        "current_mps": CURRENT,
-        "thrust_N": THRUST,
-    },
-    Applied: {
-        "t_ns": TIME,
-        "thrust_N": THRUST,
-        "command_N": THRUST,
-        "command_slew_N_per_s": THRUST,
-        "plan_epoch": COUNT,
-        "plan_sequence": SEQUENCE_OR_NONE,
-        "plan_cycle_t_ns": TIME,
-        "plan_received_t_ns": TIME,
-        "plans_late": COUNT,
-        "plans_refused": COUNT,
-    },
-    ImuSample: {
-        "t_ns": TIME,
-        "interval_ns": INTERVAL,
-        "angular_rate_radps": ANGULAR_RATE,
-        "specific_force_mps2": SPECIFIC_FORCE,
-    },
-    GnssFix: {
-        "t_ns": TIME,
-        "north_m": POSITION,
-        "east_m": POSITION,
-        "velocity_north_mps": SPEED,
-        "velocity_east_mps": SPEED,
-    },
-    TdcpFix: {"t_ns": TIME, "from_t_ns": TIME, "north_m": POSITION, "east_m": POSITION},
-    AdcpPing: {"t_ns": TIME, "range_m": SLANT_RANGE},
-    PressureDepth: {"t_ns": TIME, "depth_m": DEPTH},
-    CompassHeading: {"t_ns": TIME, "heading_rad": ANGLE},
-    CurrentProfile: {"depth_m": DEPTH, "north_mps": CURRENT, "east_mps": CURRENT, "sd_mps": SD},
-    Estimate: {
-        "t_ns": TIME,
-        "north_m": POSITION,
-        "east_m": POSITION,
-        "heading_rad": ANGLE,
-        "yaw_rate_radps": ANGULAR_RATE,
-        "velocity_north_mps": SPEED,
-        "velocity_east_mps": SPEED,
-        "depth_m": DEPTH,
-        "velocity_down_mps": SPEED,
-        "covariance": VARIANCE,
-    },
-    Solve: {"iterations": COUNT, "primal_residual": RESIDUAL, "dual_residual": RESIDUAL},
-    Plan: {
-        "cycle_t_ns": TIME,
-        "t_ns": TIME,
-        "thrust_N": THRUST,
-        "states": STATE,
-        "estimate_t_ns": TIME,
-        "expected_delay_ns": DURATION,
-        "reference_m": POSITION,
-        "reference_depth_m": DEPTH,
-    },
-    CycleTiming: {"t_ns": TIME, "compute_ns": DURATION, "compute_wall_ns": DURATION, "estimate_age_ns": TIME},
-    Rejected: {"t_ns": TIME, "crc": COUNT},
-    Restore: {"t_ns": TIME},
-    InboxEntry: {"epoch": COUNT, "sequence": COUNT, "crc": COUNT, "received_t_ns": TIME},
-    StepRecord: {"epoch": COUNT, "step": COUNT, "t_ns": TIME},
-    Clock: {
-        "clock_epoch": COUNT,
-        "clock_sequence": COUNT,
-        "at_monotonic_us": COUNT,
-        "vehicle_ns": TIME,
-        "speed_num": POSITIVE,
-        "speed_den": POSITIVE,
-    },
-    NodeStatus: {
-        "t_ns": TIME,
-        "steps": COUNT,
-        "published": COUNT,
-        "received": COUNT,
-        "dropped": COUNT,
-        "rejected": COUNT,
-        "step_us": MICROSECONDS,
-    },
-    RunEvent: {"t_ns": TIME},
-}
-"""Every signal that travels, and where its numbers may lie. A field that is None has nothing to check."""
-
 
 Reason: TypeAlias = str | None
 

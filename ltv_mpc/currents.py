@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.signals import CurrentProfile
 
@@ -21,7 +22,6 @@ COLUMNS = ("depth_m", "v_north_mps", "u_east_mps")
 FASTEST_MPS = 5.0
 """No ocean current is faster: larger numbers are in other units."""
 DEEPEST_M = 11_000.0
-LARGEST_FILE_BYTES = 10_000_000
 
 _WORD = re.compile(r"[\w.]+")
 
@@ -29,8 +29,8 @@ _WORD = re.compile(r"[\w.]+")
 def read_profile(path: str | Path) -> CurrentProfile:
     """The file's profile, depths strictly increasing. Raises ``ConfigError`` with file, line, field, value, bound."""
     path = Path(path)
-    source = f"currents {path.name}"
-    lines = _text(path, source).splitlines()
+    source = f"currents {path}"
+    lines = config.read_text(path, what="currents").splitlines()
     header, first = _header(lines, source)
     rows: list[tuple[float, float, float]] = []
     for number, line in enumerate(lines[first:], start=first + 1):
@@ -53,25 +53,6 @@ def write_profile(path: str | Path, profile: CurrentProfile) -> None:
     rows = zip(profile.depth_m.tolist(), profile.north_mps.tolist(), profile.east_mps.tolist(), strict=True)
     lines = [",".join(COLUMNS), *(",".join(map(repr, row)) for row in rows)]
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _text(path: Path, source: str) -> str:
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_FILE_BYTES:
-            raise ConfigError(source, "size", f"must be <= {LARGEST_FILE_BYTES} bytes", value=size)
-        content = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(source, "", f"cannot be read ({error.strerror}): {path}") from None
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ConfigError(source, f"byte {error.start}", "not text in UTF-8: is this a CSV?") from None
-    if "\0" in text:
-        raise ConfigError(source, f"byte {content.index(0)}", "holds zero bytes: is this a CSV?")
-    if not text.strip():
-        raise ConfigError(source, "", "empty; a header and at least one row are needed")
-    return text
 
 
 def _header(lines: Sequence[str], source: str) -> tuple[tuple[int, int, int], int]:

@@ -52,10 +52,12 @@ class Plant:
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
         """The vehicle at ``t_ns``, after what arrived up to then."""
         from_ns = t_ns if self._t_ns is None else self._t_ns
+        at_ns = from_ns
         for arrival in inbox:
             if isinstance(arrival.signal, Plan):
                 # A plan acts from its arrival on, wherever in the step that is.
-                self._gate.command_at(max(min(max(arrival.received_t_ns, from_ns), t_ns), 0))
+                at_ns = min(max(arrival.received_t_ns, at_ns), t_ns)
+                self._gate.command_at(max(at_ns, 0))
                 verdict = self._gate.offer(arrival.signal, arrival.epoch, arrival.sequence, arrival.received_t_ns)
                 if verdict in (Verdict.ACCEPTED, Verdict.LATE):
                     self._receipt = arrival.signal, arrival, verdict

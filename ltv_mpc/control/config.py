@@ -23,8 +23,8 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] = 1.0
     terminal_position_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 40.0
     terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 600.0
-    thrust: Annotated[float, Meta(ge=0, le=1e6)] = 5e-3
-    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 3e-3
+    thrust: Annotated[float, Meta(ge=0, le=1e6)] = 3e-3
+    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1.5e-3
 
 
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -139,7 +139,10 @@ def recorder(
 
     situation = resolve(scenario)
     options = bus(connect, listen, mode, config, namespace)
-    run_folder = folder.make(situation.name, situation.files, out=out, force=force)
+    if out is not None and Path(scenario).absolute().parent == out.absolute():
+        run_folder = folder.RunFolder(out)  # a launcher has made it for this very run
+    else:
+        run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     from services.nodes import recorder as node
 
     scenario_ = situation.scenario

@@ -148,8 +148,12 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
     from services.views.terminal import progress_for
 
     scenario = situation.scenario
-    with progress_for(scenario.start_ns, scenario.end_ns) as progress:
-        summary = locked.run(situation, folder, progress=progress)
+    try:
+        with progress_for(scenario.start_ns, scenario.end_ns) as progress:
+            summary = locked.run(situation, folder, progress=progress)
+    except KeyboardInterrupt:
+        typer.echo(f"stopped; what was recorded until then is kept\n{folder.path}", err=True)
+        raise
     _say_verdict(summary, folder, as_json)
     return 0 if summary.duration_s >= scenario.run.duration_s else 1
 
@@ -160,7 +164,9 @@ def _processes(situation: Situation, folder: RunFolder, as_json: bool) -> int:
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
     outcome = supervisor.run(situation, folder, screen_for(situation.scenario.title, limits))
-    if outcome.summary is not None:
+    if outcome.summary is None:
+        typer.echo(str(folder.path), err=True)
+    else:
         _say_verdict(outcome.summary, folder, as_json)
     return outcome.exit_code
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from services.bus.session import BusOptions
 from services.run.process import serve
-from services.run.runner import KeepsTime, Runner
+from services.run.runner import Runner
 from services.run.situation import Situation
+from services.run.timekeeping import KeepsTime
 from sim.plant import Plant
 
 

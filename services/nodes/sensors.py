@@ -15,7 +15,11 @@ from sim.sensors.node import Sensors
 def main(situation: Situation, bus: BusOptions) -> int:
     """Answer each true state with what is measured at its time."""
     rehearse(situation)
-    return serve(Sensors.name, bus, lambda request, say: Runner(_make(situation), stop=request, say=say))
+    return serve(
+        Sensors.name,
+        bus,
+        lambda request, say: Runner(_make(situation), stop=request, say=say, speed=situation.scenario.run.speed),
+    )
 
 
 def rehearse(situation: Situation) -> None:

@@ -42,6 +42,11 @@ def boot_id() -> str:
         return "unknown"
 
 
+def fraction_of(speed: float) -> Fraction:
+    """A speed as it travels: two integers."""
+    return Fraction(speed).limit_denominator(MAX_SPEED_DENOMINATOR)
+
+
 class Line(NamedTuple):
     """Vehicle time as a function of monotonic time, from ``at_us`` on."""
 
@@ -72,9 +77,13 @@ class Line(NamedTuple):
 
 
 class VehicleClock:
-    """A follower: reads vehicle time from the lines announced so far."""
+    """A follower: reads vehicle time from the lines announced so far.
 
-    def __init__(self) -> None:
+    ``speed`` is what this process was told to expect, if anything: the time-keeper's counts, and another is an error.
+    """
+
+    def __init__(self, *, speed: float | None = None) -> None:
+        self._speed = None if speed is None else fraction_of(speed)
         self._lines: list[Line] = []  # in force, then those announced for later
         self._epoch = 0
         self._sequence = -1
@@ -98,6 +107,12 @@ class VehicleClock:
             raise ClockError("another plant has started a clock of its own: start this process again to follow it")
         if message.clock_sequence <= self._sequence:
             return False
+        kept = Fraction(message.speed_num, message.speed_den)
+        if not self._lines and self._speed not in (None, kept):
+            raise ClockError(
+                f"run.speed is {float(self._speed):g} here and {float(kept):g} at the plant, where alone it counts: "
+                "start both with one scenario"
+            )
         self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
         line = Line(message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state)
         self._lines.append(line)
@@ -132,7 +147,7 @@ class TimeKeeper:
     """The one who says what time it is. Its messages are repeated as they are, so that late joiners hear them."""
 
     def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
-        self._speed = Fraction(speed).limit_denominator(MAX_SPEED_DENOMINATOR)
+        self._speed = fraction_of(speed)
         self.slowed_ns = 0  # vehicle time that the wall could not keep up with, in all
         self.slowed = 0  # how many times
         self.message = Clock(
@@ -161,7 +176,7 @@ class TimeKeeper:
 
     def set_speed(self, now_us: int, speed: float) -> Clock:
         """Go on at another speed."""
-        self._speed = Fraction(speed).limit_denominator(MAX_SPEED_DENOMINATOR)
+        self._speed = fraction_of(speed)
         return self._announce(now_us, self.message.state)
 
     def slow(self, now_us: int, late_us: int) -> Clock:

@@ -27,7 +27,7 @@ SCENARIO = "{run}/scenario.toml"
 
 PROCESSES = (
     Process("router", ("--listen", "{router}"), True, ()),
-    Process("recorder", (SCENARIO, "--out", "{run}", "--force", *BUS), True, ()),
+    Process("recorder", (SCENARIO, "--out", "{run}", *BUS), True, ()),
     Process("plant", (SCENARIO, "--expect", "recorder", *BUS), False, ("recorder",)),
     Process("sensors", (SCENARIO, *BUS), False, ("recorder",)),
     Process(

@@ -10,42 +10,32 @@ import gc
 from collections.abc import Callable
 from typing import Any
 
-import msgspec
-
-from ltv_mpc.node import Cycle, Node, OnMessage
-from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Plan, Rejected, RunEvent, Signal, StepRecord
+from ltv_mpc.node import Node, OnMessage
+from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Plan, Rejected, Signal, StepRecord
 from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import BY_SIGNAL
 from services.bus.wire import WireError, crc
-from services.run.clock import TimeKeeper, VehicleClock, monotonic_us
+from services.run import ports
+from services.run.clock import VehicleClock, monotonic_us
 from services.run.inbox import PendingInbox
 from services.run.schedule import Timetable
 from services.run.status import StatusReport
 from services.run.stopping import Say, StopRequest
 from services.run.stopwatch import StageTimer
-from services.run.timekeeping import TimeKeeping
+from services.run.timekeeping import KeepsTime, TimeKeeping
 
 LAST_FRAMES_US = 300_000
 """At most so long a process that is told to stop takes what has arrived before."""
 
 
-class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
-    """What the process that keeps the time has to know."""
-
-    start_ns: int
-    end_ns: int
-    speed: float  # vehicle seconds per second
-    expects: tuple[str, ...]  # nodes that must be ready before the clock starts
-
-
 class Runner:
     """Runs ``node`` until ``stop`` is asked for, or until the last step of a grid that ends.
 
-    ``keeps_time`` makes it the time-keeper; ``own_clock`` frees it from any (a real vehicle). ``stages`` is the
-    stopwatch that the node was given, ``compute_delay_ns`` is added between a plan and its publication.
+    ``keeps_time`` makes it the time-keeper; ``own_clock`` frees it from any (a real vehicle); ``speed`` is what it was
+    told to expect of the time-keeper. ``stages`` is the stopwatch that the node was given; ``compute_delay_ns`` is
+    added between a plan and its publication.
     """
 
     def __init__(
@@ -56,6 +46,7 @@ class Runner:
         say: Say,
         keeps_time: KeepsTime | None = None,
         own_clock: bool = False,
+        speed: float | None = None,
         compute_delay_ns: int = 0,
         stages: StageTimer | None = None,
     ) -> None:
@@ -68,14 +59,12 @@ class Runner:
         self._stages = stages or StageTimer()
         self._causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
         self._timetable = Timetable(node.schedule, end_ns=keeps_time.end_ns if keeps_time else None)
-        self._times_cycles = isinstance(node.schedule, Cycle) and CycleTiming in node.reads
-        # What it hears by subscription: not its own words, which it hands to itself.
-        self._hears = [k for k in node.reads if BY_SIGNAL[k].written_by != node.name and k not in (Rejected, Clock)]
+        self._times_cycles = ports.times_cycles(node)
         self.mailbox = Mailbox()
         stop.wakes(self.mailbox.wake)
         self.epoch = new_epoch()
         self._door = Door()
-        self._clock = VehicleClock.own(monotonic_us()) if own_clock else VehicleClock()
+        self._clock = VehicleClock.own(monotonic_us()) if own_clock else VehicleClock(speed=speed)
         self._inbox = PendingInbox()
         self._records: list[StepRecord] = []
         self._timekeeping: TimeKeeping | None = None
@@ -251,36 +240,24 @@ class Runner:
     # --- before the first step ---------------------------------------------------------------------------------------
 
     def _connect(self, session: Session) -> None:
-        node = self._node
-        kinds: list[type[Signal]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
-        if self._times_cycles:
-            kinds.append(CycleTiming)
-        if self._keeps_time is not None:
-            kinds.append(Clock)
-        self._out = Outbox(session, node=node.name, epoch=self.epoch, kinds=dict.fromkeys(kinds))
+        node, keeps_time = self._node, self._keeps_time
+        kinds = ports.outputs(node, keeps_time=keeps_time is not None)
+        self._out = Outbox(session, node=node.name, epoch=self.epoch, kinds=kinds)
         self._status = StatusReport(
             node.name,
             outbox=self._out,
             counts=self._door,
             clock=self._clock,
-            reads=self._hears,
+            reads=ports.inputs(node),
             say=self._say,
         )
-        hears: list[type[Signal]] = [*self._hears]
-        if self._keeps_time is not None:
-            hears.append(NodeStatus)
-        elif self._follows:
-            hears.append(Clock)
-        for kind in dict.fromkeys(hears):
-            topic = BY_SIGNAL[kind]
-            session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, self.mailbox)
-        if self._keeps_time is not None:
-            self._timekeeping = self._keep_time(self._keeps_time)
+        for_itself: list[type[Signal]] = [Clock] if self._follows else [] if keeps_time is None else [NodeStatus]
+        ports.subscribe(session, [*ports.inputs(node), *for_itself], self.mailbox)
+        if keeps_time is not None:
+            self._timekeeping = TimeKeeping(
+                keeps_time, self._clock, epoch=self.epoch, now_us=monotonic_us(), publish=self._out.publish
+            )
         self._begin()
-
-    def _keep_time(self, settings: KeepsTime) -> TimeKeeping:
-        keeper = TimeKeeper(epoch=self.epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=monotonic_us())
-        return TimeKeeping(keeper, self._clock, expects=settings.expects, publish=self._out.publish)
 
     def _begin(self) -> None:
         """The clock is known: the first step has its time."""

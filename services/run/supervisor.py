@@ -9,21 +9,20 @@ from __future__ import annotations
 
 import secrets
 import shutil
-import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 
 from ltv_mpc.signals import Clock, ClockState, NodeStatus
 from services.bus.session import BusOptions, Stopped, open_session
-from services.run import launch, warm
+from services.run import ending, launch, loopback, warm
 from services.run.children import Child, how_it_ended, last_lines
 from services.run.folder import RunFolder
 from services.run.live import view_of
 from services.run.orphans import Guard
-from services.run.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.run.situation import Situation
+from services.run.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.run.summary import of_recording
 from services.run.watch import Watch
 from services.views.live import Screen
@@ -32,9 +31,6 @@ from sim.grading.summary import Summary
 TICK_S = 0.05
 READY_S = 60.0  # from its start to its first word: the slowest needs 2 s on busy cores, cold code included 30
 SILENT_S = 10.0
-ORDERLY_S = 2.0  # for one process to stop at the end of a run
-HASTY_S = 0.7  # for all of them together after Ctrl-C; the recorder and the router come after, within 2 s in all
-RECORDER_S, ROUTER_S = 0.9, 0.2
 BYTES_PER_VEHICLE_S = 200_000  # of recording, generously: 200 s were 12 MB
 LATE_TICK_S = 1.0  # the supervisor itself was stopped or starved: silence says nothing then
 
@@ -111,10 +107,18 @@ class Supervisor:
                 code = INTERRUPTED if self._request.interrupted else FAILED
                 return Outcome(completed=False, exit_code=code, why="stopped; what was recorded until then is kept")
             finally:
-                killed = self._stop(sessions, in_order=in_order)
+                killed = ending.stop(self.children, in_order=in_order, close_session=sessions.close)
                 self._guard.close()
-        if "recorder" in killed:
-            return Outcome(completed=False, exit_code=FAILED, why="recorder: did not finish its file and was killed")
+        return self._last_look(killed)
+
+    def _last_look(self, killed: Sequence[str]) -> Outcome:
+        """The run came to its end: so must every process have, by itself and without a complaint."""
+        for name, child in self.children.items():
+            code = child.exit_code()
+            if name in killed or code != DONE:
+                how = "did not stop and was killed" if code is None or name in killed else how_it_ended(code)
+                why = f"{name} {how}; its last lines:"
+                return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=child.last_lines())
         return Outcome(completed=True, exit_code=DONE)
 
     # --- starting ----------------------------------------------------------------------------------------------------
@@ -144,7 +148,7 @@ class Supervisor:
             self._guard.release(process.pid)
 
     def _start(self, sessions: ExitStack) -> None:
-        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
         namespace = f"auv/{secrets.token_hex(4)}"
         places = {
             "router": endpoint,
@@ -155,7 +159,7 @@ class Supervisor:
         rows = launch.processes(self._situation.scenario)
         for row in (row for row in rows if not row.needs):
             self._spawn(row, places)
-        self._await(lambda: _answers(endpoint), "router", "does not answer")
+        self._await(lambda: loopback.answers(endpoint), "router", "does not answer")
         options = BusOptions(connect=(endpoint,), namespace=namespace)
         session = open_session(options, stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
@@ -219,45 +223,3 @@ class Supervisor:
             else:
                 states[name] = "spawned"
         return states
-
-    # --- stopping ----------------------------------------------------------------------------------------------------
-
-    def _stop(self, sessions: ExitStack, *, in_order: bool) -> list[str]:
-        """Nodes first, then the recorder, then the router; the names of those that had to be killed."""
-        nodes = [child for name, child in self.children.items() if name not in ("router", "recorder")]
-        killed = []
-        if not in_order:
-            for child in nodes:
-                child.ask_to_stop()
-        until = time.monotonic() + HASTY_S
-        for child in nodes:  # in order: each hears all that the one before it has said
-            child.ask_to_stop()
-            if not child.end(ORDERLY_S if in_order else until - time.monotonic()):
-                killed.append(child.name)
-        recorder_s = 5 * ORDERLY_S if in_order else RECORDER_S
-        for name, within_s in (("recorder", recorder_s), ("router", ROUTER_S)):
-            if name == "router":
-                sessions.close()
-            if name in self.children:
-                self.children[name].ask_to_stop()
-                if not self.children[name].end(within_s):
-                    killed.append(name)
-        for child in self.children.values():
-            child.close()
-        return killed
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def _answers(endpoint: str) -> bool:
-    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
-    try:
-        socket.create_connection((host, int(port)), timeout=0.2).close()
-    except OSError:
-        return False
-    return True

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import msgspec
+
 from ltv_mpc.signals import Clock, ClockState, NodeStatus, RunEvent
 from services.run.clock import TimeKeeper, VehicleClock
 
 REPEAT_US = 100_000
+TELL_US = 1_000_000  # at most so often it is said that the clock was slowed; it is counted always
 MOST_CATCH_UP_US = 100_000
 """By how much wall time the grid may be behind; what is beyond that the clock gives up."""
+
+
+class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
+    """What the process that keeps the time has to know."""
+
+    start_ns: int
+    end_ns: int
+    speed: float  # vehicle seconds per second
+    expects: tuple[str, ...]  # nodes that must be ready before the clock starts
 
 
 class TimeKeeping:
@@ -17,18 +29,20 @@ class TimeKeeping:
 
     def __init__(
         self,
-        keeper: TimeKeeper,
+        settings: KeepsTime,
         clock: VehicleClock,
         *,
-        expects: tuple[str, ...],
+        epoch: int,
+        now_us: int,
         publish: Callable[[Clock | RunEvent], object],
     ) -> None:
-        self._keeper = keeper
+        self._keeper = TimeKeeper(epoch=epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=now_us)
         self._clock = clock
         self._publish = publish
-        self._missing = dict.fromkeys(expects)  # a dict keeps the order of the launch table
+        self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
         self.due_us = 0
-        clock.hear(keeper.message)
+        self._told_us = -TELL_US
+        clock.hear(self._keeper.message)
 
     @property
     def waiting_for(self) -> str:
@@ -53,6 +67,9 @@ class TimeKeeping:
         if beyond_us <= 0 or self._keeper.message.at_monotonic_us > now_us:  # a change is on its way already
             return
         self._change(self._keeper.slow(now_us, beyond_us), now_us)
+        if now_us - self._told_us < TELL_US:
+            return
+        self._told_us = now_us
         text = (
             f"clock slowed {self._keeper.slowed} times, by {self._keeper.slowed_ns / 1e9:.2f} s of vehicle time in all"
         )

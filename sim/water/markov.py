@@ -4,7 +4,7 @@ x_k+1 = a x_k + sqrt(1 - a^2) w,  a = exp(-cell / length),  c_k = sd x_k,  north
 Bound: w is drawn from the normal distribution cut to the values that keep |x_k+1| <= bound, which is what rejecting
 and redrawing gives, with one draw a cell. Stationary: the cut chain is in detailed balance with
 p(x) ~ phi(x) P(|a x + sqrt(1 - a^2) w| <= bound), and x_0 is drawn from p, so that every depth has the same statistics.
-Its standard deviation is less than its name: times 0.982 for a bound of 3 and 0.856 for one of 2 (8 cells of correlation).
+Its standard deviation is less than its name: 0.982 of it for a bound of 3, 0.856 for one of 2 (length 8 cells).
 """
 
 from __future__ import annotations

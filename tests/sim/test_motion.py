@@ -181,6 +181,12 @@ def test_thrust_asked_for_is_thrust_delivered_until_the_propeller_turns_as_fast_
             assert thrusts[-1, 0] == pytest.approx(min(max(F, least), most), abs=1e-6)
 
 
+def test_no_propeller_ever_turns_faster_than_it_can():
+    _, revs, _ = travel([0] * 8, constant(5, 90, -90, 90), PAPER)
+    assert np.abs(revs).max() <= N_MAX
+    np.testing.assert_allclose(np.abs(revs[-1]), N_MAX, rtol=1e-6)
+
+
 def test_a_weaker_thruster_pushes_less_than_eq_8_says_of_its_revolutions():
     half, _, said = travel([0] * 8, constant(0.5, 20, 20, 0), PAPER, factor=0.5)
     full, _, _ = travel([0] * 8, constant(0.5, 10, 10, 0), PAPER)

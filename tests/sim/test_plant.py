@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.signals import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth, to_wire
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario
@@ -70,12 +70,13 @@ def test_truth_comes_every_ten_milliseconds_and_the_report_every_hundred():
     assert [x.t_ns for x in of(Applied, said)] == list(range(-S, S + 1, 100 * MS))
 
 
-def test_before_the_descent_it_drifts_afloat_with_the_surfaces_water_whatever_it_is_told():
-    settings = scenario(plant={"heading_rad": 0.7, "north_m": 3.0})
+@pytest.mark.parametrize("depth", [0.0, 12.6])
+def test_before_the_descent_it_drifts_with_the_water_at_its_depth_whatever_it_is_told(depth):
+    settings = scenario(plant={"heading_rad": 0.7, "north_m": 3.0, "depth_m": depth})
     said = run(plant_of(settings), 0, {-900 * MS: [arrival(-900 * MS, [[20, 20, 20]] * 9)]})
-    north, east = make(settings.water, 0).at(0.0, 0)
+    north, east = make(settings.water, 0).at(depth, 0)
     last = of(Truth, said)[-1]
-    assert last.position_m == pytest.approx((3.0 + north, east, 0.0))
+    assert last.position_m == pytest.approx((3.0 + north, east, depth))
     assert last.velocity_mps == pytest.approx((north, east, 0.0))
     assert last.attitude_rad[2] == 0.7
     for x in of(Applied, said):
@@ -103,7 +104,7 @@ def test_delivered_thrust_lags_behind_the_command():
     # At rest n_c = sqrt(F / a) and F rises to 20 N within T = 0.3 s; the lag, tau = 0.3 s too, is one of n, not of F.
     n_over_asked = quad(lambda s: math.exp(-(0.3 - s) / 0.3) / 0.3 * math.sqrt(s / 0.3), 0.0, 0.3)[0]
     assert thrust[300 * MS] == pytest.approx(20 * n_over_asked**2, rel=0.03)
-    assert thrust[4 * S] == pytest.approx(20, abs=0.01)
+    assert thrust[4 * S] == pytest.approx(20, abs=0.3)  # the inflow still grows
 
 
 def test_a_plan_is_answered_in_the_step_it_arrives_in():
@@ -148,6 +149,13 @@ def test_a_plan_that_starts_between_two_steps_is_followed_from_its_start():
     assert at(of(Applied, said), 400 * MS).command_N[0] == pytest.approx(30.4 - 9.6)
 
 
+def test_plans_whose_arrival_times_are_out_of_order_do_no_harm():
+    first = arrival(0, RAMP, received_ns=209 * MS)
+    second = arrival(300 * MS, [[30, -30, 30]] * 9, sequence=1, received_ns=204 * MS)
+    said = run(plant_of(scenario()), S, {210 * MS: [first, second]})
+    assert of(Applied, said)[-1].plan_sequence == 1
+
+
 def test_velocity_over_ground_is_that_through_the_water_plus_the_current_at_its_depth():
     settings = scenario(plant={"heading_rad": 2.0, "depth_m": 7.4})
     said = run(plant_of(settings), 3 * S, {0: [arrival(0, [[0, 0, 0], *[[30, 20, 10]] * 9])]})
@@ -184,7 +192,7 @@ def test_a_weaker_plant_is_weaker_in_truth_and_not_in_what_its_actuators_say():
 def test_two_plants_with_one_seed_are_equal_bit_for_bit():
     inboxes = {k * 300 * MS: [arrival(k * 300 * MS, RAMP, sequence=k)] for k in range(5)}
     one, two = (run(plant_of(scenario()), 2 * S, inboxes) for _ in range(2))
-    encode = msgspec.json.Encoder().encode
+    encode = msgspec.json.Encoder(enc_hook=to_wire).encode
     assert [encode(x) for x in one] == [encode(x) for x in two]
 
 

@@ -58,10 +58,12 @@ def test_the_plan_before_stays_in_force_until_the_next_one_starts():
 def test_a_plan_that_waits_is_replaced_by_a_newer_one_that_starts_no_later():
     gate = Gate(VEHICLE)
     gate.command_at(0)
-    gate.offer(constant(2 * S, 50.0, 50.0, 50.0), 1, 0, 0)
-    gate.offer(constant(1 * S, 10.0, 10.0, 10.0, knots=20), 1, 1, 0)
-    commands(gate, STEP_NS, 4 * S)
-    assert gate.command_at(4 * S + 1) == (10.0, 10.0, 10.0)
+    gate.offer(constant(0, 5.0, 5.0, 5.0, knots=30), 1, 0, 0)
+    gate.offer(constant(3 * S, 50.0, 50.0, 50.0), 1, 1, 0)
+    gate.offer(constant(1 * S, 10.0, 10.0, 10.0, knots=20), 1, 2, 0)
+    assert commands(gate, STEP_NS, 1 * S - STEP_NS)[-1].tolist() == [5.0, 5.0, 5.0]
+    assert commands(gate, 1 * S, 2 * S)[-1].tolist() == [10.0, 10.0, 10.0]
+    assert commands(gate, 2 * S, 4 * S)[-1].tolist() == [10.0, 10.0, 10.0]
 
 
 def test_after_its_last_knot_the_lateral_thrusts_ramp_to_zero_and_the_vertical_one_to_the_failsafe():
@@ -135,6 +137,13 @@ def test_a_plan_outside_box_or_slew_is_refused_and_nothing_changes(thrust, verdi
         commands(gate, S, 2 * S)
         assert gate.command_at(2 * S) == (20.0, 20.0, 20.0)
         assert gate.offer(constant(2 * S, 20.0, 20.0, 20.0), 1, 1, 2 * S) is Verdict.ACCEPTED
+
+
+def test_what_rounding_adds_to_a_plan_does_not_reach_the_command():
+    gate = Gate(VEHICLE)
+    gate.command_at(0)
+    gate.offer(constant(0, 62.5 + 1e-7, -62.5 - 1e-7, 62.5), 1, 0, 0)
+    assert commands(gate, 0, S)[-1].tolist() == [62.5, -62.5, 62.5]
 
 
 def test_commands_do_not_go_back_in_time():

@@ -12,7 +12,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.admission import CONSISTENCY, RANGES, refusal
+from ltv_mpc.admission import CONSISTENCY, refusal
+from ltv_mpc.ranges import RANGES
 from ltv_mpc.signals import (
     AdcpPing,
     Applied,

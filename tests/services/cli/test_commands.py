@@ -124,7 +124,7 @@ def test_ctrl_c_in_lock_step_ends_with_130_and_a_recording_that_reads(tmp_path: 
     recording = tmp_path / "r" / "run.mcap"
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60
-        while not (recording.exists() and recording.stat().st_size > 100_000) and time.monotonic() < deadline:
+        while not (recording.exists() and recording.stat().st_size > 300_000) and time.monotonic() < deadline:
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
         assert process.wait(10) == 130

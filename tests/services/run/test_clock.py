@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.signals import ClockState, NodeStatus
 from services.run.clock import LEAD_US, ClockError, Line, TimeKeeper, VehicleClock
-from services.run.timekeeping import MOST_CATCH_UP_US, TimeKeeping
+from services.run.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
 
 START_NS = -1_000_000_000
 T0_US = 50_000_000
@@ -174,10 +174,25 @@ def test_a_clock_of_another_host_or_of_another_plant_is_refused_in_words() -> No
         clock.hear(msgspec.structs.replace(keeper().message, clock_epoch=2, clock_sequence=1))
 
 
+def test_a_speed_that_differs_from_the_time_keepers_is_an_error_that_names_both() -> None:
+    VehicleClock(speed=2.5).hear(keeper(2.5).message)
+    with pytest.raises(ClockError, match=r"5 here and 2\.5 at the plant"):
+        VehicleClock(speed=5).hear(keeper(2.5).message)
+    told = VehicleClock(speed=2.5)
+    k = keeper(2.5)
+    told.hear(k.message)
+    told.hear(k.set_speed(T0_US, 7))  # a change on the way is none
+
+
+def keeping_time(clock: VehicleClock, sent: list[object], *expects: str) -> TimeKeeping:
+    settings = KeepsTime(start_ns=START_NS, end_ns=0, speed=10.0, expects=expects)
+    return TimeKeeping(settings, clock, epoch=1, now_us=T0_US, publish=sent.append)
+
+
 def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:
     sent: list[object] = []
     clock = VehicleClock()
-    keeping = TimeKeeping(keeper(), clock, expects=("sensors", "controller"), publish=sent.append)
+    keeping = keeping_time(clock, sent, "sensors", "controller")
     keeping.tend(T0_US)
     keeping.heard(status("controller"))
     keeping.tend(T0_US + 1)
@@ -191,7 +206,7 @@ def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:
 def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_clock() -> None:
     sent: list[object] = []
     clock = VehicleClock()
-    keeping = TimeKeeping(keeper(), clock, expects=(), publish=sent.append)
+    keeping = keeping_time(clock, sent)
     keeping.tend(T0_US)
     now_us = T0_US + 5_000_000
     keeping.late(now_us, now_us - MOST_CATCH_UP_US, "plant")
@@ -200,6 +215,8 @@ def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_c
     assert len(sent) == 3  # the clock, and an event that counts
     keeping.late(now_us + 1, now_us - 900_000, "plant")  # the change is on its way already
     assert len(sent) == 3
+    keeping.late(now_us + LEAD_US, now_us - 900_000, "plant")  # counted, and told again after a second only
+    assert len(sent) == 4
 
 
 def status(node: str) -> NodeStatus:

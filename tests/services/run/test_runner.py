@@ -35,8 +35,9 @@ from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import Header, crc, decode
-from services.run.runner import KeepsTime, Runner
+from services.run.runner import Runner
 from services.run.stopping import StopRequest
+from services.run.timekeeping import KeepsTime
 
 TICK_NS = 10_000_000
 ZERO = (0.0, 0.0, 0.0)
@@ -320,3 +321,38 @@ def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus
         Outbox(session, node="test", epoch=5, kinds=(PressureDepth,)).publish(PressureDepth(t_ns=0, depth_m=1.0))
         until(lambda: finished(drained(box, frames), 1))
     assert [s.inbox[0].key for _, s, _ in read(frames) if isinstance(s, StepRecord)] == ["sensor/depth"]
+
+
+class Slow:
+    """A cycle that lasts longer than its period; ``during`` is what happens in the first one."""
+
+    name = "estimator"
+    schedule = Cycle(10_000_000)
+    reads: tuple[type[Signal], ...] = (PressureDepth,)
+    writes: tuple[type[Signal], ...] = ()
+
+    def __init__(self, during: Callable[[], None]) -> None:
+        self.inboxes: list[list[int]] = []
+        self._during = during
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        assert all(arrival.received_t_ns <= t_ns for arrival in inbox)
+        self.inboxes.append([arrival.sequence for arrival in inbox])
+        if len(self.inboxes) == 1:
+            self._during()
+        return []
+
+
+def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: BusOptions) -> None:
+    def burst() -> None:
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        for t_ns in range(50):
+            out.publish(PressureDepth(t_ns=t_ns, depth_m=0.0))
+        until(lambda: len(runner.mailbox) == 50)
+        time.sleep(0.02)  # past the next cycle's time
+
+    node = Slow(burst)
+    runner = Runner(node, stop=StopRequest(), say=print, own_clock=True)
+    with listening(bus) as (session, _), running(bus, runner):
+        until(lambda: len(node.inboxes) > 2)
+    assert node.inboxes[:3] == [[], list(range(50)), []]

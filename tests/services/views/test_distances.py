@@ -48,7 +48,7 @@ def moment(t_ns: int, *, truth_m: tuple[float, float], estimate_m: tuple[float, 
 
 
 def test_the_error_of_the_first_fix_is_no_drift() -> None:
-    """The line goes through the first estimate, 5 m off; later the vehicle is 3-4-5 from its start, believed 0.5 less."""
+    """The line goes through the first estimate, 5 m off; then the vehicle moves 5 m and believes 0.5 m less."""
     distances = Distances()
     distances.update(moment(0, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
     assert (distances.true_error_m, distances.localisation_m) == (0.0, 0.0)

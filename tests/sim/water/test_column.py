@@ -105,6 +105,12 @@ def test_the_change_grows_with_the_square_root_of_time(seconds):
     assert sd == pytest.approx(1e-3 * math.sqrt(abs(seconds)), rel=4 / math.sqrt(2 * np.size(rows)))
 
 
+def test_the_past_and_the_future_of_the_water_are_independent():
+    water = WaterColumn(np.arange(2000.0), np.zeros((2000, 2)), change_mps_per_rts=1e-3, seed=1)
+    past, future = water.over(np.arange(2000.0), -9 * S), water.over(np.arange(2000.0), 9 * S)
+    assert abs(np.corrcoef(past.ravel(), future.ravel())[0, 1]) < 4 / math.sqrt(4000)
+
+
 def test_a_profile_written_to_a_file_is_the_same_water(tmp_path):
     water = make(Water(), 9)
     write_profile(tmp_path / "c.csv", water.profile(0))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import norm, truncnorm
 
 from sim.draws import Stream, generator
 from sim.scenario import Water
@@ -68,6 +68,17 @@ def test_a_bound_of_two_shrinks_the_standard_deviation_to_six_sevenths():
     series = markov.series(draws, 60_000, sd_mps=1.0, cell_m=1.0, correlation_length_m=LENGTH, bound_sd=2.0)
     assert np.abs(series).max() <= 2.0
     assert series.std() == pytest.approx(math.sqrt(law @ x**2), rel=0.02)
+
+
+def test_the_first_depth_already_has_the_statistics_of_all_others():
+    """Under a tight bound they differ clearly from those of a normal distribution that is only cut."""
+    x, _, law = stationary(1.0)
+    draws = generator(6, Stream.WATER_NORTH)
+    settings = {"sd_mps": 1.0, "cell_m": 1.0, "correlation_length_m": LENGTH, "bound_sd": 1.0}
+    first = np.array([markov.series(draws, 1, **settings)[0] for _ in range(20_000)])
+    expected = math.sqrt(law @ x**2)
+    assert first.std() == pytest.approx(expected, rel=4 / math.sqrt(40_000))
+    assert truncnorm(-1, 1).std() > 1.05 * expected
 
 
 def test_north_and_east_are_independent_and_so_are_seeds(profiles):

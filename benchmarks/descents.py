@@ -1,0 +1,98 @@
+"""The README's table of errors: the paper's descent, many seeds, every setting from the same currents.
+
+    .venv/bin/python -m benchmarks.descents [--seeds N] [--out FILE.json]
+
+Each row is the mean over seeds 0 to N-1 (20) of one setting, in lock step: figures repeat on one machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from services.measure.batch import Job, run
+from sim.grading.summary import Summary
+
+KNOWN = ("run.perfect_state=true",)
+PAPER_COST = (
+    "controller.weights.terminal_position_per_m2=0.0",
+    "controller.weights.terminal_velocity_s2_per_m2=0.0",
+)
+SHORT, LONG = ("controller.horizon_s=2.5",), ("controller.horizon_s=10.0",)
+
+ROWS = {
+    "no control": (*KNOWN, "controller.lateral=false"),
+    "known state, 2.5 s": (*KNOWN, *SHORT),
+    "known state, 5 s": KNOWN,
+    "known state, 5 s, 0.71 s of computing": (*KNOWN, "run.compute_delay_s=0.71"),
+    "known state, 10 s": (*KNOWN, *LONG),
+    "known state, the paper's cost, 2.5 s": (*KNOWN, *PAPER_COST, *SHORT),
+    "known state, the paper's cost, 5 s": (*KNOWN, *PAPER_COST),
+    "full loop, paper sensors, 1 TDCP fix": (),
+    "full loop, paper sensors, 30 TDCP fixes": ("run.surface_time_s=30.0",),
+    "full loop, realistic sensors, 30 TDCP fixes": ('sensors="realistic"', "run.surface_time_s=30.0"),
+}
+
+COLUMNS: dict[str, Callable[[Summary], float | None]] = {
+    "tracking (m)": lambda s: s.tracking_error_m.mean,
+    "localisation (m)": lambda s: s.localisation_error_m.mean,
+    "true error (m)": lambda s: s.true_error_m.mean,
+    "mean |F| (N)": lambda s: s.thrust.mean_abs_N,
+    "saturated (%)": lambda s: None if s.thrust.saturated_fraction is None else 100 * s.thrust.saturated_fraction,
+    "max slew (N/s)": lambda s: s.thrust.max_slew_N_per_s,
+    "late plans": lambda s: float(s.deadline_misses),
+    "refused plans": lambda s: float(s.plans_refused),
+}
+WORST = frozenset({"max slew (N/s)"})
+
+
+def main() -> None:
+    """Run, print, and keep where asked to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    names = [(name, seed) for name in ROWS for seed in range(options.seeds)]
+    jobs = [Job("descent", (f"run.seed={seed}", *ROWS[name])) for name, seed in names]
+    summaries: dict[str, list[Summary]] = {name: [] for name in ROWS}
+    with Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task(f"{len(jobs)} descents", total=len(jobs))
+        for place, summary in sorted_by_place(progress, task, jobs):
+            summaries[names[place][0]].append(summary)
+    table = {name: {column: figure(column, rows) for column in COLUMNS} for name, rows in summaries.items()}
+    print(f"| mean of {options.seeds} seeds | " + " | ".join(COLUMNS) + " |")
+    print("|---|" + "---|" * len(COLUMNS))
+    for name, row in table.items():
+        print(f"| {name} | " + " | ".join(text(value) for value in row.values()) + " |")
+    if options.out is not None:
+        options.out.write_text(json.dumps(table, indent=1) + "\n")
+
+
+def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[tuple[int, Summary]]:
+    """All results in the order of the jobs, the bar moving as they come."""
+    results = []
+    for result in run(jobs):
+        results.append(result)
+        progress.advance(task)  # type: ignore[arg-type]
+    return sorted(results, key=lambda result: result[0])
+
+
+def figure(column: str, rows: list[Summary]) -> float:
+    """A column's figure over the seeds: the largest where the worst counts, else the mean."""
+    values = [value for value in map(COLUMNS[column], rows) if value is not None]
+    return max(values) if column in WORST else statistics.fmean(values)
+
+
+def text(value: float) -> str:
+    """Three figures that count."""
+    return f"{value:.3f}" if value < 10 else f"{value:.1f}"
+
+
+if __name__ == "__main__":
+    main()

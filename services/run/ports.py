@@ -1,0 +1,38 @@
+"""What a node's process publishes and subscribes to: the node's own ports, and those that every process has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from ltv_mpc.node import Cycle, Node
+from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Rejected, RunEvent, Signal, StepRecord
+from services.bus.mailbox import Mailbox
+from services.bus.session import Session
+from services.bus.topics import BY_SIGNAL
+
+
+def times_cycles(node: Node) -> bool:
+    """Whether its caller measures each cycle, and tells the node with the next one."""
+    return isinstance(node.schedule, Cycle) and CycleTiming in node.reads
+
+
+def inputs(node: Node) -> list[type[Signal]]:
+    """What comes from other processes; its own words it is handed without the bus."""
+    return [kind for kind in node.reads if BY_SIGNAL[kind].written_by != node.name and kind not in (Rejected, Clock)]
+
+
+def outputs(node: Node, *, keeps_time: bool) -> list[type[Signal]]:
+    """What its process publishes."""
+    kinds: list[type[Signal]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
+    if times_cycles(node):
+        kinds.append(CycleTiming)
+    if keeps_time:
+        kinds.append(Clock)
+    return kinds
+
+
+def subscribe(session: Session, kinds: Iterable[type[Signal]], mailbox: Mailbox) -> None:
+    """All of them into one mailbox: arrival has one order."""
+    for kind in dict.fromkeys(kinds):
+        topic = BY_SIGNAL[kind]
+        session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, mailbox)

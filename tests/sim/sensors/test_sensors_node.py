@@ -1,0 +1,177 @@
+"""All sensors as one node: exact sample times, surface phases, and random numbers that nobody shares."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.admission import refusal
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.node import Arrival
+from ltv_mpc.signals import (
+    AdcpPing,
+    CompassHeading,
+    Estimate,
+    GnssFix,
+    ImuSample,
+    PressureDepth,
+    TdcpFix,
+    Truth,
+    to_wire,
+)
+from ltv_mpc.vehicle.parameters import Vehicle
+from sim.plant import Plant
+from sim.scenario import Scenario
+from sim.sensors.instant import Motion
+from sim.sensors.node import Sensors
+from sim.water import make
+
+MS, S = 1_000_000, 1_000_000_000
+encode = msgspec.json.Encoder(enc_hook=to_wire).encode
+
+
+def scenario(*, surface_s: float = 1.0, seed: int = 0, perfect: bool = False) -> Scenario:
+    base = Scenario.load("descent")
+    run = msgspec.structs.replace(base.run, surface_time_s=surface_s, seed=seed, perfect_state=perfect)
+    return msgspec.structs.replace(base, run=run)
+
+
+def truths(settings: Scenario, until_ns: int, step_ns: int = 10 * MS) -> list[Truth]:
+    plant = Plant(settings, Vehicle.load("paper"), make(settings.water, settings.run.seed))
+    said = []
+    for t in range(settings.start_ns, until_ns + 1, step_ns):
+        said += [x for x in plant.step(t, []) if isinstance(x, Truth)]
+    return said
+
+
+def measured(settings: Scenario, suite: Suite, world: list[Truth]):
+    node = Sensors(settings, suite, make(settings.water, settings.run.seed))
+    said = []
+    for k, truth in enumerate(world):
+        said += node.step(truth.t_ns, [Arrival(truth, 1, k, truth.t_ns)])
+    assert {type(x) for x in said} <= set(node.writes)
+    return said
+
+
+def of(kind, said):
+    return [x for x in said if type(x) is kind]
+
+
+@pytest.mark.parametrize("surface_s", [1.0, 30.0])
+def test_a_surface_phase_of_n_seconds_has_exactly_n_fixes_of_carrier_phase(surface_s):
+    settings = scenario(surface_s=surface_s)
+    said = measured(settings, Suite.load("paper"), truths(settings, 3 * S))
+    fixes = of(TdcpFix, said)
+    assert len(fixes) == int(surface_s)
+    assert fixes[-1].t_ns == 0
+    assert [f.t_ns - f.from_t_ns for f in fixes] == [S] * len(fixes)
+    assert [f.t_ns for f in of(GnssFix, said)] == list(range(settings.start_ns, 1, S))
+
+
+def test_sample_times_are_whole_multiples_of_each_period():
+    settings, suite = scenario(), Suite.load("paper")
+    said = measured(settings, suite, truths(settings, 10 * S))
+    periods = {ImuSample: 10 * MS, AdcpPing: 333_333_333, PressureDepth: 100 * MS, CompassHeading: S}
+    for kind, period in periods.items():
+        times = [x.t_ns for x in of(kind, said)]
+        assert times == [k * period for k in range(times[0] // period, 10 * S // period + 1)]
+        assert times[0] - period <= -S
+    assert Counter(type(x) for x in said)[AdcpPing] == 34  # -3 to 30
+    assert [x.t_ns for x in said] == sorted(x.t_ns for x in said)
+    assert [refusal(x) for x in said] == [None] * len(said)
+
+
+@pytest.mark.parametrize("name", ["paper", "realistic"])
+def test_two_nodes_with_one_seed_say_the_same_bit_for_bit(name):
+    settings, suite = scenario(seed=5), Suite.load(name)
+    world = truths(settings, 2 * S)
+    one, two = (encode(measured(settings, suite, world)) for _ in range(2))
+    assert one == two
+    assert encode(measured(scenario(seed=6), suite, world)) != one
+
+
+@pytest.mark.parametrize("changed", ["imu", "gnss", "tdcp", "adcp", "pressure", "compass"])
+def test_no_sensors_numbers_change_when_another_sensor_is_another(changed):
+    settings, world = scenario(), truths(scenario(), 2 * S)
+    plain, other = Suite.load("paper"), Suite.load("realistic")
+    latitude = plain.latitude_rad if changed != "imu" else other.latitude_rad
+    table = msgspec.structs.replace(getattr(other, changed), period_ns=500 * MS)
+    mixed = msgspec.structs.replace(plain, latitude_rad=latitude, **{changed: table})
+    before, after = measured(settings, plain, world), measured(settings, mixed, world)
+    writers = {
+        "imu": ImuSample,
+        "gnss": GnssFix,
+        "tdcp": TdcpFix,
+        "adcp": AdcpPing,
+        "pressure": PressureDepth,
+        "compass": CompassHeading,
+    }
+    for name, kind in writers.items():
+        same = encode(of(kind, before)) == encode(of(kind, after))
+        assert same == (name != changed), name
+
+
+def test_a_slower_truth_gives_the_same_sample_times():
+    settings, suite = scenario(), Suite.load("paper")
+    fast = measured(settings, suite, truths(settings, 2 * S))
+    slow = measured(settings, suite, truths(settings, 2 * S, 20 * MS))
+    assert [(type(x), x.t_ns) for x in fast] == [(type(x), x.t_ns) for x in slow]
+    depths = [[x.depth_m for x in of(PressureDepth, said)] for said in (fast, slow)]
+    np.testing.assert_allclose(*depths, atol=1e-6)
+
+
+def test_between_two_truths_the_attitude_turns_about_one_axis_and_the_rest_is_linear():
+    world = truths(scenario(), -900 * MS)
+    a, b, c = world[2], world[3], world[4]
+    instant = Motion(a, c).at(b.t_ns)
+    np.testing.assert_allclose(instant.position_m, b.position_m, atol=1e-6)
+    np.testing.assert_allclose(instant.velocity_mps, b.velocity_mps, atol=1e-5)
+    exact = Motion(a, b).at(b.t_ns)
+    np.testing.assert_allclose(instant.rotation, exact.rotation, atol=5e-6)
+    # The body's rate by Euler's equations from rates of roll, pitch, heading
+    roll, pitch, _ = b.attitude_rad
+    rates = (np.array(c.attitude_rad) - np.array(a.attitude_rad)) / 0.02
+    body = [
+        rates[0] - rates[2] * math.sin(pitch),
+        rates[1] * math.cos(roll) + rates[2] * math.sin(roll) * math.cos(pitch),
+        -rates[1] * math.sin(roll) + rates[2] * math.cos(roll) * math.cos(pitch),
+    ]
+    np.testing.assert_allclose(instant.angular_rate_radps, body, atol=1e-6)
+
+
+def test_a_perfect_state_is_the_truth_with_the_true_profile_in_the_estimators_cells():
+    settings = scenario(perfect=True)
+    world = truths(settings, 2 * S)
+    said = measured(settings, Suite.load("paper"), world)
+    estimates = of(Estimate, said)
+    assert [x.t_ns for x in estimates] == list(range(-S, 2 * S + 1, 100 * MS))
+    by_time = {x.t_ns: x for x in world}
+    water = make(settings.water, 0)
+    for x in estimates:
+        truth = by_time[x.t_ns]
+        assert (x.north_m, x.east_m, x.depth_m) == pytest.approx(truth.position_m, abs=1e-12)
+        velocity = (x.velocity_north_mps, x.velocity_east_mps, x.velocity_down_mps)
+        assert velocity == pytest.approx(truth.velocity_mps, abs=1e-12)
+        assert (x.heading_rad, x.yaw_rate_radps) == pytest.approx((truth.attitude_rad[2], truth.yaw_rate_radps))
+        assert x.current.depth_m.tolist() == list(range(71))
+        np.testing.assert_array_equal(x.current.north_mps, water.profile(0).north_mps)
+        np.testing.assert_array_equal(x.current.east_mps, water.profile(0).east_mps)
+        assert (x.current.sd_mps == 0).all()
+    assert len(of(ImuSample, said)) == 300
+
+
+def test_without_perfect_state_the_node_makes_no_estimate():
+    settings = scenario()
+    node = Sensors(settings, Suite.load("paper"), make(settings.water, 0))
+    assert Estimate not in node.writes
+
+
+def test_a_truth_that_comes_twice_is_measured_once():
+    settings, world = scenario(), truths(scenario(), 0)
+    once = encode(measured(settings, Suite.load("paper"), world))
+    twice = encode(measured(settings, Suite.load("paper"), [x for x in world for _ in range(2)]))
+    assert once == twice

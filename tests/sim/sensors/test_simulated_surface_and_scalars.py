@@ -1,0 +1,95 @@
+"""Satellite fixes, carrier phase, pressure and compass: statistics against the table of model.md."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import frames
+from ltv_mpc.localisation.suite import Suite
+from sim.sensors.compass import MagneticCompass
+from sim.sensors.gnss import Receiver
+from sim.sensors.instant import Instant
+from sim.sensors.pressure import Gauge
+from sim.sensors.tdcp import CarrierPhase
+
+SUITES = [Suite.load(name) for name in ("paper", "realistic")]
+S = 1_000_000_000
+COUNT = 6000
+SIGMA = 4.5 / math.sqrt(COUNT)
+"""4.5 of the estimate's own standard deviations, in units of the noise's."""
+
+
+def instant(t_ns: int, north=3.0, east=-4.0, depth=0.0, heading=0.0) -> Instant:
+    R = frames.rotation(0.03, -0.05, heading)
+    return Instant(t_ns, (north, east, depth), (0.1, -0.2, 0.0), R, np.zeros(3), 0.0)
+
+
+def check_white(errors: np.ndarray, sd: float) -> None:
+    """Mean zero, the standard deviation named, no memory."""
+    assert abs(errors.mean()) < SIGMA * sd
+    assert errors.std() == pytest.approx(sd, rel=SIGMA / math.sqrt(2))
+    assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < SIGMA
+
+
+@pytest.mark.parametrize("suite", SUITES, ids=lambda s: s.name)
+def test_satellite_fixes_are_off_by_the_tables_standard_deviations(suite):
+    receiver = Receiver(suite.gnss, 3)
+    fixes = [receiver.sample(instant(-k * S))[0] for k in range(COUNT)]
+    check_white(np.array([f.north_m for f in fixes]) - 3.0, 5.0)
+    check_white(np.array([f.east_m for f in fixes]) + 4.0, 5.0)
+    check_white(np.array([f.velocity_north_mps for f in fixes]) - 0.1, 0.02)
+    check_white(np.array([f.velocity_east_mps for f in fixes]) + 0.2, 0.02)
+
+
+@pytest.mark.parametrize("suite", SUITES, ids=lambda s: s.name)
+def test_carrier_phase_says_the_way_since_the_last_epoch(suite):
+    phase = CarrierPhase(suite.tdcp, 3)
+    assert phase.sample(instant(-COUNT * S, north=0.0, east=0.0)) == []
+    fixes = [phase.sample(instant((k - COUNT) * S, north=0.3 * k, east=-0.2 * k))[0] for k in range(1, COUNT + 1)]
+    assert [f.t_ns - f.from_t_ns for f in fixes] == [S] * COUNT
+    check_white(np.array([f.north_m for f in fixes]) - 0.3, 0.005)
+    check_white(np.array([f.east_m for f in fixes]) + 0.2, 0.005)
+
+
+def test_satellites_are_gone_once_the_descent_has_begun():
+    receiver, phase = Receiver(SUITES[0].gnss, 1), CarrierPhase(SUITES[0].tdcp, 1)
+    phase.sample(instant(-S))
+    assert len(receiver.sample(instant(0))) == 1
+    assert len(phase.sample(instant(0))) == 1
+    assert receiver.sample(instant(1)) == []
+    assert phase.sample(instant(S)) == []
+
+
+@pytest.mark.parametrize("suite", SUITES, ids=lambda s: s.name)
+def test_depth_from_pressure_is_off_by_a_centimetre(suite):
+    gauge = Gauge(suite.pressure, 3)
+    check_white(np.array([gauge.sample(instant(k, depth=12.0))[0].depth_m for k in range(COUNT)]) - 12.0, 0.01)
+
+
+def test_the_papers_compass_has_white_noise_of_a_degree_and_no_bias():
+    compass = MagneticCompass(SUITES[0].compass, 3)
+    headings = [compass.sample(instant(k * S, heading=1.0))[0].heading_rad for k in range(COUNT)]
+    check_white(np.array(headings) - 1.0, math.radians(1.0))
+
+
+def test_the_realistic_compass_has_a_bias_of_two_degrees_over_instruments_that_forgets_in_an_hour():
+    settings = msgspec.structs.replace(SUITES[1].compass, heading_sd_rad=1e-9)
+    first, later = [], []
+    for seed in range(800):
+        compass = MagneticCompass(settings, seed)
+        first.append(compass.sample(instant(0))[0].heading_rad)
+        later.append(compass.sample(instant(3600 * S))[0].heading_rad)
+    for biases in (first, later):
+        assert np.std(biases) == pytest.approx(math.radians(2.0), rel=4.5 / math.sqrt(1600))
+    assert np.corrcoef(first, later)[0, 1] == pytest.approx(math.exp(-1.0), abs=4.5 / math.sqrt(800))
+
+
+def test_headings_are_wrapped():
+    compass = MagneticCompass(SUITES[0].compass, 3)
+    headings = np.array([compass.sample(instant(k, heading=math.pi))[0].heading_rad for k in range(400)])
+    assert (np.abs(headings) <= math.pi).all()
+    assert 0.3 < (headings < 0).mean() < 0.7
