@@ -2,7 +2,8 @@
 
 S = H P H^T + R,  each row passes if residual_i^2 / S_ii <= gate;  of those that pass, with S = L L^T, W = L^-1 H P:
     error = W^T L^-1 residual,   P := P - W^T W
-W^T W is formed once and mirrored, so P stays symmetric to the last bit. H is sparse: H P costs m w n, not m n^2.
+then P is carried over to the estimate that has moved (``turning.py``). W^T W is formed once and mirrored, so P stays
+symmetric to the last bit. H is sparse: H P costs m w n, not m n^2.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.linalg.lapack import dpotrf
 from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import Belief
+from ltv_mpc.localisation.turning import turn_with_heading
 from ltv_mpc.signals import Array
 
 
@@ -79,7 +81,9 @@ def correct(belief: Belief, rows: Rows, gate: float) -> Correction:
         return Correction(np.zeros_like(accepted), nis, definite=False)
     WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m): W^T = (H P)^T L^-T
     y = dtrsv(L, residual, lower=1)
-    belief.add(WT @ y)
+    error = WT @ y
+    belief.add(error)
     dsyrk(-1.0, WT, beta=1.0, c=belief.P.T, lower=1, overwrite_c=1)
     _mirror(belief.P)
+    turn_with_heading(belief.P, error, belief.layout)
     return Correction(accepted, nis, definite=True)

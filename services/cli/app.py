@@ -11,7 +11,6 @@ import typer
 from services.cli import measure, processes, start, vehicle
 
 BAD_INPUT = 2
-INTERRUPTED = 130
 
 app = typer.Typer(
     name="ltv-mpc",
@@ -39,7 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """The exit code of a command line. Bad input is one line on stderr, without a traceback."""
+    """The exit code of a command line. Bad input is one line on stderr, without a traceback.
+
+    Typer itself turns Ctrl-C into 130.
+    """
     try:
         code = app(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
     except typer.TyperException as error:
@@ -49,8 +51,6 @@ def run(arguments: Sequence[str]) -> int:
         if not _is_config_error(error):
             raise
         return _refuse(f"ltv-mpc: {error}")
-    except (KeyboardInterrupt, typer.Abort):
-        return INTERRUPTED
     except BrokenPipeError:  # the reader of our output has gone: `ltv-mpc topics | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -64,5 +64,5 @@ def _is_config_error(error: ValueError) -> bool:
 
 
 def _refuse(text: str) -> int:
-    print(" ".join(text.split()), file=sys.stderr)  # noqa: T201 (the one line of a refusal)
+    typer.echo(" ".join(text.split()), err=True)
     return BAD_INPUT

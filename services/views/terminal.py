@@ -186,7 +186,7 @@ def _thrusts(view: LiveView, limits: Limits) -> list[Text]:
 
 def _ages(view: LiveView) -> list[Text]:
     estimate = "-" if view.estimate is None else f"{_seconds(view.t_ns - view.estimate.t_ns, 2)} s"
-    plan = "-" if view.plan is None else f"{_seconds(view.t_ns - int(view.plan.t_ns[0]), 2)} s ({view.plan.origin})"
+    plan = "-" if view.plan is None else f"{_seconds(view.t_ns - view.plan.cycle_t_ns, 2)} s ({view.plan.origin})"
     lines = [f"age     estimate {estimate}   plan {plan}   late {view.applied.plans_late if view.applied else 0}"]
     if view.timing is None:
         lines.append("cycle   -")

@@ -135,14 +135,29 @@ def test_the_cycles_own_time_counts_until_the_actuators_report():
     assert delay.expected_ns() == 700
 
 
-def test_expected_is_a_quantile_of_lately_and_each_receipt_counts_once():
-    delay = Delay(0, 0.5)
-    for k, took in enumerate([100, 200, 300]):
-        for _ in range(5):  # the actuators repeat their report
-            delay.receipt(applied(10, plan_cycle_t_ns=1000 * k, plan_received_t_ns=1000 * k + took))
-    assert delay.expected_ns() == 200
-    for k in range(100):
-        delay.receipt(applied(10, plan_cycle_t_ns=10_000 * (k + 1), plan_received_t_ns=10_000 * (k + 1) + 7))
+def received(delay: Delay, *took_ns: int) -> None:
+    for k, took in enumerate(took_ns):
+        at = 1_000_000 * (k + 1) + len(took_ns)
+        for _ in range(3):  # the actuators repeat their report
+            delay.receipt(applied(10, plan_cycle_t_ns=at, plan_received_t_ns=at + took))
+
+
+def test_a_delay_that_never_varies_is_expected_as_it_is():
+    delay = Delay(0, 0.98)
+    received(delay, *[700] * 10)
+    assert delay.expected_ns() == 700
+
+
+def test_expected_is_a_quantile_and_as_much_again_above_the_median_and_each_receipt_counts_once():
+    delay = Delay(0, 1.0)
+    received(delay, 100, 100, 100, 160)
+    assert delay.expected_ns() == 160 + (160 - 100)
+
+
+def test_what_was_long_ago_is_forgotten():
+    delay = Delay(0, 1.0)
+    received(delay, 9000)
+    received(delay, *[7] * 100)
     assert delay.expected_ns() == 7
 
 

@@ -125,6 +125,7 @@ def test_the_screen_says_what_the_messages_hold() -> None:
 def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
     assert bar(62.5, -62.5, 62.5, width=9) == "|    +====|"
     assert bar(-31.25, -62.5, 62.5, width=9) == "|  ==+    |"
+    assert bar(-5.0, -10.0, 62.5, width=9) == "|  ==+    |"  # of what it can push astern
     assert bar(0.0, -62.5, 62.5, width=9) == "|    +    |"
     assert bar(-1.0, 0.0, 62.5, width=9) == "|    +    |"  # a thruster that cannot push astern
     assert len({len(bar(x, -10.0, 62.5)) for x in (-99.0, -5.0, 0.0, 1.0, 99.0)}) == 1
