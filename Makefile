@@ -71,5 +71,5 @@ clean:  ## remove .venv and caches; runs/ stays
 
 .venv/compiled: .venv/installed $(KERNELS)
 	@echo "compiling, once (under a minute)"
-	@$(BIN)/python -P -m services.run.warm descent
+	@$(BIN)/python -P -m services.launch.warm descent
 	@touch $@

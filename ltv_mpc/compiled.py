@@ -2,8 +2,8 @@
 
 numba's own cache notices an edit of a function's file, not of another file that the function calls into. So the
 cache lives in a folder whose name is a hash of every source file with compiled functions, of the compiler's version
-and of the processor: an edit anywhere starts a new folder. Where no folder can be written, a temporary one serves; child
-processes inherit it through the environment.
+and of the processor: an edit anywhere starts a new folder. Where no folder can be written, a temporary one serves;
+child processes inherit it through the environment.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
 
 
 def _processes(situation: Situation, folder: RunFolder, as_json: bool) -> int:
-    from services.run import supervisor
+    from services.launch import supervisor
     from services.views.terminal import screen_for
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]

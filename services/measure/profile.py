@@ -12,9 +12,9 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.node import Inbox
 from ltv_mpc.signals import Plan, Signal, SolveStatus
+from services.process.stopwatch import StageTimer
 from services.run import locked
 from services.run.situation import Override, Situation, resolve
-from services.run.stopwatch import StageTimer
 from sim.lockstep import LockStep
 
 WARM_UP = 20

@@ -9,9 +9,9 @@ from ltv_mpc.references import Reference
 from ltv_mpc.signals import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import BusOptions
-from services.run.process import serve
-from services.run.runner import Runner
-from services.run.stopwatch import StageTimer
+from services.process.runner import Runner
+from services.process.serve import serve
+from services.process.stopwatch import StageTimer
 
 
 def main(

@@ -11,8 +11,8 @@ from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.node import Arrival
 from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, Signal, TdcpFix
 from services.bus.session import BusOptions
-from services.run.process import serve
-from services.run.runner import Runner
+from services.process.runner import Runner
+from services.process.serve import serve
 
 
 def main(suite: Suite, config: EstimatorConfig, bus: BusOptions) -> int:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from services.bus.session import BusOptions
-from services.run.process import serve
-from services.run.runner import Runner
+from services.process.runner import Runner
+from services.process.serve import serve
+from services.process.timekeeping import KeepsTime
 from services.run.situation import Situation
-from services.run.timekeeping import KeepsTime
 from sim.plant import Plant
 
 

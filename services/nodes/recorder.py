@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from services.bus.session import BusError, BusOptions, Stopped
+from services.process.recording import NAME, RecordingLoop
+from services.process.stopping import FAILED, sayer, stop_on_signals
 from services.recording.writer import RunWriter
-from services.run.recording import NAME, RecordingLoop
-from services.run.stopping import FAILED, sayer, stop_on_signals
 
 
 def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str, str]) -> int:

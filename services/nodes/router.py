@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from services.bus.session import ROUTER_ENDPOINT, BusError, BusOptions, Stopped, open_session
-from services.run.stopping import FAILED, sayer, stop_on_signals
+from services.process.stopping import FAILED, sayer, stop_on_signals
 
 
 def main(bus: BusOptions) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from ltv_mpc.node import Arrival
 from ltv_mpc.signals import Truth
 from services.bus.session import BusOptions
-from services.run.process import serve
-from services.run.runner import Runner
+from services.process.runner import Runner
+from services.process.serve import serve
 from services.run.situation import Situation
 from sim.plant import PERIOD_NS
 from sim.sensors.node import Sensors

@@ -19,7 +19,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402  (the backend without a screen is chosen first)
+import matplotlib.pyplot as plt
 
 COLOURS = ("#999999", "#E69F00", "#0072B2", "#009E73")
 """Okabe and Ito: told apart by the colour-blind, and in grey."""

@@ -21,6 +21,9 @@ from parso.tree import NodeOrLeaf
 TERMS = {"name", "number", "atom_expr", "term", "power", "atom"}
 """What a minus may stand before: all but sums, signed factors, comparisons, conditions and strings."""
 
+NO_SIGN = ("-", "0", "[", "np.empty", "np.zeros", "range")
+"""How values begin whose negative is tried elsewhere, is the same, or is no number."""
+
 Span = tuple[tuple[int, int], tuple[int, int]]
 
 
@@ -50,11 +53,11 @@ class LeadingSign(Operator):  # type: ignore[misc]
 
     def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
         """The term."""
-        if node.type in TERMS and _stands_alone_or_first(node) and not _in_subscript(node):
+        if node.type in TERMS and _begins_a_sum(node) and not _without_sign(node) and not _in_subscript(node):
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:  # noqa: ARG002
-        """Its negative: a minus binds less than a power and turns a product round as a whole."""
+        """Its negative: a minus binds less than a power, and turns a product round as a whole."""
         leaf = node.get_first_leaf()
         leaf.value = "-" + leaf.value
         return node
@@ -65,22 +68,30 @@ class LeadingSign(Operator):  # type: ignore[misc]
         return (Example("x = a * b", "x = -a * b"), Example("x = a - b", "x = -a - b"))
 
 
-def _stands_alone_or_first(node: NodeOrLeaf) -> bool:
+def _begins_a_sum(node: NodeOrLeaf) -> bool:
     parent, before = node.parent, node.get_previous_sibling()
-    if parent is None or (node.type == "atom" and node.get_first_leaf().value != "("):
-        return False
     if parent.type == "arith_expr":
         return before is None
-    if parent.type in {"expr_stmt", "annassign", "argument"}:
-        return getattr(before, "value", None) == "="
-    if parent.type == "testlist_star_expr":  # a tuple: of values, not of targets
-        return parent.get_next_sibling() is None or parent.get_next_sibling().type != "operator"
-    return parent.type in {"return_stmt", "testlist", "testlist_comp"}
+    if parent.type == "expr_stmt":  # into a place of an array; a value given a name has a sign where the name is used
+        return getattr(before, "value", "") == "=" and parent.children[0].type == "atom_expr"
+    if parent.type == "testlist_star_expr":  # many at once: into places, or returned
+        first = parent.parent.children[0]
+        return first is not parent and (first.type == "keyword" or "[" in first.get_code())
+    if parent.type == "testlist_comp":  # of a list, not of a tuple: those are shapes and slices
+        return parent.get_first_leaf().get_previous_leaf().value == "["
+    if parent.type == "argument":
+        return node.type == "atom_expr" and parent.children[0].type == "name"
+    return parent.type == "return_stmt" and node.type in {"name", "term"}
+
+
+def _without_sign(node: NodeOrLeaf) -> bool:
+    """What has a minus already, is zero, is not yet filled, or counts."""
+    return node.get_code(include_prefix=False).startswith(NO_SIGN)
 
 
 def _in_subscript(node: NodeOrLeaf) -> bool:
     above = node.parent
-    while above is not None and not (above.type == "trailer" and above.get_first_leaf().value == "["):
+    while above is not None and not (above.type == "trailer" and above.children[0].value == "["):
         above = above.parent
     return above is not None
 

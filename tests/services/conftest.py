@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from services.run import loopback
+from services.launch import loopback
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""How the supervisor's children begin: ``python -P -m services.run.child PARENT COMMAND...``.
+"""How the supervisor's children begin: ``python -P -m services.launch.child PARENT COMMAND...``.
 
 They bind themselves to their parent's life, and are then the command that a person would type.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 
 from services.cli.app import main as command_line
-from services.run.orphans import die_with_parent, stop_at_end_of_input
+from services.launch.orphans import die_with_parent, stop_at_end_of_input
 
 
 def main() -> None:

@@ -13,9 +13,10 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc.signals import NodeStatus, Plan, Truth
+from services.launch import supervisor
 from services.recording.losses import Losses
 from services.recording.reader import Recording
-from services.run import folder, supervisor
+from services.run import folder
 from services.run.situation import Override, Situation, resolve
 from services.views.live import LiveView
 
@@ -240,7 +241,7 @@ def test_started_in_the_wrong_order_each_node_waits_says_for_what_and_goes_on(tm
 
 def test_controller_and_estimator_processes_never_import_the_simulation() -> None:
     program = (
-        "import sys, services.run.child\n"
+        "import sys, services.launch.child\n"
         "from services.nodes import controller, estimator\n"
         "sys.exit(any(name.split('.')[0] == 'sim' for name in sys.modules))"
     )

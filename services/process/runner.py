@@ -17,14 +17,14 @@ from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.wire import WireError, crc
-from services.run import ports
-from services.run.clock import VehicleClock, monotonic_us
-from services.run.inbox import PendingInbox
-from services.run.schedule import Timetable
-from services.run.status import StatusReport
-from services.run.stopping import Say, StopRequest
-from services.run.stopwatch import StageTimer
-from services.run.timekeeping import KeepsTime, TimeKeeping
+from services.process import ports
+from services.process.clock import VehicleClock, monotonic_us
+from services.process.inbox import PendingInbox
+from services.process.schedule import Timetable
+from services.process.status import StatusReport
+from services.process.stopping import Say, StopRequest
+from services.process.stopwatch import StageTimer
+from services.process.timekeeping import KeepsTime, TimeKeeping
 
 LAST_FRAMES_US = 300_000
 """At most so long a process that is told to stop takes what has arrived before."""

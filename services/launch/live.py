@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ltv_mpc.signals import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from services.launch.watch import Watch
 from services.run.situation import Situation
-from services.run.watch import Watch
 from services.views.live import LiveView
 
 

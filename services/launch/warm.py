@@ -19,7 +19,7 @@ def is_warm() -> bool:
 
 def fill(scenario: Path, log: Path) -> subprocess.Popen[bytes]:
     """Start a process that compiles what a run of this scenario needs; it exits 0 when that is done."""
-    command = [sys.executable, "-P", "-m", "services.run.warm", str(scenario)]
+    command = [sys.executable, "-P", "-m", "services.launch.warm", str(scenario)]
     with log.open("wb") as output:
         return subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True

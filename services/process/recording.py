@@ -12,11 +12,11 @@ from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, open_session
 from services.bus.wire import Header, WireError, typed, unpack
+from services.process.clock import ClockError, VehicleClock, monotonic_us
+from services.process.status import StatusReport
+from services.process.stopping import Say, StopRequest
 from services.recording.losses import Losses
 from services.recording.writer import RunWriter
-from services.run.clock import ClockError, VehicleClock, monotonic_us
-from services.run.status import StatusReport
-from services.run.stopping import Say, StopRequest
 
 NAME = "recorder"
 FLUSH_US = 500_000

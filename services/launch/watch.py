@@ -11,7 +11,7 @@ from services.bus.mailbox import Mailbox
 from services.bus.session import Session
 from services.bus.topics import BY_SIGNAL, Topic
 from services.bus.wire import WireError, decode
-from services.run.clock import ClockError, VehicleClock, monotonic_us
+from services.process.clock import ClockError, VehicleClock, monotonic_us
 
 S = TypeVar("S", bound=Signal)
 

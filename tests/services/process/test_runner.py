@@ -35,9 +35,9 @@ from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import Header, crc, decode
-from services.run.runner import Runner
-from services.run.stopping import StopRequest
-from services.run.timekeeping import KeepsTime
+from services.process.runner import Runner
+from services.process.stopping import StopRequest
+from services.process.timekeeping import KeepsTime
 
 TICK_NS = 10_000_000
 ZERO = (0.0, 0.0, 0.0)

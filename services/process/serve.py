@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from services.bus.session import BusError, BusOptions, Stopped
-from services.run.clock import ClockError
-from services.run.runner import Runner
-from services.run.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.process.clock import ClockError
+from services.process.runner import Runner
+from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
 
 
 def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:

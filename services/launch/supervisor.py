@@ -16,15 +16,15 @@ from dataclasses import dataclass
 
 from ltv_mpc.signals import Clock, ClockState, NodeStatus
 from services.bus.session import BusOptions, Stopped, open_session
-from services.run import ending, launch, loopback, warm
-from services.run.children import Child, how_it_ended, last_lines
+from services.launch import ending, loopback, table, warm
+from services.launch.children import Child, how_it_ended, last_lines
+from services.launch.live import view_of
+from services.launch.orphans import Guard
+from services.launch.watch import Watch
+from services.process.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.run.folder import RunFolder
-from services.run.live import view_of
-from services.run.orphans import Guard
 from services.run.situation import Situation
-from services.run.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.run.summary import of_recording
-from services.run.watch import Watch
 from services.views.live import Screen
 from sim.grading.summary import Summary
 
@@ -156,7 +156,7 @@ class Supervisor:
             "run": str(self._folder.path.absolute()),
             "compute_delay_s": repr(self._situation.scenario.run.compute_delay_s),
         }
-        rows = launch.processes(self._situation.scenario)
+        rows = table.processes(self._situation.scenario)
         for row in (row for row in rows if not row.needs):
             self._spawn(row, places)
         self._await(lambda: loopback.answers(endpoint), "router", "does not answer")
@@ -172,8 +172,8 @@ class Supervisor:
             if row.name != "router":
                 self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "never got ready")  # type: ignore[misc]
 
-    def _spawn(self, row: launch.Process, places: dict[str, str]) -> None:
-        command = launch.command(row, places)
+    def _spawn(self, row: table.Process, places: dict[str, str]) -> None:
+        command = table.command(row, places)
         self.children[row.name] = Child(row.name, command, log=self._logs / f"{row.name}.log", guard=self._guard)
 
     # --- watching ----------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from services.run.orphans import Guard
+from services.launch.orphans import Guard
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
@@ -24,7 +24,7 @@ class Child:
         self._released = False
         with log.open("wb") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "services.run.child", str(os.getpid()), *command],
+                [sys.executable, "-P", "-m", "services.launch.child", str(os.getpid()), *command],
                 stdin=subprocess.PIPE,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 
 from ltv_mpc.signals import Clock, ClockState, NodeStatus, RunEvent
-from services.run.clock import TimeKeeper, VehicleClock
+from services.process.clock import TimeKeeper, VehicleClock
 
 REPEAT_US = 100_000
 TELL_US = 1_000_000  # at most so often it is said that the clock was slowed; it is counted always

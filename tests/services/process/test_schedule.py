@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.node import Cycle, Grid, OnMessage
 from ltv_mpc.signals import ImuSample
-from services.run.schedule import Timetable
+from services.process.schedule import Timetable
 
 PERIOD_NS = 300_000_000
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from services.run import guard
-from services.run.orphans import Guard
+from services.launch import guard
+from services.launch.orphans import Guard
 
 
 @pytest.fixture

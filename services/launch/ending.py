@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 
-from services.run.children import Child
+from services.launch.children import Child
 
 ORDERLY_S = 2.0  # for one node to stop at the end of a run
 ORDERLY_RECORDER_S = 10.0  # a slow disk

@@ -8,8 +8,8 @@ from typing import Protocol
 from ltv_mpc.signals import ClockState, NodeStatus, Signal
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_SIGNAL
-from services.run.clock import VehicleClock
-from services.run.stopping import Say
+from services.process.clock import VehicleClock
+from services.process.stopping import Say
 
 PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: who waits for this word should not wait long

@@ -15,7 +15,7 @@ import sys
 import threading
 from pathlib import Path
 
-from services.run import guard
+from services.launch import guard
 
 PR_SET_PDEATHSIG = 1
 
