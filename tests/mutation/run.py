@@ -29,7 +29,17 @@ from tests.mutation.signs import mutants
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
-LIBRARIES = ("numpy", "scipy.sparse", "scipy.integrate", "scipy.linalg", "numba", "msgspec", "osqp", "daqp", "qpsolvers")
+LIBRARIES = (
+    "numpy",
+    "scipy.sparse",
+    "scipy.integrate",
+    "scipy.linalg",
+    "numba",
+    "msgspec",
+    "osqp",
+    "daqp",
+    "qpsolvers",
+)
 OURS = ("ltv_mpc", "sim", "services")
 SLOWER = 10.0
 """A mutant whose tests take this many times as long as the original's has hung, and counts as killed."""
@@ -45,7 +55,10 @@ class Mutant(NamedTuple):
 def copied(folder: Path) -> None:
     """The tree as it is now, what git ignores left out."""
     listed = subprocess.run(
-        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, check=True
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
     )
     for name in filter(None, listed.stdout.decode().split("\0")):
         if (ROOT / name).is_file():
@@ -60,7 +73,9 @@ def run_tests(folder: Path, tests: list[str]) -> None:
     os.dup2(nowhere, 2)
     os.chdir(folder)
     sys.path.insert(0, str(folder))
-    code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning", *tests])
+    code = pytest.main(
+        ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning", *tests]
+    )
     package = import_module(OURS[0])
     inside = package.__file__ is not None and Path(package.__file__).is_relative_to(folder)
     os._exit(int(code) if inside else 99)
@@ -78,7 +93,9 @@ def outcome(folder: Path, tests: list[str], limit_s: float) -> int | None:
     return child.exitcode
 
 
-def survivors_of(folder: Path, file: str, tests: list[str], limit_s: float, console: Console) -> tuple[int, list[Mutant]]:
+def survivors_of(
+    folder: Path, file: str, tests: list[str], limit_s: float, console: Console
+) -> tuple[int, list[Mutant]]:
     """How many mutants ``file`` has, and those that passed all ``tests``."""
     source = (folder / file).read_text()
     flips = mutants(source)
@@ -116,7 +133,9 @@ def main(chosen: list[str]) -> int:
                 start = time.monotonic()
                 number, survivors = survivors_of(folder, file, group["tests"], limit_s, console)
                 table.add_row(
-                    file, *(str(x) for x in (number, number - len(survivors), len(survivors))), f"{time.monotonic() - start:.0f}"
+                    file,
+                    *(str(x) for x in (number, number - len(survivors), len(survivors))),
+                    f"{time.monotonic() - start:.0f}",
                 )
                 found.update(survivors)
                 tried.add(file)

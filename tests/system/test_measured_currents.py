@@ -1,0 +1,72 @@
+"""The main job on real input: measured currents, as processes over Zenoh and in lock step."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ltv_mpc.currents import read_profile
+
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+FILES = (
+    "MORIA-80_ladcp.csv",
+    "glider_comet_2016_current_profile.csv",
+    "kolumbo_dive_a_mean.csv",
+    "kolumbo_dive_e_mean.csv",
+)
+
+
+def measured(name: str) -> Path:
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"{path} is not there: the measured currents are kept beside the checkout, not in it")
+    return path
+
+
+def sim(tmp_path: Path, *options: str) -> dict[str, Any]:
+    """The summary of a run that was started as a user would."""
+    command = [sys.executable, "-P", "-m", "services.cli", "sim", *options, "--json", "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    assert done.returncode == 0, done.stderr
+    summary: dict[str, Any] = json.loads(done.stdout)
+    return summary
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_processes_run_through_a_measured_current_without_a_message_rejected_or_lost(name, tmp_path):
+    summary = sim(tmp_path, "--currents", str(measured(name)), "--duration-s", "10", "--speed", "10")
+    assert summary["mode"] == "services"
+    assert summary["messages"]["rejected"] == 0
+    assert summary["messages"]["dropped"] == 0
+    assert summary["plans_refused"] == 0
+    assert summary["messages"]["published"] > 4000
+    assert summary["thrust"]["max_slew_N_per_s"] <= 100.0 + 1e-6
+
+
+def test_a_strong_measured_current_is_held_where_an_uncontrolled_vehicle_is_carried_away(tmp_path):
+    path = str(measured("kolumbo_dive_e_mean.csv"))
+    options = ("--lockstep", "--perfect-state", "--currents", path, "--duration-s", "60")
+    held = sim(tmp_path / "held", *options)
+    carried = sim(tmp_path / "carried", *options, "--no-control")
+    assert carried["true_error_m"]["final"] > 3.0
+    assert held["true_error_m"]["final"] < 0.2
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_profile_is_held_constant_beyond_both_ends_and_the_run_says_so(name, tmp_path):
+    """Said only where the descent, or what the ADCP sees below it, leaves the profile."""
+    profile = read_profile(measured(name))
+    command = [
+        *(sys.executable, "-P", "-m", "services.cli", "sim", "--lockstep", "--duration-s", "1"),
+        *("--currents", str(measured(name)), "--out", str(tmp_path / "run")),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
+    assert done.returncode == 0, done.stderr
+    assert np.all(np.diff(profile.depth_m) > 0)
+    assert "constant" in done.stdout + done.stderr
