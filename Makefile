@@ -34,10 +34,12 @@ test: setup  ## lint, types, import contracts, all tests
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q
 
+DESCENT := --seed 1 --surface-time-s 30
+
 figures: setup  ## docs/descent.png: no control, 2.5 s and 5 s horizon, from three runs in lock step
-	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/none --no-control
-	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/2.5s --horizon-s 2.5
-	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/5s --horizon-s 5
+	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/none $(DESCENT) --no-control
+	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/2.5s $(DESCENT) --horizon-s 2.5
+	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/5s $(DESCENT) --horizon-s 5
 	$(BIN)/python -P -m services.views.figures docs/descent.png runs/figures/none runs/figures/2.5s runs/figures/5s
 
 bench: setup  ## tables of the README: errors over 20 seeds, latency of a cycle by horizon

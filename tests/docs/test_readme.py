@@ -31,9 +31,9 @@ def test_the_loop_works_as_printed_and_brings_the_vehicle_to_its_point():
 def test_the_loop_works_with_a_vehicle_file_of_one_s_own(tmp_path):
     (code,) = blocks("python")
     own = (ROOT / "ltv_mpc" / "vehicle" / "files" / "paper.toml").read_text()
-    own = own.replace('name = "paper"', 'name = "mine"').replace(
-        "quadratic_damping_kgpm = 500.0", "quadratic_damping_kgpm = 400.0"
-    )
+    for theirs, mine in (('name = "paper"', 'name = "mine"'), ("_kgpm = 500.0", "_kgpm = 400.0")):
+        assert theirs in own
+        own = own.replace(theirs, mine)
     (tmp_path / "my_auv.toml").write_text(own)
     names: dict[str, object] = {}
     exec(code.replace('Vehicle.load("paper")', f'Vehicle.load("{tmp_path}/my_auv.toml")'), names)

@@ -1,10 +1,10 @@
 """`make mutants`: the sign of every term flipped, one at a time; at least one test must fail for each.
 
-Nothing is mutated where people work: the tree is copied (what git tracks, and what is new) and only the copy is changed.
-Nothing compiled can be stale: tests run without numba's compiler and without byte code. Each run is a fork of a process that
-has loaded the libraries, but nothing of this project. The tests of a file are run in the order of ``plan.toml``, to
-the first failure. What survives stands in ``survivors.toml`` with its reason, or the command fails; so it does when a
-listed survivor is killed or gone. To run some files only: ``make mutants FILES="ltv_mpc/vehicle/dynamics.py ..."``.
+Nothing is mutated where people work: the tree is copied (what git tracks, and what is new), and the copy is changed.
+Nothing compiled can be stale: tests run without numba's compiler and without byte code. Each run is a fork of a process
+that has loaded the libraries and nothing of this project. The tests of a file are those of ``plan.toml``, in its order,
+to the first failure. What survives stands in ``survivors.toml`` with its reason, or the command fails; so it does when
+a listed survivor is killed or gone. For some files only: ``make mutants FILES="ltv_mpc/vehicle/dynamics.py"``.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from hypothesis import Phase, settings
 from rich.console import Console
 from rich.table import Table
 
@@ -50,6 +51,15 @@ class Mutant(NamedTuple):
 
     file: str
     line: str
+
+
+class FirstExample:
+    """A pytest plugin: an example that fails is enough; hypothesis need not look for the simplest one."""
+
+    def pytest_sessionstart(self) -> None:
+        """After the conftest that sets this project's profile, before tests are collected."""
+        settings.register_profile("mutants", settings.default, phases=[Phase.explicit, Phase.generate])
+        settings.load_profile("mutants")
 
 
 def copied(folder: Path) -> None:

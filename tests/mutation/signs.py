@@ -11,12 +11,12 @@ Source  https://cosmic-ray.readthedocs.io/en/latest/reference/operators.html
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any, TypeAlias
 
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.operators import binary_operator_replacement, unary_operator_replacement
 from cosmic_ray.operators.operator import Example, Operator
-from parso.tree import NodeOrLeaf
 
 TERMS = {"name", "number", "atom_expr", "term", "power", "atom"}
 """What a minus may stand before: all but sums, signed factors, comparisons, conditions and strings."""
@@ -24,7 +24,10 @@ TERMS = {"name", "number", "atom_expr", "term", "power", "atom"}
 NO_SIGN = ("-", "0", "[", "np.empty", "np.zeros", "range")
 """How values begin whose negative is tried elsewhere, is the same, or is no number."""
 
-Span = tuple[tuple[int, int], tuple[int, int]]
+Node: TypeAlias = Any
+"""parso's, whose types are half there."""
+
+Span: TypeAlias = tuple[tuple[int, int], tuple[int, int]]
 
 
 class AugmentedSign(Operator):  # type: ignore[misc]
@@ -32,14 +35,14 @@ class AugmentedSign(Operator):  # type: ignore[misc]
 
     FLIPPED = {"+=": "-=", "-=": "+="}  # noqa: RUF012
 
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
+    def mutation_positions(self, node: Node) -> Iterator[Span]:
         """The operator itself."""
         if getattr(node, "value", None) in self.FLIPPED:
             yield node.start_pos, node.end_pos
 
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:  # noqa: ARG002
+    def mutate(self, node: Node, index: int) -> Node:  # noqa: ARG002
         """The other one."""
-        node.value = self.FLIPPED[node.value]  # type: ignore[attr-defined]
+        node.value = self.FLIPPED[node.value]
         return node
 
     @classmethod
@@ -51,12 +54,12 @@ class AugmentedSign(Operator):  # type: ignore[misc]
 class LeadingSign(Operator):  # type: ignore[misc]
     """A minus before a term that has no sign of its own."""
 
-    def mutation_positions(self, node: NodeOrLeaf) -> Iterator[Span]:
+    def mutation_positions(self, node: Node) -> Iterator[Span]:
         """The term."""
         if node.type in TERMS and _begins_a_sum(node) and not _without_sign(node) and not _in_subscript(node):
             yield node.start_pos, node.end_pos
 
-    def mutate(self, node: NodeOrLeaf, index: int) -> NodeOrLeaf:  # noqa: ARG002
+    def mutate(self, node: Node, index: int) -> Node:  # noqa: ARG002
         """Its negative: a minus binds less than a power, and turns a product round as a whole."""
         leaf = node.get_first_leaf()
         leaf.value = "-" + leaf.value
@@ -68,7 +71,7 @@ class LeadingSign(Operator):  # type: ignore[misc]
         return (Example("x = a * b", "x = -a * b"), Example("x = a - b", "x = -a - b"))
 
 
-def _begins_a_sum(node: NodeOrLeaf) -> bool:
+def _begins_a_sum(node: Node) -> bool:
     parent, before = node.parent, node.get_previous_sibling()
     if parent.type == "arith_expr":
         return before is None
@@ -84,12 +87,12 @@ def _begins_a_sum(node: NodeOrLeaf) -> bool:
     return parent.type == "return_stmt" and node.type in {"name", "term"}
 
 
-def _without_sign(node: NodeOrLeaf) -> bool:
+def _without_sign(node: Node) -> bool:
     """What has a minus already, is zero, is not yet filled, or counts."""
     return node.get_code(include_prefix=False).startswith(NO_SIGN)
 
 
-def _in_subscript(node: NodeOrLeaf) -> bool:
+def _in_subscript(node: Node) -> bool:
     above = node.parent
     while above is not None and not (above.type == "trailer" and above.children[0].value == "["):
         above = above.parent
