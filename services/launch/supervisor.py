@@ -12,7 +12,7 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ltv_mpc.signals import Clock, ClockState, NodeStatus
 from services.bus.session import BusOptions, Stopped, open_session
@@ -37,7 +37,10 @@ LATE_TICK_S = 1.0  # the supervisor itself was stopped or starved: silence says 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """How a run went. ``why`` and the failed child's last lines are empty where it completed."""
+    """How a run went. ``why`` and the failed child's last lines are empty where it completed.
+
+    ``summary`` is None where it did not come as far as a cycle of the controller.
+    """
 
     completed: bool
     exit_code: int
@@ -82,14 +85,16 @@ class Supervisor:
         self.children: dict[str, Child] = {}
 
     def run(self) -> Outcome:
-        """From the first process to the last, and the summary."""
+        """From the first process to the last, and the summary: also of a run that was cut off, as far as it came."""
         with stop_on_signals() as self._request:
             outcome = self._supervise()
-        if not outcome.completed:
+        if not self._folder.recording.exists():
             return outcome
         summary = of_recording(self._situation, self._folder.recording)
+        if summary.cycles == 0:
+            return outcome
         self._folder.write_summary(summary)
-        return Outcome(completed=True, exit_code=DONE, summary=summary)
+        return replace(outcome, summary=summary)
 
     def _supervise(self) -> Outcome:
         in_order = False
