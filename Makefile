@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim test figures bench clean
+.PHONY: help setup sim test figures bench mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -10,6 +10,7 @@ SPEED =
 SEED =
 DURATION =
 OUT =
+FILES =
 
 BIN := .venv/bin
 # `ensurepip` is left out of Python by some distributions: a venv without it has no pip.
@@ -46,6 +47,9 @@ bench: setup  ## tables of the README: errors over 20 seeds, latency of a cycle 
 	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
 
+mutants: setup .venv/mutation  ## flip the sign of every term, one at a time: a test must fail for each; FILES= for some
+	@$(BIN)/python -m tests.mutation.run $(FILES)
+
 clean:  ## remove .venv and caches; runs/ stays
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build dist *.egg-info
 	find ltv_mpc sim services tests -type d -name __pycache__ -prune -exec rm -rf {} +
@@ -69,6 +73,10 @@ clean:  ## remove .venv and caches; runs/ stays
 .venv/installed: .venv/made pyproject.toml
 	@echo "installing into .venv"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,viz,bench]'
+	@touch $@
+
+.venv/mutation: .venv/installed
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[mutation]'
 	@touch $@
 
 .venv/compiled: .venv/installed $(KERNELS)

@@ -43,13 +43,17 @@ COLUMNS: dict[str, Callable[[Summary], float | None]] = {
     "tracking (m)": lambda s: s.tracking_error_m.mean,
     "localisation (m)": lambda s: s.localisation_error_m.mean,
     "true error (m)": lambda s: s.true_error_m.mean,
-    "mean |F| (N)": lambda s: s.thrust.mean_abs_N,
+    "mean abs F (N)": lambda s: s.thrust.mean_abs_N,
     "saturated (%)": lambda s: None if s.thrust.saturated_fraction is None else 100 * s.thrust.saturated_fraction,
-    "max slew (N/s)": lambda s: s.thrust.max_slew_N_per_s,
-    "late plans": lambda s: float(s.deadline_misses),
-    "refused plans": lambda s: float(s.plans_refused),
 }
-WORST = frozenset({"max slew (N/s)"})
+
+WORST: dict[str, Callable[[Summary], float | None]] = {
+    "thrust (N)": lambda s: s.thrust.max_abs_N,
+    "slew (N/s)": lambda s: s.thrust.max_slew_N_per_s,
+    "plans refused by the actuators": lambda s: float(s.plans_refused),
+    "plans late": lambda s: float(s.deadline_misses),
+}
+"""Of the worst run of all."""
 
 
 def main() -> None:
@@ -65,13 +69,19 @@ def main() -> None:
         task = progress.add_task(f"{len(jobs)} descents", total=len(jobs))
         for place, summary in sorted_by_place(progress, task, jobs):
             summaries[names[place][0]].append(summary)
-    table = {name: {column: figure(column, rows) for column in COLUMNS} for name, rows in summaries.items()}
+    table = {
+        name: {column: statistics.fmean(figures(of, rows)) for column, of in COLUMNS.items()}
+        for name, rows in summaries.items()
+    }
+    everyone = [summary for rows in summaries.values() for summary in rows]
+    worst = {what: max(figures(of, everyone)) for what, of in WORST.items()}
     print(f"| mean of {options.seeds} seeds | " + " | ".join(COLUMNS) + " |")
     print("|---|" + "---|" * len(COLUMNS))
     for name, row in table.items():
         print(f"| {name} | " + " | ".join(text(value) for value in row.values()) + " |")
+    print("\nlargest in any run: " + ", ".join(f"{what} {value:g}" for what, value in worst.items()))
     if options.out is not None:
-        options.out.write_text(json.dumps(table, indent=1) + "\n")
+        options.out.write_text(json.dumps({"mean": table, "largest": worst}, indent=1) + "\n")
 
 
 def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[tuple[int, Summary]]:
@@ -83,10 +93,9 @@ def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[t
     return sorted(results, key=lambda result: result[0])
 
 
-def figure(column: str, rows: list[Summary]) -> float:
-    """A column's figure over the seeds: the largest where the worst counts, else the mean."""
-    values = [value for value in map(COLUMNS[column], rows) if value is not None]
-    return max(values) if column in WORST else statistics.fmean(values)
+def figures(of: Callable[[Summary], float | None], rows: list[Summary]) -> list[float]:
+    """One figure of each run that has it."""
+    return [value for value in map(of, rows) if value is not None]
 
 
 def text(value: float) -> str:

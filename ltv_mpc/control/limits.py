@@ -45,10 +45,9 @@ class ThrustLimits:
         has a solution.
         """
         reach = np.arange(1, stages + 1)[:, None] * self.change
-        low = np.maximum(np.minimum(self.low, start + reach), start - reach)
-        high = np.minimum(np.maximum(self.high, start - reach), start + reach)
-        # The slew rows hold the commands within reach already: a box that is nowhere active costs the solver nothing.
-        return np.where(start >= self.low, self.low, low), np.where(start <= self.high, self.high, high)
+        # From a start inside, these are the box itself, however little of it is within reach: the slew rows hold the
+        # commands there already, and a box that is nowhere active costs the solver nothing.
+        return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
     def enforced(self, commands: Array) -> Array:
         """``commands`` (N+1, 2) moved, knot by knot from the first, to the nearest that obey box and slew exactly."""

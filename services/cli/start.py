@@ -144,17 +144,17 @@ def _refuse_speed(overrides: Sequence[Override]) -> None:
 
 
 def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
+    from services.process.stopping import stop_on_signals
     from services.run import locked
     from services.views.terminal import progress_for
 
     scenario = situation.scenario
-    try:
-        with progress_for(scenario.start_ns, scenario.end_ns) as progress:
-            summary = locked.run(situation, folder, progress=progress)
-    except KeyboardInterrupt:
-        typer.echo(f"stopped; what was recorded until then is kept\n{folder.path}", err=True)
-        raise
+    with stop_on_signals() as request, progress_for(scenario.start_ns, scenario.end_ns) as progress:
+        summary = locked.run(situation, folder, progress=progress, stop=request)
     _say_verdict(summary, folder, as_json)
+    if request():
+        typer.echo("stopped; what was recorded until then is kept", err=True)
+        return request.exit_code
     return 0 if summary.duration_s >= scenario.run.duration_s else 1
 
 

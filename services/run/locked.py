@@ -39,20 +39,29 @@ def nodes(situation: Situation) -> list[Node]:
 
 
 def run(
-    situation: Situation, folder: RunFolder | None = None, *, progress: Callable[[int], None] | None = None
+    situation: Situation,
+    folder: RunFolder | None = None,
+    *,
+    progress: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Summary:
-    """The whole run. With a ``folder`` it is recorded, its summary written; ``progress`` is told the vehicle time."""
+    """The whole run, or as far as it came when ``stop`` was asked and said so.
+
+    With a ``folder`` it is recorded and its summary written. ``progress`` is told the vehicle time.
+    """
     if folder is None:
-        return _go(situation, None, progress)
+        return _go(situation, None, progress, stop)
     metadata = {"mode": LOCKSTEP, "seed": str(situation.scenario.run.seed), **situation.files}
     start_ns = situation.scenario.start_ns
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary = _go(situation, writer, progress)
+        summary = _go(situation, writer, progress, stop)
     folder.write_summary(summary)
     return summary
 
 
-def _go(situation: Situation, writer: RunWriter | None, progress: Callable[[int], None] | None) -> Summary:
+def _go(
+    situation: Situation, writer: RunWriter | None, progress: Callable[[int], None] | None, stop: Callable[[], bool]
+) -> Summary:
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer)
     lockstep = LockStep(
@@ -63,11 +72,12 @@ def _go(situation: Situation, writer: RunWriter | None, progress: Callable[[int]
         latest=LATEST,
         refused=_refused,
     )
-    for t_ns in range(scenario.start_ns, scenario.end_ns, PROGRESS_NS):
+    for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
+        if stop():
+            break
         lockstep.advance(t_ns)
         if progress is not None:
             progress(t_ns)
-    lockstep.advance(scenario.end_ns)
     messages = Messages(published=log.published_count, dropped=0, rejected=log.rejected_count)
     return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages)
 

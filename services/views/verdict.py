@@ -1,4 +1,4 @@
-"""What a run came to in a few lines, from summary.json; the folder's path stands on the last line."""
+"""What a run came to in a few lines of 80 columns, from summary.json; the folder's path stands on the last line."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
     how = "in lock step" if summary["mode"] == "lockstep" else f"as processes at {summary['speed']:g} x real time"
     rows = [
         ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how}, seed {summary['seed']}"),
-        ("tracking", _error(summary["tracking_error_m"], "the estimate from the line")),
-        ("true error", _error(summary["true_error_m"], "the vehicle from the line")),
-        ("localisation", _error(summary["localisation_error_m"], "the estimate from the vehicle, since the start")),
+        ("tracking", _error(summary["tracking_error_m"], "estimate from the line")),
+        ("true error", _error(summary["true_error_m"], "vehicle from the line")),
+        ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
         ("thrust", _thrust(summary["thrust"])),
         ("compute", _delay(summary["compute_delay_s"], summary["compute_delay_wall_s"])),
         ("end to end", _delay(summary["end_to_end_delay_s"], summary["end_to_end_delay_wall_s"])),
@@ -29,35 +29,35 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
 
 def _error(spread: Mapping[str, float | None], of: str) -> str:
     return (
-        f"mean {_figure(spread['mean'], '.3f')} m, max {_figure(spread['max'], '.3f')} m,"
-        f" at the end {_figure(spread['final'], '.3f')} m ({of})"
+        f"mean {_figure(spread['mean'], '.3f')}, max {_figure(spread['max'], '.3f')},"
+        f" end {_figure(spread['final'], '.3f')} m ({of})"
     )
 
 
 def _thrust(thrust: Mapping[str, float | None]) -> str:
     saturated = thrust["saturated_fraction"]
     return (
-        f"mean |F| {_figure(thrust['mean_abs_N'], '.2f')} N, max {_figure(thrust['max_abs_N'], '.1f')} N,"
-        f" at a limit {_figure(None if saturated is None else 100 * saturated, '.1f')} % of the time,"
-        f" slew up to {_figure(thrust['max_slew_N_per_s'], '.0f')} N/s"
+        f"mean |F| {_figure(thrust['mean_abs_N'], '.1f')}, max {_figure(thrust['max_abs_N'], '.1f')} N,"
+        f" saturated {_figure(None if saturated is None else 100 * saturated, '.1f')} %,"
+        f" slew {_figure(thrust['max_slew_N_per_s'], '.0f')} N/s"
     )
 
 
 def _delay(vehicle: Mapping[str, float | None], wall: Mapping[str, float | None]) -> str:
-    text = ", ".join(f"{name} {_figure(vehicle[name], '.3f')} s" for name in ("median", "p99", "max"))
+    text = ", ".join(f"{name} {_figure(vehicle[name], '.3f')}" for name in ("median", "p99", "max")) + " s"
     if wall["median"] is None:
         return text
     figures = ", ".join(
         _figure(None if (x := wall[name]) is None else 1e3 * x, ".1f") for name in ("median", "p99", "max")
     )
-    return f"{text} of the vehicle's time; on the wall {figures} ms"
+    return f"{text} (wall {figures} ms)"
 
 
 def _cycles(summary: Mapping[str, Any]) -> str:
     origins = ", ".join(f"{count} {origin}" for origin, count in summary["plan_origin"].items())
     return (
-        f"{summary['cycles']} ({origins or 'no plan'}); {summary['deadline_misses']} deadline misses,"
-        f" {summary['plans_refused']} plans refused"
+        f"{summary['cycles']} ({origins or 'no plan'}), {summary['deadline_misses']} late,"
+        f" {summary['plans_refused']} refused"
     )
 
 

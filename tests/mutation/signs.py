@@ -13,10 +13,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
-from cosmic_ray.ast import ast_nodes, get_ast
-from cosmic_ray.mutating import mutate_code
-from cosmic_ray.operators import binary_operator_replacement, unary_operator_replacement
-from cosmic_ray.operators.operator import Example, Operator
+from cosmic_ray.ast import ast_nodes, get_ast  # type: ignore[import-untyped]
+from cosmic_ray.mutating import mutate_code  # type: ignore[import-untyped]
+from cosmic_ray.operators import binary_operator_replacement, unary_operator_replacement  # type: ignore[import-untyped]
+from cosmic_ray.operators.operator import Example, Operator  # type: ignore[import-untyped]
 
 TERMS = {"name", "number", "atom_expr", "term", "power", "atom"}
 """What a minus may stand before: all but sums, signed factors, comparisons, conditions and strings."""
@@ -73,23 +73,28 @@ class LeadingSign(Operator):  # type: ignore[misc]
 
 def _begins_a_sum(node: Node) -> bool:
     parent, before = node.parent, node.get_previous_sibling()
-    if parent.type == "arith_expr":
-        return before is None
-    if parent.type == "expr_stmt":  # into a place of an array; a value given a name has a sign where the name is used
-        return getattr(before, "value", "") == "=" and parent.children[0].type == "atom_expr"
-    if parent.type == "testlist_star_expr":  # many at once: into places, or returned
-        first = parent.parent.children[0]
-        return first is not parent and (first.type == "keyword" or "[" in first.get_code())
-    if parent.type == "testlist_comp":  # of a list, not of a tuple: those are shapes and slices
-        return parent.get_first_leaf().get_previous_leaf().value == "["
-    if parent.type == "argument":
-        return node.type == "atom_expr" and parent.children[0].type == "name"
-    return parent.type == "return_stmt" and node.type in {"name", "term"}
+    match parent.type:
+        case "arith_expr":
+            return before is None
+        case "expr_stmt":  # into a place of an array; a value given a name has a sign where the name is used
+            return bool(
+                parent.children[0].type == "atom_expr" and before is not None and before.get_code().strip() == "="
+            )
+        case "testlist_star_expr":  # many at once: into places, or returned
+            first = parent.parent.children[0]
+            return first is not parent and (first.type == "keyword" or "[" in first.get_code())
+        case "testlist_comp":  # of a list, not of a tuple: those are shapes and slices
+            return bool(parent.get_first_leaf().get_previous_leaf().value == "[")
+        case "argument":
+            return bool(node.type == "atom_expr" and parent.children[0].type == "name")
+        case "return_stmt":
+            return node.type in {"name", "term"}
+    return False
 
 
 def _without_sign(node: Node) -> bool:
     """What has a minus already, is zero, is not yet filled, or counts."""
-    return node.get_code(include_prefix=False).startswith(NO_SIGN)
+    return bool(node.get_code(include_prefix=False).startswith(NO_SIGN))
 
 
 def _in_subscript(node: Node) -> bool:

@@ -178,7 +178,7 @@ class SparseForm:
         """A dual y (m,) for a grid that begins ``stages`` later: linear between stages, the last one repeated."""
         N = self.stages
         at = np.clip(np.arange(N) + stages, 0, N - 1)
-        low = np.minimum(at.astype(int), max(N - 2, 0))
+        low = at.astype(int)
         part = (at - low)[:, None]
         out = y.copy()
         equalities = N * STATES + 2

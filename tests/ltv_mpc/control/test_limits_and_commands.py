@@ -48,6 +48,34 @@ def test_commands_inside_the_limits_are_left_alone(commands):
     np.testing.assert_array_equal(LIMITS.enforced(commands), commands)
 
 
+def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side():
+    own = {"port": {"min_N": -20.0, "max_N": 50.0, "slew_N_per_s": 40.0}, "starboard": {"min_N": -60.0, "max_N": 30.0}}
+    thruster = msgspec.to_builtins(PAPER.thruster)
+    changed = {name: values | own.get(name, {}) for name, values in thruster.items()}
+    limits = ThrustLimits.of(msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle), 0.3)
+    np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
+    np.testing.assert_array_equal(limits.high, [50.0, 30.0])
+    np.testing.assert_allclose(limits.change, [12.0, 30.0])
+    np.testing.assert_array_equal(limits.scale, [50.0, 60.0])
+
+
+def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit_and_a_start_inside_changes_nothing():
+    """150 N ahead and 100 N astern, 30 N a stage; the other side stays, and so it does for a start inside."""
+    low, high = LIMITS.box(np.array([150.0, -100.0]), 4)
+    np.testing.assert_array_equal(high.T, [[120.0, 90.0, 62.5, 62.5], [62.5] * 4])
+    np.testing.assert_array_equal(low.T, [[-62.5] * 4, [-70.0, -62.5, -62.5, -62.5]])
+    low, high = LIMITS.box(np.array([-62.5, 50.0]), 4)
+    np.testing.assert_array_equal(low, np.full((4, 2), -62.5))
+    np.testing.assert_array_equal(high, np.full((4, 2), 62.5))
+
+
+def test_commands_too_steep_or_too_strong_end_at_the_nearest_that_are_allowed():
+    """By hand: at most 30 N a knot from the knot before, then the box."""
+    wanted = np.array([[0.0, 0.0], [100.0, -10.0], [100.0, -50.0], [100.0, -200.0], [-100.0, 0.0]])
+    allowed = [[0.0, 0.0], [30.0, -10.0], [60.0, -40.0], [62.5, -62.5], [32.5, -32.5]]
+    np.testing.assert_allclose(LIMITS.enforced(wanted), allowed)
+
+
 def test_nothing_was_sent_so_nothing_is_in_force():
     np.testing.assert_array_equal(SentCommands(PAPER).at(np.array([0, SECOND])), np.zeros((2, 3)))
 

@@ -121,6 +121,26 @@ def test_noise_grows_as_random_walks_do():
         assert Q[i, i] == pytest.approx(s_a * seconds**3 / 3, rel=1e-3)
 
 
+def test_the_noise_of_one_sample_moves_position_by_half_an_interval_of_the_velocity_it_gives():
+    """White noise of the mean force over dt: dv = dt n and dp = dt / 2 dv are one random number, not two."""
+    x, R = start()
+    Q = run(x, R, [RATE], [FORCE])[1]
+    gain = np.vstack([0.5 * DT * np.eye(3), np.eye(3)])
+    s_a = IMU.velocity_random_walk_mps_per_rts**2 * DT
+    np.testing.assert_allclose(Q[:6, :6], s_a * gain @ gain.T, rtol=1e-12, atol=0)
+
+
+def test_the_units_noise_is_handed_on_as_its_file_has_it():
+    """Compiled code squares random walks, so a wrong sign would not show elsewhere."""
+    np.testing.assert_allclose(
+        NOISE[:3], [IMU.angle_random_walk_rad_per_rts, IMU.velocity_random_walk_mps_per_rts, IMU.gyro_bias_sd_radps]
+    )
+    np.testing.assert_allclose(
+        NOISE[3:], [IMU.gyro_bias_tau_s, IMU.accelerometer_bias_sd_mps2, IMU.accelerometer_bias_tau_s]
+    )
+    assert (NOISE > 0).all()
+
+
 def test_a_bias_that_starts_at_its_standard_deviation_keeps_it():
     noise = NOISE.copy()
     noise[3], noise[5] = 3.0, 2.0

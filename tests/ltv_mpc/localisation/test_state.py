@@ -68,8 +68,11 @@ def test_a_cloned_position_has_the_positions_errors():
     assert belief.epoch_t_ns == 7
 
 
-def test_a_copy_shares_nothing_that_changes():
+def test_a_copy_is_the_same_and_shares_nothing_that_changes():
     belief = Belief.blank(Layout.of(Suite.load("realistic"), EstimatorConfig()), 0)
+    belief.x += 1.0
+    belief.P += np.eye(len(belief.P))
     other = belief.copy()
     for name in ("x", "R", "mounting", "P"):
         assert not np.shares_memory(getattr(belief, name), getattr(other, name))
+        np.testing.assert_array_equal(getattr(belief, name), getattr(other, name))

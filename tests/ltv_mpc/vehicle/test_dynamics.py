@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.dynamics import PSI, R, U, V, derivative, heave_acceleration, jacobian, thrust_gain
-from ltv_mpc.vehicle.flow import advance_heave, advance_stage, linearise_stage
+from ltv_mpc.vehicle.flow import advance_heave, advance_stage, linearise_stage, substeps
 
 PAPER = Vehicle.load("paper")
 # Unequal masses, arms and lags, linear and quadratic damping: nothing cancels that would hide a wrong sign.
@@ -134,6 +134,13 @@ def test_full_thrust_ahead_reaches_half_a_metre_a_second_and_full_vertical_sinks
     assert heave_acceleration(-0.2, p.net_buoyancy, p) > 0.0  # drag brakes a rise
 
 
+def test_heave_is_thrust_less_both_drags_less_net_buoyancy():
+    """By hand: 330 w' = 40 - 12 w - 700 |w| w - 30.5."""
+    assert P.net_buoyancy == pytest.approx(30.5)
+    assert 330 * heave_acceleration(0.5, 40.0, P) == pytest.approx(40 - 6 - 175 - 30.5)
+    assert 330 * heave_acceleration(-0.5, 40.0, P) == pytest.approx(40 + 6 + 175 - 30.5)
+
+
 def test_more_thrust_to_port_turns_clockwise():
     assert slope(np.zeros(6), np.array([10.0, -10.0]))[R] > 0.0
 
@@ -195,9 +202,23 @@ def test_a_thruster_reaches_63_percent_of_a_step_after_its_lag():
 
 
 def test_without_lag_a_thruster_delivers_its_command():
+    """Not only at the end of a stage: the motion is that of the command at every instant."""
     p = P._replace(lag_port=0.0, lag_starboard=0.0)
-    end = flow(np.zeros(8), np.zeros(2), np.array([7.0, -3.0]), p=p)
+    X, u0, uh = np.zeros(8), np.array([-40.0, 25.0]), np.array([7.0, -3.0])
+
+    def rhs(t, y):
+        return slope(y, u0 + (uh - u0) * t / 0.3, p=p)
+
+    end = flow(X, u0, uh, p=p)
     np.testing.assert_allclose(end[6:], [7.0, -3.0])
+    want = solve_ivp(rhs, (0, 0.3), X[:6], method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(end[:6], want, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize(("seconds", "steps"), [(0.3, 3), (0.31, 4), (0.1, 1), (0.02, 1)])
+def test_a_stage_is_cut_into_no_more_steps_than_its_length_needs(seconds, steps):
+    """0.3 / 0.1 is not 3 in binary."""
+    assert substeps(seconds) == steps
 
 
 @settings(max_examples=25)

@@ -124,15 +124,21 @@ def test_ctrl_c_in_lock_step_ends_with_130_and_a_recording_that_reads(tmp_path: 
     recording = tmp_path / "r" / "run.mcap"
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60
-        while not (recording.exists() and recording.stat().st_size > 300_000) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 130
+        try:
+            while not (recording.exists() and recording.stat().st_size > 300_000):
+                assert process.poll() is None
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(20) == 130
+        finally:
+            process.kill()
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
     messages = Recording(recording)
     assert sum(1 for _ in messages) > 1000
     assert not messages.cut
+    assert 0 < json.loads((tmp_path / "r" / "summary.json").read_text())["duration_s"] < 100_000
 
 
 @pytest.mark.parametrize("line", ["controller --own-clock", "estimator"])

@@ -185,7 +185,7 @@ def test_recording_changes_nothing_of_the_run(recorded: tuple[Situation, RunFold
 def test_progress_is_told_in_vehicle_time_from_the_start_on() -> None:
     told: list[int] = []
     locked.run(situation("run.duration_s=2", "run.perfect_state=true"), progress=told.append)
-    assert told == [-1_000_000_000, 0, 1_000_000_000]
+    assert told == [-1_000_000_000, 0, 1_000_000_000, 2_000_000_000]
 
 
 def test_a_run_whose_end_is_not_on_the_plants_grid_is_complete_all_the_same() -> None:

@@ -1,0 +1,149 @@
+"""Every number of the QP against its documented terms, written out anew for three stages that resemble no motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp.sparse import SparseForm
+
+N = 3
+FULL_N = np.array([62.5, 50.0])
+SCALE = np.array([1.0, 1.0, 0.3, 0.3, 1.0, 0.3, *FULL_N])
+LIMITS = ThrustLimits(np.array([-40.0, -50.0]), np.array([62.5, 30.0]), np.array([30.0, 20.0]))
+WEIGHTS = Weights(
+    position_per_m2=1.3,
+    terminal_position_per_m2=7.0,
+    terminal_velocity_s2_per_m2=11.0,
+    thrust=0.17,
+    thrust_change=0.05,
+)
+FORM = SparseForm(N, LIMITS, WEIGHTS)
+
+
+@pytest.fixture
+def lin():
+    """A trajectory with gaps between its stages; sensitivities without structure but for the documented one."""
+    rng = np.random.default_rng(5)
+    X = rng.normal(size=(N + 1, 8)) * SCALE
+    A, B0, B1 = (rng.normal(size=(N, 8, k)) for k in (8, 2, 2))
+    A[:, :, :2] = A[:, 6:, :] = 0.0
+    A[:, range(8), range(8)] = rng.uniform(0.5, 1.0, (N, 8))
+    for B in (B0, B1):
+        B[:, 6, 1] = B[:, 7, 0] = 0.0
+    U = rng.uniform(-20, 20, (N + 1, 2))
+    return Linearisation(X, U, rng.normal(size=(N + 1, 2)), X[1:] + rng.normal(size=(N, 8)), A, B0, B1)
+
+
+@pytest.fixture
+def reference():
+    return np.random.default_rng(6).normal(size=(N, 2)) * 3
+
+
+def unpacked(lin, z):
+    """States and commands that a point of the QP stands for, and the terminal velocity that it carries."""
+    X, U = lin.X.copy(), lin.U.copy()
+    for k in range(N):
+        X[k + 1] += z[10 * k : 10 * k + 8] * SCALE
+        U[k + 1] += z[10 * k + 8 : 10 * k + 10] * FULL_N
+    return X, U, z[-2:]
+
+
+def terms(lin, reference, z):
+    """Square roots of the cost's terms."""
+    X, U, end = unpacked(lin, z)
+    for k in range(1, N + 1):
+        yield np.sqrt(1.3) * (X[k, :2] - reference[k - 1])
+        yield np.sqrt(0.17) * U[k] / FULL_N
+        yield np.sqrt(0.05) * (U[k] - U[k - 1]) / FULL_N
+    yield np.sqrt(7.0) * (X[N, :2] - reference[N - 1])
+    yield np.sqrt(11.0) * end
+
+
+def model_errors(lin, z):
+    """What is left of each equality: model minus state at the end of a stage, then velocity minus terminal velocity."""
+    X, U, end = unpacked(lin, z)
+    for k in range(N):
+        predicted = lin.Phi[k] + lin.A[k] @ (X[k] - lin.X[k])
+        predicted += lin.B0[k] @ (U[k] - lin.U[k]) + lin.B1[k] @ (U[k + 1] - lin.U[k + 1])
+        yield (predicted - X[k + 1]) / SCALE
+
+    def over_ground(x):
+        v = (x[2] + 1j * x[3]) * np.exp(1j * x[4]) + lin.C[N, 0] + 1j * lin.C[N, 1]
+        return np.array([v.real, v.imag])
+
+    h = 1e-6
+    turned = [(over_ground(lin.X[N] + h * e) - over_ground(lin.X[N] - h * e)) / (2 * h) for e in np.eye(8)]
+    yield over_ground(lin.X[N]) + (X[N] - lin.X[N]) @ turned - end
+
+
+def affine(function):
+    """Matrix and constant of an affine function of a point of the QP."""
+    constant = np.concatenate(list(function(np.zeros(10 * N + 2))))
+    return np.array([np.concatenate(list(function(e))) - constant for e in np.eye(10 * N + 2)]).T, constant
+
+
+def test_the_cost_is_the_sum_of_squares_that_is_documented(lin, reference):
+    """Up to a constant, and to the factor 1/2 that a QP has."""
+    qp = FORM.build(lin, reference)
+    slope, constant = affine(lambda z: terms(lin, reference, z))
+    np.testing.assert_allclose(qp.P.toarray(), slope.T @ slope, atol=1e-12)
+    np.testing.assert_allclose(qp.q, slope.T @ constant, atol=1e-12)
+
+
+def test_equalities_are_the_errors_of_the_model(lin, reference):
+    """Each multiplied by 300, which a solution does not notice."""
+    qp, m = FORM.build(lin, reference), 8 * N + 2
+    slope, constant = affine(lambda z: model_errors(lin, z))
+    np.testing.assert_allclose(qp.A.toarray()[:m], 300 * slope, atol=1e-6)
+    np.testing.assert_allclose(qp.l[:m], -300 * constant, atol=1e-9)
+    np.testing.assert_array_equal(qp.l[:m], qp.u[:m])
+
+
+def test_inequalities_are_the_distances_of_commands_from_slew_and_box(lin, reference):
+    qp, z = FORM.build(lin, reference), np.random.default_rng(7).normal(size=10 * N + 2)
+    _, U, _ = unpacked(lin, z)
+    rows = qp.A @ z
+    slew, box = slice(8 * N + 2, 10 * N + 2), slice(10 * N + 2, 12 * N + 2)
+    change = np.diff(U, axis=0)
+    np.testing.assert_allclose((qp.u - rows)[slew].reshape(N, 2) * FULL_N, [30.0, 20.0] - change)
+    np.testing.assert_allclose((rows - qp.l)[slew].reshape(N, 2) * FULL_N, change - [-30.0, -20.0])
+    np.testing.assert_allclose((qp.u - rows)[box].reshape(N, 2) * FULL_N, [62.5, 30.0] - U[1:])
+    np.testing.assert_allclose((rows - qp.l)[box].reshape(N, 2) * FULL_N, U[1:] - [-40.0, -50.0])
+
+
+def test_the_pattern_does_not_depend_on_the_numbers(lin, reference):
+    """A number that happens to be zero keeps its place; nothing stands where the documented model has none."""
+    still = lin._replace(A=0 * lin.A, B0=0 * lin.B0, B1=0 * lin.B1)
+    moving, zero = FORM.build(lin, reference).A, FORM.build(still, reference).A
+    np.testing.assert_array_equal(moving.indices, zero.indices)
+    np.testing.assert_array_equal(moving.indptr, zero.indptr)
+    assert (moving.data != 0).all()
+
+
+def test_commands_are_those_that_a_point_stands_for(lin):
+    z = np.random.default_rng(8).normal(size=10 * N + 2)
+    np.testing.assert_allclose(FORM.commands(lin, z), unpacked(lin, z)[1])
+
+
+def test_a_dual_moved_along_the_grid_is_read_between_stages_and_held_after_the_last():
+    stages = np.random.default_rng(9).normal(size=(N, 12))  # of each stage: 8 of dynamics, 2 of slew, 2 of box
+
+    def dual(at):
+        read = np.array([np.interp(at, range(N), row) for row in stages.T]).T
+        return np.concatenate([read[:, :8].ravel(), [3.0, 4.0], read[:, 8:10].ravel(), read[:, 10:].ravel()])
+
+    for by in (0.0, 0.4, 1.0, 1.7, 9.0):
+        np.testing.assert_allclose(FORM.shifted_dual(dual([0, 1, 2]), by), dual([by, 1 + by, 2 + by]))
+
+
+def test_one_stage_is_a_horizon_too(lin, reference):
+    one = SparseForm(1, LIMITS, WEIGHTS)
+    short = Linearisation(lin.X[:2], lin.U[:2], lin.C[:2], *(x[:1] for x in (lin.Phi, lin.A, lin.B0, lin.B1)))
+    qp = one.build(short, reference[:1])
+    assert qp.A.shape == (14, 12)
+    y = np.arange(14.0)
+    np.testing.assert_array_equal(one.shifted_dual(y, 0.4), y)
