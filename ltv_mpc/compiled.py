@@ -60,22 +60,23 @@ def _writable(folder: Path) -> bool:
 
 def cache_folder() -> tuple[Path, bool]:
     """Where compiled code is kept, and whether it will be there next time."""
-    base = os.environ.get("XDG_CACHE_HOME")
+    name = fingerprint()
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given and Path(given).name == name:  # a parent process chose it
+        return Path(given), True
+    base = given or os.environ.get("XDG_CACHE_HOME")
     try:
         root = Path(base) if base else Path.home() / ".cache"
     except RuntimeError:  # no HOME
         root = Path("/nonexistent")
-    folder = root / "ltv-mpc" / fingerprint()
+    folder = root / "ltv-mpc" / name
     if _writable(folder):
         return folder, True
-    return Path(tempfile.mkdtemp(prefix="ltv-mpc-")), False
+    return Path(tempfile.mkdtemp(prefix="ltv-mpc-")) / name, False
 
 
-if "NUMBA_CACHE_DIR" not in os.environ:
-    CACHE, CACHE_IS_KEPT = cache_folder()
-    os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
-else:
-    CACHE, CACHE_IS_KEPT = Path(os.environ["NUMBA_CACHE_DIR"]), True
+CACHE, CACHE_IS_KEPT = cache_folder()
+os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 
 import numba  # noqa: E402  (the variable above must be set first)
 

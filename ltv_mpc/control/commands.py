@@ -2,18 +2,26 @@
 
 A plan takes over from the one before at its own start; after the last knot the commands go to zero at the slew limit,
 which is what the actuators do when nobody speaks to them. Dead time is compensated by rolling the vehicle through the
-commands that were really sent, in their order; Autoware and Nav2 both first got this wrong.
+commands that were really sent, in their order; Autoware and Nav2 both first got this wrong. Where the actuators report
+another command than that (a plan came late, or this controller is new), theirs is the truth: from there they go towards
+the plan at the slew limit.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.signals import Array, Plan, Times
+from ltv_mpc.signals import Array, Plan, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 KEPT_NS = 10_000_000_000
 """How far back the commands are remembered: longer than any estimate is late."""
+
+AGREES_N = 0.01
+"""Two commands that differ by less are the same: what is left of rounding."""
+
+CATCH_UP_NS = 10_000_000
+"""Steps in which the actuators' way to the plan is followed."""
 
 
 class SentCommands:
@@ -32,6 +40,23 @@ class SentCommands:
         end_t, end_thrust = self._ramp_down(int(plan.t_ns[-1]), plan.thrust_N[-1])
         self._t = np.concatenate([self._t[old], plan.t_ns, end_t])
         self._thrust = np.concatenate([self._thrust[old], plan.thrust_N, end_thrust])
+
+    def reported(self, t_ns: int, command_N: Triple) -> None:
+        """The actuators say what was in force at ``t_ns``."""
+        now = np.array([t_ns], dtype=np.int64)
+        command = np.array(command_N)
+        if np.abs(self.at(now)[0] - command).max() <= AGREES_N:
+            return
+        times, commands = [t_ns], [command]
+        target = self.at(now)[0]
+        while np.abs(target - commands[-1]).max() > AGREES_N and times[-1] < t_ns + KEPT_NS:
+            times.append(times[-1] + CATCH_UP_NS)
+            target = self.at(np.array(times[-1:], dtype=np.int64))[0]
+            reach = self._slew * CATCH_UP_NS * 1e-9
+            commands.append(commands[-1] + np.clip(target - commands[-1], -reach, reach))
+        before, after = self._t < t_ns, self._t > times[-1]
+        self._t = np.concatenate([self._t[before], np.array(times, dtype=np.int64), self._t[after]])
+        self._thrust = np.concatenate([self._thrust[before], np.array(commands), self._thrust[after]])
 
     def at(self, t_ns: Times) -> Array:
         """Commands (M, 3) at times t_ns (M,): zero where nothing was sent, before the first knot what that says."""

@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
 
 STAGE_NS = 300_000_000
 """Time between two knots."""
@@ -43,7 +44,8 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     @classmethod
     def load(cls, path: str) -> ControllerConfig:
         """A TOML file that holds the [controller] table alone. Raises ``ConfigError``."""
-        return config.load(path, cls, what="controller settings", package="ltv_mpc.control.files")
+        settings = config.load(path, cls, what="controller settings", package="ltv_mpc.control.files")
+        return checked(settings, source=f"controller settings {path}")
 
     @property
     def stages(self) -> int:
@@ -54,3 +56,11 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     def period_ns(self) -> int:
         """Time between the starts of two cycles, at least."""
         return round(self.period_s * 1e9)
+
+
+def checked(settings: ControllerConfig, *, source: str, table: tuple[str, ...] = ()) -> ControllerConfig:
+    """The settings, after what no single field can tell; ``table`` is where they stand. Raises ``ConfigError``."""
+    if settings.period_s > settings.horizon_s:
+        problem = f"must be <= horizon_s = {settings.horizon_s:g}: a plan lasts until the next one"
+        raise ConfigError(source, config.place((*table, "period_s")), problem, value=settings.period_s)
+    return settings

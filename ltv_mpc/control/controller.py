@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from ltv_mpc.control.commands import SentCommands
@@ -47,6 +48,12 @@ COLD_PASSES = 6
 
 STEPS = (1.0, 0.5, 0.25, 0.1)
 """Parts of the QP's step that are tried in turn until the cost along the exact flow does not rise."""
+
+LONGEST_INTEGRATION_S = 2.0
+"""After a longer silence the depth error was not this all the time."""
+
+OLDEST_ESTIMATE_NS = 10_000_000_000
+"""An estimate that is further than this from now says nothing of where the vehicle is."""
 
 USABLE_RESIDUAL = 1e-3
 """A solve that ends at its iteration limit is used where both residuals are below this: its step is tried against the
@@ -88,6 +95,7 @@ class Controller:
         self._delay = Delay(round(config.first_delay_s * 1e9), config.delay_quantile)
         self._memory: _Memory | None = None
         self._integral_N = 0.0
+        self._integrated_ns: int | None = None
         self.follow(reference)
 
     def follow(self, reference: Reference) -> None:
@@ -99,6 +107,7 @@ class Controller:
         """What the actuators say they do."""
         self._delay.receipt(applied)
         self._prediction.report(applied)
+        self._commands.reported(applied.t_ns, applied.command_N)
 
     def timing(self, timing: CycleTiming) -> None:
         """What the last cycle took."""
@@ -114,28 +123,27 @@ class Controller:
         now = estimate.t_ns if t_ns is None else t_ns
         if applied is not None:
             self.report(applied)
+        begun, idle = self._begun(estimate), ""
+        if abs(now - estimate.t_ns) > OLDEST_ESTIMATE_NS:
+            idle = f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.0f} s old"
+            # Not to be rolled over such a time; the thrusters go to rest, the vertical one too.
+            estimate, begun = msgspec.structs.replace(estimate, t_ns=now), None
+        elif begun is None:
+            idle = "the reference has not begun"
+        elif not self.config.lateral:
+            idle = "lateral control is off"
+        if not idle:
+            self._delay.solves_from(now)
         delay_ns = self._delay.expected_ns()
         start = self._prediction.roll(estimate, now + delay_ns, self._commands)
         knots = start.t_ns + np.arange(self.config.stages + 1, dtype=np.int64) * STAGE_NS
-        begun = self._begun(estimate)
         vertical = self._vertical_plan(start, knots, begun)
         current = current_at(estimate.current, vertical.depth_m)
         self._lap("predict")
-        if begun is None:
-            why = "the reference has not begun"
-            X, U, origin, solve = (
-                *self._released(start, knots, current),
-                PlanOrigin.ZERO,
-                Solve(status=SolveStatus.NOT_RUN),
-            )
+        if begun is None or idle:
+            X, U = self._released(start, knots, current)
+            origin, solve, why = PlanOrigin.ZERO, Solve(status=SolveStatus.NOT_RUN), idle
             self._memory = None
-        elif not self.config.lateral:
-            why = "lateral control is off"
-            X, U, origin, solve = (
-                *self._released(start, knots, current),
-                PlanOrigin.ZERO,
-                Solve(status=SolveStatus.NOT_RUN),
-            )
         else:
             X, U, origin, solve, why = self._solve(start, knots, current, self._reference.position(begun))
         plan = Plan(
@@ -152,7 +160,7 @@ class Controller:
             reference_depth_m=None if begun is None else self._reference.depth_m,
         )
         self._commands.sent(plan)
-        self._integral_N = vertical.integral_N
+        self._integrate(vertical, start.t_ns)
         self._lap("read")
         return plan
 
@@ -179,6 +187,13 @@ class Controller:
             sinking_ref_mps=wanted[1],
             stage_s=STAGE_S,
         )
+
+    def _integrate(self, vertical: VerticalPlan, start_ns: int) -> None:
+        """The integral goes on from the last plan's start to this one's."""
+        if self._integrated_ns is not None:
+            seconds = min(max(start_ns - self._integrated_ns, 0) * 1e-9, LONGEST_INTEGRATION_S)
+            self._integral_N += vertical.integral_rate_N_per_s * seconds
+        self._integrated_ns = start_ns
 
     def _released(self, start: Start, knots: Times, current: Array) -> tuple[Array, Array]:
         """The lateral thrusters go to zero at the slew limit."""

@@ -26,18 +26,30 @@ class Delay:
         self._quantile = quantile
         self._receipts: deque[int] = deque(maxlen=REMEMBERED)
         self._computing: deque[int] = deque(maxlen=REMEMBERED)
+        self._solves_from: int | None = None
         self._receipt_of: int | None = None  # the cycle whose receipt came last
+
+    def solves_from(self, cycle_t_ns: int) -> None:
+        """The first cycle that solves: what easier ones took before it says no more than the least it can take."""
+        if self._solves_from is None:
+            self._solves_from = cycle_t_ns
+            self._first_ns = max(self._first_ns, self.expected_ns())
+            self._receipts.clear()
+            self._computing.clear()
 
     def receipt(self, applied: Applied) -> None:
         """The actuators say which plan they got, and when."""
         if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._receipt_of:
+            return
+        if self._solves_from is not None and applied.plan_cycle_t_ns < self._solves_from:
             return
         self._receipt_of = applied.plan_cycle_t_ns
         self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
 
     def timing(self, timing: CycleTiming) -> None:
         """What the last cycle took, without transport."""
-        self._computing.append(timing.compute_ns)
+        if self._solves_from is None or timing.t_ns >= self._solves_from:
+            self._computing.append(timing.compute_ns)
 
     def expected_ns(self) -> int:
         """From the start of a cycle to its plan's arrival."""

@@ -45,26 +45,25 @@ def _follow(
     Ti: float,
     p: Coefficients,
 ) -> tuple[Array, Array, float]:
-    """Depths (N+1,), commands (N+1,) at the knots, and the integral after the first stage."""
+    """Depths (N+1,), commands (N+1,) at the knots, and the integral's rate (N/s) over the first stage."""
     N = len(z_ref) - 1
     depth, commands = np.empty(N + 1), np.empty(N + 1)
     depth[0], commands[0] = z, command
-    first = integral
+    rate_now = 0.0
     for k in range(N):
         e, rate = z_ref[k + 1] - z, w_ref[k + 1] - w
         # F3 = (B - W) + (d_z + D_z |w_ref|) w_ref + M_z (w0^2 e + 2 zeta w0 e') + integral
         feed = p.net_buoyancy + (p.linear_heave + p.quadratic_heave * abs(w_ref[k + 1])) * w_ref[k + 1]
         wanted = feed + p.mass_heave * (w0 * w0 * e + 2.0 * zeta * w0 * rate) + integral
-        # "not (inside)" also holds where the limits push inwards, which ends a wind-up at once
         limited = min(max(wanted, low, command - slew * h), high, command + slew * h)
         if limited == wanted:
             integral += p.mass_heave * w0 * w0 / Ti * e * h
-        if k == 0:
-            first = integral
+            if k == 0:
+                rate_now = p.mass_heave * w0 * w0 / Ti * e
         z, w, F = advance_heave(z, w, F, command, limited, h, p)
         command = limited
         depth[k + 1], commands[k + 1] = z, command
-    return depth, commands, first
+    return depth, commands, rate_now
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +72,7 @@ class VerticalPlan:
 
     depth_m: Array  # (N+1,)
     thrust_N: Array  # (N+1,) commands
-    integral_N: float  # after the first stage
+    integral_rate_N_per_s: float  # at the first knot: cycles may be any time apart
 
 
 class VerticalLaw:
@@ -97,7 +96,7 @@ class VerticalLaw:
     ) -> VerticalPlan:
         """Follow ``depth_ref_m`` (N+1,) at the knots from the state at the first."""
         t = self._thruster
-        depth, thrust, integral = _follow(
+        depth, thrust, rate = _follow(
             depth_m,
             sinking_mps,
             thrust_N,
@@ -114,4 +113,4 @@ class VerticalLaw:
             INTEGRAL_S,
             self._p,
         )
-        return VerticalPlan(depth, thrust, integral)
+        return VerticalPlan(depth, thrust, rate)

@@ -19,6 +19,10 @@ from ltv_mpc.signals import Array, Estimate, Pair, Times
 Metres: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
 
+LONGEST_BACK_S = 1.0
+"""A vehicle that drifts is where it was, less its velocity times the time since: for so long. Later, "here" is now."""
+
+
 class Anchor(msgspec.Struct, frozen=True):
     """Where and when the reference began."""
 
@@ -38,8 +42,18 @@ class _Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         return self.start_s is None or t_ns >= round(self.start_s * 1e9)
 
     def anchor(self, estimate: Estimate) -> Anchor:
-        """Where it begins, from the first estimate after its start."""
-        return Anchor(estimate.t_ns, estimate.north_m, estimate.east_m, estimate.depth_m or 0.0)
+        """Where it begins: where the first estimate after its start says that the vehicle was at the start."""
+        start_ns = estimate.t_ns if self.start_s is None else min(round(self.start_s * 1e9), estimate.t_ns)
+        back_s = (estimate.t_ns - start_ns) * 1e-9
+        if back_s > LONGEST_BACK_S:
+            start_ns, back_s = estimate.t_ns, 0.0
+        depth = (estimate.depth_m or 0.0) - back_s * (estimate.velocity_down_mps or 0.0)
+        return Anchor(
+            start_ns,
+            estimate.north_m - back_s * estimate.velocity_north_mps,
+            estimate.east_m - back_s * estimate.velocity_east_mps,
+            max(depth, 0.0),
+        )
 
     def depths(self, t_ns: Times, anchor: Anchor) -> tuple[Array, Array] | None:
         """Depth (m) and sinking speed (m/s) wanted at each time, (M,) each, or None."""

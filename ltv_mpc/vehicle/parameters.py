@@ -88,6 +88,17 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     yaw: Rotation
     thruster: Thrusters
 
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself."""
+        vertical = self.thruster.vertical
+        if not vertical.min_N <= self.failsafe_vertical_N <= vertical.max_N:
+            raise ValueError(
+                f"failsafe_vertical_N = {self.failsafe_vertical_N}: must be within the vertical thruster's "
+                f"min_N = {vertical.min_N} and max_N = {vertical.max_N}"
+            )
+        if self.thruster.port.arm_m + self.thruster.starboard.arm_m <= 0.0:
+            raise ValueError("[thruster.port] and [thruster.starboard] arm_m: both are 0, so nothing turns the vehicle")
+
     @classmethod
     def load(cls, name: str) -> Vehicle:
         """A shipped vehicle by name (``"paper"``), or a TOML file by path. Raises ``ConfigError``."""

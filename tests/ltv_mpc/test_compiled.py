@@ -52,5 +52,12 @@ def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(
     assert done.stdout.startswith(str(tmp_path))
 
 
-def test_this_process_uses_the_folder_of_these_sources_or_the_one_it_was_given():
-    assert os.environ["NUMBA_CACHE_DIR"] == str(compiled.CACHE)
+def test_a_folder_that_is_given_gets_one_of_these_sources_in_it_and_children_take_it_as_it_is(tmp_path):
+    """A value of the user's for numba must not bring back stale code."""
+    code = "from ltv_mpc import compiled; print(compiled.CACHE)"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-P", "-c", code]
+    first = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+    assert first == str(tmp_path / "ltv-mpc" / compiled.fingerprint())
+    environment["NUMBA_CACHE_DIR"] = first
+    assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip() == first

@@ -222,4 +222,36 @@ def test_on_a_ramp_that_is_too_fast_the_thruster_is_at_its_maximum_and_the_integ
         stage_s=0.3,
     )
     np.testing.assert_array_equal(plan.thrust_N, 62.5)
-    assert plan.integral_N == 0.0
+    assert plan.integral_rate_N_per_s == 0.0
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.3, 0.7])
+def test_the_integral_grows_with_time_not_with_the_number_of_cycles(period_s):
+    """M_z w0^2 / T_i e = 225 x 0.09 / 20 x 0.05 = 0.0506 N/s at an error of 5 cm."""
+    controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=10.05, descent_rate_mps=5.0))
+    still = Estimate.at_rest(depth_m=10.0)
+    for t_s in np.arange(0.0, 7.0 + 1e-9, period_s):
+        controller.plan(msgspec.structs.replace(still, t_ns=round(t_s * 1e9)))
+    assert controller._integral_N == pytest.approx(0.0506 * 7.0, rel=0.1)
+
+
+def test_an_estimate_that_is_too_old_is_named_and_the_thrusters_go_to_rest():
+    controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=10.0))
+    old = Estimate.at_rest(north_m=1.0, depth_m=5.0)
+    assert controller.plan(old, t_ns=1_000_000_000).origin is PlanOrigin.SOLVED
+    plan = controller.plan(old, t_ns=3_600_000_000_000)
+    assert plan.origin is PlanOrigin.ZERO
+    assert plan.why == "the newest estimate is 3600 s old"
+    assert not plan.thrust_N[-1].any()
+
+
+def test_the_line_passes_through_where_the_vehicle_was_at_the_start_though_the_first_estimate_comes_later():
+    controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
+    later = msgspec.structs.replace(
+        Estimate.at_rest(north_m=4.02, east_m=1.0, depth_m=0.01),
+        t_ns=200_000_000,
+        velocity_north_mps=0.1,
+        velocity_down_mps=0.05,
+    )
+    plan = controller.plan(later)
+    assert plan.reference_m == pytest.approx((4.0, 1.0))

@@ -106,3 +106,30 @@ def test_between_gives_both_ends_and_the_knots_inside():
     np.testing.assert_array_equal(
         sent.between(100_000_000, 700_000_000), [100_000_000, 300_000_000, 600_000_000, 700_000_000]
     )
+
+
+def test_where_the_actuators_report_another_command_it_goes_from_there_to_the_plan_at_the_slew_limit():
+    """A plan that came late, or a controller that has just started: the next plan begins at what is in force."""
+    sent = SentCommands(PAPER)
+    sent.sent(plan(0, np.full((10, 3), 40.0)))
+    sent.reported(1_000_000_000, (10.0, 40.0, 62.5))
+    at = sent.at(np.array([1_000_000_000, 1_200_000_000, 1_300_000_000, 2_000_000_000]))
+    np.testing.assert_allclose(at[:, 0], [10.0, 30.0, 40.0, 40.0], atol=0.02)
+    np.testing.assert_allclose(at[:, 1], 40.0, atol=0.02)
+    np.testing.assert_allclose(at[:, 2], [62.5, 42.5, 40.0, 40.0], atol=0.02)
+
+
+def test_a_new_controller_takes_the_reported_command_and_lets_it_go_to_rest():
+    sent = SentCommands(PAPER)
+    sent.reported(0, (50.0, -50.0, 20.0))
+    at = sent.at(np.array([0, 250_000_000, 500_000_000, SECOND]))
+    np.testing.assert_allclose(at[:, 0], [50.0, 25.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(at[:, 1], [-50.0, -25.0, 0.0, 0.0], atol=0.02)
+
+
+def test_a_report_that_agrees_changes_nothing():
+    sent = SentCommands(PAPER)
+    sent.sent(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
+    before = sent.at(np.arange(0, 900_000_000, 50_000_000))
+    sent.reported(150_000_000, (15.0, -15.0, 5.0))
+    np.testing.assert_array_equal(sent.at(np.arange(0, 900_000_000, 50_000_000)), before)
