@@ -24,10 +24,6 @@ class ConfigError(ValueError):
         super().__init__(one_line(": ".join(x for x in (source, where, problem) if x)))
 
 
-class SolverNotInstalled(ImportError):
-    """A solver that is known by name but is not installed; the message says which package brings it."""
-
-
 def shown(value: object) -> str:
     """``value`` as TOML writes it, shortened where it is long."""
     if isinstance(value, bool):

@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config, fields
+from ltv_mpc.control import config as control
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.errors import ConfigError, shown
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -121,7 +122,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
 def checked(scenario: Scenario, *, source: str) -> Scenario:
     """The scenario, after what no single field can tell. Raises ``ConfigError``."""
-    water, estimator, controller = scenario.water, scenario.estimator, scenario.controller
+    water, estimator = scenario.water, scenario.estimator
     if water.kind == "measured" and not water.file:
         raise ConfigError(source, "[water] file", 'must name a currents CSV where kind = "measured"', value="")
     if water.kind == "markov" and water.file:
@@ -134,9 +135,7 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
         if not 1 <= deepest_m / cell_m <= most:
             problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
             raise ConfigError(source, f"[{table}] cell_m", problem, value=cell_m)
-    if controller.period_s > controller.horizon_s:
-        problem = f"must be <= horizon_s = {controller.horizon_s:g}: a plan lasts until the next one"
-        raise ConfigError(source, "[controller] period_s", problem, value=controller.period_s)
+    control.checked(scenario.controller, source=source, table=("controller",))
     return scenario
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -22,10 +23,17 @@ from typing import Literal, Protocol, TypeAlias
 import msgspec
 import zenoh
 
+from ltv_mpc.errors import ConfigError
 from services.bus.topics import Topic, topic_at
 
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a node that is told nothing looks for a router, and where a router that is told nothing listens."""
+
+HOST_AND_PORT = ("tcp", "udp", "tls", "quic", "ws")
+PROTOCOLS = (*HOST_AND_PORT, "unixsock-stream")
+"""Those that Zenoh's Python package has; of another it only says so once it is open, or waits for ever."""
+
+MAX_PORT = 2**16 - 1
 
 Mode: TypeAlias = Literal["client", "peer", "router"]
 
@@ -54,8 +62,23 @@ class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
         return self.config is not None or "ZENOH_CONFIG" in os.environ
 
 
+def fault_of(endpoint: str) -> str:
+    """What is wrong with ``tcp/127.0.0.1:7447``; empty where nothing is."""
+    protocol, _, rest = endpoint.partition("/")
+    address = re.split("[?#]", rest, maxsplit=1)[0]  # metadata and settings may follow it
+    if not (protocol and address):
+        return "must be PROTOCOL/ADDRESS, as in tcp/127.0.0.1:7447"
+    if protocol not in PROTOCOLS:
+        return f"the protocol must be one of {', '.join(PROTOCOLS)}"
+    host, _, port = address.rpartition(":")
+    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else 0
+    if protocol in HOST_AND_PORT and not (host and 1 <= number <= MAX_PORT):
+        return f"must be {protocol}/HOST:PORT, PORT from 1 to {MAX_PORT}"
+    return ""
+
+
 class BusError(RuntimeError):
-    """A session that cannot be opened: an address that is taken, a configuration that Zenoh refuses."""
+    """A session that cannot be opened: an address that is taken."""
 
 
 class Stopped(Exception):
@@ -63,7 +86,7 @@ class Stopped(Exception):
 
 
 def configuration(options: BusOptions) -> zenoh.Config:
-    """Zenoh's configuration for these options. Raises ``BusError``."""
+    """Zenoh's configuration for these options. Raises ``ConfigError`` where Zenoh refuses it."""
     try:
         if options.config is not None:
             config = zenoh.Config.from_file(str(options.config))
@@ -93,8 +116,24 @@ def configuration(options: BusOptions) -> zenoh.Config:
         _insert(config, "transport/shared_memory/enabled", False)
         _insert(config, "transport/link/tx/queue/size/data", 16)
     except zenoh.ZError as error:
-        raise BusError(f"Zenoh refuses the configuration: {error}") from None
+        raise _refusal(options, error) from None
     return config
+
+
+def _refusal(options: BusOptions, error: zenoh.ZError) -> ConfigError:
+    if options.config is not None:
+        source, value = "option --config", str(options.config)
+    elif "ZENOH_CONFIG" in os.environ:
+        source, value = "$ZENOH_CONFIG", os.environ["ZENOH_CONFIG"]
+    else:
+        source, value = "bus options", " ".join((*options.connect, *options.listen, options.namespace))
+    return ConfigError(source, "", f"no configuration that Zenoh takes: {_words(error)}", value=value)
+
+
+def _words(error: zenoh.ZError) -> str:
+    """What Zenoh says, in one line and without where in its sources it says so, or the file that it was given."""
+    text = re.sub(r" at /\S+\.rs:\d+\.?", "", str(error)).partition(", input: ")[0]
+    return " ".join(text.split())
 
 
 def _insert(config: zenoh.Config, key: str, value: object) -> None:
@@ -183,7 +222,7 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
         thread.join(0.1)
     (opened,) = result
     if isinstance(opened, zenoh.ZError):
-        raise BusError(f"Zenoh cannot open a session: {opened}")
+        raise BusError(f"Zenoh cannot open a session: {_words(opened)}")
     return Session(opened)
 
 

@@ -68,7 +68,7 @@ def decode(kind: type[S], payload: bytes) -> tuple[S, Header]:
 
 def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     """The same of a plain map: what ``unpack`` gives, or a recording's JSON. Raises ``WireError``, and nothing else."""
-    header = _checked(_header, message)
+    header = header_of(message)
     signal = _checked(_signal, kind, message)
     reason = _checked(refusal, signal)
     if reason is not None:
@@ -84,6 +84,11 @@ def unpack(payload: bytes) -> dict[str, Any]:
     if not isinstance(message, dict):
         raise WireError("not a map")
     return message
+
+
+def header_of(message: dict[str, Any]) -> Header:
+    """The header of what ``unpack`` gives, its ranges checked. Raises ``WireError``, and nothing else."""
+    return _checked(_header, message)
 
 
 def crc(payload: bytes) -> int:

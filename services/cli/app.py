@@ -10,6 +10,7 @@ import typer
 
 from services.cli import measure, processes, start, vehicle
 
+NOT_COMPLETED = 1
 BAD_INPUT = 2
 
 app = typer.Typer(
@@ -53,7 +54,10 @@ def run(arguments: Sequence[str]) -> int:
         return _refuse(f"ltv-mpc: {error}")
     except BrokenPipeError:  # the reader of our output has gone: `ltv-mpc topics | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return NOT_COMPLETED
+    except OSError as error:  # of a disk that is full, a folder that is gone
+        where = f"{error.filename}: " if error.filename else ""
+        return _refuse(f"ltv-mpc: {where}{error.strerror or error}", NOT_COMPLETED)
     return code if isinstance(code, int) else 0
 
 
@@ -63,6 +67,6 @@ def _is_config_error(error: ValueError) -> bool:
     return isinstance(error, ConfigError)
 
 
-def _refuse(text: str) -> int:
+def _refuse(text: str, code: int = BAD_INPUT) -> int:
     typer.echo(" ".join(text.split()), err=True)
-    return BAD_INPUT
+    return code

@@ -82,15 +82,15 @@ def bus(
     connect: list[str] | None, listen: list[str] | None, mode: str | None, config: Path | None, namespace: str
 ) -> BusOptions:
     """The five bus options as one, checked. Raises ``ConfigError``."""
+    from msgspec import structs
+
     from ltv_mpc.config import parse, read_text
     from ltv_mpc.errors import ConfigError
-    from services.bus.session import BusOptions
+    from services.bus.session import BusOptions, configuration, fault_of
 
     for name, endpoints in (("--connect", connect), ("--listen", listen)):
         for endpoint in endpoints or ():
-            protocol, slash, address = endpoint.partition("/")
-            if not (protocol and slash and address):
-                problem = "must be PROTOCOL/ADDRESS, as in tcp/127.0.0.1:7447"
+            if problem := fault_of(endpoint):
                 raise ConfigError(f"option {name}", "", problem, value=endpoint)
     if config is not None:
         read_text(config, what="Zenoh configuration")
@@ -99,11 +99,6 @@ def bus(
             "option --namespace", "", "must be names joined by /, without * $ # ? or spaces", value=namespace
         )
     table = {"connect": connect or (), "listen": listen or (), "mode": mode, "namespace": namespace}
-    options = parse(table, BusOptions, source="option --mode")
-    return BusOptions(
-        connect=options.connect,
-        listen=options.listen,
-        mode=options.mode,
-        config=config,
-        namespace=options.namespace,
-    )
+    options = structs.replace(parse(table, BusOptions, source="option --mode"), config=config)
+    configuration(options)  # Zenoh's own word, before anything is made or started
+    return options

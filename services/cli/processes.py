@@ -139,9 +139,8 @@ def recorder(
 
     situation = resolve(scenario)
     options = bus(connect, listen, mode, config, namespace)
-    if out is not None and Path(scenario).absolute().parent == out.absolute():
-        run_folder = folder.RunFolder(out)  # a launcher has made it for this very run
-    else:
+    run_folder = None if out is None else folder.made_for(Path(scenario), out)
+    if run_folder is None:
         run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     from services.nodes import recorder as node
 

@@ -94,7 +94,7 @@ def sim(
 
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
-    from services.run import folder
+    from services.run import folder, space
     from services.run.situation import resolve
 
     texts = {
@@ -115,6 +115,7 @@ def sim(
     if lockstep:
         _refuse_speed(overrides)
     situation = resolve(scenario, overrides)
+    space.check(out or folder.ROOT, situation.scenario.run)
     run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     for note in situation.notes:
         typer.echo(note, err=True)
@@ -144,7 +145,7 @@ def _refuse_speed(overrides: Sequence[Override]) -> None:
 
 
 def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
-    from services.process.stopping import stop_on_signals
+    from services.process.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.run import locked
     from services.views.terminal import progress_for
 
@@ -152,10 +153,11 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
     with stop_on_signals() as request, progress_for(scenario.start_ns, scenario.end_ns) as progress:
         summary = locked.run(situation, folder, progress=progress, stop=request)
     _say_verdict(summary, folder, as_json)
+    if summary.duration_s >= scenario.run.duration_s:
+        return DONE
     if request():
         typer.echo("stopped; what was recorded until then is kept", err=True)
-        return request.exit_code
-    return 0 if summary.duration_s >= scenario.run.duration_s else 1
+    return INTERRUPTED if request.interrupted else FAILED
 
 
 def _processes(situation: Situation, folder: RunFolder, as_json: bool) -> int:

@@ -8,7 +8,6 @@ stopped last, so that it hears the last word of all others.
 from __future__ import annotations
 
 import secrets
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -31,7 +30,6 @@ from sim.grading.summary import Summary
 TICK_S = 0.05
 READY_S = 60.0  # from its start to its first word: the slowest needs 2 s on busy cores, cold code included 30
 SILENT_S = 10.0
-BYTES_PER_VEHICLE_S = 200_000  # of recording, generously: 200 s were 12 MB
 LATE_TICK_S = 1.0  # the supervisor itself was stopped or starved: silence says nothing then
 
 
@@ -101,7 +99,6 @@ class Supervisor:
         with ExitStack() as sessions:
             self._guard = Guard()
             try:
-                self._check_space()
                 self._warm()
                 self._start(sessions)
                 self._await(self._plant_is_done, None, "")
@@ -127,13 +124,6 @@ class Supervisor:
         return Outcome(completed=True, exit_code=DONE)
 
     # --- starting ----------------------------------------------------------------------------------------------------
-
-    def _check_space(self) -> None:
-        run = self._situation.scenario.run
-        needed = round((run.surface_time_s + run.duration_s) * BYTES_PER_VEHICLE_S)
-        free = shutil.disk_usage(self._folder.path).free
-        if free < needed:
-            raise _Failed(f"{self._folder.path}: {free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed")
 
     def _warm(self) -> None:
         if warm.is_warm():

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from fractions import Fraction
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ LEAD_US = 50_000
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
 MAX_SPEED_DENOMINATOR = 1_000_000
+EARLIEST_NS = -(2**63)
 
 
 class ClockError(RuntimeError):
@@ -88,6 +90,7 @@ class VehicleClock:
         self._epoch = 0
         self._sequence = -1
         self._last_ns: int | None = None
+        self._held_ns = EARLIEST_NS  # what the lines before the first one came to
 
     @classmethod
     def own(cls, now_us: int) -> VehicleClock:
@@ -126,12 +129,24 @@ class VehicleClock:
     def read(self, now_us: int) -> int | None:
         """Vehicle time (ns); None before the first line is in force. Never less than an earlier reading."""
         while len(self._lines) > 1 and self._lines[1].at_us <= now_us:
-            self._lines.pop(0)
+            ended = self._lines.pop(0)
+            self._held_ns = max(self._held_ns, ended.read(self._lines[0].at_us))
         if not self._lines or now_us < self._lines[0].at_us:
             return self._last_ns
         reading = self._lines[0].read(now_us)
         self._last_ns = reading if self._last_ns is None else max(self._last_ns, reading)
         return self._last_ns
+
+    def at(self, instant_us: int) -> int | None:
+        """Vehicle time (ns) at an instant, whatever was read before; None before the first line is heard.
+
+        A function of the lines alone: it too holds still where a new line lies behind the one before.
+        """
+        if not self._lines:
+            return None
+        heard = [line for line in self._lines if line.at_us <= instant_us] or self._lines[:1]
+        ends = (line.read(following.at_us) for line, following in pairwise(heard))
+        return max(self._held_ns, *ends, heard[-1].read(instant_us))
 
     def due_us(self, t_ns: int) -> int | None:
         """When the clock reads ``t_ns`` as far as is announced; None where it stands still before that."""

@@ -11,7 +11,7 @@ from services.bus.door import rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, open_session
-from services.bus.wire import Header, WireError, typed, unpack
+from services.bus.wire import Header, WireError, header_of, typed, unpack
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.process.status import StatusReport
 from services.process.stopping import Say, StopRequest
@@ -19,7 +19,6 @@ from services.recording.losses import Losses
 from services.recording.writer import RunWriter
 
 NAME = "recorder"
-FLUSH_US = 500_000
 LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
 SILENCE_US = 200_000  # and no longer than this after the last message
 
@@ -58,7 +57,9 @@ class RecordingLoop:
         """Open, subscribe to everything, write, say the last word, close."""
         with open_session(bus, stop=self._stop, say=self._say) as session:
             self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, Rejected))
-            self._status = StatusReport(NAME, outbox=self._out, counts=self, clock=self._clock, reads=(), say=self._say)
+            self._status = StatusReport(
+                NAME, outbox=self._out, counts=self, mailbox=self.mailbox, clock=self._clock, reads=(), say=self._say
+            )
             session.subscribe("**", None, self.mailbox)
             while not self._stop():
                 now_us = monotonic_us()
@@ -115,17 +116,16 @@ class RecordingLoop:
             raise WireError("unknown key")
         kind = frame.topic.signal
         message = unpack(frame.payload)
+        header = header_of(message)
         if kind in (Clock, NodeStatus):
-            signal, header = typed(kind, message)
+            signal, _ = typed(kind, message)
             self._heed(signal, header)
-        epoch, sequence, sent_us = message.get("epoch"), message.get("sequence"), message.get("sent_monotonic_us")
-        if not (isinstance(epoch, int) and isinstance(sequence, int) and isinstance(sent_us, int)):
-            raise WireError("no header")
-        t_ns = self._clock.read(sent_us)
+        # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.
+        t_ns = self._clock.at(min(header.sent_monotonic_us, frame.received_monotonic_us))
         self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns)
         self.received += 1
-        self._losses.saw(frame.key, epoch, sequence)
-        self._of_source[epoch] = self._of_source.get(epoch, 0) + 1
+        self._losses.saw(frame.key, header.epoch, header.sequence)
+        self._of_source[header.epoch] = self._of_source.get(header.epoch, 0) + 1
 
     def _heed(self, signal: object, header: Header) -> None:
         if isinstance(signal, NodeStatus) and signal.finished:

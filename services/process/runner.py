@@ -247,6 +247,7 @@ class Runner:
             node.name,
             outbox=self._out,
             counts=self._door,
+            mailbox=self.mailbox,
             clock=self._clock,
             reads=ports.inputs(node),
             say=self._say,

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from ltv_mpc.signals import ClockState, NodeStatus, Signal
+from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_SIGNAL
 from services.process.clock import VehicleClock
@@ -36,6 +37,7 @@ class StatusReport:
         *,
         outbox: Outbox,
         counts: Counts,
+        mailbox: Mailbox,
         clock: VehicleClock,
         reads: Iterable[type[Signal]],
         say: Say,
@@ -43,6 +45,7 @@ class StatusReport:
         self._node = node
         self._outbox = outbox
         self._counts = counts
+        self._mailbox = mailbox
         self._clock = clock
         self._say = say
         self._said = ""
@@ -84,7 +87,8 @@ class StatusReport:
                 steps=self.steps,
                 published=self._outbox.published + 1,  # this one included
                 received=self._counts.received,
-                dropped=self._counts.dropped,
+                # Of a key that overflowed the next frame shows the gap, which is counted as well: not the sum.
+                dropped=max(self._counts.dropped, self._mailbox.overflowed),
                 rejected=self._counts.rejected,
                 step_us=self._busy_us / self._busy_steps if self._busy_steps else 0.0,
                 finished=finished,

@@ -10,6 +10,7 @@ step nothing is flushed by the wall clock: the file is a function of its message
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -44,8 +45,13 @@ class RunWriter:
         self._file = path.open("wb")
         # Any: the package leaves the types of some of its methods out.
         self._mcap: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._mcap.start(PROFILE, LIBRARY)
-        self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
+        try:
+            self._mcap.start(PROFILE, LIBRARY)
+            self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
+        except OSError:  # a full disk
+            with contextlib.suppress(OSError):
+                self._file.close()
+            raise
 
     def write(self, writer: str, signal: Signal, header: wire.Header, t_ns: int) -> None:
         """A signal that node ``writer`` published at vehicle time ``t_ns``."""
@@ -78,8 +84,10 @@ class RunWriter:
     def close(self) -> None:
         """The index, and the end of the file."""
         if not self._file.closed:
-            self._mcap.finish()
-            self._file.close()
+            try:
+                self._mcap.finish()
+            finally:
+                self._file.close()
 
     def __enter__(self) -> RunWriter:
         return self

@@ -72,6 +72,13 @@ def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force:
     return folder
 
 
+def made_for(scenario: Path, out: Path) -> RunFolder | None:
+    """The folder ``out`` where a launcher has made it for a run of its ``scenario`` and nothing is recorded yet."""
+    folder = RunFolder(out)
+    same = folder.scenario.absolute() == scenario.absolute()
+    return folder if same and not folder.recording.exists() else None
+
+
 def _default(name: str) -> Path:
     stem = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
     tries = (ROOT / (stem if count == 1 else f"{stem}-{count}") for count in itertools.count(1))

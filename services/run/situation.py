@@ -19,6 +19,9 @@ from services.run.made_by import made_by
 from sim import water
 from sim.scenario import Scenario, checked, overridden
 
+ORIGIN = "scenario"
+"""The entry of a run's [made_by] that keeps the name of its scenario."""
+
 
 class Override(NamedTuple):
     """Settings that one option stands for, and what errors call it."""
@@ -51,19 +54,27 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
     suite = Suite.load(scenario.sensors)
     solvers.make(scenario.controller)  # refuses one that is not there
     reference = references.load(scenario.reference)
+    called = _called(name, scenario)
     return Situation(
-        name=Path(name).stem,
+        name=called,
         scenario=scenario,
         vehicle=vehicle,
         suite=suite,
         reference=reference,
         water=water.make(scenario.water, scenario.run.seed),
-        files=_files(scenario),
+        files=_files(scenario, called),
         notes=_notes(scenario),
     )
 
 
-def _files(scenario: Scenario) -> dict[str, str]:
+def _called(name: str, scenario: Scenario) -> str:
+    """As the file is called, or, of a run's own scenario.toml, as the one was that the run was made of."""
+    origin = (scenario.made_by or {}).get(ORIGIN, "")
+    plain = origin == Path(origin).name and origin.isprintable()  # it becomes part of a folder's name
+    return origin if origin and plain else Path(name).stem
+
+
+def _files(scenario: Scenario, called: str) -> dict[str, str]:
     """Settings files as they were read, comments and all; the aboard tables without any word of the truth."""
     files = {
         f"config/{what}.toml": config.read_text(config.find(name, what=what, package=package), what=what)
@@ -83,7 +94,7 @@ def _files(scenario: Scenario) -> dict[str, str]:
         sensors="config/sensors.toml",
         reference="config/reference.toml",
         water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if scenario.water.file else ""),
-        made_by=made_by(),
+        made_by={ORIGIN: called, **made_by()},
     )
     files["scenario.toml"] = config.to_toml(again)
     return files

@@ -7,6 +7,8 @@ by time.
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import osqp
 from scipy.sparse import csc_array, csc_matrix, triu
@@ -78,12 +80,15 @@ class Osqp:
             self._step_size(first * GROWTH[turn % len(GROWTH)])
             solver.warm_start(x=warm_x, y=warm_y)
             result = solver.solve(raise_error=False)
+            interrupted = int(result.info.status_val) == int(osqp.SolverStatus.OSQP_SIGINT)
+            if interrupted:  # OSQP takes a Ctrl-C for itself while it solves: hand it on to whoever waits for it
+                signal.raise_signal(signal.SIGINT)
             iterations += int(result.info.iter)
             warm_x, warm_y = np.array(result.x), np.array(result.y)
             if not (np.isfinite(warm_x).all() and np.isfinite(warm_y).all()):
                 self._solver = None
                 return _nothing(qp, SolveStatus.NON_FINITE, "OSQP returned a value that is not finite; rebuilt")
-            if int(result.info.status_val) == int(osqp.SolverStatus.OSQP_SOLVED):
+            if interrupted or int(result.info.status_val) == int(osqp.SolverStatus.OSQP_SOLVED):
                 break
         info = result.info
         status = _STATUS.get(int(info.status_val), SolveStatus.FAILED)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
+import osqp
 import pytest
 
 from ltv_mpc import ControllerConfig, build_qp, solve_qp
@@ -204,6 +207,33 @@ def test_a_solve_has_no_memory_of_the_ones_before(cycles):
     used.solve(first, *zeros)
     fresh.solve(first, *zeros)
     np.testing.assert_array_equal(used.solve(second, *zeros).x, fresh.solve(second, *zeros).x)
+
+
+class InterruptedWorkspace:
+    """What OSQP answers when a Ctrl-C came during its solve."""
+
+    def __init__(self, real):
+        self._real = real
+
+    def __getattr__(self, name):
+        return getattr(self._real, name)
+
+    def solve(self, **options):
+        result = self._real.solve(**options)
+        info = SimpleNamespace(
+            status_val=int(osqp.SolverStatus.OSQP_SIGINT), status="interrupted", iter=1, prim_res=1.0, dual_res=1.0
+        )
+        return SimpleNamespace(x=result.x, y=result.y, info=info)
+
+
+def test_a_ctrl_c_that_osqp_takes_for_itself_is_handed_on(cycles):
+    qp = cycles[30].form.build(cycles[30].lin, cycles[30].reference)
+    zeros = np.zeros(len(qp.q)), np.zeros(len(qp.l))
+    solver = Osqp(400, 5e-6)
+    solver.solve(qp, *zeros)
+    solver._solver = InterruptedWorkspace(solver._solver)
+    with pytest.raises(KeyboardInterrupt):
+        solver.solve(qp, *zeros)
 
 
 def test_the_iteration_limit_ends_a_solve_and_says_so(cycles):

@@ -40,7 +40,7 @@ from ltv_mpc.signals import (
     Truth,
 )
 from services.bus.topics import BY_SIGNAL, TOPICS
-from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, plain, unpack
+from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, plain, unpack
 
 HEADER = Header(epoch=2**48 - 1, sequence=7, sent_monotonic_us=123_456_789)
 TRIPLE = (0.1, -2.5e-17, 3.0)
@@ -388,3 +388,24 @@ def test_tables_of_admission_know_no_signal_that_does_not_travel() -> None:
 
     assert set(RANGES) - inner - {Restore} == set(BY_SIGNAL)
     assert set(CONSISTENCY) <= set(RANGES)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("epoch", -1),
+        ("epoch", 2**48),
+        ("sequence", -1),
+        ("sequence", 2**53),
+        ("sent_monotonic_us", -1),
+        ("sent_monotonic_us", 2**62),
+        ("sequence", True),
+        ("sequence", 1.0),
+        ("epoch", None),
+    ],
+)
+def test_a_header_out_of_its_ranges_is_refused_also_where_the_signal_is_not_looked_at(field: str, value: Any) -> None:
+    message = {"epoch": 2**48 - 1, "sequence": 2**53 - 1, "sent_monotonic_us": 0}
+    assert header_of(message).epoch == 2**48 - 1
+    with pytest.raises(WireError, match=field):
+        header_of(message | {field: value})

@@ -39,6 +39,10 @@ FILES: dict[str, str | bytes] = {
     "inf.csv": CSV + "1,0,inf\n",
     "words.csv": CSV + "1,fast,0\n",
     "rows.csv": CSV,
+    "controller-period.toml": "horizon_s = 1.0\nperiod_s = 30.0\n",
+    "boss.json5": "{mode: 'boss'}",
+    "cut.json5": "{mode:\n",
+    "empty-table.toml": "[settings]\n",
 }
 
 CASES = [
@@ -119,11 +123,23 @@ CASES = [
     ("recorder scenario-nan.toml", "[run] duration_s = nan: must be finite"),
     ("controller --vehicle vehicle-unknown.toml", 'unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?'),
     ("controller --settings scenario-negative.toml", 'unknown key "title"'),
+    ("controller --settings controller-period.toml", "period_s = 30.0: must be <= horizon_s = 1: a plan lasts until"),
     ("controller --reference reference-kind.toml", 'kind = "circle": must be "point" or "hold"'),
     ("estimator --sensors sensors-rate.toml", "[imu] period_ns = 0: must be >= 1000000"),
     ("estimator --settings empty.toml", "is empty"),
     ("router --connect nowhere", 'option --connect: "nowhere": must be PROTOCOL/ADDRESS'),
     ("router --listen tcp/", 'option --listen: "tcp/": must be PROTOCOL/ADDRESS'),
+    ("router --listen tcp/127.0.0.1:99999", '"tcp/127.0.0.1:99999": must be tcp/HOST:PORT, PORT from 1 to 65535'),
+    ("router --listen udp/127.0.0.1:0", 'option --listen: "udp/127.0.0.1:0": must be udp/HOST:PORT'),
+    ("router --listen tcp/7447", 'option --listen: "tcp/7447": must be tcp/HOST:PORT'),
+    ("estimator --connect foo/bar", 'option --connect: "foo/bar": the protocol must be one of tcp, udp, '),
+    ("router --config rows.csv", 'option --config: "rows.csv": no configuration that Zenoh takes: Unsupported file'),
+    (
+        "router --config boss.json5",
+        '"boss.json5": no configuration that Zenoh takes: JSON error: Message { msg: "unknown',
+    ),
+    ("router --config cut.json5", 'option --config: "cut.json5": no configuration that Zenoh takes: '),
+    ("router --config empty-table.toml", '"empty-table.toml": no configuration that Zenoh takes: TOML'),
     ("router --mode boss", 'mode = "boss": must be "client" or "peer" or "router"'),
     ("router --config none.json5", "none.json5: no such file"),
     ("router --namespace a*b", 'option --namespace: "a*b": must be names joined by /'),
@@ -153,6 +169,7 @@ def test_bad_input_is_refused_in_one_line(
     assert err.startswith("ltv-mpc")
     assert err.count("\n") == 1
     assert err.endswith("\n")
+    assert ".rs" not in err
     assert sorted(bench.rglob("*")) == before
 
 

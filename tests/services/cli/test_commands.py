@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from services.cli.app import run
 from services.cli.start import KEYS
+from services.nodes import recorder
 from services.recording.reader import Recording
+from services.run.folder import RunFolder
 
 COMMANDS = ("sim", "controller", "topics", "profile", "router", "plant", "sensors", "estimator", "recorder")
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
@@ -118,8 +123,11 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
     assert Path("r/mine.txt").read_text() == "keep"
 
 
-def test_ctrl_c_in_lock_step_ends_with_130_and_a_recording_that_reads(tmp_path: Path) -> None:
-    line = "sim --lockstep --duration-s 100000 --out r"
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 1)])
+def test_lock_step_that_a_signal_cuts_off_says_so_by_its_exit_code_and_leaves_a_recording_that_reads(
+    number: signal.Signals, code: int, tmp_path: Path
+) -> None:
+    line = "sim --lockstep --duration-s 5000 --out r"
     command = [sys.executable, "-P", "-m", "services.cli", *line.split()]
     recording = tmp_path / "r" / "run.mcap"
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
@@ -129,8 +137,8 @@ def test_ctrl_c_in_lock_step_ends_with_130_and_a_recording_that_reads(tmp_path: 
                 assert process.poll() is None
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
-            process.send_signal(signal.SIGINT)
-            assert process.wait(20) == 130
+            process.send_signal(number)
+            assert process.wait(20) == code
         finally:
             process.kill()
         assert process.stderr is not None
@@ -138,7 +146,62 @@ def test_ctrl_c_in_lock_step_ends_with_130_and_a_recording_that_reads(tmp_path: 
     messages = Recording(recording)
     assert sum(1 for _ in messages) > 1000
     assert not messages.cut
-    assert 0 < json.loads((tmp_path / "r" / "summary.json").read_text())["duration_s"] < 100_000
+    assert 0 < json.loads((tmp_path / "r" / "summary.json").read_text())["duration_s"] < 5000
+
+
+def test_the_name_of_the_scenario_outlives_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run of a run's scenario.toml is one of the same name; a name that is no plain one is not taken."""
+    monkeypatch.chdir(tmp_path)
+    for scenario, out in (("descent", "a"), ("a/scenario.toml", "b"), ("b/scenario.toml", "c")):
+        assert cli(f"sim {scenario} --lockstep --duration-s 0.3 --perfect-state --out {out}") == 0
+        assert json.loads(Path(out, "summary.json").read_text())["scenario"] == "descent"
+    foreign = Path("c/scenario.toml").read_text().replace('scenario = "descent"', 'scenario = "../descent"')
+    Path("c/mine.toml").write_text(foreign)
+    assert cli("sim c/mine.toml --lockstep --duration-s 0.3 --perfect-state --out d") == 0
+    assert json.loads(Path("d/summary.json").read_text())["scenario"] == "mine"
+
+
+@pytest.mark.parametrize("mode", ["", "--lockstep"])
+def test_a_disk_without_room_for_the_run_is_refused_before_its_folder_is_made(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10**6))
+    assert cli(f"sim {mode} --duration-s 99 --out below/r") == 1
+    assert capsys.readouterr().err.startswith("ltv-mpc: below/r: 1 MB free, 20 MB may be needed")
+    assert not Path("below").exists()
+
+
+def test_a_disk_that_is_full_ends_a_run_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(RunFolder, "recording", Path("/dev/full"))
+    assert cli("sim --lockstep --duration-s 20 --perfect-state --out r") == 1
+    assert os.strerror(errno.ENOSPC) in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_recorder_takes_a_folder_that_was_made_for_it_and_no_other_that_is_not_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    taken: list[Path] = []
+
+    def main(folder: Path, *_: object, **__: object) -> int:
+        taken.append(folder)
+        return 0
+
+    monkeypatch.setattr(recorder, "main", main)
+    assert cli("sim --lockstep --duration-s 0.3 --perfect-state --out r") == 0
+    before = Path("r/run.mcap").read_bytes()
+    assert cli("recorder r/scenario.toml --out r") == 2  # it holds a run
+    assert cli("recorder descent --out .") == 2
+    assert Path("r/run.mcap").read_bytes() == before
+    assert taken == []
+    Path("r/run.mcap").unlink()
+    assert cli("recorder r/scenario.toml --out r") == 0
+    assert cli("recorder descent --out new") == 0
+    assert taken == [Path("r"), Path("new")]
 
 
 @pytest.mark.parametrize("line", ["controller --own-clock", "estimator"])

@@ -89,6 +89,28 @@ def test_a_reading_is_exact_to_the_nanosecond_below(at: int, num: int, den: int,
     assert 0 <= exact - Line(at, 0, num, den, ClockState.RUNNING).read(at + after) < 1
 
 
+def test_the_time_at_an_instant_does_not_depend_on_what_was_read_before() -> None:
+    k = keeper(10)
+    clock, fresh = follower(k), follower(k)
+    for c in (clock, fresh):
+        c.hear(k.message)
+    for message in (k.run(T0_US), k.slow(T0_US + 1_000_000, 300_000), k.set_speed(T0_US + 2_000_000, 3)):
+        clock.hear(message)
+        fresh.hear(message)
+    begin = T0_US + LEAD_US
+    clock.at(T0_US * 1000)
+    instants = range(T0_US, T0_US + 3_000_000, 10_000)
+    times = [clock.at(instant) for instant in instants]
+    assert clock.at(T0_US - 10_000) == START_NS
+    assert clock.at(begin + 500_000) == START_NS + 5_000_000_000
+    assert times == sorted(times)  # type: ignore[type-var]
+    readings = [fresh.read(instant) for instant in instants]  # which hold at the last one before a line's end
+    assert all(0 <= time - reading <= 100_000_000 for time, reading in zip(times, readings, strict=True))  # type: ignore[operator]
+    clock.read(T0_US + 1_500_000)  # and lines that are over are remembered
+    assert clock.at(T0_US + 1_500_000) == times[list(instants).index(T0_US + 1_500_000)]
+    assert VehicleClock().at(T0_US) is None
+
+
 CHANGES = st.lists(
     st.tuples(
         st.integers(1, 400_000),  # us since the change before

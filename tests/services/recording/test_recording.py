@@ -213,6 +213,17 @@ def test_closing_twice_is_closing_once(path: Path) -> None:
     assert path.stat().st_size == size
 
 
+def test_a_disk_that_fills_up_ends_the_writing_with_its_error_and_the_file_is_closed(path: Path) -> None:
+    with pytest.raises(OSError, match="No space left"):
+        RunWriter(Path("/dev/full"), start_ns=0, metadata={"much": "x" * 100_000})
+    writer = RunWriter(path, start_ns=0, metadata={}, flush_s=0.0)
+    with Path("/dev/full").open("wb") as full:
+        os.dup2(full.fileno(), writer._file.fileno())
+    with pytest.raises(OSError, match="No space left"), writer:
+        writer.write("sensors", depth(0), header(0), 0)
+    assert writer._file.closed
+
+
 def test_a_key_that_no_topic_has_stays_readable_as_a_plain_map() -> None:
     message = Recorded("elsewhere", None, 0, {"epoch": 1})
     with pytest.raises(wire.WireError, match="elsewhere"):

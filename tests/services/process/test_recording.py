@@ -1,0 +1,107 @@
+"""The recorder on a real router: what one bad frame may not do to all others."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import msgpack
+import pytest
+
+from ltv_mpc.signals import Clock, ClockState, NodeStatus, PressureDepth, Rejected
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, encode, plain
+from services.process.clock import boot_id, monotonic_us
+from services.process.recording import RecordingLoop
+from services.process.status import StatusReport
+from services.process.stopping import StopRequest
+from services.recording.reader import Recorded, Recording
+from services.recording.writer import RunWriter
+
+S = 1_000_000_000
+KEY = BY_SIGNAL[PressureDepth].key
+EPOCH = 77
+
+
+def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None]) -> list[Recorded]:
+    """What is recorded of what ``say`` publishes, properly and as bytes on the key of depths."""
+    endpoint = f"tcp/127.0.0.1:{port}"
+    stop = StopRequest()
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
+        RunWriter(path, start_ns=-S, metadata={}) as writer,
+    ):
+        loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
+        thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
+        thread.start()
+        out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus))
+        deadline = time.monotonic() + 20
+        while not loop.received and time.monotonic() < deadline:  # its own first word
+            time.sleep(0.01)
+        say(out, session.publisher(KEY).put)
+        time.sleep(0.2)
+        stop.ask()
+        thread.join(20)
+        assert not thread.is_alive()
+    return list(Recording(path))
+
+
+def depth(sequence: int, sent_us: int) -> bytes:
+    message = plain(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=0, sent_monotonic_us=0))
+    return bytes(msgpack.packb(message | {"sequence": sequence, "sent_monotonic_us": sent_us}))
+
+
+def clock(at_us: int) -> Clock:
+    return Clock(
+        clock_epoch=EPOCH,
+        clock_sequence=0,
+        host_boot_id=boot_id(),
+        at_monotonic_us=at_us,
+        vehicle_ns=0,
+        speed_num=1,
+        speed_den=1,
+        state=ClockState.RUNNING,
+    )
+
+
+def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recording(
+    tmp_path: Path, free_port: int
+) -> None:
+    def say(out: Outbox, put: Callable[[bytes], None]) -> None:
+        out.publish(clock(monotonic_us()))
+        put(depth(0, monotonic_us()))
+        put(depth(1, monotonic_us() * 1000))  # nanoseconds: in range, and days ahead
+        put(depth(2, 2**62))
+        put(depth(-1, monotonic_us()))
+        put(depth(2, monotonic_us()))
+
+    messages = record(tmp_path / "run.mcap", free_port, say)
+    depths = [message for message in messages if message.key == KEY]
+    assert [message.plain["sequence"] for message in depths] == [0, 1, 2]
+    assert all(0 <= message.t_ns < 5 * S for message in depths)
+    assert all(message.t_ns < 5 * S for message in messages)
+    reasons = [message.plain["reason"] for message in messages if message.kind is Rejected]
+    assert [reason.partition(":")[0] for reason in reasons] == ["sent_monotonic_us", "sequence"]
+
+
+def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_path: Path, free_port: int) -> None:
+    """And not twice: the frames after it show a gap in their sequence."""
+
+    def say(_: Outbox, put: Callable[[bytes], None]) -> None:
+        put(encode(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=3, sent_monotonic_us=0)))
+
+    original = StatusReport.publish
+
+    def crowded(report: StatusReport, now_us: int, *, others: str = "", finished: bool = False) -> None:
+        report._mailbox.overflowed = 5
+        original(report, now_us, others=others, finished=finished)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StatusReport, "publish", crowded)
+        messages = record(tmp_path / "run.mcap", free_port, say)
+    own = [message.plain for message in messages if message.key == "status/recorder"]
+    assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
