@@ -26,6 +26,10 @@ from services.process.stopping import Say, StopRequest
 from services.process.stopwatch import StageTimer
 from services.process.timekeeping import KeepsTime, TimeKeeping
 
+INPUTS_ARRIVE_US = 6_000
+"""What is measured at an instant arrives so much later: a cycle that started at that instant would miss it by a hair,
+and plan on an estimate that is a whole period old."""
+
 LAST_FRAMES_US = 300_000
 """At most so long a process that is told to stop takes what has arrived before."""
 
@@ -265,7 +269,8 @@ class Runner:
         newest = self._clock.newest
         if newest is not None:
             reading = self._clock.read(monotonic_us())
-            self._timetable.begin(newest.vehicle_ns if reading is None else reading)
+            phase_ns = INPUTS_ARRIVE_US * 1000 * newest.num // newest.den
+            self._timetable.begin(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
 
     def _now_ns(self, now_us: int) -> int:
         reading = self._clock.read(now_us)

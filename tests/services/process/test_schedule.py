@@ -44,6 +44,17 @@ def test_after_a_slow_cycle_the_next_one_starts_when_it_ends_and_the_period_coun
     assert table.next_ns == 1_010_000_000
 
 
+def test_cycles_wait_for_what_was_measured_at_their_instant_and_a_grid_does_not() -> None:
+    table = Timetable(Cycle(PERIOD_NS))
+    table.begin(-1, phase_ns=60_000_000)
+    assert table.next_ns == 60_000_000
+    table.stepped(70_000_000)
+    assert table.next_ns == PERIOD_NS + 60_000_000
+    grid = Timetable(Grid(PERIOD_NS))
+    grid.begin(-1, phase_ns=60_000_000)
+    assert grid.next_ns == 0
+
+
 def test_messages_need_no_timetable_and_a_grid_ends_after_its_last_step() -> None:
     on_message = Timetable(OnMessage((ImuSample,)))
     on_message.begin(0)
