@@ -85,6 +85,7 @@ class Controller:
         self.config = config = config or ControllerConfig()
         self.vehicle = vehicle
         self._p = vehicle.coefficients()
+        self._stage_s = np.full(config.stages, STAGE_S)
         self._lap = stopwatch
         self._limits = ThrustLimits.of(vehicle, STAGE_S)
         self._form = SparseForm(config.stages, self._limits, config.weights)
@@ -123,12 +124,12 @@ class Controller:
         now = estimate.t_ns if t_ns is None else t_ns
         if applied is not None:
             self.report(applied)
-        begun, idle = self._begun(estimate), ""
+        begun, idle = None, ""
         if abs(now - estimate.t_ns) > OLDEST_ESTIMATE_NS:
             idle = f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.0f} s old"
-            # Not to be rolled over such a time; the thrusters go to rest, the vertical one too.
-            estimate, begun = msgspec.structs.replace(estimate, t_ns=now), None
-        elif begun is None:
+            # Not to be rolled over such a time, nor to begin at; the thrusters go to rest, the vertical one too.
+            estimate = msgspec.structs.replace(estimate, t_ns=now)
+        elif (begun := self._begun(estimate)) is None:
             idle = "the reference has not begun"
         elif not self.config.lateral:
             idle = "lateral control is off"
@@ -200,7 +201,11 @@ class Controller:
         U = np.zeros((len(knots), 2))
         U[0] = start.command[:2]
         U = self._limits.enforced(U)
-        return roll_out(start.X, U, current, np.full(len(knots) - 1, STAGE_S), self._p), U
+        return self._roll(start.X, U, current), U
+
+    def _roll(self, X0: Array, U: Array, current: Array) -> Array:
+        """The exact flow over the horizon, (N+1, 8)."""
+        return roll_out(X0, U, current, self._stage_s, self._p)
 
     def _solve(
         self, start: Start, knots: Times, current: Array, target: Pair
@@ -231,11 +236,10 @@ class Controller:
 
         The solver meets box and slew to its tolerance; what is returned meets them exactly.
         """
-        h = np.full(self.config.stages, STAGE_S)
         before = self._cost(lin.X, lin.U, current, reference)
         for part in STEPS:
             commands = self._limits.enforced(lin.U + part * (U - lin.U))
-            X = roll_out(lin.X[0], commands, current, h, self._p)
+            X = self._roll(lin.X[0], commands, current)
             if self._cost(X, commands, current, reference) <= before:
                 return X, commands
         return lin.X, lin.U
@@ -243,7 +247,6 @@ class Controller:
     def _guess(self, start: Start, knots: Times, current: Array, reference: Array) -> tuple[Array, Array, Array]:
         """Trajectory to linearise along, and dual: the previous plan on the new grid, or a steered one if better."""
         N = self.config.stages
-        h = np.full(N, STAGE_S)
         low, high = self._limits.box(start.command[:2], N)
         candidates = []
         for astern in (False, True):
@@ -257,7 +260,7 @@ class Controller:
             U = np.stack([np.interp(t, told, old.U[:, i]) for i in range(2)], axis=1)
             U[0] = start.command[:2]
             U = self._limits.enforced(U)
-            X = roll_out(start.X, U, current, h, self._p)
+            X = self._roll(start.X, U, current)
             candidates.append(
                 (self._cost(X, U, current, reference), X, U, self._form.shifted_dual(old.y, t[0] / STAGE_S))
             )

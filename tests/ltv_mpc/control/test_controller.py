@@ -245,6 +245,13 @@ def test_an_estimate_that_is_too_old_is_named_and_the_thrusters_go_to_rest():
     assert not plan.thrust_N[-1].any()
 
 
+def test_a_line_does_not_begin_at_an_estimate_that_is_too_old():
+    controller = Controller(PAPER, references.Hold(depth_m=10.0))
+    controller.plan(Estimate.at_rest(north_m=100.0, depth_m=5.0), t_ns=3_600_000_000_000)
+    fresh = msgspec.structs.replace(Estimate.at_rest(north_m=4.0, depth_m=5.0), t_ns=3_600_300_000_000)
+    assert controller.plan(fresh).reference_m == (4.0, 0.0)
+
+
 def test_the_line_passes_through_where_the_vehicle_was_at_the_start_though_the_first_estimate_comes_later():
     controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
     later = msgspec.structs.replace(
