@@ -12,16 +12,19 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from ltv_mpc.ranges import MICROSECONDS, RANGES, SPEED, Range
+from ltv_mpc.ranges import COUNT, MICROSECONDS, RANGES, SLANT_RANGE, SPEED, Range
 from ltv_mpc.signals import (
     AdcpPing,
     Array,
+    BottomTrack,
     CurrentProfile,
     CycleTiming,
     Estimate,
     InboxEntry,
+    LocalisationReport,
     Plan,
     Restore,
+    SensorReport,
     Signal,
     StepRecord,
     TdcpFix,
@@ -30,7 +33,7 @@ from ltv_mpc.signals import (
 Reason: TypeAlias = str | None
 
 
-def refusal(signal: Signal | InboxEntry) -> Reason:
+def refusal(signal: Signal | InboxEntry | SensorReport) -> Reason:
     """Why a node must not see this signal, or None. A type without a row is refused."""
     ranges = RANGES.get(type(signal))
     if ranges is None:
@@ -40,7 +43,7 @@ def refusal(signal: Signal | InboxEntry) -> Reason:
     return reason or _out_of_range(signal, ranges)
 
 
-def _out_of_range(signal: Signal | InboxEntry, ranges: dict[str, Range]) -> Reason:
+def _out_of_range(signal: Signal | InboxEntry | SensorReport, ranges: dict[str, Range]) -> Reason:
     for name, (low, high, unit) in ranges.items():
         value: Any = getattr(signal, name)
         if value is None:
@@ -68,6 +71,19 @@ def _adcp(s: AdcpPing) -> Reason:
     if not (s.range_m[1:] > s.range_m[:-1]).all():
         return "range_m: must increase"
     # NaN is a beam without return, and passes; infinity is rubbish, and does not.
+    if (np.abs(s.beam_velocity_mps) > SPEED.high).any():
+        return f"beam_velocity_mps: at most {SPEED.high:g} m/s either way, or null"
+    return None
+
+
+def _bottom_track(s: BottomTrack) -> Reason:
+    if s.range_m.shape != (4,) or s.beam_velocity_mps.shape != (4,):
+        return f"range_m {s.range_m.shape}, beam_velocity_mps {s.beam_velocity_mps.shape}: must be (4,), (4,)"
+    # NaN is a beam that has not found the bottom.
+    if (np.isnan(s.range_m) != np.isnan(s.beam_velocity_mps)).any():
+        return "range_m, beam_velocity_mps: must be null for the same beams"
+    if (s.range_m < 0).any() or (s.range_m > SLANT_RANGE.high).any():
+        return f"range_m: must be from 0 to {SLANT_RANGE.high:g} m, or null"
     if (np.abs(s.beam_velocity_mps) > SPEED.high).any():
         return f"beam_velocity_mps: at most {SPEED.high:g} m/s either way, or null"
     return None
@@ -126,6 +142,15 @@ def _timing(s: CycleTiming) -> Reason:
     return f"stage_us: must be from {low:g} to {high:g} ({unit})"
 
 
+def _sensor_report(s: SensorReport) -> Reason:
+    low, high, unit = COUNT
+    return None if all(low <= n <= high for n in s.refused.values()) else f"refused: must be {unit}"
+
+
+def _localisation_report(s: LocalisationReport) -> Reason:
+    return next(filter(None, map(refusal, s.sensors)), None)
+
+
 def _record(s: StepRecord) -> Reason:
     return next(filter(None, map(refusal, s.inbox)), None)
 
@@ -133,6 +158,9 @@ def _record(s: StepRecord) -> Reason:
 CONSISTENCY: Mapping[type, Callable[[Any], Reason]] = {
     TdcpFix: _tdcp,
     AdcpPing: _adcp,
+    BottomTrack: _bottom_track,
+    SensorReport: _sensor_report,
+    LocalisationReport: _localisation_report,
     CurrentProfile: _profile,
     Estimate: _estimate,
     Plan: _plan,

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from ltv_mpc.signals import (
     AdcpPing,
     Applied,
+    BottomTrack,
     Clock,
     CompassHeading,
     CurrentProfile,
@@ -16,16 +17,20 @@ from ltv_mpc.signals import (
     GnssFix,
     ImuSample,
     InboxEntry,
+    LblRange,
+    LocalisationReport,
     NodeStatus,
     Plan,
     PressureDepth,
     Rejected,
     Restore,
     RunEvent,
+    SensorReport,
     Solve,
     StepRecord,
     TdcpFix,
     Truth,
+    UsblFix,
 )
 
 
@@ -50,6 +55,8 @@ SLANT_RANGE = Range(0, 10_000, "m")
 SPEED = Range(-100, 100, "m/s")
 CURRENT = Range(-20, 20, "m/s")
 SD = Range(0, 1e6, "m/s")
+TRAVEL_TIME = Range(0, 60, "s")
+FACTOR = Range(0, 1e12, "a factor")
 ANGLE = Range(-1e4, 1e4, "rad; headings may be unwrapped")
 ANGULAR_RATE = Range(-100, 100, "rad/s")
 SPECIFIC_FORCE = Range(-1e4, 1e4, "m/s2")
@@ -99,6 +106,11 @@ RANGES: Mapping[type, dict[str, Range]] = {
     AdcpPing: {"t_ns": TIME, "range_m": SLANT_RANGE},
     PressureDepth: {"t_ns": TIME, "depth_m": DEPTH},
     CompassHeading: {"t_ns": TIME, "heading_rad": ANGLE},
+    BottomTrack: {"t_ns": TIME},
+    LblRange: {"t_ns": TIME, "transponder": COUNT, "travel_time_s": TRAVEL_TIME},
+    UsblFix: {"t_ns": TIME, "north_m": POSITION, "east_m": POSITION},
+    SensorReport: {"used": COUNT, "nis": FACTOR, "last_t_ns": TIME},
+    LocalisationReport: {"t_ns": TIME, "restarts": COUNT, "water_adapted": FACTOR},
     CurrentProfile: {"depth_m": DEPTH, "north_mps": CURRENT, "east_mps": CURRENT, "sd_mps": SD},
     Estimate: {
         "t_ns": TIME,

@@ -118,6 +118,33 @@ class CompassHeading(Signal, frozen=True, kw_only=True, eq=False):
     heading_rad: float
 
 
+class BottomTrack(Signal, frozen=True, kw_only=True, eq=False):
+    """Velocity of the sea bed relative to the transducer along each beam, positive away from the vehicle.
+
+    ``range_m`` (4,) is the slant range to the bottom; both are NaN (null on the wire) for a beam that has not found it.
+    """
+
+    t_ns: int
+    range_m: Array
+    beam_velocity_mps: Array
+
+
+class LblRange(Signal, frozen=True, kw_only=True, eq=False):
+    """Two-way travel time to a transponder: half of it is a range, at the middle between interrogation and reply."""
+
+    t_ns: int  # that middle
+    transponder: int  # its place in the sensors file, from 0
+    travel_time_s: float  # there and back, the transponder's turn-around time already taken off
+
+
+class UsblFix(Signal, frozen=True, kw_only=True, eq=False):
+    """Position over ground that a ship measured acoustically and sent down; it arrives later than it is valid."""
+
+    t_ns: int  # of validity
+    north_m: float
+    east_m: float
+
+
 # --- aboard ----------------------------------------------------------------------------------------------------------
 
 
@@ -164,6 +191,45 @@ class Estimate(Signal, frozen=True, kw_only=True, eq=False):
             depth_m=depth_m,
             velocity_down_mps=None if depth_m is None else 0.0,
         )
+
+
+class FilterStatus(enum.StrEnum):
+    """How far the localisation filter can be believed."""
+
+    NOMINAL = "nominal"
+    INCONSISTENT = "inconsistent"  # its innovations are larger or smaller than it says
+    RESTARTED = "restarted"  # begun anew from its last good position, less than the grace time ago
+
+
+class SensorStatus(enum.StrEnum):
+    """What the filter thinks of one sensor."""
+
+    OK = "ok"
+    SILENT = "silent"  # nothing for several of its periods
+    REJECTED = "rejected"  # most of what it says fails the innovation gate
+    INCONSISTENT = "inconsistent"  # passes the gate, but its innovations are larger or smaller than said
+
+
+class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One sensor since the last report. ``nis``: mean over the window, per degree of freedom, before the gate."""
+
+    sensor: str
+    status: SensorStatus
+    used: int  # scalar measurements that corrected the filter
+    refused: dict[str, int]  # by reason: gate, late, no_return, outside_grid, ...
+    nis: float | None
+    last_t_ns: int | None  # validity time of its newest message
+
+
+class LocalisationReport(Signal, frozen=True, kw_only=True, eq=False):
+    """The localisation filter's word about itself and its sensors."""
+
+    t_ns: int
+    status: FilterStatus
+    why: str  # empty while nominal
+    restarts: int  # of the filter, so far
+    water_adapted: float  # factor on the process noise of the water that innovations have asked for; 1: none
+    sensors: tuple[SensorReport, ...]
 
 
 class PlanOrigin(enum.StrEnum):

@@ -11,12 +11,15 @@ import msgspec
 from ltv_mpc.signals import (
     AdcpPing,
     Applied,
+    BottomTrack,
     Clock,
     CompassHeading,
     CycleTiming,
     Estimate,
     GnssFix,
     ImuSample,
+    LblRange,
+    LocalisationReport,
     NodeStatus,
     Plan,
     PressureDepth,
@@ -26,6 +29,7 @@ from ltv_mpc.signals import (
     StepRecord,
     TdcpFix,
     Truth,
+    UsblFix,
 )
 
 
@@ -54,23 +58,27 @@ class Topic(msgspec.Struct, frozen=True):
 
 
 TOPICS = (
-    #     signal          key                  period_ns      delivery  written by    read by
-    Topic(Truth,          "world/truth",        10_000_000,   EVERY,    "plant",      ("sensors",)),
-    Topic(Applied,        "applied",           100_000_000,   EVERY,    "plant",      ("controller",)),
-    Topic(ImuSample,      "sensor/imu",         10_000_000,   EVERY,    "sensors",    ("estimator",)),
-    Topic(GnssFix,        "sensor/gnss",     1_000_000_000,   EVERY,    "sensors",    ("estimator",)),
-    Topic(TdcpFix,        "sensor/tdcp",     1_000_000_000,   EVERY,    "sensors",    ("estimator",)),
-    Topic(AdcpPing,       "sensor/adcp",       333_333_333,   EVERY,    "sensors",    ("estimator",)),
-    Topic(PressureDepth,  "sensor/depth",      100_000_000,   EVERY,    "sensors",    ("estimator",)),
-    Topic(CompassHeading, "sensor/compass",  1_000_000_000,   EVERY,    "sensors",    ("estimator",)),
-    Topic(Estimate,       "estimate",          100_000_000,   LATEST,   "estimator",  ("controller",)),
-    Topic(Plan,           "plan",              300_000_000,   EVERY,    "controller", ("plant",)),
-    Topic(CycleTiming,    "timing",            300_000_000,   EVERY,    "controller", ("controller",)),
-    Topic(Clock,          "clock",                       0,   EVERY,    "plant",      ("*",)),
-    Topic(NodeStatus,     "status",                      0,   EVERY,    "*",          ("launcher",)),
-    Topic(StepRecord,     "record",                      0,   EVERY,    "*",          ()),
-    Topic(Rejected,       "rejected",                    0,   EVERY,    "*",          ()),
-    Topic(RunEvent,       "event",                       0,   EVERY,    "*",          ("launcher",)),
+    #     signal              key                    period_ns       delivery  written by    read by
+    Topic(Truth,              "world/truth",             10_000_000, EVERY,    "plant",      ("sensors",)),
+    Topic(Applied,            "applied",                100_000_000, EVERY,    "plant",      ("controller",)),
+    Topic(ImuSample,          "sensor/imu",              10_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(GnssFix,            "sensor/gnss",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(TdcpFix,            "sensor/tdcp",          1_000_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(AdcpPing,           "sensor/adcp",            333_333_333, EVERY,    "sensors",    ("estimator",)),
+    Topic(PressureDepth,      "sensor/depth",           100_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(CompassHeading,     "sensor/compass",       1_000_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(BottomTrack,        "sensor/bottom_track",    333_333_333, EVERY,    "sensors",    ("estimator",)),
+    Topic(LblRange,           "sensor/lbl",          10_000_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(UsblFix,            "sensor/usbl",          2_000_000_000, EVERY,    "sensors",    ("estimator",)),
+    Topic(LocalisationReport, "localisation",         1_000_000_000, EVERY,    "estimator",  ()),
+    Topic(Estimate,           "estimate",               100_000_000, LATEST,   "estimator",  ("controller",)),
+    Topic(Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
+    Topic(CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
+    Topic(Clock,              "clock",                            0, EVERY,    "plant",      ("*",)),
+    Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("launcher",)),
+    Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
+    Topic(Rejected,           "rejected",                         0, EVERY,    "*",          ()),
+    Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("launcher",)),
 )  # fmt: skip
 
 BY_SIGNAL = {topic.signal: topic for topic in TOPICS}

@@ -17,27 +17,34 @@ from ltv_mpc.ranges import RANGES
 from ltv_mpc.signals import (
     AdcpPing,
     Applied,
+    BottomTrack,
     Clock,
     ClockState,
     CompassHeading,
     CurrentProfile,
     CycleTiming,
     Estimate,
+    FilterStatus,
     GnssFix,
     ImuSample,
     InboxEntry,
+    LblRange,
+    LocalisationReport,
     NodeStatus,
     Plan,
     PlanOrigin,
     PressureDepth,
     Rejected,
     RunEvent,
+    SensorReport,
+    SensorStatus,
     Signal,
     Solve,
     SolveStatus,
     StepRecord,
     TdcpFix,
     Truth,
+    UsblFix,
 )
 from services.bus.topics import BY_SIGNAL, TOPICS
 from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, plain, unpack
@@ -75,6 +82,30 @@ EXAMPLES: tuple[Signal, ...] = (
     ImuSample(t_ns=10_000_000, interval_ns=10_000_000, angular_rate_radps=TRIPLE, specific_force_mps2=TRIPLE),
     GnssFix(t_ns=0, north_m=1.0, east_m=-1.0, velocity_north_mps=0.0, velocity_east_mps=0.0),
     TdcpFix(t_ns=0, from_t_ns=-1_000_000_000, north_m=0.01, east_m=0.02),
+    BottomTrack(
+        t_ns=333_333_333,
+        range_m=np.array([12.0, np.nan, 13.0, 12.5]),
+        beam_velocity_mps=np.array([0.1, np.nan, 0.3, -0.2]),
+    ),
+    LblRange(t_ns=5_000_000_000, transponder=2, travel_time_s=0.667),
+    UsblFix(t_ns=4_000_000_000, north_m=12.5, east_m=-3.25),
+    LocalisationReport(
+        t_ns=7_000_000_000,
+        status=FilterStatus.INCONSISTENT,
+        why="adcp: innovations 3.1 times as large as said",
+        restarts=1,
+        water_adapted=2.5,
+        sensors=(
+            SensorReport(
+                sensor="adcp",
+                status=SensorStatus.INCONSISTENT,
+                used=300,
+                refused={"gate": 12, "no_return": 8},
+                nis=3.1,
+                last_t_ns=6_999_999_993,
+            ),
+        ),
+    ),
     AdcpPing(
         t_ns=333_333_333,
         range_m=np.arange(1.0, 31.0),
@@ -348,8 +379,9 @@ def test_of_ten_thousand_hostile_frames_none_crashes_and_none_gets_in_with_a_wro
             continue
         accepted += 1
         values = numbers(decoded)
-        if isinstance(decoded, AdcpPing):
+        if isinstance(decoded, AdcpPing | BottomTrack):
             values = [x for x in values if not math.isnan(x)]
+        if isinstance(decoded, AdcpPing):
             assert decoded.beam_velocity_mps.shape == (4, len(decoded.range_m))
         assert all(math.isfinite(x) for x in values), (type(signal), payload)
         if isinstance(decoded, Plan):
@@ -383,7 +415,7 @@ def test_no_number_of_any_signal_is_left_without_a_range() -> None:
 
 
 def test_tables_of_admission_know_no_signal_that_does_not_travel() -> None:
-    inner = {CurrentProfile, Solve, InboxEntry}
+    inner = {CurrentProfile, Solve, InboxEntry, SensorReport}
     from ltv_mpc.signals import Restore  # travels with restarts, which have their own issue
 
     assert set(RANGES) - inner - {Restore} == set(BY_SIGNAL)
