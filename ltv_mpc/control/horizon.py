@@ -17,8 +17,9 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.flow import STATES, advance_stage, linearise_stage
+from ltv_mpc.vehicle.flow import STATES, advance_stage
 from ltv_mpc.vehicle.parameters import Coefficients
+from ltv_mpc.vehicle.sensitivity import SCRATCH, lag_tables, linearise_stage
 
 
 class Linearisation(NamedTuple):
@@ -47,8 +48,10 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 def _linearise(
     X: Array, U: Array, C: Array, h: float, p: Coefficients, Phi: Array, A: Array, B0: Array, B1: Array
 ) -> None:
+    lag, gain = lag_tables(h, p)
+    Z = np.empty(SCRATCH)
     for k in range(U.shape[0] - 1):
-        linearise_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, Phi[k], A[k], B0[k], B1[k])
+        linearise_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, Phi[k], A[k], B0[k], B1[k])
 
 
 def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:

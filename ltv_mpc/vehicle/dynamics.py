@@ -18,7 +18,8 @@ meets it in shear: its mass keeps its velocity over ground, the added mass goes 
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from typing import NamedTuple
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
@@ -28,49 +29,103 @@ N, E, U, V, PSI, R = range(6)
 
 
 @kernel
-def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Array) -> None:
-    """dx = f(x, F, c, cr), shape (6,), written into ``dx``."""
-    u, v, r = x[2], x[3], x[5]
-    cos, sin = np.cos(x[4]), np.sin(x[4])
+def rates(
+    u: float,
+    v: float,
+    psi: float,
+    r: float,
+    F1: float,
+    F2: float,
+    cn: float,
+    ce: float,
+    crn: float,
+    cre: float,
+    p: Coefficients,
+) -> tuple[float, float, float, float, float, float]:
+    """n', e', u', v', psi', r': the equations above. Scalars, for kernels that keep the state in registers."""
+    cos, sin = math.cos(psi), math.sin(psi)
     # n' = cos psi u - sin psi v + c_n,  e' = sin psi u + cos psi v + c_e
-    dx[0] = cos * u - sin * v + c[0]
-    dx[1] = sin * u + cos * v + c[1]
+    dn = cos * u - sin * v + cn
+    de = sin * u + cos * v + ce
     # M_x u' = F1 + F2 - (d_x + D_x |u|) u + M_y v r - m [cos psi, sin psi] . cr
-    surge = F[0] + F[1] - (p.linear_surge + p.quadratic_surge * abs(u)) * u
-    dx[2] = (surge + p.mass_sway * v * r - p.dry_mass * (cos * cr[0] + sin * cr[1])) / p.mass_surge
+    surge = F1 + F2 - (p.linear_surge + p.quadratic_surge * abs(u)) * u
+    du = (surge + p.mass_sway * v * r - p.dry_mass * (cos * crn + sin * cre)) / p.mass_surge
     # M_y v' = - (d_y + D_y |v|) v - M_x u r - m [-sin psi, cos psi] . cr
     sway = -(p.linear_sway + p.quadratic_sway * abs(v)) * v
-    dx[3] = (sway - p.mass_surge * u * r - p.dry_mass * (cos * cr[1] - sin * cr[0])) / p.mass_sway
-    dx[4] = r
+    dv = (sway - p.mass_surge * u * r - p.dry_mass * (cos * cre - sin * crn)) / p.mass_sway
     # I_z r' = F1 a1 - F2 a2 - (d_psi + D_psi |r|) r + (M_x - M_y) u v
-    yaw = F[0] * p.arm_port - F[1] * p.arm_starboard - (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
-    dx[5] = (yaw + (p.mass_surge - p.mass_sway) * u * v) / p.inertia_yaw
+    yaw = F1 * p.arm_port - F2 * p.arm_starboard - (p.linear_yaw + p.quadratic_yaw * abs(r)) * r
+    dr = (yaw + (p.mass_surge - p.mass_sway) * u * v) / p.inertia_yaw
+    return dn, de, du, dv, r, dr
+
+
+class Slopes(NamedTuple):
+    """The entries of df/dx that depend on the state, by row and column; of the others psi'_r is 1, the rest 0."""
+
+    n_u: float
+    n_v: float
+    n_psi: float
+    e_u: float
+    e_v: float
+    e_psi: float
+    u_u: float
+    u_v: float
+    u_psi: float
+    u_r: float
+    v_u: float
+    v_v: float
+    v_psi: float
+    v_r: float
+    r_u: float
+    r_v: float
+    r_r: float
+
+
+@kernel
+def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: Coefficients) -> Slopes:
+    """df/dx at a state (d(q|q|)/dq = 2|q|)."""
+    cos, sin = math.cos(psi), math.sin(psi)
+    along, across = cos * crn + sin * cre, cos * cre - sin * crn
+    # dividing once: a division costs as much as ten products, and a horizon takes two hundred slopes
+    of_surge, of_sway, of_yaw = 1.0 / p.mass_surge, 1.0 / p.mass_sway, 1.0 / p.inertia_yaw
+    return Slopes(
+        n_u=cos,
+        n_v=-sin,
+        n_psi=-sin * u - cos * v,
+        e_u=sin,
+        e_v=cos,
+        e_psi=cos * u - sin * v,
+        u_u=-(p.linear_surge + 2.0 * p.quadratic_surge * abs(u)) * of_surge,
+        u_v=p.mass_sway * r * of_surge,
+        u_psi=-p.dry_mass * across * of_surge,
+        u_r=p.mass_sway * v * of_surge,
+        v_u=-p.mass_surge * r * of_sway,
+        v_v=-(p.linear_sway + 2.0 * p.quadratic_sway * abs(v)) * of_sway,
+        v_psi=p.dry_mass * along * of_sway,
+        v_r=-p.mass_surge * u * of_sway,
+        r_u=(p.mass_surge - p.mass_sway) * v * of_yaw,
+        r_v=(p.mass_surge - p.mass_sway) * u * of_yaw,
+        r_r=-(p.linear_yaw + 2.0 * p.quadratic_yaw * abs(r)) * of_yaw,
+    )
+
+
+@kernel
+def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Array) -> None:
+    """dx = f(x, F, c, cr), shape (6,), written into ``dx``."""
+    dx[0], dx[1], dx[2], dx[3], dx[4], dx[5] = rates(x[2], x[3], x[4], x[5], F[0], F[1], c[0], c[1], cr[0], cr[1], p)
 
 
 @kernel
 def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
-    """J = df/dx, shape (6, 6), written into ``J`` (d(q|q|)/dq = 2|q|). Position columns are zero."""
-    u, v, r = x[2], x[3], x[5]
-    cos, sin = np.cos(x[4]), np.sin(x[4])
+    """J = df/dx, shape (6, 6), written into ``J``. Position columns are zero."""
+    s = slopes(x[2], x[3], x[4], x[5], cr[0], cr[1], p)
     J[:, :] = 0.0
-    J[0, 2] = cos
-    J[0, 3] = -sin
-    J[0, 4] = -sin * u - cos * v
-    J[1, 2] = sin
-    J[1, 3] = cos
-    J[1, 4] = cos * u - sin * v
-    J[2, 2] = -(p.linear_surge + 2.0 * p.quadratic_surge * abs(u)) / p.mass_surge
-    J[2, 3] = p.mass_sway * r / p.mass_surge
-    J[2, 4] = -p.dry_mass * (cos * cr[1] - sin * cr[0]) / p.mass_surge
-    J[2, 5] = p.mass_sway * v / p.mass_surge
-    J[3, 2] = -p.mass_surge * r / p.mass_sway
-    J[3, 3] = -(p.linear_sway + 2.0 * p.quadratic_sway * abs(v)) / p.mass_sway
-    J[3, 4] = p.dry_mass * (cos * cr[0] + sin * cr[1]) / p.mass_sway
-    J[3, 5] = -p.mass_surge * u / p.mass_sway
-    J[4, 5] = 1.0
-    J[5, 2] = (p.mass_surge - p.mass_sway) * v / p.inertia_yaw
-    J[5, 3] = (p.mass_surge - p.mass_sway) * u / p.inertia_yaw
-    J[5, 5] = -(p.linear_yaw + 2.0 * p.quadratic_yaw * abs(r)) / p.inertia_yaw
+    J[N, U], J[N, V], J[N, PSI] = s.n_u, s.n_v, s.n_psi
+    J[E, U], J[E, V], J[E, PSI] = s.e_u, s.e_v, s.e_psi
+    J[U, U], J[U, V], J[U, PSI], J[U, R] = s.u_u, s.u_v, s.u_psi, s.u_r
+    J[V, U], J[V, V], J[V, PSI], J[V, R] = s.v_u, s.v_v, s.v_psi, s.v_r
+    J[PSI, R] = 1.0
+    J[R, U], J[R, V], J[R, R] = s.r_u, s.r_v, s.r_r
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Exact flow of the equations of motion over a stage, and its sensitivities.
+"""Exact flow of the equations of motion over a stage.
 
 Commands u = [u1, u2] are linear in time over a stage of length h, from u(0) to u(h). Each thruster follows its command
 with a first-order lag tau, which has a closed form (s = (u(h) - u(0)) / h):
@@ -6,12 +6,8 @@ with a first-order lag tau, which has a closed form (s = (u(h) - u(0)) / h):
     F(t) = u(t) - tau s + (F(0) - u(0) + tau s) exp(-t / tau),   F(t) = u(t) where tau = 0
 
 so F(t) = a(t) F(0) + b0(t) u(0) + b1(t) u(h), and the lag costs no stiffness. The current is linear in time over the
-stage, from c(0) to c(h). State over a stage: X = [n, e, u, v, psi, r, F1, F2] (8,). With
-
-    X(h) = flow(X(0), u(0), u(h)),   A = dX(h)/dX(0) (8, 8),   B0 = dX(h)/du(0) (8, 2),   B1 = dX(h)/du(h) (8, 2)
-
-the motion is integrated by the classical Runge-Kutta method of order 4 and the sensitivities by the same method on the
-variational equation, S' = df/dx S + df/dF dF/d(.): A, B0, B1 are the derivatives of the computed flow itself.
+stage, from c(0) to c(h). State over a stage: X = [n, e, u, v, psi, r, F1, F2] (8,), X(h) = flow(X(0), u(0), u(h)),
+integrated by the classical Runge-Kutta method of order 4.
 """
 
 from __future__ import annotations
@@ -20,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration, jacobian, thrust_gain
+from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from ltv_mpc.vehicle.parameters import Coefficients
 
 STATES = 8
@@ -52,120 +48,56 @@ def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float
     """out = flow(X, u(0), u(h)), all of shape (8,), over h seconds; the current goes linearly from c(0) to c(h)."""
     steps = substeps(h)
     d = h / steps
-    cr = (ch - c0) / h
-    x = X[:6].copy()
-    F = np.empty(2)
-    k1, k2, k3, k4 = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    crn, cre = (ch[0] - c0[0]) / h, (ch[1] - c0[1]) / h
+    n, e, u, v, psi, r = X[0], X[1], X[2], X[3], X[4], X[5]
+    F1, F2 = X[6], X[7]
     for i in range(steps):
-        t = i * d
-        lagged(X, u0, uh, t, h, p, F)
-        derivative(x, F, c0 + cr * t, cr, p, k1)
-        lagged(X, u0, uh, t + d / 2, h, p, F)
-        derivative(x + d / 2 * k1, F, c0 + cr * (t + d / 2), cr, p, k2)
-        derivative(x + d / 2 * k2, F, c0 + cr * (t + d / 2), cr, p, k3)
-        lagged(X, u0, uh, t + d, h, p, F)
-        derivative(x + d * k3, F, c0 + cr * (t + d), cr, p, k4)
-        x += d / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    out[:6] = x
-    out[6:] = F
+        kn = ke = ku = kv = kpsi = kr = 0.0  # the slope before, from which the next is tried
+        sn = se = su = sv = spsi = sr = 0.0  # the weighted sum of the slopes
+        for node in range(4):
+            part, weight, ahead = runge_kutta(node, d)
+            t = i * d + ahead
+            if node != 2:  # the third slope is taken at the instant of the second
+                F1, F2 = lagged(X, u0, uh, t, h, p)
+            kn, ke, ku, kv, kpsi, kr = rates(
+                u + part * ku,
+                v + part * kv,
+                psi + part * kpsi,
+                r + part * kr,
+                F1,
+                F2,
+                c0[0] + crn * t,
+                c0[1] + cre * t,
+                crn,
+                cre,
+                p,
+            )
+            sn += weight * kn
+            se += weight * ke
+            su += weight * ku
+            sv += weight * kv
+            spsi += weight * kpsi
+            sr += weight * kr
+        n, e, u, v, psi, r = n + sn, e + se, u + su, v + sv, psi + spsi, r + sr
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = n, e, u, v, psi, r, F1, F2
 
 
 @kernel
-def lagged(X: Array, u0: Array, uh: Array, t: float, h: float, p: Coefficients, F: Array) -> None:
-    """F(t) of both lateral thrusters, shape (2,), written into ``F``."""
+def runge_kutta(node: int, d: float) -> tuple[float, float, float]:
+    """Of the classical method's slope 0 .. 3 over d: how far along the slope before it is taken, its weight, when."""
+    if node == 0:
+        return 0.0, d / 6.0, 0.0
+    if node == 3:
+        return d, d / 6.0, d
+    return 0.5 * d, d / 3.0, 0.5 * d
+
+
+@kernel
+def lagged(X: Array, u0: Array, uh: Array, t: float, h: float, p: Coefficients) -> tuple[float, float]:
+    """F(t) of both lateral thrusters."""
     a, b0, b1 = lag_weights(t, h, p.lag_port)
-    F[0] = a * X[6] + b0 * u0[0] + b1 * uh[0]
-    a, b0, b1 = lag_weights(t, h, p.lag_starboard)
-    F[1] = a * X[7] + b0 * u0[1] + b1 * uh[1]
-
-
-@kernel
-def _lag_rows(t: float, h: float, p: Coefficients, W: Array) -> None:
-    """W = dF(t)/d[F(0), u(0), u(h)], shape (2, 6): port columns 0, 2, 4, starboard columns 1, 3, 5."""
-    W[:, :] = 0.0
-    W[0, 0], W[0, 2], W[0, 4] = lag_weights(t, h, p.lag_port)
-    W[1, 1], W[1, 3], W[1, 5] = lag_weights(t, h, p.lag_starboard)
-
-
-@kernel
-def _slope(J: Array, G: Array, W: Array, S: Array, dS: Array) -> None:
-    """dS = J S + G W on the columns [u, v, psi, r | F(0), u(0), u(h)]: the variational equation, shape (6, 10)."""
-    for i in range(6):
-        for j in range(10):
-            total = 0.0
-            for k in range(2, 6):
-                total += J[i, k] * S[k, j]
-            if j >= 4:
-                total += G[i, 0] * W[0, j - 4] + G[i, 1] * W[1, j - 4]
-            dS[i, j] = total
-
-
-@kernel
-def linearise_stage(
-    X: Array,
-    u0: Array,
-    uh: Array,
-    c0: Array,
-    ch: Array,
-    h: float,
-    p: Coefficients,
-    out: Array,
-    A: Array,
-    B0: Array,
-    B1: Array,
-) -> None:
-    """The flow over one stage (out (8,)) and its sensitivities A (8, 8), B0 (8, 2), B1 (8, 2), all written in place."""
-    steps = substeps(h)
-    d = h / steps
-    cr = (ch - c0) / h
-    x = X[:6].copy()
-    # S = dx/d[u, v, psi, r, F1(0), F2(0), u1(0), u2(0), u1(h), u2(h)], shape (6, 10); positions only carry over
-    S = np.zeros((6, 10))
-    for i in range(4):
-        S[2 + i, i] = 1.0
-    F = np.empty(2)
-    k1, k2, k3, k4 = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-    s1, s2, s3, s4 = np.empty((6, 10)), np.empty((6, 10)), np.empty((6, 10)), np.empty((6, 10))
-    J, G, W = np.empty((6, 6)), np.empty((6, 2)), np.empty((2, 6))
-    thrust_gain(p, G)
-    for i in range(steps):
-        t = i * d
-        lagged(X, u0, uh, t, h, p, F)
-        _lag_rows(t, h, p, W)
-        derivative(x, F, c0 + cr * t, cr, p, k1)
-        jacobian(x, cr, p, J)
-        _slope(J, G, W, S, s1)
-        lagged(X, u0, uh, t + d / 2, h, p, F)
-        _lag_rows(t + d / 2, h, p, W)
-        x2 = x + d / 2 * k1
-        derivative(x2, F, c0 + cr * (t + d / 2), cr, p, k2)
-        jacobian(x2, cr, p, J)
-        _slope(J, G, W, S + d / 2 * s1, s2)
-        x3 = x + d / 2 * k2
-        derivative(x3, F, c0 + cr * (t + d / 2), cr, p, k3)
-        jacobian(x3, cr, p, J)
-        _slope(J, G, W, S + d / 2 * s2, s3)
-        lagged(X, u0, uh, t + d, h, p, F)
-        _lag_rows(t + d, h, p, W)
-        x4 = x + d * k3
-        derivative(x4, F, c0 + cr * (t + d), cr, p, k4)
-        jacobian(x4, cr, p, J)
-        _slope(J, G, W, S + d * s3, s4)
-        x += d / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        S += d / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
-    out[:6] = x
-    out[6:] = F
-    A[:, :] = 0.0
-    A[0, 0] = 1.0
-    A[1, 1] = 1.0
-    A[:6, 2:6] = S[:, 0:4]
-    A[:6, 6:8] = S[:, 4:6]
-    B0[:6, :] = S[:, 6:8]
-    B1[:6, :] = S[:, 8:10]
-    # W now holds the lag at t = h
-    A[6:, 6:8] = W[:, 0:2]
-    B0[6:, :] = W[:, 2:4]
-    B1[6:, :] = W[:, 4:6]
+    g, d0, d1 = lag_weights(t, h, p.lag_starboard)
+    return a * X[6] + b0 * u0[0] + b1 * uh[0], g * X[7] + d0 * u0[1] + d1 * uh[1]
 
 
 @kernel
