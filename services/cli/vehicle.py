@@ -1,4 +1,4 @@
-"""Your vehicle: ``controller``, ``topics``."""
+"""Your vehicle: ``controller``, ``topics``; ``localise`` has a file of its own."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from services.cli.localise import localise
 from services.cli.options import Connect, Json, Listen, Mode, Namespace, ReferenceFile, VehicleFile, ZenohConfig, bus
 
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(controller)
+    app.command(rich_help_panel=panel)(localise)
     app.command(rich_help_panel=panel)(topics)
 
 

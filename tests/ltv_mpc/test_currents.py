@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltv_mpc.currents import read_profile, write_profile
+from ltv_mpc.currents import WaterPrior, read_prior, read_profile, write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.signals import CurrentProfile
 
@@ -55,6 +55,62 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path):
     np.testing.assert_array_equal(again.east_mps, east)
 
 
+def test_a_prior_is_read_back_bit_for_bit_and_its_file_is_a_profile_too(tmp_path):
+    draws = np.random.default_rng(2)
+    depth, north, east = np.cumsum(draws.random(50)), draws.normal(0, 0.1, 50), draws.normal(0, 0.1, 50)
+    sd = 0.01 + draws.random(50)
+    prior = WaterPrior(depth_m=depth, north_mps=north, east_mps=east, sd_mps=sd, sd_common_mps=0.1 / 30)
+    write_profile(tmp_path / "c.csv", prior)
+    for again in (read_prior(tmp_path / "c.csv"), read_profile(tmp_path / "c.csv")):
+        np.testing.assert_array_equal(again.depth_m, depth)
+        np.testing.assert_array_equal(again.north_mps, north)
+        np.testing.assert_array_equal(again.east_mps, east)
+        np.testing.assert_array_equal(again.sd_mps, sd)
+    assert read_prior(tmp_path / "c.csv").sd_common_mps == 0.1 / 30
+
+
+def test_a_profile_keeps_its_standard_deviation_and_without_one_has_none(tmp_path):
+    profile = read(tmp_path, "sd_mps,depth_m,v_north_mps,u_east_mps\n0.5,0,0.1,-0.2\n0,10,0.3,0.4\n")
+    np.testing.assert_array_equal(profile.sd_mps, [0.5, 0.0])
+    write_profile(tmp_path / "again.csv", profile)
+    np.testing.assert_array_equal(read_profile(tmp_path / "again.csv").sd_mps, [0.5, 0.0])
+    assert read(tmp_path, GOOD).sd_mps is None
+
+
+def test_what_makes_no_prior_is_a_profile_all_the_same(tmp_path):
+    """To a profile sd_common_mps is one of the further columns, whatever stands in it."""
+    profile = read(tmp_path, "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0.1,-0.2,0.5,?\n")
+    np.testing.assert_array_equal(profile.sd_mps, [0.5])
+
+
+PRIOR = "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (GOOD, ["line 1", "missing column sd_mps", "a prior needs it"]),
+        ("depth_m,v_north_mps,u_east_mps,sd_mps\n0,0,0,0.1\n", ["line 1", "missing column sd_common_mps", "0 for"]),
+        (PRIOR + "0,0,0,0.1,0.05\n1,0,0,0.1,0.04\n", ["line 3 sd_common_mps = 0.04", "same in every row", "0.05 m/s"]),
+        (PRIOR + "0,0,0,0.1,0.05\n1,0,0,0.04,0.05\n", ["line 3 sd_common_mps = 0.05", "<= sd_mps = 0.04"]),
+        (PRIOR + "0,0,0,-0.1,0\n", ["line 2 sd_mps = -0.1", ">= 0", "<= 10 m/s"]),
+        (PRIOR + "0,0,0,11,0\n", ["line 2 sd_mps = 11", "<= 10 m/s"]),
+        (PRIOR + "0,0,0,0.1,-1\n", ["line 2 sd_common_mps = -1", ">= 0"]),
+        (PRIOR + "0,0,0,nan,0\n", ["line 2 sd_mps", "finite"]),
+        (PRIOR + "0,0,0,0.1\n", ["line 2 sd_common_mps", "missing: column 5"]),
+        ("depth_m,v_north_mps,u_east_mps,sd_mps,sd_mps,sd_common_mps\n0,0,0,1,1,0\n", ["sd_mps stands there twice"]),
+    ],
+)
+def test_a_wrong_prior_is_refused_with_file_line_field_value_and_bound(tmp_path, content, words):
+    (tmp_path / "currents.csv").write_text(content)
+    with pytest.raises(ConfigError) as refused:
+        read_prior(tmp_path / "currents.csv")
+    text = str(refused.value)
+    assert "\n" not in text
+    for word in ["currents.csv", *words]:
+        assert word in text, text
+
+
 HEADER = "depth_m,v_north_mps,u_east_mps\n"
 
 
@@ -74,6 +130,8 @@ HEADER = "depth_m,v_north_mps,u_east_mps\n"
         (HEADER + "-1,0,0\n", ["line 2", "depth_m", "-1", ">= 0"]),
         (HEADER + "0,0,0\n1,5.1,0\n", ["line 3", "v_north_mps", "5.1", "5 m/s"]),
         (HEADER + "0,0,-25\n", ["line 2", "u_east_mps", "-25", "5 m/s"]),
+        (HEADER.replace("\n", ",sd_mps\n") + "0,0,0,-0.1\n", ["line 2 sd_mps = -0.1", ">= 0"]),
+        (HEADER.replace("\n", ",sd_mps\n") + "0,0,0,\n", ["line 2 sd_mps", "must be a number"]),
         (HEADER + "# a comment\n0,0\n", ["line 3", "u_east_mps", "missing"]),
         ("", ["empty"]),
         ("\n \n", ["empty"]),

@@ -1,0 +1,147 @@
+"""A PD0 file: which of its bytes are whole ensembles, and which are lost.
+
+A frame counts where 7F 7F stands, its length ends within the file and the sum of its bytes, modulo 65536, is the
+checksum behind it. Frames are taken in the order of the file and do not overlap; every byte outside them, and every
+frame whose content is unusable, is a loss with its offset and its reason. The instrument's clock must go forward.
+
+    checksum_i = total[i + length] - total[i]  (mod 65536),   total = running sum of all bytes
+
+so a file in which every byte starts a frame costs no more than any other: time and memory grow with its size alone.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.pd0 import records
+from ltv_mpc.localisation.pd0.records import HEADER, Bytes, Damaged, Ensemble
+
+MARK = b"\x7f\x7f"
+LARGEST_FILE = 1 << 26
+"""Three days of a glider's dives: ten minutes are 150 kB."""
+MOST_LOSSES = 1000
+"""That are listed; all are counted."""
+_STRIDE = 1 << 20
+
+Sums: TypeAlias = npt.NDArray[np.uint16]
+Places: TypeAlias = npt.NDArray[np.int64]
+
+
+class Loss(NamedTuple):
+    """Bytes that belong to no ensemble."""
+
+    offset: int
+    length: int
+    why: str
+
+
+class Recording(NamedTuple):
+    """What a file holds, in its order; at least one ensemble."""
+
+    source: str  # how errors call it
+    size: int
+    ensembles: tuple[Ensemble, ...]
+    losses: tuple[Loss, ...]  # the first of them: at most MOST_LOSSES
+    lost_places: int  # all of them
+    lost_bytes: int
+
+
+def read(path: str | Path) -> Recording:
+    """The file's ensembles. Raises ``ConfigError`` where there is no file, or not one ensemble in it."""
+    source = f"PD0 file {path}"
+    try:
+        status = Path(path).stat()
+        if not stat.S_ISREG(status.st_mode):
+            raise ConfigError(source, "", "is no regular file")
+        if status.st_size > LARGEST_FILE:
+            raise ConfigError(source, "", f"has {status.st_size} bytes: at most {LARGEST_FILE}")
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise ConfigError(source, "", "no such file") from None
+    except OSError as error:
+        raise ConfigError(source, "", f"cannot be read: {error.strerror or error}") from None
+    return parse(data, source=source)
+
+
+def parse(data: bytes, *, source: str) -> Recording:
+    """``data`` as ensembles and losses. Raises ``ConfigError``, saying where and why, where there is no ensemble."""
+    total = _running_sum(data)
+    ensembles: list[Ensemble] = []
+    losses: list[Loss] = []
+    places = lost = end = 0
+
+    def lose(start: int, stop: int, why: str | None = None) -> None:
+        nonlocal places, lost
+        places, lost = places + 1, lost + stop - start
+        if len(losses) < MOST_LOSSES:
+            losses.append(Loss(start, stop - start, why or _diagnosis(data, total, start, stop)))
+
+    for start, length in _frames(np.frombuffer(data, dtype=np.uint8), total):
+        if start < end:
+            continue
+        if start > end:
+            lose(end, start)
+        end = start + length + 2
+        try:
+            ensemble = records.decode(memoryview(data)[start : start + length], start)
+            if ensembles and ensemble.t_ns <= ensembles[-1].t_ns:
+                raise Damaged("its clock does not go forward")
+        except Damaged as problem:
+            lose(start, end, str(problem))
+        else:
+            ensembles.append(ensemble)
+    if end < len(data):
+        lose(end, len(data))
+    if not ensembles:
+        first = losses[0] if losses else Loss(0, 0, "the file is empty")
+        raise ConfigError(source, f"byte {first.offset}", f"not one valid ensemble: {first.why}")
+    return Recording(source, len(data), tuple(ensembles), tuple(losses), places, lost)
+
+
+def _running_sum(data: bytes) -> Sums:
+    """total[i]: the sum of the first i bytes modulo 65536, (bytes + 1,)."""
+    total = np.zeros(len(data) + 1, dtype=np.uint16)
+    np.cumsum(np.frombuffer(data, dtype=np.uint8), dtype=np.uint16, out=total[1:])  # wraps, as the checksum does
+    return total
+
+
+def _frames(u8: Bytes, total: Sums) -> Iterator[tuple[int, int]]:
+    """Offset and length without checksum of all that begins with the mark and has the right sum, overlapping or not."""
+    size = len(u8)
+    beyond = size - HEADER - 1
+    for first in range(0, max(beyond, 0), _STRIDE):
+        last = min(first + _STRIDE, beyond)
+        at = first + np.flatnonzero((u8[first:last] == 0x7F) & (u8[first + 1 : last + 1] == 0x7F))
+        length = _u16(u8, at + 2)
+        whole = (length >= HEADER) & (at + length + 2 <= size)
+        at, length = at[whole], length[whole]
+        right = (total[at + length] - total[at]) == _u16(u8, at + length)
+        yield from zip(at[right].tolist(), length[right].tolist(), strict=True)
+
+
+def _u16(u8: Bytes, at: Places) -> Places:
+    return u8[at].astype(np.int64) + 256 * u8[at + 1].astype(np.int64)
+
+
+def _diagnosis(data: bytes, total: Sums, start: int, end: int) -> str:
+    """Why the bytes from ``start`` to ``end`` are no frame."""
+    mark = data.find(MARK, start, end)
+    if mark < 0:
+        return "no header 7F 7F"
+    if mark + HEADER > len(data):
+        return f"the header at byte {mark} is cut off"
+    length = int.from_bytes(data[mark + 2 : mark + 4], "little")
+    if length < HEADER:
+        return f"the ensemble at byte {mark} names a length of {length} bytes"
+    if mark + length + 2 > len(data):
+        return f"the ensemble at byte {mark} has {length + 2} bytes, the file ends after {len(data) - mark} of them"
+    stated = int.from_bytes(data[mark + length : mark + length + 2], "little")
+    found = int(total[mark + length] - total[mark])
+    return f"the ensemble at byte {mark} has checksum {stated:04X}, its bytes add up to {found:04X}"

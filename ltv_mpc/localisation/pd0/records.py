@@ -1,0 +1,232 @@
+"""One PD0 ensemble: the bytes of a frame that has passed its checksum become numbers with units.
+
+Frame   7F 7F, bytes without checksum (u16), spare, number of data types n (u8), n offsets (u16), the data types, two
+        reserved bytes, checksum (u16); little-endian throughout. A data type begins with its identity (u16).
+Read    fixed leader 0000, variable leader 0080, velocity 0100, correlation 0200, echo 0300, percent good 0400, bottom
+        track 0600; every other type is passed over. Both leaders and velocity must be there.
+Units   velocities mm/s, -32768 where there is none (NaN here); cells and bottom ranges cm; depth dm; pressure 10 Pa;
+        angles 0.01 deg.
+Signs   as the instrument has them: velocity TOWARDS the transducer is positive, in the coordinates of the EX byte.
+        ``beams.py`` turns them.
+Source  Teledyne RD Instruments, WorkHorse Commands and Output Data Format, P/N 957-6156-00, chapter on PD0.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from datetime import UTC, datetime, timedelta
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.frames import GRAVITY_MPS2
+from ltv_mpc.signals import Array
+
+MISSING = -32768
+BEAMS = 4
+HEADER = 6
+DEEPEST_M = 12_000.0
+"""A depth or pressure beyond it is no reading."""
+SEA_WATER_KGPM3 = 1025.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_KILOHERTZ = {0: 75, 1: 150, 2: 300, 3: 600, 4: 1200, 5: 2400, 6: 38}
+_ANGLE_DEG = {0: 15, 1: 20, 2: 30}
+
+Bytes = npt.NDArray[np.uint8]
+
+
+class Coordinates(Enum):
+    """What the four velocities of a cell are."""
+
+    BEAM = 0  # beams 1 to 4
+    INSTRUMENT = 1  # X, Y, Z, error
+    SHIP = 2  # starboard, forward, mast, error
+    EARTH = 3  # east, north, up, error
+
+
+class Settings(NamedTuple):
+    """The fixed leader. Distances are at right angles to the transducer's face: along a beam they are longer."""
+
+    frequency_kHz: int
+    upward: bool
+    convex: bool
+    beam_angle_rad: float
+    cells: int
+    pings: int
+    cell_m: float
+    first_cell_m: float  # to the middle of the first cell
+    coordinates: Coordinates
+    tilts_used: bool
+    three_beam_solutions: bool
+    bins_mapped: bool
+    heading_alignment_rad: float
+    heading_bias_rad: float
+
+
+class BottomTrack(NamedTuple):
+    """Each (4,); in the coordinates of the ensemble, NaN where there is none."""
+
+    range_m: Array  # at right angles to the face, by beam
+    velocity_mps: Array
+    percent_good: Array
+
+
+class Ensemble(NamedTuple):
+    """What one ensemble says. Records that the file does not hold are None."""
+
+    offset: int  # of its first byte in the file
+    number: int
+    t_ns: int  # of the instrument's clock, since 1970
+    settings: Settings
+    heading_rad: float
+    pitch_rad: float  # as the tilt sensor has it, not yet of a gimbal
+    roll_rad: float
+    depth_m: float
+    sound_speed_mps: float
+    velocity_mps: Array  # (cells, 4)
+    correlation: Array | None  # (cells, 4), counts
+    echo: Array | None  # (cells, 4), counts of about 0.45 dB
+    percent_good: Array | None  # (cells, 4)
+    bottom: BottomTrack | None
+
+
+class Damaged(ValueError):
+    """A frame whose checksum is right and whose content is not."""
+
+
+def decode(frame: memoryview, offset: int) -> Ensemble:
+    """``frame`` runs from 7F 7F to before the checksum. Raises ``Damaged`` with the reason."""
+    records = _records(frame)
+    settings = _settings(_needed(records, 0x0000, 42, "fixed leader"))
+    leader = _needed(records, 0x0080, 28, "variable leader")
+    heading, pitch, roll = (math.radians(x / 100) for x in struct.unpack_from("<Hhh", leader, 18))
+    if not (heading <= 2 * math.pi and abs(pitch) < math.pi / 2 and abs(roll) <= math.pi):
+        raise Damaged("heading, pitch or roll is no angle of an instrument")
+    velocity = _needed(records, 0x0100, 2 + 2 * BEAMS * settings.cells, "velocity")
+    return Ensemble(
+        offset=offset,
+        number=struct.unpack_from("<H", leader, 2)[0] + (leader[11] << 16),
+        t_ns=_time(leader),
+        settings=settings,
+        heading_rad=heading,
+        pitch_rad=pitch,
+        roll_rad=roll,
+        depth_m=_depth(leader),
+        sound_speed_mps=float(struct.unpack_from("<H", leader, 14)[0]),
+        velocity_mps=_velocities(velocity, 2, BEAMS * settings.cells).reshape(settings.cells, BEAMS),
+        correlation=_counts(records, 0x0200, settings.cells),
+        echo=_counts(records, 0x0300, settings.cells),
+        percent_good=_counts(records, 0x0400, settings.cells),
+        bottom=_bottom(records),
+    )
+
+
+def _records(frame: memoryview) -> dict[int, memoryview]:
+    """Identity to content, identity included, up to where the next begins; of two with one identity the first."""
+    count = frame[5]
+    first = HEADER + 2 * count
+    if first > len(frame):
+        raise Damaged(f"{count} data types do not fit into {len(frame)} bytes")
+    places = struct.unpack_from(f"<{count}H", frame, HEADER)
+    ends = dict(itertools.pairwise([*sorted(set(places)), len(frame)]))
+    found: dict[int, memoryview] = {}
+    for place in places:
+        if not first <= place <= len(frame) - 2:
+            raise Damaged(f"a data type at {place} of {len(frame)} bytes")
+        found.setdefault(struct.unpack_from("<H", frame, place)[0], frame[place : ends[place]])
+    return found
+
+
+def _needed(records: dict[int, memoryview], identity: int, least: int, name: str) -> memoryview:
+    record = records.get(identity)
+    if record is None:
+        raise Damaged(f"no {name}")
+    if len(record) < least:
+        raise Damaged(f"{name} cut off after {len(record)} of {least} bytes")
+    return record
+
+
+def _settings(leader: memoryview) -> Settings:
+    low, high = leader[4], leader[5]
+    beams, cells, transform = leader[8], leader[9], leader[25]
+    pings, cell_cm = struct.unpack_from("<HH", leader, 10)
+    (first_cm,) = struct.unpack_from("<H", leader, 32)
+    alignment, bias = struct.unpack_from("<hh", leader, 26)
+    angle_deg = _ANGLE_DEG.get(high & 0b11)
+    if angle_deg is None:  # "other": newer leaders name it
+        angle_deg = leader[58] if len(leader) > 58 else 0
+    if beams != BEAMS:
+        raise Damaged(f"{beams} beams: only instruments with {BEAMS} are read")
+    if low & 0b111 not in _KILOHERTZ:
+        raise Damaged(f"unknown frequency code {low & 0b111}")
+    if not 5 <= angle_deg <= 45:
+        raise Damaged(f"a beam angle of {angle_deg} deg")
+    if not (cells and pings and cell_cm and first_cm):
+        raise Damaged("no cells, pings, cell length or first cell in the fixed leader")
+    return Settings(
+        frequency_kHz=_KILOHERTZ[low & 0b111],
+        upward=bool(low & 0x80),
+        convex=bool(low & 0x08),
+        beam_angle_rad=math.radians(angle_deg),
+        cells=cells,
+        pings=pings,
+        cell_m=cell_cm / 100,
+        first_cell_m=first_cm / 100,
+        coordinates=Coordinates(transform >> 3 & 0b11),
+        tilts_used=bool(transform & 0b100),
+        three_beam_solutions=bool(transform & 0b010),
+        bins_mapped=bool(transform & 0b001),
+        heading_alignment_rad=math.radians(alignment / 100),
+        heading_bias_rad=math.radians(bias / 100),
+    )
+
+
+def _time(leader: memoryview) -> int:
+    year, month, day, hour, minute, second, hundredth = leader[4:11]
+    try:
+        moment = datetime(1900 + year if year >= 80 else 2000 + year, month, day, hour, minute, second, tzinfo=UTC)
+    except ValueError:
+        raise Damaged("its clock shows no date") from None
+    whole = (moment - _EPOCH) // timedelta(seconds=1)
+    return whole * 1_000_000_000 + hundredth * 10_000_000
+
+
+def _depth(leader: memoryview) -> float:
+    """From the pressure, which is finer, where there is one; else the depth of the transducer (ED)."""
+    if len(leader) >= 52:
+        # p = rho g z, in units of 10 Pa
+        depth_m: float = 10.0 * struct.unpack_from("<I", leader, 48)[0] / (SEA_WATER_KGPM3 * GRAVITY_MPS2)
+        if 0.0 < depth_m <= DEEPEST_M:
+            return depth_m
+    return float(struct.unpack_from("<H", leader, 16)[0]) / 10
+
+
+def _velocities(record: memoryview, start: int, count: int) -> Array:
+    raw = np.frombuffer(record, dtype="<i2", count=count, offset=start)
+    return np.where(raw == MISSING, np.nan, raw / 1000.0)
+
+
+def _counts(records: dict[int, memoryview], identity: int, cells: int) -> Array | None:
+    record = records.get(identity)
+    if record is None or len(record) < 2 + BEAMS * cells:
+        return None
+    raw = np.frombuffer(record, dtype=np.uint8, count=BEAMS * cells, offset=2)
+    return raw.reshape(cells, BEAMS).astype(np.float64)
+
+
+def _bottom(records: dict[int, memoryview]) -> BottomTrack | None:
+    record = records.get(0x0600)
+    if record is None or len(record) < 44:
+        return None
+    cm = np.frombuffer(record, dtype="<u2", count=BEAMS, offset=16).astype(np.float64)
+    if len(record) >= 81:
+        cm += 65536.0 * np.frombuffer(record, dtype=np.uint8, count=BEAMS, offset=77)
+    return BottomTrack(
+        range_m=np.where(cm > 0, cm / 100, np.nan),
+        velocity_mps=_velocities(record, 24, BEAMS),
+        percent_good=np.frombuffer(record, dtype=np.uint8, count=BEAMS, offset=40).astype(np.float64),
+    )

@@ -1,0 +1,57 @@
+"""Your vehicle: ``localise``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Force, Json
+
+
+def localise(
+    file: Annotated[Path, typer.Argument(metavar="FILE.PD0", help="As Teledyne RDI instruments record it.")],
+    surface_fixes: Annotated[
+        int,
+        typer.Option(
+            "--surface-fixes",
+            metavar="N",
+            help="Ensembles from the start whose bottom track may be used.",
+            min=0,
+            max=100_000,
+        ),
+    ] = 10,
+    start_depth_m: Annotated[
+        float | None,
+        typer.Option(
+            "--start-depth-m", metavar="D", help="Start at the first ensemble at or below it.", min=0, max=12_000
+        ),
+    ] = None,
+    as_json: Json = False,
+    force: Force = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Also write track, current profile, result and picture here."),
+    ] = None,
+) -> int:
+    """Localise a recorded ADCP dive that has no inertial unit.
+
+    Bottom track is used for the first ensembles, as a fix at the surface would be; after them it is the truth that the
+    track is compared with.
+    """
+    import msgspec
+
+    from services.measure import localise as dive
+    from services.run import folder
+    from services.views import dive_text
+
+    outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m)
+    written = None if out is None else folder.make("localise", {}, out=out, force=force)
+    plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
+    typer.echo(plain if as_json else dive_text.text(outcome.result))
+    if written is not None:
+        if note := dive.write(outcome, written.path):
+            typer.echo(note, err=True)
+        typer.echo(str(written.path), err=as_json)
+    return 0

@@ -1,0 +1,476 @@
+"""The filter of a recorded dive: against a batch solution, against brute force, and on dives made for it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.dive import noise, study
+from ltv_mpc.localisation.dive.filter import Instrument, Track, run
+from ltv_mpc.localisation.dive.model import BIAS, FALL, FALL_SD_MPS, VELOCITY, Model
+from ltv_mpc.localisation.dive.parameters import DiveParameters
+from ltv_mpc.localisation.dive.screening import reach_m, usable
+from ltv_mpc.localisation.dive.truth import LONGEST_GAP_S, dead_reckoned
+from ltv_mpc.localisation.dive.update import Batch, beams, correct, over_ground
+from ltv_mpc.localisation.pd0 import reader
+from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
+from ltv_mpc.localisation.pd0.records import Settings
+from tests.recorded.glider import Dive, World, dive
+
+PARAMETERS = DiveParameters()
+S = 1_000_000_000
+
+
+def seen(made: Dive) -> tuple[list[BeamEnsemble], Settings]:
+    """The file's ensembles."""
+    ensembles = reader.parse(made.data, source="test").ensembles
+    return [to_beams(e) for e in ensembles], ensembles[0].settings
+
+
+def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int]:
+    """First and last ensemble."""
+    start = int(np.searchsorted(made.t, start_s))
+    return start, int(np.searchsorted(made.t, made.t[start] + after_s))
+
+
+def errors(world: World, seed: int, starts_s: tuple[float, ...]) -> list[tuple[float, float, float]]:
+    """Of each start: error (m), e P^-1 e, error of constant velocity (m); the truth is the world's own."""
+    made = dive(world, seed)
+    ensembles, settings = seen(made)
+    instrument = Instrument.of(ensembles, settings, PARAMETERS)
+    found = []
+    for start_s in starts_s:
+        a, b = window(made, start_s)
+        track = run(ensembles[a : b + 1], instrument, PARAMETERS, fixes=10)
+        true = made.position[b] - made.position[a]
+        error, P = track.position_m[-1] - true, track.position_covariance[-1]
+        held = np.mean([e.bottom_mps[:2] for e in ensembles[a : a + 10]], axis=0) * (made.t[b] - made.t[a])
+        found.append((math.hypot(*error), float(error @ np.linalg.solve(P, error)), math.hypot(*(held - true))))
+    return found
+
+
+def small_model() -> Model:
+    return Model.of(PARAMETERS, np.array([0.0, 3.0, 6.0, 9.0]), np.array([2.0, 4.0, 6.0]))
+
+
+def change(model: Model, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """F and Q of the model's head, written down anew."""
+    p, n, cells, depths = PARAMETERS, model.size, model.cells, model.depth_m
+    F, Q = np.eye(n), np.zeros((n, n))
+    F[0, 2] = F[1, 3] = dt
+    for a in range(2):
+        at = np.ix_([a, a + 2], [a, a + 2])
+        Q[at] = p.velocity_change_mps_per_rts**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    F[FALL, FALL], Q[FALL, FALL] = 0.0, FALL_SD_MPS**2
+    f = math.exp(-dt / p.bias_tau_s)
+    B = np.empty((cells, cells))
+    r = (2.0, 4.0, 6.0)
+    for i in range(cells):
+        for j in range(cells):
+            near = (p.near_bias_sd_mps * math.exp(-r[i] / p.near_bias_length_m)) * (
+                p.near_bias_sd_mps * math.exp(-r[j] / p.near_bias_length_m)
+            )
+            varying = (p.range_bias_sd_mps**2 + near) * math.exp(-abs(r[i] - r[j]) / p.range_bias_length_m)
+            B[i, j] = p.beam_bias_sd_mps**2 + varying
+    for beam in range(4):
+        at = slice(BIAS + beam * cells, BIAS + (beam + 1) * cells)
+        F[at, at] = f * np.eye(cells)
+        Q[at, at] = (1 - f**2) * B
+    for axis in (slice(n - 2 * len(depths), n - len(depths)), slice(n - len(depths), n)):
+        distance = np.abs(np.subtract.outer(depths, depths))
+        Q[axis, axis] = p.water_change_mps_per_rts**2 * dt * np.exp(-distance / p.water_correlation_length_m)
+    return F, Q
+
+
+def test_the_recursion_is_the_batch_solution_of_the_same_linear_problem() -> None:
+    """All states of all instants as one Gaussian, conditioned once on all measurements."""
+    model = small_model()
+    rng = np.random.default_rng(3)
+    x, P = model.prior()
+    mean, covariance = [x.copy()], P.copy()
+    H_all, z_all, R_all = [], [], []
+    n = model.size
+    for k in range(5):
+        if k:
+            dt = 2.0 + k
+            F, Q = change(model, dt)
+            model.propagate(x, P, dt)
+            # the joint of all instants so far, with the next one below
+            last = covariance[-n:]
+            covariance = np.block([[covariance, last.T @ F.T], [F @ last, F @ last[:, -n:] @ F.T + Q]])
+            mean.append(F @ mean[-1])
+        batch = Batch(
+            rng.standard_normal((6, n)) * (rng.random((6, n)) < 0.3),
+            rng.standard_normal(6),
+            rng.uniform(0.01, 0.1, 6),
+        )
+        correct(x, P, batch, gate=1e9)
+        H_all.append(batch.H)
+        z_all.append(batch.z)
+        R_all.append(batch.variance)
+    H = np.zeros((30, 5 * n))
+    for k, h in enumerate(H_all):
+        H[6 * k : 6 * k + 6, n * k : n * k + n] = h
+    gain = covariance @ H.T @ np.linalg.inv(H @ covariance @ H.T + np.diag(np.concatenate(R_all)))
+    expected = np.concatenate(mean) + gain @ (np.concatenate(z_all) - H @ np.concatenate(mean))
+    left = covariance - gain @ H @ covariance
+    np.testing.assert_allclose(x, expected[-n:], atol=1e-8)
+    np.testing.assert_allclose(P, left[-n:, -n:], atol=1e-8)
+
+
+def test_a_bias_keeps_its_ensemble_and_the_water_walks() -> None:
+    model = small_model()
+    x, P = model.prior()
+    before = P.copy()
+    for _ in range(50):
+        model.propagate(x, P, 20.0)
+    biases = slice(BIAS, model.north.start)
+    np.testing.assert_allclose(P[biases, biases], before[biases, biases], atol=1e-12)
+    walked = np.diagonal(P[model.east, model.east] - before[model.east, model.east])
+    np.testing.assert_allclose(walked, PARAMETERS.water_change_mps_per_rts**2 * 1000.0)
+
+
+def some_batch(rng: np.random.Generator, model: Model) -> tuple[np.ndarray, np.ndarray, Batch]:
+    x, P = model.prior()
+    H = rng.standard_normal((8, model.size)) * (rng.random((8, model.size)) < 0.5)
+    variance = rng.uniform(0.001, 0.01, 8)
+    S = H @ P @ H.T + np.diag(variance)
+    return x, P, Batch(H, np.linalg.cholesky(S) @ rng.standard_normal(8), variance)
+
+
+def test_a_row_is_judged_by_what_prior_and_neighbours_say_of_it() -> None:
+    """Brute force: predict each row from the belief after all others."""
+    model = small_model()
+    x, P, batch = some_batch(np.random.default_rng(1), model)
+    _, nis = correct(x.copy(), P.copy(), batch, gate=1e9)
+    for i in range(8):
+        others = np.arange(8) != i
+        y, Q = x.copy(), P.copy()
+        correct(y, Q, Batch(*(part[others] for part in batch)), gate=1e9)
+        h = batch.H[i]
+        assert nis[i] == pytest.approx((batch.z[i] - h @ y) ** 2 / (h @ Q @ h + batch.variance[i]), rel=1e-6)
+
+
+def test_outliers_are_taken_out_and_what_is_left_is_as_if_they_had_not_been_there() -> None:
+    model = small_model()
+    u = np.eye(4)
+    H = np.zeros((12, model.size))
+    H[:, VELOCITY] = np.random.default_rng(2).standard_normal((12, 2))
+    batch = Batch(H, H[:, VELOCITY] @ [0.3, -0.2] + 0.001 * np.tile(u[0], 3), np.full(12, 0.01**2))
+    batch.z[[2, 7, 9]] += [0.5, -0.5, 0.1]
+    good = np.array([i not in (2, 7, 9) for i in range(12)])
+    x, P = model.prior()
+    accepted, nis = correct(x, P, batch, gate=10.83)
+    assert accepted.tolist() == good.tolist()
+    assert (nis > 10.83).any()
+    y, Q = model.prior()
+    correct(y, Q, Batch(*(part[good] for part in batch)), gate=1e9)
+    np.testing.assert_allclose(x, y, atol=1e-12)
+    np.testing.assert_allclose(P, Q, atol=1e-12)
+
+
+def test_no_row_at_all_changes_nothing() -> None:
+    model = small_model()
+    x, P = model.prior()
+    accepted, nis = correct(x, P, Batch(np.zeros((0, model.size)), np.zeros(0), np.zeros(0)), gate=1.0)
+    assert len(accepted) == len(nis) == 0
+    np.testing.assert_array_equal(P, model.prior()[1])
+
+
+def calm_ensemble(rng: np.random.Generator, **more: object) -> BeamEnsemble:
+    """One ensemble with directions and depths of its own, nothing measured yet."""
+    u = rng.standard_normal((4, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    values = {
+        "t_ns": 0,
+        "depth_m": 20.0,
+        "direction": u,
+        "velocity_mps": np.zeros((4, 5)),
+        "below_m": rng.uniform(-8, 8, (4, 5)),
+        "good": np.full((4, 5), 0.5),
+        "echo": None,
+        "range_m": 2.0 * np.arange(1, 6),
+        "bottom_mps": np.full(3, np.nan),
+    }
+    return BeamEnsemble(**{**values, **more})
+
+
+def test_a_row_is_the_beam_through_water_that_is_linear_in_depth() -> None:
+    """In a linear profile the triangle does nothing: the cell sees u . (c(z) - v) - u_d w + beta."""
+    rng = np.random.default_rng(4)
+    ensemble = calm_ensemble(rng)
+    model = Model.of(PARAMETERS, np.linspace(5, 35, 11), ensemble.range_m)
+    x = rng.standard_normal(model.size)
+    slope, offset = np.array([0.03, -0.02]), np.array([0.1, 0.4])
+    x[model.north], x[model.east] = (offset[a] + slope[a] * model.depth_m for a in range(2))
+    mask = rng.random((4, 5)) < 0.7
+    batch = beams(model, ensemble, mask, np.linspace(0.01, 0.02, 5), cell_m=2.0)
+    expected, variance = [], []
+    for i in range(4):
+        for j in range(5):
+            if mask[i, j]:
+                u = ensemble.direction[i]
+                c = offset + slope * (20.0 + ensemble.below_m[i, j])
+                bias = x[model.bias_of(i)][j]
+                expected.append(u[:2] @ (c - x[VELOCITY]) - u[2] * x[FALL] + bias)
+                variance.append(1.3 * np.linspace(0.01, 0.02, 5)[j] ** 2 / 0.5)
+    np.testing.assert_allclose(batch.H @ x, expected, atol=1e-12)
+    np.testing.assert_allclose(batch.variance, variance)
+    ground = over_ground(model, ensemble)
+    np.testing.assert_allclose(ground.H @ x, x[VELOCITY])
+
+
+def test_a_cell_is_the_mean_over_twice_its_length_not_the_water_at_its_middle() -> None:
+    """At a kink c = g |z|: exactly g length / 3 by the triangle's integral, g length / 4 by its three points."""
+    ensemble = calm_ensemble(np.random.default_rng(4), below_m=np.zeros((4, 5)))
+    model = Model.of(PARAMETERS, np.linspace(5, 35, 31), ensemble.range_m)
+    x = np.zeros(model.size)
+    x[model.north] = 0.1 * np.abs(model.depth_m - 20.0)
+    batch = beams(model, ensemble, np.ones((4, 5), dtype=bool), np.full(5, 0.01), cell_m=4.0)
+    np.testing.assert_allclose(batch.H @ x, np.repeat(ensemble.direction[:, 0], 5) * 0.1 * 4.0 / 4)
+
+
+def test_noise_is_found_under_bias_and_outliers_and_not_below_the_data_sheet() -> None:
+    rng = np.random.default_rng(5)
+    settings = seen(dive(World(), 0, duration=5.0))[1]
+    sheet = noise.data_sheet_sd(settings)
+    assert sheet == pytest.approx(0.0194 / math.sqrt(10))  # 600 kHz and 2 m: as 1200 kHz and 1 m
+
+    def recorded(count: int) -> list[BeamEnsemble]:
+        made = []
+        for k in range(count):
+            z = 0.02 * rng.standard_normal((4, 5)) + np.array([0.03, 0, 0, -0.01])[:, None]
+            z[rng.random((4, 5)) < 0.01] += 0.6
+            z[:, 3] *= 0.01
+            if k > 20:
+                z[1, 4] = np.nan
+            made.append(calm_ensemble(rng, velocity_mps=z, good=np.ones((4, 5))))
+        return made
+
+    settings = settings._replace(cells=5)
+    sd = noise.beam_sd(recorded(1000), settings, 0.5)
+    np.testing.assert_allclose(sd[:3], 0.02, rtol=0.2)
+    assert sd[3] == sheet  # quieter than it can be
+    assert sd[4] == sd[3]  # too few samples: the cell before
+    few = noise.beam_sd(recorded(20), settings, 0.5)
+    np.testing.assert_allclose(few, 0.02, rtol=0.5)  # all cells together
+    assert (few == few[0]).all()
+    assert (noise.beam_sd(recorded(2), settings, 0.5) == 2 * sheet).all()
+
+
+@pytest.mark.parametrize("pitch_deg", [0.0, -26.0, 26.0])
+def test_the_bottoms_side_lobes_are_cut_off_and_little_else(pitch_deg: float) -> None:
+    """A flat bottom 20 m below: side lobes are in every beam beyond a slant range of 20 m."""
+    a, p = math.radians(30), math.radians(pitch_deg)
+    lying = np.array([[math.sin(a), 0, math.cos(a)], [-math.sin(a), 0, math.cos(a)]])
+    lying = np.vstack([lying, np.array([[0, math.sin(a), math.cos(a)], [0, -math.sin(a), math.cos(a)]])])
+    turned = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
+    u = lying @ turned.T
+    r = (2.94 + 2.0 * np.arange(40)) / math.cos(a)
+    echo = 110 - 1.5 * r + 45 * np.exp(-0.5 * ((r - 20 / u[:, 2:]) / 1.5) ** 2)
+    settings = seen(dive(World(), 0, duration=5.0))[1]._replace(cells=40)
+    ensemble = calm_ensemble(np.random.default_rng(0), direction=u, echo=echo, range_m=r)
+    flattest = u[:, 2].min()
+    reach = reach_m(ensemble, settings)
+    assert 20 * flattest - 8 < reach <= 20 * flattest  # a pulse and the width of the echo are given away
+    silent = ensemble._replace(echo=np.tile(110 - 1.5 * r, (4, 1)))
+    assert reach_m(silent, settings) == reach_m(ensemble._replace(echo=None), settings) == math.inf
+
+
+def test_the_reach_is_that_of_the_flattest_beam_less_a_cell() -> None:
+    """Level, beams at 60 deg of elevation: bottom at 16 m in each is 16 cos 30 below, side lobes reach cos 30 of it."""
+    settings = seen(dive(World(), 0, duration=5.0))[1]._replace(cells=12)
+    k = math.cos(math.radians(30))
+    u = np.array([[0.5, 0, k], [-0.5, 0, k], [0, 0.5, k], [0, -0.5, k]])
+    echo = np.full((4, 12), 60.0)
+    echo[:, 8:] = 90.0
+    level = calm_ensemble(np.random.default_rng(0), direction=u, echo=echo, range_m=2.0 * np.arange(12))
+    assert reach_m(level, settings) == pytest.approx(16 * k * k - 2.0)
+    echo[1, :] = 60.0  # sees no bottom to 22 m
+    h = 4 * k / (3 / 16 + 1 / 22)
+    assert reach_m(level, settings) == pytest.approx(h * h / 22 - 2.0)
+
+
+def test_bad_cells_are_left_out() -> None:
+    settings = seen(dive(World(), 0, duration=5.0))[1]
+    ensemble = calm_ensemble(np.random.default_rng(0), depth_m=3.0, below_m=np.full((4, 5), 2.0))
+    ensemble.velocity_mps[0, 0] = np.nan
+    ensemble.good[1, 1] = 0.4
+    ensemble.below_m[2, 2] = -3.5  # above the surface
+    left_out = ~usable(ensemble, settings, 0.5)
+    assert sorted(zip(*np.nonzero(left_out), strict=True)) == [(0, 0), (1, 1), (2, 2)]
+
+
+def grounded(t_s: list[float], velocity: list[tuple[float, float] | None]) -> list[BeamEnsemble]:
+    rng = np.random.default_rng(0)
+    missing = (math.nan, math.nan)
+    return [
+        calm_ensemble(rng, t_ns=round(t * S), bottom_mps=np.array([*(v or missing), 0.1]))
+        for t, v in zip(t_s, velocity, strict=True)
+    ]
+
+
+def test_truth_is_bottom_track_added_up_and_gaps_are_bridged_linearly() -> None:
+    # v = 0.1 t north, at rest east: t^2 / 20; the fix at 6 s is missing
+    t = [0.0, 2.0, 6.0, 10.0]
+    ground = dead_reckoned(grounded(t, [(0.1 * x, 0.0) if x != 6.0 else None for x in t]))
+    np.testing.assert_allclose(ground.displacement(0, 3), [5.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(ground.displacement(1, 2), [(36 - 4) / 20, 0.0], atol=1e-12)
+
+
+def test_there_is_no_truth_outside_bottom_track_nor_across_a_long_gap() -> None:
+    long = LONGEST_GAP_S + 1
+    t = [0.0, 5.0, 10.0, 15.0, 10 + long, 15 + long, 20 + long]
+    ground = dead_reckoned(grounded(t, [None, (1, 0), (1, 0), None, (1, 0), (1, 0), None]))
+    assert ground.displacement(0, 1) is None
+    assert ground.displacement(1, 3) is None
+    assert ground.displacement(2, 4) is None
+    assert ground.displacement(5, 6) is None
+    np.testing.assert_allclose(ground.displacement(1, 2), [5.0, 0.0])
+    np.testing.assert_allclose(ground.displacement(4, 5), [5.0, 0.0])
+    assert dead_reckoned(grounded([0.0, 5.0], [None, None])).displacement(0, 1) is None
+
+
+def test_starts_are_every_second_ensemble_between_two_and_fourteen_metres() -> None:
+    rng = np.random.default_rng(0)
+    depths = [0.0, 1.9, 2.0, 5.0, 8.0, 11.0, 14.0, 14.1, 3.0]
+    assert study.starts([calm_ensemble(rng, depth_m=z) for z in depths]) == [2, 4, 6]
+
+
+@pytest.mark.parametrize(("metres", "inside"), [(5.9, True), (6.1, False)])
+def test_a_trial_is_graded_at_its_end_by_three_sigma_and_against_the_mean_of_its_fixes(
+    metres: float, inside: bool
+) -> None:
+    """Truth: 0.1 m/s north for 310 s; the fixes say 0.1 and 0.3. The filter is ``metres`` too far east, sigma 2 m."""
+    t = [10.0 * k for k in range(40)]
+    made = grounded(t, [(0.3 if k == 6 else 0.1, 0.0) for k in range(40)])
+    ground = dead_reckoned(made)
+    assert study.window_end(ground, 5) == 35
+    assert study.window_end(ground, 10) is None
+    true = ground.displacement(5, 35)
+    np.testing.assert_allclose(true, [30.0 + 2.0, 0.0], atol=1e-9)
+    N = 31
+    track = Track(
+        t_ns=tuple(e.t_ns for e in made[5:36]),
+        position_m=np.linspace(0, 1, N)[:, None] * (true + np.array([0.0, metres])),
+        position_covariance=np.tile(np.diag([1.0, 4.0]), (N, 1, 1)),
+        velocity_mps=np.zeros((N, 2)),
+        velocity_covariance=np.tile(np.eye(2), (N, 1, 1)),
+        fixes=2,
+        cells_used=0,
+        cells_screened=0,
+        cells_rejected=0,
+        nis=1.0,
+        water=WaterPrior(depth_m=t, north_mps=t, east_mps=t, sd_mps=t, sd_common_mps=0.0),
+    )
+    trial = study.graded(made, ground, track, start=5, end=35, fixes=2)
+    assert trial.error_m == pytest.approx(metres)
+    assert trial.sigma_m == pytest.approx(2.0)
+    assert trial.inside_3_sigma == inside
+    assert trial.after_s == pytest.approx(300.0)
+    assert trial.constant_velocity_error_m == pytest.approx(0.2 * 300 - 32)
+    assert study.graded(made, ground, track, start=5, end=35, fixes=0).constant_velocity_error_m is None
+
+
+def assert_same(one: Track, other: Track) -> None:
+    np.testing.assert_array_equal(one.position_m, other.position_m)
+    np.testing.assert_array_equal(one.position_covariance, other.position_covariance)
+
+
+def test_bottom_track_after_the_fixes_is_truth_and_never_reaches_the_filter() -> None:
+    made = dive(World(), 1, duration=120.0)
+    ensembles, settings = seen(made)
+    instrument = Instrument.of(ensembles, settings, PARAMETERS)
+    track = run(ensembles, instrument, PARAMETERS, fixes=10)
+    blind = [e if k < 10 else e._replace(bottom_mps=np.full(3, np.nan)) for k, e in enumerate(ensembles)]
+    assert_same(track, run(blind, Instrument.of(blind, settings, PARAMETERS), PARAMETERS, fixes=10))
+    assert track.fixes == 10
+    changed = [e if k != 9 else e._replace(bottom_mps=e.bottom_mps + 0.02) for k, e in enumerate(ensembles)]
+    assert (run(changed, instrument, PARAMETERS, fixes=10).position_m[-1] != track.position_m[-1]).any()
+
+
+def test_without_bottom_track_there_is_a_track_that_says_how_little_it_knows() -> None:
+    made = dive(World(), 2, duration=60.0)
+    ensembles, settings = seen(made)
+    track = run(ensembles, Instrument.of(ensembles, settings, PARAMETERS), PARAMETERS, fixes=0)
+    assert track.fixes == 0
+    assert np.isfinite(track.position_m).all()
+    # nothing says how fast the water moves: its prior is the velocity's
+    sd = np.sqrt(track.position_covariance[-1].diagonal())
+    np.testing.assert_allclose(sd, PARAMETERS.water_mean_sd_mps * made.t[-1], rtol=0.1)
+
+
+def test_the_covariance_stays_symmetric_and_definite_and_the_profile_is_the_waters() -> None:
+    made = dive(World(water_change=0.0, outliers=0.0), 4)
+    ensembles, settings = seen(made)
+    track = run(ensembles, Instrument.of(ensembles, settings, PARAMETERS), PARAMETERS, fixes=10)
+    P = track.position_covariance
+    np.testing.assert_allclose(P, P.transpose(0, 2, 1), rtol=1e-9)
+    assert (np.linalg.eigvalsh(P[1:]) > 0).all()
+    assert (np.diff(P[:, 0, 0] + P[:, 1, 1]) > -0.5).all()
+    # where the vehicle has been, the truth is what it says it moved by, less its motion through the water
+    water = track.water
+    assert water.sd_mps.min() > 0
+    assert 0 <= water.sd_common_mps <= water.sd_mps.min()
+    assert np.diff(water.depth_m).min() > 0
+
+
+def test_on_dives_of_a_plausible_sea_half_the_errors_are_below_six_metres_and_three_sigma_holds() -> None:
+    """Sea and instrument err as the parameters' sources say; none of the numbers here has been fitted."""
+    found = np.array([row for seed in range(8) for row in errors(World(), seed, (27.0, 60.0, 110.0))])
+    error, normalised, held = found.T
+    assert np.median(error) <= 6.0
+    assert np.median(error) <= 0.6 * np.median(held)
+    assert (normalised <= 9.0).mean() >= 0.95
+    # and not so wide that nothing could be outside: chi-square of two degrees of freedom has a mean of 2
+    assert normalised.mean() > 0.4
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        World(towards_zero=0.05, towards_zero_sd=0.08),
+        World(mounting_deg=11.0, near_cells=3),
+        World(water_change=0.002),
+        World(wave_amplitude=0.03),
+        World(coordinates=0),
+    ],
+    ids=["ringing", "mounted askew", "quick water", "internal wave", "beam coordinates"],
+)
+def test_in_other_seas_three_sigma_holds_and_constant_velocity_is_beaten(world: World) -> None:
+    found = np.array([row for seed in range(3) for row in errors(world, seed, (27.0, 70.0))])
+    error, normalised, held = found.T
+    assert (normalised <= 9.0).all()
+    assert np.median(error) < 0.6 * np.median(held)
+
+
+def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> None:
+    """The same dives without bias by range: the states for it are not ornament."""
+    believing = replace(PARAMETERS, near_bias_sd_mps=0.0, range_bias_sd_mps=0.0)
+    found = {name: [] for name in (PARAMETERS, believing)}
+    for seed in range(5):
+        made = dive(World(near_bias=0.01, towards_zero=0.15), seed)
+        ensembles, settings = seen(made)
+        a, b = window(made, 40.0)
+        for parameters, rows in found.items():
+            track = run(ensembles[a : b + 1], Instrument.of(ensembles, settings, parameters), parameters, fixes=10)
+            error = track.position_m[-1] - (made.position[b] - made.position[a])
+            rows.append((math.hypot(*error), error @ np.linalg.solve(track.position_covariance[-1], error)))
+    kept, astray = (np.array(rows) for rows in found.values())
+    assert (kept[:, 1] <= 9.0).all()
+    assert np.median(astray[:, 0]) > 1.5 * np.median(kept[:, 0])
+    assert (astray[:, 1] > 9.0).sum() >= 2
+
+
+def test_position_is_the_integral_of_velocity() -> None:
+    made = dive(World(outliers=0.0), 6, duration=100.0)
+    ensembles, settings = seen(made)
+    track = run(ensembles, Instrument.of(ensembles, settings, PARAMETERS), PARAMETERS, fixes=1000)
+    true = made.position - made.position[0]
+    np.testing.assert_allclose(track.position_m, true, atol=1.0)
+    np.testing.assert_allclose(track.velocity_mps, made.velocity, atol=0.03)
+    assert track.t_s[-1] == pytest.approx(made.t[-1])
