@@ -85,7 +85,7 @@ def stretch(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> 
         gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
         if gap > longest_gap_s:
             return k, f"the dive ends at ensemble {ensembles[k - 1].number}: a gap of {gap:.0f} s follows"
-        if ensembles[k].settings != ensembles[first].settings:
+        if not ensembles[k].settings.alike(ensembles[first].settings):
             return k, f"the dive ends at ensemble {ensembles[k - 1].number}: the instrument's settings change there"
     return len(ensembles), ""
 

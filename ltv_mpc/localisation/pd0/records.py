@@ -66,6 +66,11 @@ class Settings(NamedTuple):
     heading_alignment_rad: float
     heading_bias_rad: float
 
+    def alike(self, other: Settings) -> bool:
+        """The same but for where the first cell lies: instruments move it by centimetres with the speed of sound."""
+        near = abs(self.first_cell_m - other.first_cell_m) <= 0.1 * self.cell_m
+        return near and self._replace(first_cell_m=other.first_cell_m) == other
+
 
 class BottomTrack(NamedTuple):
     """Each (4,); in the coordinates of the ensemble, NaN where there is none."""
