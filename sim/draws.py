@@ -22,6 +22,9 @@ class Stream(enum.IntEnum):
     ADCP_PINGS = 305
     PRESSURE = 306
     COMPASS = 307
+    BOTTOM_TRACK = 308
+    LBL = 309
+    USBL = 310
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:

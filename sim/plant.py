@@ -1,7 +1,8 @@
 """The plant: the true vehicle in the true water, with its actuators' gate.
 
 Before t = 0 it is afloat: thrusts zero, its depth kept, drifting with the surface's water. From then on it follows the
-plans that its gate lets through. Steps of 10 ms; the command is linear over a step.
+plans that its gate lets through. Steps of 10 ms; the command is linear over a step. It knows no sea bed: a vehicle that
+goes deeper than the water's ``bottom_m`` goes on below it, where the sensors find no bed.
 """
 
 from __future__ import annotations

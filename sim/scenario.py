@@ -29,6 +29,19 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     pass
 
 
+class Feature(_Table, frozen=True, kw_only=True):
+    """What is on top of the current and no filter has been told of; ``kind`` says which of the keys are read."""
+
+    kind: Literal["none", "front", "step", "waves"] = "none"
+    step_mps: Annotated[float, Meta(ge=-2, le=2)] = 0.1  # front, step: by how much the water's velocity changes
+    direction_rad: Annotated[float, Meta(ge=-6.2832, le=6.2832)] = 0.0  # towards which, from north
+    at_s: Annotated[float, Meta(ge=-1e5, le=1e6)] = 100.0  # front: vehicle time of the middle of its passage
+    width_s: Annotated[float, Meta(ge=1, le=1e5)] = 10.0  # front: how long it takes to pass
+    at_m: Annotated[float, Meta(ge=0.5, le=2000)] = 20.0  # step: depth of its middle
+    amplitude_mps: Annotated[float, Meta(ge=0, le=2)] = 0.05  # waves: at the surface and at water.deepest_m
+    period_s: Annotated[float, Meta(ge=20, le=1e5)] = 600.0  # waves: some minutes at least, the buoyancy period
+
+
 class Water(_Table, frozen=True, kw_only=True):
     """The current over depth: a seeded Gauss-Markov profile, or a measured one."""
 
@@ -40,6 +53,8 @@ class Water(_Table, frozen=True, kw_only=True):
     cell_m: Annotated[float, Meta(gt=0, le=100)] = 1.0
     file: str = ""  # a currents CSV, where kind is "measured"
     change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # each cell's random walk in time
+    bottom_m: Annotated[float, Meta(gt=0, le=12_000)] | None = None  # flat sea bed, for sound only; None: out of reach
+    feature: Feature = Feature()
 
 
 class Mismatch(_Table, frozen=True, kw_only=True):
@@ -128,6 +143,12 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
     if water.kind == "markov" and water.file:
         problem = 'is not read where kind = "markov": set kind = "measured", or file = ""'
         raise ConfigError(source, "[water] file", problem, value=water.file)
+    if water.bottom_m is not None and water.bottom_m <= scenario.plant.depth_m:
+        problem = f"must be below where the vehicle starts, [plant] depth_m = {scenario.plant.depth_m:g}"
+        raise ConfigError(source, "[water] bottom_m", problem, value=water.bottom_m)
+    if water.feature.kind == "none" and water.feature != Feature():
+        problem = 'must be "front", "step" or "waves" where another key of its table is set'
+        raise ConfigError(source, "[water.feature] kind", problem, value="none")
     for table, deepest_m, cell_m, most in (
         ("water", water.deepest_m, water.cell_m, MOST_WATER_CELLS),
         ("estimator", estimator.deepest_m, estimator.cell_m, MOST_ESTIMATOR_CELLS),

@@ -1,18 +1,21 @@
 """Acoustic Doppler current profiler: four beams down, cells along each.
 
 Beams   e_1,2 = [+-sin a, 0, cos a] ahead and astern,  e_3,4 = [0, +-sin a, cos a] to starboard and to port, in the
-        instrument's own axes, which are the body's but for M
+        instrument's own axes;  M = M_err M_nominal turns them into the body's
 Cells   slant range r_j = blanking + (j + 1/2) cell, as many as end within the range
 Truth   d_i = R M e_i (NED),  z_ij = z + (R l)_down + r_j d_i,down,  v_t = v + R (w x l)
         b_ij = d_i . ([c(z_ij), 0] - v_t)        positive away from the vehicle; the water moves horizontally
+Bottom  Each beam's side lobes also look straight down: their echo off the sea bed, at the slant range of the
+        transducer's altitude h, drowns the water's. Cells with r_j > h give nothing (NaN), nor does a transducer below
+        the bed (h <= 0), which is flat
 Errors  + b_i + n_i exp(-r_j / length)           of each beam, constant through the run
         + N(0, sd^2)                             white, each cell
         +- outlier                               on a share of the cells; a share of the beams gives nothing (NaN)
 
-M is what is left of the mounting: the instrument sits askew by m ~ N(0, mounting_sd^2) about each axis, is calibrated
-to m + k with k ~ N(0, known_to^2), and is turned back by that, M = exp(m) exp(-(m + k)). A cell's mean of the current
-is taken at its centre: with cells of 1 m in a column of 1 m steps and 8 m of correlation length the two differ by at
-most 9 % of the current's sd, 1.2 mm/s along a beam where the white noise is 10 to 19.
+M_err is what is left of the mounting: the instrument sits askew by m ~ N(0, mounting_sd^2) about each body axis, is
+calibrated to m + k with k ~ N(0, known_to^2), and is turned back by that, M_err = exp(m) exp(-(m + k)).
+A cell's mean of the current is taken at its centre: with cells of 1 m in a column of 1 m steps and 8 m of correlation
+length the two differ by at most 9 % of the current's sd, 1.2 mm/s along a beam where the white noise is 10 to 19.
 """
 
 from __future__ import annotations
@@ -22,32 +25,48 @@ import math
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.frames import rotation_exp
+from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.localisation.suite import Adcp
 from ltv_mpc.signals import AdcpPing, Array, Triple
 from sim.draws import Stream, generator
+from sim.sensors.injected import Injected, Mask
 from sim.sensors.instant import Instant
 from sim.water.column import WaterColumn, velocity_at
 
 
-class Profiler:
-    """``ranges_m`` (K,) of the cells' centres."""
+class Instrument:
+    """What its pings at the water and at the sea bed have in common: transducers, mounting, biases of one device."""
 
-    def __init__(self, settings: Adcp, water: WaterColumn, seed: int) -> None:
-        """Mounting and biases are drawn once, from a stream of their own; noise, gaps and outliers at each ping."""
-        self._settings, self._water = settings, water
+    def __init__(self, settings: Adcp, seed: int) -> None:
+        """Mounting and biases are drawn once, from a stream of their own."""
+        self.settings = settings
+        draws = generator(seed, Stream.ADCP_INSTRUMENT)
+        askew = settings.mounting_sd_rad * draws.standard_normal(3)
+        calibrated = askew + settings.mounting_known_to_rad * draws.standard_normal(3)
+        self.misalignment: Array = rotation_exp(askew) @ rotation_exp(-calibrated)  # M_err
+        self.mounting: Array = self.misalignment @ rotation(*settings.mounting_rad)  # M
+        self.beam_bias_mps: Array = settings.beam_bias_sd_mps * draws.standard_normal(4)
+        self.near_bias_mps: Array = settings.near_bias_sd_mps * draws.standard_normal(4)
+        self.beams: Array = beams(settings.beam_angle_rad) @ self.mounting.T  # (4, 3), body
+
+
+class Profiler:
+    """``ranges_m`` (K,) of the cells' centres; ``bias_mps`` (4, K). What else is true of it is the instrument's."""
+
+    def __init__(self, instrument: Instrument, water: WaterColumn, seed: int, bottom_m: float | None = None) -> None:
+        """Noise, gaps and outliers are drawn at each ping; ``bottom_m`` is the sea bed's depth, None out of reach."""
+        settings = self._settings = instrument.settings
+        self._water, self._bottom_m = water, math.inf if bottom_m is None else bottom_m
         cells = math.floor((settings.range_m - settings.blanking_m) / settings.cell_m + 1e-9)
         self.ranges_m: Array = settings.blanking_m + (np.arange(cells, dtype=np.float64) + 0.5) * settings.cell_m
         self._draws = generator(seed, Stream.ADCP_PINGS)
-        instrument = generator(seed, Stream.ADCP_INSTRUMENT)
-        askew = settings.mounting_sd_rad * instrument.standard_normal(3)
-        calibrated = askew + settings.mounting_known_to_rad * instrument.standard_normal(3)
-        self.mounting = rotation_exp(askew) @ rotation_exp(-calibrated)
-        bias = settings.beam_bias_sd_mps * instrument.standard_normal(4)
-        near = settings.near_bias_sd_mps * instrument.standard_normal(4)
-        self.bias_mps = bias[:, None] + near[:, None] * np.exp(-self.ranges_m / settings.near_bias_length_m)
-        self._beams = beams(settings.beam_angle_rad) @ self.mounting.T
-        self._lever = np.array(settings.lever_arm_m)
+        self.mounting = instrument.mounting
+        self.beam_bias_mps, self.near_bias_mps = instrument.beam_bias_mps, instrument.near_bias_mps
+        fading = np.exp(-self.ranges_m / settings.near_bias_length_m)
+        self.bias_mps = self.beam_bias_mps[:, None] + self.near_bias_mps[:, None] * fading
+        self.outliers: Mask = np.zeros((4, cells), dtype=bool)  # of the last ping
+        self.injected = Injected()
+        self._beams, self._lever = instrument.beams, np.array(settings.lever_arm_m)
 
     def sample(self, now: Instant) -> list[AdcpPing]:
         """One ping."""
@@ -71,11 +90,12 @@ class Profiler:
         silent = self._draws.random(4) < settings.missing_share
         wild = self._draws.random(shape)
         velocity += self.bias_mps + settings.beam_noise_sd_mps * noise
-        velocity += settings.outlier_mps * (
-            (wild < 0.5 * settings.outlier_share).astype(np.float64)
-            - (wild > 1.0 - 0.5 * settings.outlier_share).astype(np.float64)
-        )
+        up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
+        self.outliers = up | down
+        self.injected.put(now.t_ns, self.outliers)
+        velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))
         velocity[silent] = np.nan
+        velocity[:, self.ranges_m > self._bottom_m - now.point_m(settings.lever_arm_m)[2]] = np.nan
         return [AdcpPing(t_ns=now.t_ns, range_m=self.ranges_m, beam_velocity_mps=velocity)]
 
 

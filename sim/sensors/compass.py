@@ -19,6 +19,11 @@ class MagneticCompass:
         self._bias = Drift(settings.bias_sd_rad, settings.bias_tau_s, 1, self._draws)
         self._last_ns: int | None = None
 
+    @property
+    def bias_rad(self) -> float:
+        """True bias of the last heading."""
+        return float(self._bias.value[0])
+
     def sample(self, now: Instant) -> list[CompassHeading]:
         """Heading now."""
         noise = self._sd * float(self._draws.standard_normal())

@@ -1,6 +1,6 @@
 """Satellite position and velocity, while the vehicle is afloat: t <= 0.
 
-p_m = p + N(0, sd_p^2),  v_m = v + N(0, sd_v^2),  north and east, white from fix to fix
+p_m = p + R l + N(0, sd_p^2),  v_m = v + R (w x l) + N(0, sd_v^2),  north and east, white from fix to fix
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from sim.sensors.instant import Instant
 
 
 class Receiver:
-    """Its antenna is at the vehicle's origin."""
+    """Of its antenna, at lever arm l of the vehicle."""
 
     def __init__(self, settings: Gnss, seed: int) -> None:
         """Noise is drawn from the receiver's own stream."""
@@ -22,14 +22,16 @@ class Receiver:
         """A fix, as long as there are satellites."""
         if now.t_ns > 0:
             return []
+        lever = self._settings.lever_arm_m
+        antenna, velocity = now.point_m(lever), now.point_velocity_mps(lever)
         p, q, v, w = self._draws.standard_normal(4).tolist()
         sd_m, sd_mps = self._settings.position_sd_m, self._settings.velocity_sd_mps
         return [
             GnssFix(
                 t_ns=now.t_ns,
-                north_m=now.position_m[0] + sd_m * p,
-                east_m=now.position_m[1] + sd_m * q,
-                velocity_north_mps=now.velocity_mps[0] + sd_mps * v,
-                velocity_east_mps=now.velocity_mps[1] + sd_mps * w,
+                north_m=antenna[0] + sd_m * p,
+                east_m=antenna[1] + sd_m * q,
+                velocity_north_mps=velocity[0] + sd_mps * v,
+                velocity_east_mps=velocity[1] + sd_mps * w,
             )
         ]

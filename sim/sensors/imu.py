@@ -39,6 +39,16 @@ class InertialUnit:
         self._earth_rate = earth_rate(latitude_rad) if settings.senses_earth_rate else np.zeros(3)
         self._last: Instant | None = None
 
+    @property
+    def gyro_bias_radps(self) -> Array:
+        """True bias of the last sample, (3,)."""
+        return self._gyro.value
+
+    @property
+    def accelerometer_bias_mps2(self) -> Array:
+        """True bias of the last sample, (3,)."""
+        return self._accelerometer.value
+
     def sample(self, now: Instant) -> list[ImuSample]:
         """The mean over the interval that ends now."""
         last, self._last = self._last, now

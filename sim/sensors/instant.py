@@ -7,6 +7,7 @@ w = phi / h; position and velocity are linear (at 100 Hz and 0.3 m/s2 that is of
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import rotation, rotation_exp, rotation_log
@@ -22,6 +23,14 @@ class Instant(msgspec.Struct, frozen=True, eq=False):
     rotation: Array  # (3, 3)
     angular_rate_radps: Array  # (3,), mean over the interval between the truths around it
     heading_rate_radps: float
+
+    def point_m(self, lever_m: Triple) -> Triple:
+        """Where the vehicle's point ``lever_m`` (FRD) is: p + R l, NED."""
+        return _plus(self.position_m, self.rotation @ np.array(lever_m))
+
+    def point_velocity_mps(self, lever_m: Triple) -> Triple:
+        """How it moves over ground: v + R (w x l), NED."""
+        return _plus(self.velocity_mps, self.rotation @ np.cross(self.angular_rate_radps, lever_m))
 
 
 class Motion:
@@ -49,6 +58,11 @@ class Motion:
             self._rate,
             a.yaw_rate_radps + s * (b.yaw_rate_radps - a.yaw_rate_radps),
         )
+
+
+def _plus(a: Triple, b: Array) -> Triple:
+    x, y, z = b.tolist()
+    return a[0] + x, a[1] + y, a[2] + z
 
 
 def _mix(a: Triple, b: Triple, s: float) -> Triple:

@@ -2,35 +2,44 @@
 
 A sensor's sample times are whole multiples of its period, whatever the truth's are; the truth is interpolated to them.
 The first truth only opens the first interval, which is closed on both sides.
+A message is kept until it arrives, its sensor's latency after it is valid, and is published at the first truth that is
+not before that: with no latency at the truth that closes its interval. What is published at one truth is in the order
+of validity; of one validity, in the order of the list of sensors. What has not arrived when the run ends is lost.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.node import Inbox, OnMessage, Phases
 from ltv_mpc.signals import (
     AdcpPing,
+    BottomTrack,
     CompassHeading,
     Estimate,
     GnssFix,
     ImuSample,
+    LblRange,
     PressureDepth,
     Signal,
     TdcpFix,
     Truth,
+    UsblFix,
 )
 from sim.scenario import Scenario
-from sim.sensors.adcp import Profiler
+from sim.sensors.adcp import Instrument, Profiler
+from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.gnss import Receiver
 from sim.sensors.imu import InertialUnit
 from sim.sensors.instant import Instant, Motion
+from sim.sensors.lbl import Transceiver, arrival_ns
 from sim.sensors.perfect import PerfectState
 from sim.sensors.pressure import Gauge
 from sim.sensors.tdcp import CarrierPhase
+from sim.sensors.usbl import Ship
 from sim.water import WaterColumn
 
 
@@ -42,8 +51,17 @@ class Sensor(Protocol):
         ...
 
 
+class _OnTheWay(NamedTuple):
+    """A message that has not been published yet."""
+
+    t_ns: int  # of validity
+    order: int  # of its sensor
+    arrival_ns: int
+    signal: Signal
+
+
 class Sensors:
-    """Reads ``Truth``; writes every sensor's messages, and ``Estimate`` where the scenario asks for a perfect one."""
+    """Reads ``Truth``; writes the messages of every sensor there is, and ``Estimate`` where a perfect one is wanted."""
 
     name = "sensors"
     schedule = OnMessage((Truth,))
@@ -51,26 +69,48 @@ class Sensors:
 
     def __init__(self, scenario: Scenario, suite: Suite, water: WaterColumn) -> None:
         """Each sensor draws from its own stream of the scenario's seed."""
-        seed = scenario.run.seed
-        self.writes: tuple[type[Signal], ...] = (ImuSample, GnssFix, TdcpFix, AdcpPing, PressureDepth, CompassHeading)
+        seed, bottom_m = scenario.run.seed, scenario.water.bottom_m
+        writes: list[type[Signal]] = []
         # In this order they speak at one instant: the IMU's interval is over before anyone measures at its end.
-        self._sensors: list[tuple[Phases, Sensor]] = [
-            (Phases(suite.imu.period_ns), InertialUnit(suite.imu, suite.latitude_rad, seed)),
-            (Phases(suite.gnss.period_ns), Receiver(suite.gnss, seed)),
-            (Phases(suite.tdcp.period_ns), CarrierPhase(suite.tdcp, seed)),
-            (Phases(suite.adcp.period_ns), Profiler(suite.adcp, water, seed)),
-            (Phases(suite.pressure.period_ns), Gauge(suite.pressure, seed)),
-            (Phases(suite.compass.period_ns), MagneticCompass(suite.compass, seed)),
-        ]
+        self._sensors: list[tuple[Phases, Sensor]] = []
+        self._latencies_ns: list[int] = []
+
+        def mount(kind: type[Signal], period_ns: int, sensor: Sensor, latency_ns: int = 0) -> None:
+            writes.append(kind)
+            self._sensors.append((Phases(period_ns), sensor))
+            self._latencies_ns.append(latency_ns)
+
+        imu, gnss, tdcp, adcp = suite.imu, suite.gnss, suite.tdcp, suite.adcp
+        instrument = Instrument(adcp, seed)
+        mount(ImuSample, imu.period_ns, InertialUnit(imu, suite.latitude_rad, seed))
+        mount(GnssFix, gnss.period_ns, Receiver(gnss, seed), gnss.latency_ns)
+        mount(TdcpFix, tdcp.period_ns, CarrierPhase(tdcp, seed, gnss.lever_arm_m), tdcp.latency_ns)
+        mount(AdcpPing, adcp.period_ns, Profiler(instrument, water, seed, bottom_m), adcp.latency_ns)
+        if (bed := suite.bottom_track) is not None:
+            mount(BottomTrack, bed.period_ns, BottomTracker(bed, instrument, bottom_m, seed), bed.latency_ns)
+        mount(PressureDepth, suite.pressure.period_ns, Gauge(suite.pressure, seed), suite.pressure.latency_ns)
+        mount(CompassHeading, suite.compass.period_ns, MagneticCompass(suite.compass, seed), suite.compass.latency_ns)
+        if (usbl := suite.usbl) is not None:
+            mount(UsblFix, usbl.period_ns, Ship(usbl, seed), usbl.latency_ns)
+        self._lbl: Transceiver | None = None
+        if (lbl := suite.lbl) is not None:
+            self._lbl = Transceiver(lbl, seed)
+            mount(LblRange, lbl.period_ns, self._lbl)
         if scenario.run.perfect_state:
-            self.writes = (*self.writes, Estimate)
             estimator = scenario.estimator
-            self._sensors.append((Phases(estimator.estimate_period_ns), PerfectState(estimator, water)))
+            mount(Estimate, estimator.estimate_period_ns, PerfectState(estimator, water))
+        self.writes: tuple[type[Signal], ...] = tuple(writes)
+        self._on_the_way: list[_OnTheWay] = []
         self._last: Truth | None = None
         self._sampled_ns = 0
 
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors, in the order in which they speak at one instant."""
+        return tuple(sensor for _, sensor in self._sensors)
+
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each truth carries its own)
-        """What was measured since the last truth, in order of time."""
+        """What has arrived since the last truth, in order of validity."""
         signals: list[Signal] = []
         for arrival in inbox:
             if isinstance(arrival.signal, Truth) and (self._last is None or arrival.signal.t_ns > self._last.t_ns):
@@ -89,7 +129,16 @@ class Sensors:
             for t in phases.between(after_ns, truth.t_ns)
         ]
         due.sort(key=lambda entry: entry[:2])
-        signals: list[Signal] = []
-        for t, _, sensor in due:
-            signals += sensor.sample(motion.at(t))
-        return signals
+        for t, order, sensor in due:
+            arrives_ns = t + self._latencies_ns[order]
+            self._on_the_way += [_OnTheWay(t, order, arrives_ns, signal) for signal in sensor.sample(motion.at(t))]
+        if self._lbl is not None:
+            answers = self._lbl.answers(motion, truth.t_ns)
+            self._on_the_way += [_OnTheWay(x.t_ns, len(self._sensors), arrival_ns(x), x) for x in answers]
+        return self._arrived(truth.t_ns)
+
+    def _arrived(self, until_ns: int) -> list[Signal]:
+        here = [message for message in self._on_the_way if message.arrival_ns <= until_ns]
+        self._on_the_way = [message for message in self._on_the_way if message.arrival_ns > until_ns]
+        here.sort(key=lambda message: message[:2])
+        return [message.signal for message in here]

@@ -1,4 +1,4 @@
-"""Depth from pressure: z_m = z + N(0, sd^2), white; afloat it may read a little above the surface."""
+"""Depth from pressure: z_m = z + (R l)_down + N(0, sd^2), white; afloat it may read a little above the surface."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from sim.sensors.instant import Instant
 
 
 class Gauge:
-    """At the vehicle's origin."""
+    """At lever arm l of the vehicle."""
 
     def __init__(self, settings: Pressure, seed: int) -> None:
         """Noise is drawn from the gauge's own stream."""
-        self._sd, self._draws = settings.depth_sd_m, generator(seed, Stream.PRESSURE)
+        self._settings, self._draws = settings, generator(seed, Stream.PRESSURE)
 
     def sample(self, now: Instant) -> list[PressureDepth]:
         """Depth now."""
-        return [
-            PressureDepth(t_ns=now.t_ns, depth_m=now.position_m[2] + self._sd * float(self._draws.standard_normal()))
-        ]
+        noise = self._settings.depth_sd_m * float(self._draws.standard_normal())
+        return [PressureDepth(t_ns=now.t_ns, depth_m=now.point_m(self._settings.lever_arm_m)[2] + noise)]

@@ -1,12 +1,12 @@
-"""Time-differenced carrier phase: the change of position since the epoch before, while the vehicle is afloat: t <= 0.
+"""Time-differenced carrier phase: the antenna's change of position since the epoch before, while afloat: t <= 0.
 
-d_m = p(t) - p(t - period) + N(0, sd^2),  north and east, white from fix to fix
+d_m = a(t) - a(t - period) + N(0, sd^2),  a = p + R l,  north and east, white from fix to fix
 """
 
 from __future__ import annotations
 
 from ltv_mpc.localisation.suite import Tdcp
-from ltv_mpc.signals import TdcpFix
+from ltv_mpc.signals import TdcpFix, Triple
 from sim.draws import Stream, generator
 from sim.sensors.instant import Instant
 
@@ -14,24 +14,27 @@ from sim.sensors.instant import Instant
 class CarrierPhase:
     """Two epochs make the first fix: a surface phase of 1 s at 1 Hz has one, at t = 0."""
 
-    def __init__(self, settings: Tdcp, seed: int) -> None:
-        """Noise is drawn from its own stream."""
+    def __init__(self, settings: Tdcp, seed: int, antenna_m: Triple = (0.0, 0.0, 0.0)) -> None:
+        """Noise is drawn from its own stream; ``antenna_m`` is the satellite receiver's lever arm."""
         self._sd, self._draws = settings.displacement_sd_m, generator(seed, Stream.TDCP)
-        self._last: Instant | None = None
+        self._antenna = antenna_m
+        self._last: tuple[int, Triple] | None = None
 
     def sample(self, now: Instant) -> list[TdcpFix]:
         """The way since the last epoch, as long as there are satellites."""
         if now.t_ns > 0:
             return []
-        last, self._last = self._last, now
+        here = now.point_m(self._antenna)
+        last, self._last = self._last, (now.t_ns, here)
         if last is None:
             return []
+        from_ns, there = last
         p, q = self._draws.standard_normal(2).tolist()
         return [
             TdcpFix(
                 t_ns=now.t_ns,
-                from_t_ns=last.t_ns,
-                north_m=now.position_m[0] - last.position_m[0] + self._sd * p,
-                east_m=now.position_m[1] - last.position_m[1] + self._sd * q,
+                from_t_ns=from_ns,
+                north_m=here[0] - there[0] + self._sd * p,
+                east_m=here[1] - there[1] + self._sd * q,
             )
         ]

@@ -1,24 +1,33 @@
-"""The true water: seeded and synthetic, or measured."""
+"""The true water: seeded and synthetic, or measured; and what happens in it."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import Array
 from sim.draws import Stream, generator
 from sim.scenario import Water
 from sim.water import markov, measured
 from sim.water.column import WaterColumn
+from sim.water.features import Feature
 
 __all__ = ["WaterColumn", "make"]
 
 
 def make(water: Water, seed: int) -> WaterColumn:
     """The column that ``water`` describes; the same for all who ask with the same seed. Raises ``ConfigError``."""
+    depth, velocity = _profile(water, seed)
+    feature = None if water.feature.kind == "none" else Feature(water)
+    return WaterColumn(depth, velocity, change_mps_per_rts=water.change_mps_per_rts, seed=seed, feature=feature)
+
+
+def _profile(water: Water, seed: int) -> tuple[Array, Array]:
+    """Depths (K,) and velocities (K, 2) at t = 0, without any feature."""
     if water.kind == "measured":
         if not water.file:
             raise ConfigError("scenario", "[water] file", 'must name a currents CSV where kind = "measured"')
-        return measured.load(water.file, change_mps_per_rts=water.change_mps_per_rts, seed=seed)
+        return measured.read(water.file)
     depth = markov.depths(water.deepest_m, water.cell_m)
     axes = [
         markov.series(
@@ -31,4 +40,4 @@ def make(water: Water, seed: int) -> WaterColumn:
         )
         for stream in (Stream.WATER_NORTH, Stream.WATER_EAST)
     ]
-    return WaterColumn(depth, np.column_stack(axes), change_mps_per_rts=water.change_mps_per_rts, seed=seed)
+    return depth, np.column_stack(axes)

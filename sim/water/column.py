@@ -4,11 +4,13 @@ c(z, t) = [north, east] (m/s), linear in z between cells, constant above the fir
 Slow change: each cell and axis walks at random in time, c_k(t) = c_k(0) + q W_k(t), with q in m/s per sqrt(s) and W_k
 a Wiener process, sampled every second and linear between. W is a pure function of seed and whole second, so every
 process that makes this column from the same seed has the same water; W(0) = 0, before it the walk runs backwards.
+A feature is added to that, with depths of its own between the cells, and likewise sampled every second.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import Protocol
 
 import numpy as np
 
@@ -47,35 +49,66 @@ class _Walk:
         return self._kept[second]
 
 
+class Overlay(Protocol):
+    """What a column adds to itself."""
+
+    steady: bool  # the same at all times
+
+    def depths(self, own_m: Array) -> Array:
+        """All depths that column and overlay together bend at, strictly increasing, shape (K,)."""
+        ...
+
+    def velocity(self, depth_m: Array, t_s: float) -> Array:
+        """North and east velocity (m/s) on top at each depth, shape (K, 2)."""
+        ...
+
+
 class WaterColumn:
     """The true current. ``depth_m`` (K,) strictly increasing, ``velocity_mps`` (K, 2) north and east at t = 0."""
 
-    def __init__(self, depth_m: Array, velocity_mps: Array, *, change_mps_per_rts: float = 0.0, seed: int = 0) -> None:
-        """Without ``change_mps_per_rts`` the column stands still and draws nothing."""
-        self._depth = np.ascontiguousarray(depth_m, dtype=np.float64)
-        self._base = np.ascontiguousarray(velocity_mps, dtype=np.float64)
-        if self._base.shape != (len(self._depth), 2) or len(self._depth) == 0:
-            raise ValueError(f"depths {self._depth.shape} and velocities {self._base.shape} do not match")
-        self._still = change_mps_per_rts == 0.0
-        cells = len(self._depth)
+    def __init__(
+        self,
+        depth_m: Array,
+        velocity_mps: Array,
+        *,
+        change_mps_per_rts: float = 0.0,
+        seed: int = 0,
+        feature: Overlay | None = None,
+    ) -> None:
+        """Without ``change_mps_per_rts`` the column draws nothing; without a feature that changes it stands still."""
+        self._own_depth = np.ascontiguousarray(depth_m, dtype=np.float64)
+        self._own = np.ascontiguousarray(velocity_mps, dtype=np.float64)
+        if self._own.shape != (len(self._own_depth), 2) or len(self._own_depth) == 0:
+            raise ValueError(f"depths {self._own_depth.shape} and velocities {self._own.shape} do not match")
+        self._feature = feature
+        self._depth = self._own_depth if feature is None else feature.depths(self._own_depth)
+        self._walks = change_mps_per_rts != 0.0
+        self._still = not self._walks and (feature is None or feature.steady)
+        cells = len(self._own_depth)
         self._after = _Walk(seed, Stream.WATER_CHANGE_AFTER, cells, change_mps_per_rts)
         self._before = _Walk(seed, Stream.WATER_CHANGE_BEFORE, cells, change_mps_per_rts)
         self._second = 0
-        self._ends = (self._base, self._base) if self._still else (self._sample(0), self._sample(1))
+        first = self._sample(0)
+        self._ends = (first, first) if self._still else (first, self._sample(1))
 
     @property
     def depth_m(self) -> Array:
-        """Depth of each cell's centre, shape (K,)."""
+        """Depths between which the current is linear: each cell's centre, and a feature's, shape (K,)."""
         return self._depth
 
     def _sample(self, second: int) -> Array:
-        walk = self._after.at(second) if second >= 0 else self._before.at(-second)
-        return self._base + walk
+        c = self._own
+        if self._walks:
+            c = c + (self._after.at(second) if second >= 0 else self._before.at(-second))
+        if self._feature is None:
+            return c
+        north, east = (np.interp(self._depth, self._own_depth, axis) for axis in c.T)
+        return np.column_stack([north, east]) + self._feature.velocity(self._depth, float(second))
 
     def between(self, t_ns: int) -> tuple[Array, Array, float]:
         """Velocities (K, 2) at the whole seconds around ``t_ns``, and the share of the later one, for kernels."""
         if self._still:
-            return self._base, self._base, 0.0
+            return self._ends[0], self._ends[0], 0.0
         second = t_ns // KNOT_NS
         if second != self._second:
             self._second, self._ends = second, (self._sample(second), self._sample(second + 1))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.currents import read_profile
-from sim.water.column import WaterColumn
+from ltv_mpc.signals import Array
 
 
-def load(file: str, *, change_mps_per_rts: float = 0.0, seed: int = 0) -> WaterColumn:
-    """The file's column. Raises ``ConfigError``."""
+def read(file: str) -> tuple[Array, Array]:
+    """The file's depths (K,) and velocities north and east, (K, 2). Raises ``ConfigError``."""
     profile = read_profile(file)
-    velocity = np.column_stack([profile.north_mps, profile.east_mps])
-    return WaterColumn(profile.depth_m, velocity, change_mps_per_rts=change_mps_per_rts, seed=seed)
+    return profile.depth_m, np.column_stack([profile.north_mps, profile.east_mps])

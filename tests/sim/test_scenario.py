@@ -27,6 +27,16 @@ def test_an_assignment_changes_its_key_and_nothing_else() -> None:
     assert overridden(after, back) == before
 
 
+def test_a_bed_and_a_feature_are_set_by_their_keys_and_read_back(tmp_path: Path) -> None:
+    wanted = ["water.bottom_m=35", "water.feature.kind=front", "water.feature.step_mps=-0.2"]
+    scenario = checked(overridden(Scenario.load("descent"), wanted), source="x")
+    assert (scenario.water.bottom_m, scenario.water.feature.kind) == (35.0, "front")
+    assert scenario.water.feature.step_mps == -0.2
+    (tmp_path / "again.toml").write_text(config.to_toml(scenario))
+    assert Scenario.load(str(tmp_path / "again.toml")) == scenario
+    assert Scenario.load("descent").water.bottom_m is None
+
+
 def test_of_two_assignments_to_one_key_the_last_wins() -> None:
     assert overridden(Scenario.load("descent"), ["run.seed=1", "run.seed=2"]).run.seed == 2
 
@@ -40,6 +50,12 @@ def test_of_two_assignments_to_one_key_the_last_wins() -> None:
         ("run.seed=1\nrun.speed=3", "must be an integer"),
         ("run.perfect_state=yes", '[run] perfect_state = "yes": must be true or false'),
         ("=", 'option --set: "": unknown key'),
+        ("water.bottom_m=0", "[water] bottom_m = 0: must be > 0 and <= 12000"),
+        ("water.bottom_m=deep", '[water] bottom_m = "deep": must be a number > 0 and <= 12000'),
+        ("water.feature.kind=eddy", 'must be "front" or "none" or "step" or "waves"'),
+        ("water.feature.period_s=5", "[water.feature] period_s = 5: must be >= 20 and <= 100000"),
+        ("water.feature.width_s=0.5", "[water.feature] width_s = 0.5: must be >= 1 and <= 100000"),
+        ("water.feature=front", "is a table: set one of water.feature.kind, "),
     ],
 )
 def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: str) -> None:
@@ -58,6 +74,14 @@ def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: s
         (
             ["estimator.deepest_m=2000"],
             "[estimator] cell_m = 1.0: must be <= deepest_m = 2000, and at least 4: at most 500",
+        ),
+        (
+            ["water.bottom_m=12", "plant.depth_m=12"],
+            "[water] bottom_m = 12.0: must be below where the vehicle starts, [plant] depth_m = 12",
+        ),
+        (
+            ["water.feature.step_mps=0.2"],
+            '[water.feature] kind = "none": must be "front", "step" or "waves" where another key of its table is set',
         ),
         (["controller.period_s=5.5"], "[controller] period_s = 5.5: must be <= horizon_s = 5"),
     ],

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ltv_mpc import frames
 from ltv_mpc.localisation.suite import Suite
 from sim.scenario import Water
-from sim.sensors.adcp import Profiler
+from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.instant import Instant
 from sim.water import WaterColumn, make
 
@@ -31,8 +31,12 @@ def instant(roll=0.0, pitch=0.0, heading=0.0, *, depth=5.0, velocity=(0.0, 0.0, 
     return Instant(0, (1.0, 2.0, depth), velocity, frames.rotation(roll, pitch, heading), np.array(rate), 0.0)
 
 
-def ping(settings, water, now, seed=0):
-    (message,) = Profiler(settings, water, seed).sample(now)
+def profiler_of(settings, water=STILL, seed=0, bottom_m=None) -> Profiler:
+    return Profiler(Instrument(settings, seed), water, seed, bottom_m)
+
+
+def ping(settings, water, now, seed=0, bottom_m=None):
+    (message,) = profiler_of(settings, water, seed, bottom_m).sample(now)
     return message
 
 
@@ -100,7 +104,7 @@ def test_each_beam_samples_the_depth_that_its_own_direction_reaches():
 
 def errors(settings, seed: int, pings: int) -> np.ndarray:
     """Measured minus error-free, (pings, 4, K)."""
-    profiler = Profiler(settings, STILL, seed)
+    profiler = profiler_of(settings, seed=seed)
     return np.array([profiler.sample(instant())[0].beam_velocity_mps for _ in range(pings)])
 
 
@@ -122,13 +126,13 @@ def test_the_papers_profiler_has_no_bias_gap_or_outlier():
     assert not np.isnan(rows).any()
     assert np.abs(rows).max() < 5.5 * 0.01
     assert np.abs(rows.mean(axis=0)).max() < 4.5 * 0.01 / math.sqrt(800)
-    np.testing.assert_allclose(Profiler(PAPER, STILL, 3).mounting, np.eye(3), atol=0)
+    np.testing.assert_allclose(profiler_of(PAPER, seed=3).mounting, np.eye(3), atol=0)
 
 
 def test_over_many_instruments_the_realistic_biases_have_the_tables_size():
     seeds = 400
-    bias = np.array([Profiler(REALISTIC, STILL, seed).bias_mps for seed in range(seeds)])
-    r = Profiler(REALISTIC, STILL, 0).ranges_m
+    bias = np.array([profiler_of(REALISTIC, seed=seed).bias_mps for seed in range(seeds)])
+    r = profiler_of(REALISTIC).ranges_m
     expected = np.sqrt(0.005**2 + (0.015 * np.exp(-r / 3.0)) ** 2)
     np.testing.assert_allclose(bias.std(axis=(0, 1)), expected, rtol=4 / math.sqrt(8 * seeds))
     np.testing.assert_allclose(bias.mean(axis=(0, 1)), 0.0, atol=4 * expected.max() / math.sqrt(4 * seeds))
@@ -138,7 +142,7 @@ def test_over_many_instruments_the_realistic_biases_have_the_tables_size():
 
 def test_an_instruments_bias_stays_through_the_run():
     settings = msgspec.structs.replace(REALISTIC, missing_share=0.0, outlier_share=0.0)
-    profiler = Profiler(settings, STILL, 7)
+    profiler = profiler_of(settings, seed=7)
     level = msgspec.structs.replace(settings, mounting_sd_rad=0.0, mounting_known_to_rad=0.0)
     rows = errors(level, 7, 1500)
     np.testing.assert_allclose(rows.mean(axis=0), profiler.bias_mps, atol=4.5 * 0.0194 / math.sqrt(1500))
@@ -159,7 +163,7 @@ def test_two_percent_of_the_beams_are_silent_and_one_percent_of_the_cells_wild()
 
 
 def test_what_is_left_of_the_mounting_is_what_the_calibration_does_not_know():
-    left = np.array([Rotation.from_matrix(Profiler(REALISTIC, STILL, s).mounting).as_rotvec() for s in range(500)])
+    left = np.array([Rotation.from_matrix(Instrument(REALISTIC, s).misalignment).as_rotvec() for s in range(500)])
     known_to = math.radians(0.3)
     np.testing.assert_allclose(left.std(axis=0), known_to, rtol=4.5 / math.sqrt(1000))
     np.testing.assert_allclose(left.mean(axis=0), 0.0, atol=4.5 * known_to / math.sqrt(500))
@@ -167,11 +171,62 @@ def test_what_is_left_of_the_mounting_is_what_the_calibration_does_not_know():
 
 def test_an_instrument_askew_about_the_vertical_turns_the_waters_velocity_the_other_way():
     settings = exact(mounting_known_to_rad=0.2, lever_arm_m=(0.0, 0.0, 0.0))
-    profiler = Profiler(settings, WaterColumn(np.array([0.0]), np.array([[0.3, 0.0]])), 5)
+    profiler = profiler_of(settings, WaterColumn(np.array([0.0]), np.array([[0.3, 0.0]])), 5)
     beams = profiler.sample(instant())[0].beam_velocity_mps
     axes = np.array([[S20, 0, C20], [-S20, 0, C20], [0, S20, C20], [0, -S20, C20]])
     seen = np.linalg.lstsq(axes, beams[:, 0], rcond=None)[0]
     np.testing.assert_allclose(seen, profiler.mounting.T @ [0.3, 0.0, 0.0], atol=1e-9)
+
+
+def test_a_profiler_turned_by_an_eighth_looks_between_the_bows_and_the_beam():
+    """Ahead and to starboard at half a metre a second: beam 1, at 45 deg, sees all of it; beams 3 and 4 nothing."""
+    ahead = 0.5 * math.sqrt(0.5)
+    settings = exact(mounting_rad=(0.0, 0.0, math.pi / 4))
+    beams = ping(settings, STILL, instant(velocity=(ahead, ahead, 0.0))).beam_velocity_mps
+    np.testing.assert_allclose(beams[:, 2], [-0.5 * S20, 0.5 * S20, 0.0, 0.0], atol=1e-9)
+
+
+def test_nominal_mounting_turns_the_axes_by_roll_pitch_and_yaw_before_the_misalignment_does():
+    settings = exact(mounting_rad=(0.2, -0.4, 1.1), mounting_known_to_rad=0.05, lever_arm_m=(0.0, 0.0, 0.0))
+    instrument = Instrument(settings, 4)
+    assert np.abs(instrument.misalignment - np.eye(3)).max() > 0.01
+    v = np.array([0.4, -0.3, 0.2])
+    message = ping(settings, STILL, instant(velocity=tuple(v)), seed=4)
+    axes = np.array([[S20, 0, C20], [-S20, 0, C20], [0, S20, C20], [0, -S20, C20]])
+    nominal = Rotation.from_euler("ZYX", [1.1, -0.4, 0.2])
+    in_body = nominal.apply(axes) @ instrument.misalignment.T
+    np.testing.assert_allclose(message.beam_velocity_mps[:, 0], -in_body @ v, atol=1e-9)
+    np.testing.assert_allclose(profiler_of(settings, seed=4).mounting, instrument.misalignment @ nominal.as_matrix())
+
+
+def test_cells_beyond_the_altitude_are_lost_in_the_side_lobes_echo_off_the_bed():
+    """Transducer at 5.3 m, bed at 15: cells of the realistic profiler are centred at 0.9, 1.9, ... and 9.7 m is far."""
+    settings = exact(lever_arm_m=(0.5, 0.0, 0.3))
+    heard = ~np.isnan(ping(settings, STILL, instant(), bottom_m=15.0).beam_velocity_mps)
+    np.testing.assert_array_equal(heard, np.tile(np.arange(14) + 0.9 <= 9.7, (4, 1)))
+    assert heard.sum() == 4 * 9
+    # Pitched up by 0.3 rad it is only 0.3 cos 0.3 - 0.5 sin 0.3 = 0.139 m below the origin, 10.021 m above the bed
+    heard = ~np.isnan(ping(settings, STILL, instant(pitch=0.3), bottom_m=15.16).beam_velocity_mps)
+    np.testing.assert_array_equal(heard, np.tile(np.arange(14) + 0.9 <= 10.021, (4, 1)))
+    assert heard.sum() == 4 * 10
+    assert not np.isnan(ping(settings, STILL, instant(), bottom_m=None).beam_velocity_mps).any()
+
+
+@pytest.mark.parametrize("depth", [14.7, 15.0, 40.0])
+def test_a_profiler_at_or_below_the_bed_hears_nothing(depth):
+    message = ping(exact(lever_arm_m=(0.0, 0.0, 0.3)), STILL, instant(depth=depth), bottom_m=15.0)
+    assert np.isnan(message.beam_velocity_mps).all()
+
+
+def test_outliers_are_told_by_the_pings_own_time():
+    settings = msgspec.structs.replace(exact(), beam_noise_sd_mps=1e-6, outlier_share=0.2, outlier_mps=0.5)
+    profiler = profiler_of(settings, seed=8)
+    pings = [profiler.sample(msgspec.structs.replace(instant(), t_ns=k))[0] for k in range(30)]
+    for message in pings:
+        mask = profiler.injected.at(message.t_ns)
+        np.testing.assert_array_equal(mask, np.abs(message.beam_velocity_mps) > 0.25)
+    assert profiler.injected.at(30) is None
+    np.testing.assert_array_equal(profiler.outliers, profiler.injected.at(29))
 
 
 def test_no_settings_value_moves_the_noise_of_the_pings():

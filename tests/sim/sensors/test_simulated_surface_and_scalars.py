@@ -18,6 +18,7 @@ from sim.sensors.tdcp import CarrierPhase
 
 SUITES = [Suite.load(name) for name in ("paper", "realistic")]
 S = 1_000_000_000
+NORTH, EAST = frames.rotation(0.0, 0.0, 0.0), frames.rotation(0.0, 0.0, math.pi / 2)
 COUNT = 6000
 SIGMA = 4.5 / math.sqrt(COUNT)
 """4.5 of the estimate's own standard deviations, in units of the noise's."""
@@ -62,6 +63,35 @@ def test_satellites_are_gone_once_the_descent_has_begun():
     assert len(phase.sample(instant(0))) == 1
     assert receiver.sample(instant(1)) == []
     assert phase.sample(instant(S)) == []
+
+
+def test_an_antenna_on_a_mast_is_fixed_where_it_is_and_moves_as_it_swings():
+    """Heading east, 2 m ahead of the origin and 1.5 m above it, rolling at 0.2 rad/s and turning at 0.1 rad/s."""
+    quiet = msgspec.structs.replace(SUITES[0].gnss, position_sd_m=1e-12, velocity_sd_mps=1e-12)
+    now = Instant(0, (3.0, -4.0, 0.0), (0.1, -0.2, 0.0), EAST, np.array([0.2, 0.0, 0.1]), 0.0)
+    (fix,) = Receiver(msgspec.structs.replace(quiet, lever_arm_m=(2.0, 0.0, -1.5)), 3).sample(now)
+    assert (fix.north_m, fix.east_m) == pytest.approx((3.0, -4.0 + 2.0), abs=1e-9)
+    # To starboard (south): 0.1 x 2 of the turn, 0.2 x 1.5 of the roll, which throws a masthead to starboard
+    assert (fix.velocity_north_mps, fix.velocity_east_mps) == pytest.approx((0.1 - 0.2 - 0.3, -0.2), abs=1e-9)
+
+
+def test_carrier_phase_follows_the_antenna_through_a_turn():
+    """The origin stays, the heading goes from north to east: an antenna 2 m ahead goes 2 m south and 2 m east."""
+    phase = CarrierPhase(msgspec.structs.replace(SUITES[0].tdcp, displacement_sd_m=1e-12), 3, (2.0, 0.0, -1.5))
+    north, east = (
+        Instant(t, (3.0, -4.0, 0.0), (0.0, 0.0, 0.0), R, np.zeros(3), 0.0) for t, R in ((-S, NORTH), (0, EAST))
+    )
+    phase.sample(north)
+    (fix,) = phase.sample(east)
+    assert (fix.from_t_ns, fix.t_ns) == (-S, 0)
+    assert (fix.north_m, fix.east_m) == pytest.approx((-2.0, 2.0), abs=1e-9)
+
+
+def test_a_gauge_in_the_tail_is_deeper_when_the_nose_is_up():
+    settings = msgspec.structs.replace(SUITES[0].pressure, depth_sd_m=1e-12, lever_arm_m=(-0.8, 0.0, 0.1))
+    up = Instant(0, (0.0, 0.0, 12.0), (0.0, 0.0, 0.0), frames.rotation(0.0, 0.2, 1.0), np.zeros(3), 0.0)
+    (depth,) = Gauge(settings, 3).sample(up)
+    assert depth.depth_m == pytest.approx(12.0 + 0.8 * math.sin(0.2) + 0.1 * math.cos(0.2), abs=1e-9)
 
 
 @pytest.mark.parametrize("suite", SUITES, ids=lambda s: s.name)

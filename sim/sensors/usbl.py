@@ -1,0 +1,48 @@
+"""Ultra-short baseline: a ship at the surface measures where the vehicle's beacon is, and sends it down.
+
+Beacon  a = p + R l;  ship S = [north, east, 0], known without error
+Truth   a north and east; its depth the vehicle knows better
+Errors  + N(0, sd_p^2 + (sd_bearing |a - S|)^2)        north and east, white: an angle's grows with the slant range
+        +- outlier                                     on a share of either: a reflection taken for the beacon
+Lost    a share of the fixes; all while the beacon is out of the water
+The message arrives ``latency_ns`` after its validity: the sound's way up, the ship's sums, and the telegram down.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.localisation.suite import Usbl
+from ltv_mpc.signals import UsblFix
+from sim.draws import Stream, generator
+from sim.sensors.injected import Injected
+from sim.sensors.instant import Instant
+
+
+class Ship:
+    """``injected`` has the outliers (2,) of each fix."""
+
+    def __init__(self, settings: Usbl, seed: int) -> None:
+        """Noise, gaps and outliers are drawn at each fix."""
+        self._settings, self._draws = settings, generator(seed, Stream.USBL)
+        self.injected = Injected()
+
+    def sample(self, now: Instant) -> list[UsblFix]:
+        """Where the ship takes the beacon to be now."""
+        settings = self._settings
+        # Everything is drawn at every fix, so that no setting moves another's numbers.
+        noise = self._draws.standard_normal(2)
+        lost = self._draws.random() < settings.missing_share
+        wild = self._draws.random(2)
+        beacon = now.point_m(settings.lever_arm_m)
+        if lost or beacon[2] <= 0.0:
+            return []
+        slant = math.dist(beacon, (*settings.ship_m, 0.0))
+        up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
+        self.injected.put(now.t_ns, up | down)
+        error = math.hypot(settings.position_sd_m, settings.bearing_sd_rad * slant) * noise
+        error += settings.outlier_m * (up.astype(np.float64) - down.astype(np.float64))
+        north, east = error.tolist()
+        return [UsblFix(t_ns=now.t_ns, north_m=beacon[0] + north, east_m=beacon[1] + east)]

@@ -1,0 +1,114 @@
+"""The sensors files under examples/: each is read, and measures; and what a file may name as its base."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from ltv_mpc.admission import refusal
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.node import Arrival
+from ltv_mpc.signals import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
+from sim.scenario import Scenario, overridden
+from sim.sensors.node import Sensors
+from sim.water import make
+
+EXAMPLES = Path(__file__).parents[3] / "examples" / "sensors"
+REALISTIC = Suite.load("realistic")
+
+
+def load(name: str) -> Suite:
+    return Suite.load(str(EXAMPLES / f"{name}.toml"))
+
+
+def test_every_file_here_is_one_of_these():
+    assert {x.stem for x in EXAMPLES.iterdir()} == {"bottom_track", "lbl", "own_adcp", "usbl"}
+
+
+@pytest.mark.parametrize("name", ["bottom_track", "lbl", "usbl"])
+def test_an_example_of_one_more_sensor_is_the_realistic_suite_and_that_table(name):
+    suite = load(name)
+    assert suite.name == name
+    assert getattr(suite, name) is not None
+    back = msgspec.structs.replace(suite, **{name: None}, name="realistic", description=REALISTIC.description)
+    assert back == REALISTIC
+
+
+def test_the_example_of_an_own_profiler_differs_where_it_says_so():
+    suite = load("own_adcp")
+    own = {
+        "mounting_rad": (0.0, 0.0, pytest.approx(math.radians(45.0))),
+        "mounting_known_to_rad": pytest.approx(math.radians(0.1)),
+        "lever_arm_m": (-0.6, 0.15, 0.4),
+        "latency_ns": 200_000_000,
+    }
+    for field in REALISTIC.adcp.__struct_fields__:
+        assert getattr(suite.adcp, field) == own.get(field, getattr(REALISTIC.adcp, field)), field
+    assert (suite.imu, suite.compass, suite.tdcp) == (REALISTIC.imu, REALISTIC.compass, REALISTIC.tdcp)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "late_ns"),
+    [
+        ("bottom_track", BottomTrack, 0),
+        ("lbl", LblRange, 110_000_000),
+        ("usbl", UsblFix, 800_000_000),
+        ("own_adcp", AdcpPing, 200_000_000),
+    ],
+)
+def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
+    scenario = overridden(Scenario.load("hover"), ["water.bottom_m=35"])
+    node = Sensors(scenario, load(name), make(scenario.water, 0))
+    seen = 0
+    for k, t in enumerate(range(-1_000_000_000, 12_000_000_000, 50_000_000)):
+        truth = Truth(
+            t_ns=t,
+            position_m=(0.0, 0.0, 20.0),
+            velocity_mps=(0.0, 0.0, 0.0),
+            attitude_rad=(0.0, 0.0, 0.0),
+            water_velocity_mps=(0.0, 0.0, 0.0),
+            yaw_rate_radps=0.0,
+            current_mps=(0.0, 0.0),
+            thrust_N=(0.0, 0.0, 0.0),
+        )
+        for message in node.step(t, [Arrival(truth, 1, k, t)]):
+            assert refusal(message) is None
+            if isinstance(message, kind):
+                seen += 1
+                # LBL: half of 0.21 s after the middle, but for outliers
+                assert late_ns - 20_000_000 <= t - message.t_ns < late_ns + 70_000_000
+    assert seen >= 4
+
+
+@pytest.mark.parametrize(
+    ("base", "says"),
+    [
+        ('"realistc"', 'own.toml: base = "realistc": no shipped name; shipped: paper, realistic; did you mean'),
+        ('"./mine.toml"', 'own.toml: base = "./mine.toml": must be the name of a shipped suite'),
+        ('"realistic.toml"', 'own.toml: base = "realistic.toml": must be the name of a shipped suite'),
+        ("3", "own.toml: base = 3: must be the name of a shipped suite"),
+    ],
+)
+def test_a_base_is_a_shipped_suite_and_nothing_else(tmp_path, base, says):
+    (tmp_path / "own.toml").write_text(f'base = {base}\nname = "own"\n')
+    with pytest.raises(ConfigError) as error:
+        Suite.load(str(tmp_path / "own.toml"))
+    assert says in str(error.value)
+
+
+def test_keys_on_top_of_a_base_are_judged_as_any_others(tmp_path):
+    for text, says in (
+        ("[adcp]\nmountng_rad = [0.0, 0.0, 0.0]", 'unknown key "mountng_rad" in [adcp]; did you mean "mounting_rad"?'),
+        ("[usbl]\nperiod_ns = 2_000_000_000", 'key "latency_ns" in [usbl] is missing'),
+        ("[adcp]\nlatency_ns = 2_000_000_000", "[adcp] latency_ns = 2000000000: must be >= 0 and <= 1000000000"),
+        ("[pressure]\nlever_arm_m = [0.0, 0.0]", "[pressure] lever_arm_m"),
+        ("[lbl]\ntransponders_m = []", "[lbl] transponders_m"),
+    ):
+        (tmp_path / "own.toml").write_text(f'base = "realistic"\nname = "own"\n{text}\n')
+        with pytest.raises(ConfigError) as error:
+            Suite.load(str(tmp_path / "own.toml"))
+        assert says in str(error.value)

@@ -1,0 +1,227 @@
+"""The sensors node with late sensors and with those that not every vehicle has: when things are said, and by whom."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.admission import refusal
+from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.node import Arrival
+from ltv_mpc.signals import (
+    AdcpPing,
+    BottomTrack,
+    CompassHeading,
+    GnssFix,
+    ImuSample,
+    LblRange,
+    PressureDepth,
+    TdcpFix,
+    Truth,
+    UsblFix,
+    to_wire,
+)
+from sim.scenario import Scenario, overridden
+from sim.sensors.lbl import Transceiver
+from sim.sensors.node import Sensors
+from sim.water import make
+
+MS, S = 1_000_000, 1_000_000_000
+encode = msgspec.json.Encoder(enc_hook=to_wire).encode
+PLAIN = Suite.load("realistic")
+LBL = Lbl(
+    period_ns=S,
+    transponders_m=((300.0, 0.0, 60.0), (0.0, -500.0, 60.0), (0.0, 100.0, 60.0)),
+    sound_speed_mps=1500.0,
+    sound_speed_sd_mps=2.0,
+    range_sd_m=0.5,
+    missing_share=0.0,
+    outlier_share=0.0,
+    outlier_m=0.0,
+)
+USBL = Usbl(
+    period_ns=500 * MS,
+    latency_ns=800 * MS,
+    ship_m=(60.0, -40.0),
+    position_sd_m=1.0,
+    bearing_sd_rad=0.01,
+    missing_share=0.0,
+    outlier_share=0.0,
+    outlier_m=0.0,
+)
+BED = BottomTracking(
+    period_ns=333_333_333,
+    range_m=20.0,
+    beam_noise_sd_mps=0.0015,
+    missing_share=0.0,
+    outlier_share=0.0,
+    outlier_mps=0.0,
+)
+
+
+def scenario(*settings: str) -> Scenario:
+    return overridden(Scenario.load("descent"), ["run.seed=4", *settings])
+
+
+def truths(from_ns=-S, until_ns=3 * S, step_ns=10 * MS, depth=20.0) -> list[Truth]:
+    """A vehicle that goes slowly ahead at one depth, and rolls."""
+    return [
+        Truth(
+            t_ns=t,
+            position_m=(0.3e-9 * t, 0.0, depth),
+            velocity_mps=(0.3, 0.0, 0.0),
+            attitude_rad=(0.02 * math.sin(2e-9 * t), 0.0, 0.1),
+            water_velocity_mps=(0.3, 0.0, 0.0),
+            yaw_rate_radps=0.0,
+            current_mps=(0.0, 0.0),
+            thrust_N=(0.0, 0.0, 0.0),
+        )
+        for t in range(from_ns, until_ns + 1, step_ns)
+    ]
+
+
+def said(suite: Suite, world: list[Truth], settings: Scenario | None = None) -> list[tuple[int, object]]:
+    """(when it was published, message) in order."""
+    settings = settings or scenario()
+    node = Sensors(settings, suite, make(settings.water, settings.run.seed))
+    out = []
+    for k, truth in enumerate(world):
+        for message in node.step(truth.t_ns, [Arrival(truth, 1, k, truth.t_ns)]):
+            assert type(message) in node.writes
+            assert refusal(message) is None
+            out.append((truth.t_ns, message))
+    return out
+
+
+def late(suite: Suite, **latencies_ms: int) -> Suite:
+    tables = {
+        name: msgspec.structs.replace(getattr(suite, name), latency_ns=ms * MS) for name, ms in latencies_ms.items()
+    }
+    return msgspec.structs.replace(suite, **tables)
+
+
+LATENCIES = {"adcp": 137, "pressure": 20, "gnss": 255, "tdcp": 1000, "compass": 400, "bottom_track": 333, "usbl": 800}
+KINDS = {
+    "adcp": AdcpPing,
+    "pressure": PressureDepth,
+    "gnss": GnssFix,
+    "tdcp": TdcpFix,
+    "compass": CompassHeading,
+    "bottom_track": BottomTrack,
+    "usbl": UsblFix,
+}
+
+
+@pytest.mark.parametrize("step_ns", [10 * MS, 40 * MS])
+def test_a_late_sensor_says_the_same_at_the_first_truth_that_is_not_before_its_latency(step_ns):
+    suite = late(msgspec.structs.replace(PLAIN, bottom_track=BED, usbl=USBL), usbl=0)
+    world = truths(step_ns=step_ns)
+    at_once, delayed = said(suite, world), said(late(suite, **LATENCIES), world)
+    assert all(at - step_ns < m.t_ns <= at for at, m in at_once if m.t_ns > -S)
+    latency = defaultdict(int, {KINDS[name]: ms * MS for name, ms in LATENCIES.items()})
+    expected = defaultdict(list)
+    for _, m in at_once:
+        arrives = m.t_ns + latency[type(m)]
+        at = max(-(-arrives // step_ns) * step_ns, -S + step_ns)  # the first truth only opens the first interval
+        if at <= world[-1].t_ns:
+            expected[type(m)].append((at, encode(m)))
+    for kind in {type(m) for _, m in at_once}:
+        assert [(at, encode(m)) for at, m in delayed if type(m) is kind] == expected[kind]
+    assert set(expected) == {ImuSample, *KINDS.values()}
+    together = defaultdict(list)
+    for at, m in delayed:
+        together[at].append(m.t_ns)
+    assert all(times == sorted(times) for times in together.values())  # whatever the order of their arrivals
+
+
+def test_what_arrives_at_one_instant_is_told_in_order_of_validity():
+    suite = late(msgspec.structs.replace(PLAIN, usbl=USBL), compass=1000, pressure=500)
+    at_zero = [m for at, m in said(suite, truths()) if at == 0]
+    # the compass of -1 s, pressure of -0.5 s, then what is measured now, in the order of the list
+    assert [(type(m), m.t_ns) for m in at_zero] == [
+        (CompassHeading, -S),
+        (PressureDepth, -500 * MS),
+        (ImuSample, 0),
+        (GnssFix, 0),
+        (TdcpFix, 0),
+        (AdcpPing, 0),
+    ]
+
+
+def test_an_answer_is_told_when_it_is_heard():
+    """A detour of up to 60 m is 80 ms more: those who answered by way of the surface are heard so much later."""
+    wild = msgspec.structs.replace(LBL, range_sd_m=1e-9, outlier_share=0.5, outlier_m=60.0)
+    suite = msgspec.structs.replace(PLAIN, lbl=wild)
+    world = truths()
+    ranges = [(at, m) for at, m in said(suite, world) if isinstance(m, LblRange)]
+    assert [m.transponder for _, m in ranges] == [2, 0, 1] * 4  # near ones first
+    calls = []
+    for at, m in ranges:
+        heard = m.t_ns + 0.5e9 * m.travel_time_s
+        assert at - 10 * MS < heard <= at
+        calls.append(m.t_ns - 0.5e9 * m.travel_time_s)
+    np.testing.assert_allclose(calls, np.repeat(np.arange(-1, 3) * S, 3), atol=2)
+    times = {m.transponder: m.travel_time_s for _, m in ranges}
+    for j, direct in enumerate((0.404, 0.669, 0.144)):
+        assert direct - 0.005 < times[j] < direct + 0.085
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "kind"),
+    [("bottom_track", BED, BottomTrack), ("lbl", LBL, LblRange), ("usbl", USBL, UsblFix)],
+)
+def test_a_sensor_that_is_there_speaks_and_changes_no_other_sensors_numbers(name, table, kind):
+    with_it = msgspec.structs.replace(PLAIN, **{name: table})
+    world = truths()
+    bed = scenario("water.bottom_m=39")
+    before, after = said(PLAIN, world, bed), said(with_it, world, bed)
+    assert [(at, encode(m)) for at, m in before] == [(at, encode(m)) for at, m in after if type(m) is not kind]
+    assert any(type(m) is kind for _, m in after)
+    settings = scenario()
+    water = make(settings.water, settings.run.seed)
+    assert set(Sensors(settings, with_it, water).writes) - set(Sensors(settings, PLAIN, water).writes) == {kind}
+    again = said(with_it, world, scenario("run.seed=5", "water.bottom_m=39"))
+    assert [encode(m) for _, m in again if type(m) is kind] != [encode(m) for _, m in after if type(m) is kind]
+
+
+def test_carrier_phase_is_that_of_the_receivers_antenna():
+    """On a mast of 10 m it goes to and fro with the roll, by the sine of its change."""
+    mast = msgspec.structs.replace(PLAIN, gnss=msgspec.structs.replace(PLAIN.gnss, lever_arm_m=(0.0, 0.0, -10.0)))
+    world = truths(from_ns=-3 * S, until_ns=0)
+    on_hull, on_mast = ([m for _, m in said(x, world) if isinstance(m, TdcpFix)] for x in (PLAIN, mast))
+    for a, b in zip(on_hull, on_mast, strict=True):
+        roll_from, roll = (0.02 * math.sin(2e-9 * t) for t in (b.from_t_ns, b.t_ns))
+        to_starboard = 10.0 * (math.sin(roll) - math.sin(roll_from))
+        assert abs(to_starboard) > 0.01
+        assert b.north_m - a.north_m == pytest.approx(-math.sin(0.1) * to_starboard, abs=1e-9)
+        assert b.east_m - a.east_m == pytest.approx(math.cos(0.1) * to_starboard, abs=1e-9)
+
+
+def test_the_nodes_sensors_can_be_asked_for_what_is_true_of_them():
+    settings = scenario()
+    node = Sensors(settings, msgspec.structs.replace(PLAIN, lbl=LBL), make(settings.water, 4))
+    (transceiver,) = [x for x in node.sensors if isinstance(x, Transceiver)]
+    assert transceiver.sound_speed_mps == Transceiver(LBL, 4).sound_speed_mps != 1500.0
+    assert len(node.sensors) == len(node.writes) == 7
+
+
+def test_a_vehicle_at_rest_above_a_bed_finds_it_and_loses_the_cells_beyond():
+    """Transducer at 20.3 m, bed at 32: cells of the realistic profiler at 0.9 to 10.9 m are this side of 11.7 m."""
+    level = msgspec.structs.replace(PLAIN.adcp, mounting_known_to_rad=0.0, missing_share=0.0, outlier_share=0.0)
+    suite = msgspec.structs.replace(PLAIN, adcp=level, bottom_track=BED)
+    rest = [msgspec.structs.replace(x, velocity_mps=(0.0, 0.0, 0.0), attitude_rad=(0.0, 0.0, 0.1)) for x in truths()]
+    messages = [m for _, m in said(suite, rest, scenario("water.bottom_m=32"))]
+    pings = [m for m in messages if isinstance(m, AdcpPing)]
+    tracks = [m for m in messages if isinstance(m, BottomTrack)]
+    assert [m.t_ns for m in pings] == [m.t_ns for m in tracks]
+    for ping, track in zip(pings, tracks, strict=True):
+        np.testing.assert_array_equal(np.isnan(ping.beam_velocity_mps), np.tile(np.arange(14) >= 11, (4, 1)))
+        np.testing.assert_allclose(track.range_m, 11.7 / math.cos(math.radians(20)))
+        assert np.abs(track.beam_velocity_mps).max() < 5 * 0.0015
+    without = [m for _, m in said(suite, rest) if isinstance(m, AdcpPing | BottomTrack)]
+    for m in without:
+        assert np.isnan(m.beam_velocity_mps).all() == isinstance(m, BottomTrack)
