@@ -55,6 +55,7 @@ SLANT_RANGE = Range(0, 10_000, "m")
 SPEED = Range(-100, 100, "m/s")
 CURRENT = Range(-20, 20, "m/s")
 SD = Range(0, 1e6, "m/s")
+WALK = Range(0, 1e6, "m/s per sqrt(s)")
 TRAVEL_TIME = Range(0, 60, "s")
 FACTOR = Range(0, 1e12, "a factor")
 ANGLE = Range(-1e4, 1e4, "rad; headings may be unwrapped")
@@ -110,7 +111,7 @@ RANGES: Mapping[type, dict[str, Range]] = {
     LblRange: {"t_ns": TIME, "transponder": COUNT, "travel_time_s": TRAVEL_TIME},
     UsblFix: {"t_ns": TIME, "north_m": POSITION, "east_m": POSITION},
     SensorReport: {"used": COUNT, "nis": FACTOR, "last_t_ns": TIME},
-    LocalisationReport: {"t_ns": TIME, "restarts": COUNT, "water_adapted": FACTOR},
+    LocalisationReport: {"t_ns": TIME, "restarts": COUNT, "water_walk_mps_per_rts": WALK},
     CurrentProfile: {"depth_m": DEPTH, "north_mps": CURRENT, "east_mps": CURRENT, "sd_mps": SD},
     Estimate: {
         "t_ns": TIME,

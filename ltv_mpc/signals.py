@@ -197,6 +197,7 @@ class FilterStatus(enum.StrEnum):
     """How far the localisation filter can be believed."""
 
     NOMINAL = "nominal"
+    ADAPTING = "adapting"  # its water changes as nothing foretold: it has granted the water a walk of its own
     INCONSISTENT = "inconsistent"  # its innovations are larger or smaller than it says
     RESTARTED = "restarted"  # begun anew from its last good position, less than the grace time ago
 
@@ -228,7 +229,7 @@ class LocalisationReport(Signal, frozen=True, kw_only=True, eq=False):
     status: FilterStatus
     why: str  # empty while nominal
     restarts: int  # of the filter, so far
-    water_adapted: float  # factor on the process noise of the water that innovations have asked for; 1: none
+    water_walk_mps_per_rts: float  # granted to the water beyond the settings, because innovations asked for it; 0: none
     sensors: tuple[SensorReport, ...]
 
 

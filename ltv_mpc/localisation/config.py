@@ -20,6 +20,13 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     current_change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # slow random walk of each cell in time
     cell_m: Annotated[float, Meta(gt=0, le=100)] = 1.0
     deepest_m: Annotated[float, Meta(gt=0, le=2000)] = 70.0
+    # How far behind the vehicle, above or below, cells are kept, besides those that a beam or a plan may reach. 70 m is
+    # all that a descent to 40 m ever sees. Cost grows as the square of what is kept.
+    kept_m: Annotated[float, Meta(ge=0, le=2000)] = 70.0
+    water_prior: str = ""  # a profile saved earlier, CSV with sd_mps and sd_common_mps; empty: the prior above
+    # By how much the water may have changed since, at each depth: an assumption, a quarter of current_sd_mps.
+    water_prior_change_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.01
+    adapts_to_water: bool = True  # grants water that changes in unforeseen ways a walk of its own (``adaptation.py``)
     afloat_acceleration_sd_mps2: Annotated[float, Meta(ge=0, le=10)] = 0.005  # horizontal, while it levels itself
     gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
 

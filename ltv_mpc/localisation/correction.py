@@ -1,9 +1,11 @@
-"""One Kalman update of a belief by the rows of one message, with an innovation gate.
+"""One Kalman update by the rows of one message, with an innovation gate: of a covariance, and of a belief.
 
 S = H P H^T + R,  each row passes if residual_i^2 / S_ii <= gate;  of those that pass, with S = L L^T, W = L^-1 H P:
     error = W^T L^-1 residual,   P := P - W^T W
-then P is carried over to the estimate that has moved (``turning.py``). W^T W is formed once and mirrored, so P stays
-symmetric to the last bit. H is sparse: H P costs m w n, not m n^2.
+``weigh`` says what the rows tell of the error, ``reduce`` what then is left of the covariance, ``update`` does both on
+any P; ``correct`` moves a belief by the error and carries P over to the estimate that has moved (``turning.py``).
+Exact   P is symmetric to the last bit: one triangle is reckoned, the other written from it tile by tile.
+Cost    H is sparse: H P costs m w n, S m^2 w, W m^2 n, W^T W m n^2 / 2; then one pass over P.
 """
 
 from __future__ import annotations
@@ -18,8 +20,14 @@ from scipy.linalg.lapack import dpotrf
 from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import Belief
-from ltv_mpc.localisation.turning import turn_with_heading
+from ltv_mpc.localisation.turning import HEADING, swing
 from ltv_mpc.signals import Array
+
+_FEW = 4
+"""Rows up to which W^T W is formed in the pass over P itself: a call of the library for it would be another pass."""
+
+_TILE = 32
+"""Two tiles of P, 16 kB, stay in the innermost cache while one becomes the other's transpose."""
 
 
 class Correction(NamedTuple):
@@ -27,7 +35,11 @@ class Correction(NamedTuple):
 
     accepted: npt.NDArray[np.bool_]
     nis: Array
-    definite: bool  # S was positive definite; if not, the belief has not been touched and must not be trusted
+    S: Array  # (m, m), of all rows
+    definite: bool  # S was positive definite; if not, nothing has been touched, and P must not be trusted
+    error: Array  # (n,), of the estimate: what is to be added to it; zero if no row passed
+    told: Array  # (n,), diagonal of W^T W: by how much the variances become less
+    square: float  # r^T S^-1 r of the rows that passed
 
 
 @kernel
@@ -56,34 +68,91 @@ def _project(P: Array, state: npt.NDArray[np.int64], partial: Array, variance: A
 
 
 @kernel
-def _mirror(P: Array) -> None:
-    """The upper triangle becomes the lower one."""
-    for i in range(P.shape[0]):
-        for j in range(i):
-            P[i, j] = P[j, i]
+def _pass(P: Array, W: Array, a: Array, b: Array) -> None:
+    """P := P - W^T W + a b^T + b a^T, of which only the upper triangle is read, and both are written.
+
+    W is (m, n), m may be 0.
+    """
+    n, m = P.shape[0], W.shape[0]
+    for top in range(0, n, _TILE):
+        bottom = min(top + _TILE, n)
+        for left in range(top, n, _TILE):
+            right = min(left + _TILE, n)
+            for i in range(top, bottom):
+                ai, bi = a[i], b[i]
+                first = max(i, left)
+                if m == 1:  # as most messages are: one loop instead of two
+                    wi = W[0, i]
+                    for j in range(first, right):
+                        P[i, j] += ai * b[j] + bi * a[j] - wi * W[0, j]
+                    continue
+                for j in range(first, right):
+                    P[i, j] += ai * b[j] + bi * a[j]
+                for k in range(m):
+                    wi = W[k, i]
+                    for j in range(first, right):
+                        P[i, j] -= wi * W[k, j]
+            for j in range(left, right):
+                for i in range(top, min(bottom, j)):
+                    P[j, i] = P[i, j]
+
+
+def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
+    """What the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom) tell, and their W, (m', n).
+
+    ``P`` (n, n), symmetric, C-contiguous, is only read. W has no row where nothing passed or S is not definite.
+    """
+    HP, S = _project(P, rows.state, rows.partial, rows.variance)
+    nis = rows.residual**2 / np.diagonal(S)
+    accepted = nis <= gate
+    residual = rows.residual
+    nothing = np.zeros(len(P)), np.empty((0, len(P)))
+    if not accepted.any():
+        return Correction(accepted, nis, S, True, nothing[0], nothing[0], 0.0), nothing[1]
+    of_accepted = S
+    if not accepted.all():
+        HP = HP[accepted]
+        of_accepted = S[np.ix_(accepted, accepted)]
+        residual = residual[accepted]
+    # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
+    L, info = dpotrf(of_accepted.T, lower=1, clean=0)
+    if info != 0:
+        return Correction(np.zeros_like(accepted), nis, S, False, nothing[0], nothing[0], 0.0), nothing[1]
+    WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m'): W^T = (H P)^T L^-T
+    y = dtrsv(L, residual, lower=1)
+    told = np.einsum("nm,nm->n", WT, WT)
+    return Correction(accepted, nis, S, True, WT @ y, told, float(y @ y)), WT.T
+
+
+def reduce(P: Array, W: Array, a: Array | None = None) -> None:
+    """P := M (P - W^T W) M^T in place, M = I + a e_s^T with s the heading's place; M = I without ``a`` (n,), a[s] = 0.
+
+    M P M^T = P + a b^T + b a^T with b = P_.s + a P_ss / 2.
+    """
+    if len(W) > _FEW:
+        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)
+        W = W[:0]
+    if a is None:
+        a = b = np.zeros(len(P))
+    else:
+        h = np.concatenate([P[:HEADING, HEADING], P[HEADING, HEADING:]])  # of the upper triangle
+        h -= W.T @ W[:, HEADING]
+        b = h + (0.5 * h[HEADING]) * a
+    _pass(P, W, a, b)
+
+
+def update(P: Array, rows: Rows, gate: float) -> Correction:
+    """Of any covariance (n, n), symmetric, C-contiguous, in place; the caller adds ``error`` to its estimate."""
+    correction, W = weigh(P, rows, gate)
+    if len(W):
+        reduce(P, W)
+    return correction
 
 
 def correct(belief: Belief, rows: Rows, gate: float) -> Correction:
     """Update ``belief`` in place by the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom)."""
-    HP, S = _project(belief.P, rows.state, rows.partial, rows.variance)
-    nis = rows.residual**2 / np.diagonal(S)
-    accepted = nis <= gate
-    residual = rows.residual
-    if not accepted.any():
-        return Correction(accepted, nis, definite=True)
-    if not accepted.all():
-        HP = HP[accepted]
-        S = S[np.ix_(accepted, accepted)]
-        residual = residual[accepted]
-    # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
-    L, info = dpotrf(S.T, lower=1, clean=0, overwrite_a=1)
-    if info != 0:
-        return Correction(np.zeros_like(accepted), nis, definite=False)
-    WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m): W^T = (H P)^T L^-T
-    y = dtrsv(L, residual, lower=1)
-    error = WT @ y
-    belief.add(error)
-    dsyrk(-1.0, WT, beta=1.0, c=belief.P.T, lower=1, overwrite_c=1)
-    _mirror(belief.P)
-    turn_with_heading(belief.P, error, belief.layout)
-    return Correction(accepted, nis, definite=True)
+    correction, W = weigh(belief.P, rows, gate)
+    if len(W):
+        belief.add(correction.error)
+        reduce(belief.P, W, swing(correction.error, belief.layout))
+    return correction

@@ -1,9 +1,13 @@
 """The estimator node: sensor messages in, one ``Estimate`` per period out.
 
 Order   Messages are used in order of their validity times. One that is newer than the last inertial sample waits for
-        the sample that covers it, which is then split there; one older than the belief is counted and dropped.
-Output  An estimate of t_ns = k x period holds everything measured up to and at t_ns: it is published as soon as all
-        that the sensors file has due at t_ns has come, at the latest when time goes on.
+        the sample that covers it, which is then split there; one older than the belief, up to a second and a little,
+        is used at its own time all the same (``late.py``). Older ones and late inertial samples are dropped; so is a
+        second message of one sensor and time.
+Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew (``restart.py``).
+Output  An estimate of t_ns = k x period holds everything measured up to and at t_ns that has come: it is published as
+        soon as all that the sensors file has due at t_ns without latency is there, at the latest when time goes on.
+        What comes later corrects the next one; nothing is published twice.
 """
 
 from __future__ import annotations
@@ -15,27 +19,49 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation import water_column
 from ltv_mpc.localisation.alignment import Alignment
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Aiding, Filter
+from ltv_mpc.localisation.health import Monitor, verdict_of
+from ltv_mpc.localisation.late import History, spacing_ns
 from ltv_mpc.localisation.measurements.compass import heading_partials
-from ltv_mpc.localisation.state import ATTITUDE, CORE, GYRO_BIAS, grid
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.restart import GRACE_NS, Restarts
+from ltv_mpc.localisation.state import ATTITUDE, CORE, GYRO_BIAS, Belief, grid
+from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
 from ltv_mpc.node import Inbox, OnMessage
 from ltv_mpc.signals import (
     AdcpPing,
+    BottomTrack,
     CompassHeading,
     Estimate,
+    FilterStatus,
     GnssFix,
     ImuSample,
+    LblRange,
+    LocalisationReport,
     PressureDepth,
     Signal,
     TdcpFix,
+    UsblFix,
 )
 
-_SENSORS = (ImuSample, GnssFix, TdcpFix, AdcpPing, PressureDepth, CompassHeading)
+SENSORS: dict[type[Signal], str] = {
+    ImuSample: "imu",
+    GnssFix: "gnss",
+    TdcpFix: "tdcp",
+    AdcpPing: "adcp",
+    PressureDepth: "pressure",
+    CompassHeading: "compass",
+    BottomTrack: "bottom_track",
+    LblRange: "lbl",
+    UsblFix: "usbl",
+}
+"""What is read, and the name of each in the account: its table's in the sensors file."""
+
+REPORT_NS = 1_000_000_000
 
 _MOST_WAITING = 1000
 """Messages that wait for an inertial sample; beyond, the oldest is dropped: the unit has failed."""
@@ -75,22 +101,28 @@ class Estimator:
     """ADCP-aided localisation as a node."""
 
     name = "estimator"
-    schedule = OnMessage(_SENSORS)
-    reads: tuple[type[Signal], ...] = _SENSORS
-    writes: tuple[type[Signal], ...] = (Estimate,)
+    schedule = OnMessage(tuple(SENSORS))
+    reads: tuple[type[Signal], ...] = tuple(SENSORS)
+    writes: tuple[type[Signal], ...] = (Estimate, LocalisationReport)
 
-    def __init__(self, suite: Suite, config: EstimatorConfig) -> None:
+    def __init__(self, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
+        """``prior``: of the water, from an earlier dive; None: that of the settings."""
         self._suite = suite
         self._period_ns = config.estimate_period_ns
         self._config = config
         self._depth_m = grid(config)
-        self._alignment = Alignment(suite, config)
+        self._alignment = Alignment(suite, config, prior)
         self._filter: Filter | None = None
+        self._history: History | None = None  # of the filter
         self._waiting: list[Aiding] = []  # for the inertial sample that covers them, by time, then arrival
         self._next_ns = 0  # of the estimate to come
         self._awaited: list[type[Signal]] = []  # due at this instant and not here yet, while its estimate is open
         self._open = False  # this instant's estimate is still to be published
-        self._account: Counter[str] = Counter()
+        self._account: Counter[str] = Counter()  # of the node, and of filters that are no more
+        self._monitor = Monitor(suite, config.gate_probability)
+        self._restarts = Restarts(suite, config, prior)
+        self._anew: Alignment | None = None  # of the filter that is to take the diverged one's place
+        self._report_ns = 0  # of the report to come
 
     @property
     def filter(self) -> Filter | None:
@@ -104,86 +136,161 @@ class Estimator:
 
     @property
     def account(self) -> Mapping[str, int]:
-        """Scalar measurements by "<sensor>.<what came of them>": used, gate, no_return, late, ..."""
+        """How many by "<sensor>.<what came of them>".
+
+        Scalar measurements: used, gate, not_definite, no_return, outside_grid, other_epoch, not_fitted,
+        unknown_transponder. Messages: late, late_applied, duplicate, without_imu, gap.
+        """
         return self._account if self._filter is None else self._account + self._filter.account
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each message carries its own time)
         """Use every message of the inbox in its order."""
         out: list[Signal] = []
         for arrival in inbox:
-            if isinstance(arrival.signal, _SENSORS):
+            if isinstance(arrival.signal, ImuSample | Aiding):
                 self._take(arrival.signal, out)
         return out
 
     def _take(self, message: ImuSample | Aiding, out: list[Signal]) -> None:
-        if self._filter is not None:
-            self._use(self._filter, message, out)
+        if self._history is not None:
+            self._use(self._history, message, out)
             return
         self._alignment.take(message)
         if self._alignment.waiting_for:
             return
         belief, since = self._alignment.belief()
-        self._filter = Filter(self._suite, self._config, belief)
         self._next_ns = (belief.t_ns // self._period_ns + 1) * self._period_ns
+        self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
+        history = self._begin(belief)
         for earlier in since:
-            self._use(self._filter, earlier, out)
+            self._use(history, earlier, out)
 
-    def _use(self, filter_: Filter, message: ImuSample | Aiding, out: list[Signal]) -> None:
+    def _begin(self, belief: Belief, adapts_from_ns: int | None = None) -> History:
+        """A filter of its own from here on."""
+        self._filter = Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
+        self._filter.observers.append(self._monitor.hear)
+        self._history = History(self._filter, spacing_ns(self._suite))
+        return self._history
+
+    def _use(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
+        self._apply(history, message, out)
+        if self._anew is not None:
+            self._anew.take(message)
+            if not self._anew.waiting_for:
+                self._replace(history.filter, self._anew)
+
+    def _replace(self, old: Filter, alignment: Alignment) -> None:
+        """The new filter takes over, at the time that the old one has reached; nothing is published on the way."""
+        self._anew = None
+        self._account.update(old.account)
+        self._monitor.forget()
+        belief, since = alignment.belief()
+        # The prior of the water is wide again: until it has settled, what moves past is not taken for a front.
+        history = self._begin(belief, belief.t_ns + GRACE_NS)
+        next_ns, report_ns, open_ = self._next_ns, self._report_ns, self._open
+        for earlier in since:
+            if earlier.t_ns <= old.belief.t_ns:
+                self._apply(history, earlier, [])
+        self._next_ns, self._report_ns, self._open = next_ns, report_ns, open_
+
+    def _apply(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
         if isinstance(message, ImuSample):
-            self._move(filter_, message, out)
-        elif message.t_ns < filter_.belief.t_ns:
-            self._account[f"{type(message).__name__}.late"] += 1
-        elif message.t_ns > filter_.belief.t_ns:
+            self._move(history, message, out)
+            return
+        now_ns, sensor = history.filter.belief.t_ns, SENSORS[type(message)]
+        if message.t_ns > now_ns:
             bisect.insort(self._waiting, message, key=lambda m: m.t_ns)
             if len(self._waiting) > _MOST_WAITING:
-                self._account[f"{type(self._waiting.pop(0)).__name__}.without_imu"] += 1
+                self._account[f"{SENSORS[type(self._waiting.pop(0))]}.without_imu"] += 1
+        elif message.t_ns == now_ns:
+            self._correct(history, message, out)
+        elif not history.reaches(message.t_ns):
+            self._account[f"{sensor}.late"] += 1
+        elif history.knows(message):
+            self._account[f"{sensor}.duplicate"] += 1
         else:
-            self._correct(filter_, message, out)
+            history.insert(message)
+            if isinstance(message, AdcpPing):
+                history.adapt()
+            self._account[f"{sensor}.late_applied"] += 1
 
-    def _move(self, filter_: Filter, sample: ImuSample, out: list[Signal]) -> None:
+    def _move(self, history: History, sample: ImuSample, out: list[Signal]) -> None:
         """Advance to the sample's time, by way of every message and every estimate that falls within."""
-        belief = filter_.belief
-        if sample.t_ns <= belief.t_ns:
-            self._account["ImuSample.late"] += 1
+        filter_ = history.filter
+        if sample.t_ns <= filter_.belief.t_ns:
+            self._account["imu.late"] += 1
             return
-        if sample.t_ns - sample.interval_ns > belief.t_ns:
-            self._account["ImuSample.gap"] += 1  # bridged with this sample's rates
-        while belief.t_ns < sample.t_ns:
+        if sample.t_ns - sample.interval_ns > filter_.belief.t_ns:
+            self._account["imu.gap"] += 1  # bridged with this sample's rates
+        while filter_.belief.t_ns < sample.t_ns:
             stop_ns = min(sample.t_ns, self._next_ns)
             if self._waiting:
                 stop_ns = min(stop_ns, self._waiting[0].t_ns)
             self._publish(filter_, out)
-            filter_.advance(stop_ns, sample)
+            history.advance(stop_ns, sample)
             if stop_ns == self._next_ns:
                 self._open = True
                 self._next_ns += self._period_ns
                 self._awaited = self._due(stop_ns)
             while self._waiting and self._waiting[0].t_ns == stop_ns:
-                self._correct(filter_, self._waiting.pop(0), out)
+                self._correct(history, self._waiting.pop(0), out)
             if self._open and not self._awaited:
                 self._publish(filter_, out)
 
     def _due(self, t_ns: int) -> list[type[Signal]]:
-        """What the sensors file has at ``t_ns``; satellites only until the descent begins, at 0."""
+        """What the sensors file has at ``t_ns`` and at once; satellites only until the descent begins, at 0."""
         s = self._suite
-        periods: list[tuple[type[Signal], int]] = [
-            (AdcpPing, s.adcp.period_ns),
-            (PressureDepth, s.pressure.period_ns),
-            (CompassHeading, s.compass.period_ns),
+        tables: list[tuple[type[Signal], Gnss | Tdcp | Adcp | Pressure | Compass | BottomTracking]] = [
+            (AdcpPing, s.adcp),
+            (PressureDepth, s.pressure),
+            (CompassHeading, s.compass),
         ]
+        if s.bottom_track is not None:
+            tables.append((BottomTrack, s.bottom_track))
         if t_ns <= 0:
-            periods += [(GnssFix, s.gnss.period_ns), (TdcpFix, s.tdcp.period_ns)]
-        return [kind for kind, period_ns in periods if t_ns % period_ns == 0]
+            tables += [(GnssFix, s.gnss), (TdcpFix, s.tdcp)]
+        return [kind for kind, table in tables if table.latency_ns == 0 and t_ns % table.period_ns == 0]
 
-    def _correct(self, filter_: Filter, message: Aiding, out: list[Signal]) -> None:
-        filter_.correct(message)
+    def _correct(self, history: History, message: Aiding, out: list[Signal]) -> None:
+        if history.knows(message):
+            self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
+            return
+        history.correct(message)
+        if isinstance(message, AdcpPing):
+            history.adapt()
         if self._open:
             if type(message) in self._awaited:
                 self._awaited.remove(type(message))
             if not self._awaited:
-                self._publish(filter_, out)
+                self._publish(history.filter, out)
 
     def _publish(self, filter_: Filter, out: list[Signal]) -> None:
         if self._open:
             self._open = False
             out.append(estimate(filter_, self._depth_m))
+            if filter_.belief.t_ns >= self._report_ns:
+                out.append(self._report(filter_))
+
+    def _report(self, filter_: Filter) -> LocalisationReport:
+        """Of this second; begins a restart where the filter has diverged."""
+        t_ns = filter_.belief.t_ns
+        self._report_ns = (t_ns // REPORT_NS + 1) * REPORT_NS
+        sensors = self._monitor.sensors(t_ns, self.account)
+        status, why = verdict_of(sensors)
+        walk = filter_.water.walk_mps_per_rts(t_ns)
+        if filter_.water.beyond(t_ns) and status is FilterStatus.NOMINAL:
+            status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
+        if self._anew is None and self._restarts.watch(filter_.belief, status):
+            self._anew = self._restarts.begin(t_ns)
+        if self._restarts.recent(t_ns):
+            status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
+        elif walk > 0.0 and status is FilterStatus.NOMINAL:
+            status, why = FilterStatus.ADAPTING, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
+        return LocalisationReport(
+            t_ns=t_ns,
+            status=status,
+            why=why,
+            restarts=self._restarts.count,
+            water_walk_mps_per_rts=walk,
+            sensors=sensors,
+        )

@@ -11,51 +11,92 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import TypeAlias
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtri
 
 from ltv_mpc.frames import earth_rate
 from ltv_mpc.localisation import water_column
+from ltv_mpc.localisation.adaptation import Adaptation
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.correction import correct
-from ltv_mpc.localisation.measurements import compass, gnss, pressure, tdcp
-from ltv_mpc.localisation.measurements.adcp import AdcpModel
+from ltv_mpc.localisation.correction import Correction, correct
+from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
+from ltv_mpc.localisation.measurements.adcp import AdcpModel, Indices
 from ltv_mpc.localisation.measurements.rows import Rows
-from ltv_mpc.localisation.preintegration import integrate, noise_of
-from ltv_mpc.localisation.state import CORE, Belief
+from ltv_mpc.localisation.preintegration import carry, integrate, noise_of
+from ltv_mpc.localisation.state import CORE, Belief, reach_m
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.window import follow
 from ltv_mpc.signals import (
     AdcpPing,
     Array,
+    BottomTrack,
     CompassHeading,
     GnssFix,
     ImuSample,
+    LblRange,
     PressureDepth,
     TdcpFix,
+    UsblFix,
 )
 
-Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeading
+Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeading | BottomTrack | LblRange | UsblFix
 """What corrects the filter; the inertial unit moves it."""
+
+
+class Verdict(NamedTuple):
+    """What came of one message: the innovations as they stood before the gate, and which of them passed it."""
+
+    sensor: str
+    t_ns: int
+    places: npt.NDArray[np.int64]  # (m,), of each row in its message; of a profiler's: beam x cells + cell
+    residual: Array  # (m,)
+    S: Array  # (m, m), innovation covariance
+    accepted: npt.NDArray[np.bool_]  # (m,)
+    groups: npt.NDArray[np.int64] | None = None  # (m,), the same for rows that share a beam; None: as places
+    square: float = 0.0  # of all accepted together: r_a^T S_aa^-1 r_a
+    definite: bool = True  # S was positive definite; if not, nothing was accepted
+
+
+class Snapshot(NamedTuple):
+    """All of a filter that changes with time, copied; its account and who observes it do not belong to it."""
+
+    belief: Belief
+    rate: tuple[float, float, float]
+    Phi: Array
+    Q: Array
+    pending_ns: int
+    at_epoch: bool
+    water: Adaptation
 
 
 class Filter:
     """``belief`` stands at ``belief.t_ns``; its covariance only after ``settle``."""
 
-    def __init__(self, suite: Suite, config: EstimatorConfig, belief: Belief) -> None:
+    def __init__(
+        self, suite: Suite, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
+    ) -> None:
+        """``adapts_from_ns``: from then on water may change in unforeseen ways; None: from the beginning."""
         self.belief = belief
         self.rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # measured last (rad/s, body, bias included)
         self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<what came of them>"
+        self.observers: list[Callable[[Verdict], None]] = []  # told of every message, once
         self._suite = suite
         self._config = config
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
+        self._reach_m = reach_m(suite.adcp)
         self._adcp = AdcpModel(suite.adcp, belief.layout, config.cell_m)
         self._noise = noise_of(suite.imu)
         self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
         self._Phi = np.eye(CORE)
         self._Q = np.zeros((CORE, CORE))
         self._pending_ns = 0
+        self.water = Adaptation(
+            belief.layout.nodes, config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns
+        )
         self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
@@ -64,7 +105,7 @@ class Filter:
         if self._at_epoch:
             self._at_epoch = False
             self.settle()
-            belief.clone_position()
+            belief.clone_position(self._suite.gnss.lever_arm_m)
         step_ns = t_ns - belief.t_ns
         self.rate = sample.angular_rate_radps
         integrate(
@@ -81,16 +122,27 @@ class Filter:
         belief.t_ns = t_ns
         self._pending_ns += step_ns
 
+    def snapshot(self) -> Snapshot:
+        """Where it stands, to come back to."""
+        belief = self.belief.copy()
+        Phi, Q = self._Phi.copy(), self._Q.copy()
+        return Snapshot(belief, self.rate, Phi, Q, self._pending_ns, self._at_epoch, self.water.copy())
+
+    def restore(self, then: Snapshot) -> None:
+        """Back to where it stood, bit for bit; ``then`` can be restored again."""
+        self.belief = then.belief.copy()
+        self.rate = then.rate
+        self._Phi, self._Q = then.Phi.copy(), then.Q.copy()
+        self._pending_ns, self._at_epoch = then.pending_ns, then.at_epoch
+        self.water = then.water.copy()
+
     def settle(self) -> None:
         """Bring the whole covariance to the belief's time."""
         if self._pending_ns == 0:
             return
         belief, dt = self.belief, self._pending_ns * 1e-9
         P = belief.P
-        cross = self._Phi @ P[:CORE, CORE:]
-        P[:CORE, CORE:] = cross
-        P[CORE:, :CORE] = cross.T
-        P[:CORE, :CORE] = self.core_covariance()
+        carry(P, self._Phi, self._Q)
         bias = belief.layout.compass_bias
         if bias.stop > bias.start:
             keep = math.exp(-dt / self._suite.compass.bias_tau_s)
@@ -99,6 +151,7 @@ class Filter:
             P[:, bias] *= keep
             P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
         water_column.walk(belief, self._config, dt)
+        self.water.grow(belief, dt)
         self._Phi[:] = np.eye(CORE)
         self._Q[:] = 0.0
         self._pending_ns = 0
@@ -122,32 +175,78 @@ class Filter:
     def correct(self, message: Aiding) -> None:
         """Use a message whose time is the belief's."""
         self.settle()
+        follow(self.belief, *self._reach_m, self._config.cell_m)
         suite = self._suite
         match message:
             case AdcpPing():
                 ping = self._adcp.linearise(self.belief, message, self.rate)
                 self.account["adcp.no_return"] += ping.without_return
                 self.account["adcp.outside_grid"] += ping.outside_grid
-                self._use("adcp", ping.rows)
+                cells = len(message.range_m)
+                correction = self._use("adcp", ping.rows, ping.places, ping.places // cells)
+                if correction is not None:
+                    self.belief.column.see(ping.nodes[correction.accepted])
+                    if self._config.adapts_to_water:
+                        r, S = ping.rows.residual, correction.S
+                        self.water.hear(self.belief.t_ns, ping.beams, ping.places % cells, r, S)
+                        self.water.moved(self.belief, correction.error, correction.told)
             case PressureDepth():
                 self._use("pressure", pressure.rows(self.belief, message, suite.pressure))
             case CompassHeading():
                 self._use("compass", compass.rows(self.belief, message, suite.compass))
             case GnssFix():
-                self._use("gnss", gnss.rows(self.belief, message, suite.gnss))
+                self._use("gnss", gnss.rows(self.belief, message, suite.gnss, self.rate))
                 self._at_epoch = True
             case TdcpFix():
                 if message.from_t_ns == self.belief.epoch_t_ns:
-                    self._use("tdcp", tdcp.rows(self.belief, message, suite.tdcp))
+                    self._use("tdcp", tdcp.rows(self.belief, message, suite.tdcp, suite.gnss.lever_arm_m))
                 else:
                     self.account["tdcp.other_epoch"] += 2
                 self._at_epoch = True
+            case BottomTrack():
+                if suite.bottom_track is None:
+                    self.account["bottom_track.not_fitted"] += 4
+                    return
+                seen = bottom_track.linearise(self.belief, message, suite.bottom_track, suite.adcp, self.rate)
+                self.account["bottom_track.no_return"] += seen.without_return
+                self._use("bottom_track", seen.rows, seen.places)
+            case LblRange():
+                if suite.lbl is None:
+                    self.account["lbl.not_fitted"] += 1
+                elif message.transponder >= len(suite.lbl.transponders_m):
+                    self.account["lbl.unknown_transponder"] += 1
+                else:
+                    self._use("lbl", lbl.rows(self.belief, message, suite.lbl), np.array([message.transponder]))
+            case UsblFix():
+                if suite.usbl is None:
+                    self.account["usbl.not_fitted"] += 2
+                else:
+                    self._use("usbl", usbl.rows(self.belief, message, suite.usbl))
 
-    def _use(self, sensor: str, rows: Rows) -> None:
+    def _use(
+        self, sensor: str, rows: Rows, places: Indices | None = None, groups: Indices | None = None
+    ) -> Correction | None:
+        """None without rows."""
         if len(rows.residual) == 0:
-            return
+            return None
         correction = correct(self.belief, rows, self._gate)
         used = int(np.count_nonzero(correction.accepted))
         self.account[f"{sensor}.used"] += used
         refused = "gate" if correction.definite else "not_definite"
         self.account[f"{sensor}.{refused}"] += len(rows.residual) - used
+        if self.observers:
+            where = np.arange(len(rows.residual)) if places is None else places
+            verdict = Verdict(
+                sensor=sensor,
+                t_ns=self.belief.t_ns,
+                places=where,
+                groups=groups,
+                residual=rows.residual,
+                S=correction.S,
+                accepted=correction.accepted,
+                square=correction.square,
+                definite=correction.definite,
+            )
+            for observer in self.observers:
+                observer(verdict)
+        return correction

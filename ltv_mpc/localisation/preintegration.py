@@ -122,3 +122,32 @@ def integrate(
         Q[6 + i, 6 + i] += s_g
         Q[9 + i, 9 + i] += d_g
         Q[12 + i, 12 + i] += d_a
+
+
+@kernel
+def carry(P: Array, Phi: Array, Q: Array) -> None:
+    """The large covariance (n, n) over all that was gathered, in place: P_cr := Phi P_cr, P_cc := Phi P_cc Phi^T + Q.
+
+    c: the fifteen core states, r: all others. P stays symmetric to the last bit.
+    """
+    n, c = P.shape[0], Phi.shape[0]
+    moved = np.zeros((c, n))
+    for i in range(c):
+        for a in range(c):
+            f = Phi[i, a]
+            if f != 0.0:
+                for j in range(n):
+                    moved[i, j] += f * P[a, j]
+    for i in range(c):
+        for j in range(c, n):
+            P[i, j] = moved[i, j]
+        for j in range(i, c):
+            upper = lower = 0.0
+            for a in range(c):
+                upper += moved[i, a] * Phi[j, a]
+                lower += moved[j, a] * Phi[i, a]
+            P[i, j] = 0.5 * (upper + lower + Q[i, j] + Q[j, i])
+            P[j, i] = P[i, j]
+    for j in range(c, n):
+        for i in range(c):
+            P[j, i] = moved[i, j]

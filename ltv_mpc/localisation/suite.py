@@ -123,7 +123,7 @@ class Lbl(_Table, frozen=True, kw_only=True):
     period_ns: Period
     transponders_m: Annotated[tuple[Place, ...], Meta(min_length=1, max_length=16)]  # north, east, depth
     sound_speed_mps: Annotated[float, Meta(ge=1300, le=1700)]  # that ranges are reckoned with
-    sound_speed_sd_mps: Sd  # by which the truth differs, constant
+    sound_speed_sd_mps: Annotated[float, Meta(ge=0, le=50)]  # by which the truth differs, constant
     range_sd_m: PositiveSd
     missing_share: Share
     outlier_share: Share
@@ -178,13 +178,17 @@ class Suite(_Table, frozen=True, kw_only=True):
 _PACKAGE = "ltv_mpc.localisation.files"
 
 
-def _upon(table: dict[str, Any], source: str) -> dict[str, Any]:
+def _upon(own: dict[str, Any], source: str) -> dict[str, Any]:
     """The file's keys on top of its base's."""
-    base = table.pop("base")
+    base = own.pop("base")
     if not isinstance(base, str) or config.is_path(base):
         raise ConfigError(source, "base", "must be the name of a shipped suite", value=base)
-    merged = config.read_toml(config.find(base, what="sensors", package=_PACKAGE), what="sensors")
-    for key, value in table.items():
-        below = merged.get(key)
-        merged[key] = {**below, **value} if isinstance(below, dict) and isinstance(value, dict) else value
+    try:
+        below = config.find(base, what="base", package=_PACKAGE)
+    except ConfigError as error:
+        raise ConfigError(source, "base", error.problem, value=base) from None
+    merged = config.read_toml(below, what="sensors")
+    for key, value in own.items():
+        table = merged.get(key)
+        merged[key] = {**table, **value} if isinstance(table, dict) and isinstance(value, dict) else value
     return merged

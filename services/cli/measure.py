@@ -1,4 +1,4 @@
-"""Measure: ``profile``."""
+"""Measure: ``profile``; ``localisation-check`` has a file of its own."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import Annotated
 
 import typer
 
+from services.cli.localisation_check import localisation_check
 from services.cli.options import Force, Json
 
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(profile)
+    app.command(rich_help_panel=panel)(localisation_check)
 
 
 def profile(

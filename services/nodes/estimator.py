@@ -4,21 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, Signal, TdcpFix
+from ltv_mpc.signals import (
+    AdcpPing,
+    BottomTrack,
+    CompassHeading,
+    GnssFix,
+    ImuSample,
+    LblRange,
+    PressureDepth,
+    Signal,
+    TdcpFix,
+    UsblFix,
+)
 from services.bus.session import BusOptions
 from services.process.runner import Runner
 from services.process.serve import serve
 
 
-def main(suite: Suite, config: EstimatorConfig, bus: BusOptions) -> int:
-    """An estimate each period, from whatever measures."""
+def main(suite: Suite, config: EstimatorConfig, bus: BusOptions, *, prior: WaterPrior | None = None) -> int:
+    """An estimate each period, from whatever measures. ``prior``: what is known of the water before."""
     rehearse(suite, config)
-    return serve(Estimator.name, bus, lambda request, say: Runner(Estimator(suite, config), stop=request, say=say))
+    return serve(
+        Estimator.name,
+        bus,
+        lambda request, say: Runner(Estimator(suite, config, prior), stop=request, say=say),
+    )
 
 
 def rehearse(suite: Suite, config: EstimatorConfig) -> None:
@@ -33,17 +49,23 @@ def rehearse(suite: Suite, config: EstimatorConfig) -> None:
         CompassHeading(t_ns=0, heading_rad=0.0),
         PressureDepth(t_ns=0, depth_m=0.0),
     ]
-    for t_ns in range(imu_ns, second + 1, imu_ns):
+
+    def sample(t_ns: int) -> ImuSample:
         force = (0.0, 0.0, -GRAVITY_MPS2)
-        messages.append(
-            ImuSample(t_ns=t_ns, interval_ns=imu_ns, angular_rate_radps=(0.0, 0.0, 0.0), specific_force_mps2=force)
-        )
+        return ImuSample(t_ns=t_ns, interval_ns=imu_ns, angular_rate_radps=(0.0, 0.0, 0.0), specific_force_mps2=force)
+
+    messages += map(sample, range(imu_ns, second + 1, imu_ns))
     messages += [
         AdcpPing(t_ns=second, range_m=range_m, beam_velocity_mps=np.zeros((4, len(range_m)))),
         TdcpFix(t_ns=second, from_t_ns=0, **still),
         PressureDepth(t_ns=second, depth_m=0.0),
         CompassHeading(t_ns=second, heading_rad=0.0),
         GnssFix(t_ns=second, **still, velocity_north_mps=0.0, velocity_east_mps=0.0),
+        BottomTrack(t_ns=second, range_m=np.ones(4), beam_velocity_mps=np.zeros(4)),
+        sample(second + imu_ns),
+        # late, so that the way back is walked too
+        LblRange(t_ns=second, transponder=0, travel_time_s=1.0),
+        UsblFix(t_ns=second // 2, **still),
     ]
     for message in messages:
         estimator.step(0, [Arrival(message, 1, 0, 0)])

@@ -90,7 +90,7 @@ def test_an_integer_is_good_where_a_number_is_expected() -> None:
 
 def test_a_list_of_the_wrong_length_is_refused() -> None:
     text = config.to_toml(Suite.load("paper")).replace("    0.0,\n    0.0,\n    0.0,\n", "    0.0,\n")
-    assert "[adcp] lever_arm_m = [0.0]: must be a list of 3, each a number" in refusal(text, Suite)
+    assert "] lever_arm_m = [0.0]: must be a list of 3, each a number" in refusal(text, Suite)
 
 
 @pytest.mark.parametrize(

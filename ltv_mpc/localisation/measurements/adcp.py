@@ -40,8 +40,15 @@ class Linearised(NamedTuple):
     """Of one ping: its rows, what could not be used, and why."""
 
     rows: Rows
+    places: Indices  # (m,), beam x cells + cell of each row
     without_return: int  # beam cells that hold NaN
-    outside_grid: int  # beam cells above the first or below the last node
+    nodes: Indices  # (m,), upper one of the two that each row's cell lies between, of the whole grid
+    outside_grid: int  # beam cells above the first or below the last node of the window
+
+    @property
+    def beams(self) -> Array:
+        """u of each row, (m, 3), NED."""
+        return -self.rows.partial[:, 1:4]
 
 
 def beam_directions(beam_angle_rad: float) -> Array:
@@ -65,45 +72,52 @@ def _fill(
     state: Indices,
     partial: Array,
     residual: Array,
+    places: Indices,
+    upper: Indices,
+    first: int,
 ) -> tuple[int, int, int]:
     """Rows for every usable beam cell; returns how many, and how many had no return or lay outside the grid.
 
     ``starts`` are the first indices of beam bias, near bias, mounting, north, east (-1: absent) and the node count.
+    ``first`` is the grid's node that the first of each stands for.
     """
     at_beam, at_near, at_mounting, at_north, at_east, nodes = starts
     u = b @ R.T  # beams in NED, (4, 3)
+    transducer = R @ l
     relative = skew(w) @ l  # w x l
+    d = np.empty(3)
+    s = np.empty(3)
     m = without_return = outside = 0
     for i in range(4):
+        turning, tilting = skew(u[i]), skew(b[i])
+        gyro = skew(l) @ b[i]
+        swept = b[i, 0] * relative[0] + b[i, 1] * relative[1] + b[i, 2] * relative[2]
         for j in range(ranges.shape[0]):
             if math.isnan(z[i, j]):
                 without_return += 1
                 continue
-            q = R @ (l + ranges[j] * b[i])
-            depth = (x[2] + q[2]) / cell_m
-            k = math.floor(depth)
+            depth = (x[2] + transducer[2] + ranges[j] * u[i, 2]) / cell_m
+            k = math.floor(depth) - first
             if k < 0 or k > nodes - 2:
                 outside += 1
                 continue
-            t = depth - k
+            t = depth - (first + k)
             n, e = at_north + k, at_east + k
-            d = np.empty(3)
             d[0] = (1.0 - t) * x[n] + t * x[n + 1] - x[3]
             d[1] = (1.0 - t) * x[e] + t * x[e + 1] - x[4]
             d[2] = -x[5]
             g = (u[i, 0] * (x[n + 1] - x[n]) + u[i, 1] * (x[e + 1] - x[e])) / cell_m
-            s = R.T @ d - relative
-            expected = b[i, 0] * s[0] + b[i, 1] * s[1] + b[i, 2] * s[2]
+            # b . (R^T d - w x l)
+            expected = u[i, 0] * d[0] + u[i, 1] * d[1] + u[i, 2] * d[2] - swept
 
             state[m, 0], partial[m, 0] = 2, g
-            turn = skew(u[i]) @ d
-            turn[0] += g * q[1]
-            turn[1] -= g * q[0]
-            gyro = skew(l) @ b[i]
             for a in range(3):
                 state[m, 1 + a], partial[m, 1 + a] = 3 + a, -u[i, a]
-                state[m, 4 + a], partial[m, 4 + a] = 6 + a, turn[a]
+                state[m, 4 + a] = 6 + a
+                partial[m, 4 + a] = turning[a, 0] * d[0] + turning[a, 1] * d[1] + turning[a, 2] * d[2]
                 state[m, 7 + a], partial[m, 7 + a] = 9 + a, gyro[a]
+            partial[m, 4] += g * (transducer[1] + ranges[j] * u[i, 1])
+            partial[m, 5] -= g * (transducer[0] + ranges[j] * u[i, 0])
             state[m, 10], partial[m, 10] = n, (1.0 - t) * u[i, 0]
             state[m, 11], partial[m, 11] = n + 1, t * u[i, 0]
             state[m, 12], partial[m, 12] = e, (1.0 - t) * u[i, 1]
@@ -118,10 +132,14 @@ def _fill(
                 state[m, 15], partial[m, 15] = at_near + i, fading
                 expected += x[at_near + i] * fading
             if at_mounting >= 0:
-                tilt = skew(b[i]) @ (s + g * ranges[j] * R[2])
                 for a in range(3):
-                    state[m, 16 + a], partial[m, 16 + a] = at_mounting + a, tilt[a]
+                    s[a] = R[0, a] * d[0] + R[1, a] * d[1] + R[2, a] * (d[2] + g * ranges[j]) - relative[a]
+                for a in range(3):
+                    state[m, 16 + a] = at_mounting + a
+                    partial[m, 16 + a] = tilting[a, 0] * s[0] + tilting[a, 1] * s[1] + tilting[a, 2] * s[2]
             residual[m] = z[i, j] - expected
+            places[m] = i * ranges.shape[0] + j
+            upper[m] = first + k
             m += 1
     return m, without_return, outside
 
@@ -151,6 +169,7 @@ class AdcpModel:
         state = np.empty((z.size, _WIDTH), dtype=np.int64)
         partial = np.empty((z.size, _WIDTH))
         residual = np.empty(z.size)
+        places, upper = np.empty(z.size, dtype=np.int64), np.empty(z.size, dtype=np.int64)
         m, without_return, outside = _fill(
             z,
             np.ascontiguousarray(ping.range_m),
@@ -165,6 +184,10 @@ class AdcpModel:
             state,
             partial,
             residual,
+            places,
+            upper,
+            belief.column.first,
         )
         variance = np.full(m, self._adcp.beam_noise_sd_mps**2)
-        return Linearised(Rows(state[:m], partial[:m], residual[:m], variance), without_return, outside)
+        rows = Rows(state[:m], partial[:m], residual[:m], variance)
+        return Linearised(rows, places[:m], without_return, upper[:m], outside)

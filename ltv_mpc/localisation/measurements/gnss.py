@@ -1,27 +1,37 @@
-"""Satellite fix: position and velocity over ground, north and east, of the vehicle's origin.
+"""Satellite fix: position and velocity over ground, north and east, of the antenna at lever arm l.
 
-z = [p_n, p_e, v_n, v_e] + n
+z = [p + q, v + s] + n, north and east of each,  q = R l,  s = R (w x l)
+Partials in ``lever.py``.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.localisation.measurements import lever
 from ltv_mpc.localisation.measurements.rows import Rows
-from ltv_mpc.localisation.state import Belief
+from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.suite import Gnss
-from ltv_mpc.signals import GnssFix
+from ltv_mpc.signals import GnssFix, Triple
 
-_STATES = np.array([[0], [1], [3], [4]])
+_TURNING = (*range(ATTITUDE.start, ATTITUDE.stop), *range(GYRO_BIAS.start, GYRO_BIAS.stop))
+_STATES = np.array([[own, *_TURNING] for own in (0, 1, 3, 4)])
 
 
-def rows(belief: Belief, fix: GnssFix, gnss: Gnss) -> Rows:
-    """Four rows."""
+def rows(belief: Belief, fix: GnssFix, gnss: Gnss, rate: Triple) -> Rows:
+    """Four rows; ``rate`` is the angular rate that the unit measured, bias included (rad/s, body)."""
+    antenna = lever.point(belief, gnss.lever_arm_m)
+    swing = lever.swing(belief, gnss.lever_arm_m, rate)
+    partial = np.zeros((4, 7))
+    partial[:, 0] = 1.0
+    partial[:2, 1:4] = antenna.by_attitude[:2]
+    partial[2:, 1:4] = swing.by_attitude[:2]
+    partial[2:, 4:7] = swing.by_gyro_bias[:2]
     z = np.array([fix.north_m, fix.east_m, fix.velocity_north_mps, fix.velocity_east_mps])
     p, v = gnss.position_sd_m**2, gnss.velocity_sd_mps**2
     return Rows(
         state=_STATES,
-        partial=np.ones((4, 1)),
-        residual=z - belief.x[_STATES[:, 0]],
+        partial=partial,
+        residual=z - belief.x[_STATES[:, 0]] - np.concatenate([antenna.offset[:2], swing.velocity[:2]]),
         variance=np.array([p, p, v, v]),
     )

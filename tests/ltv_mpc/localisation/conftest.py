@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +11,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter import Filter
+from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.water_column import write_prior
 from ltv_mpc.node import Arrival
 from ltv_mpc.signals import (
     AdcpPing,
@@ -203,6 +208,105 @@ def dive(suite: Suite, seed: int, *, surface_s: float = 1.0, duration_s: float =
     )
 
 
+@dataclass(frozen=True)
+class Yoyo:
+    """Filters that have gone up and down, what the water was, (G, 2), and position and velocity at the end."""
+
+    filters: list[Filter]
+    water: Array
+    position: Array
+    velocity: Array
+
+
+def yoyo(suite: Suite, configs: list[EstimatorConfig], seed: int, depths_m: tuple[float, ...], **settings) -> Yoyo:
+    """Level, heading roughly known, 0.5 m/s up or down between ``depths_m``, from a rough velocity fix at the first.
+
+    20 inertial samples a second, so that many seeds cost little. ``settings``: ``saved`` is the filters' prior of the
+    water, ``heard(filter)`` is called before each measurement is used.
+    """
+    saved, heard = settings.get("saved"), settings.get("heard", lambda _: None)
+    rng = np.random.default_rng(seed)
+    step_ns, dt = 50_000_000, 0.05
+    nodes = Layout.of(suite, configs[0]).nodes
+    z = configs[0].cell_m * np.arange(nodes)
+    water = settings.get("water")
+    if water is None:
+        water = np.stack([markov(rng, 0.04, 8.0, nodes, configs[0].cell_m) for _ in range(2)], 1)
+        water = water + 0.1 * rng.standard_normal(2)
+    adcp, imu = suite.adcp, suite.imu
+    heading, heading_sd, velocity_sd, bias_sd = 1.0, math.radians(2), 0.005, 0.05 * imu.accelerometer_bias_sd_mps2
+    beam_bias = adcp.beam_bias_sd_mps * rng.standard_normal(4)
+    near_bias = adcp.near_bias_sd_mps * rng.standard_normal(4)
+    wrong, compass_bias = heading_sd * rng.standard_normal(), suite.compass.bias_sd_rad * rng.standard_normal()
+    bias = np.array([*(bias_sd * rng.standard_normal(2)), 0.0])
+    velocity = np.array([*(velocity_sd * rng.standard_normal(2)), 0.0])
+    position = np.array([0.0, 0.0, depths_m[0]])
+    R = rotation(0, 0, heading)
+
+    filters = []
+    for config in configs:
+        layout = Layout.of(suite, config)
+        belief = Belief.blank(layout, 0)
+        belief.x[2], belief.R = depths_m[0], rotation(0, 0, heading - wrong)
+        variance = np.zeros(layout.size)
+        variance[2:5] = 1e-4, velocity_sd**2, velocity_sd**2
+        variance[8], variance[12:14] = heading_sd**2, bias_sd**2
+        variance[layout.beam_bias], variance[layout.near_bias] = adcp.beam_bias_sd_mps**2, adcp.near_bias_sd_mps**2
+        variance[layout.compass_bias] = suite.compass.bias_sd_rad**2
+        belief.P = np.diag(variance)
+        write_prior(belief, config, saved)
+        filters.append(Filter(suite, config, belief))
+
+    s, c = math.sin(adcp.beam_angle_rad), math.cos(adcp.beam_angle_rad)
+    beams = np.array([[s, 0, c], [-s, 0, c], [0, s, c], [0, -s, c]]) @ R.T
+    ranges = adcp.blanking_m + adcp.cell_m * np.arange(1, int((adcp.range_m - adcp.blanking_m) / adcp.cell_m))
+    error = beam_bias[:, None] + near_bias[:, None] * np.exp(-ranges / adcp.near_bias_length_m)
+    k = 0
+    for above, below in itertools.pairwise(depths_m):
+        down = math.copysign(0.5, below - above)
+        velocity[2] = down
+        for filter_ in filters:
+            filter_.belief.x[5] = down
+        for _ in range(round(abs(below - above) / 0.5 / dt)):
+            k += 1
+            acceleration = 0.01 * np.array([math.cos(0.02 * k), math.sin(0.013 * k), 0.0])
+            white = imu.velocity_random_walk_mps_per_rts / math.sqrt(dt) * rng.standard_normal(3)
+            force = R.T @ (acceleration - np.array([0, 0, 9.80665])) + bias + white
+            position = position + dt * velocity + 0.5 * dt * dt * acceleration
+            velocity = velocity + dt * acceleration
+            sample = ImuSample(
+                t_ns=k * step_ns,
+                interval_ns=step_ns,
+                angular_rate_radps=(0.0, 0.0, 0.0),
+                specific_force_mps2=tuple(force.tolist()),
+            )
+            for filter_ in filters:
+                filter_.advance(sample.t_ns, sample)
+            messages: list[Signal] = []
+            if k % 4 == 0:
+                depth = position[2] + suite.pressure.depth_sd_m * rng.standard_normal()
+                messages.append(PressureDepth(t_ns=sample.t_ns, depth_m=float(depth)))
+            if k % 20 == 0:
+                psi = heading + compass_bias + suite.compass.heading_sd_rad * rng.standard_normal()
+                messages.append(CompassHeading(t_ns=sample.t_ns, heading_rad=float(psi)))
+            if k % 7 == 0:
+                at = position[2] + ranges * c
+                flow = (
+                    np.stack([np.interp(at, z, water[:, 0]), np.interp(at, z, water[:, 1]), 0 * at]) - velocity[:, None]
+                )
+                noise = adcp.beam_noise_sd_mps * rng.standard_normal((4, len(ranges)))
+                messages.append(
+                    AdcpPing(t_ns=sample.t_ns, range_m=ranges, beam_velocity_mps=beams @ flow + error + noise)
+                )
+            for message in messages:
+                for filter_ in filters:
+                    heard(filter_)
+                    filter_.correct(message)
+    for filter_ in filters:
+        filter_.settle()
+    return Yoyo(filters, water, position, velocity)
+
+
 def inbox(signal: Signal) -> list[Arrival]:
     """Of one message, on time."""
     return [Arrival(signal=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
@@ -211,6 +315,11 @@ def inbox(signal: Signal) -> list[Arrival]:
 @pytest.fixture(scope="session")
 def make_dive() -> Callable[..., Dive]:
     return dive
+
+
+@pytest.fixture(scope="session")
+def make_yoyo() -> Callable[..., Yoyo]:
+    return yoyo
 
 
 @pytest.fixture(scope="session")

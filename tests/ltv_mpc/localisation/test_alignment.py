@@ -10,7 +10,7 @@ from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_
 from ltv_mpc.localisation.alignment import Alignment
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.suite import Lbl, Suite
 from ltv_mpc.signals import CompassHeading, GnssFix, ImuSample, PressureDepth
 
 SUITE = Suite.load("realistic")
@@ -164,3 +164,133 @@ def test_waves_make_the_level_less_certain_but_not_the_bias():
     calm, wild = (aligned([fix(), compass(), depth(), *samples()], config=c)[0].P for c in (CONFIG, rough))
     assert wild[6, 6] > 100 * calm[6, 6]
     np.testing.assert_array_equal(wild[ATTITUDE, ACCELEROMETER_BIAS], calm[ATTITUDE, ACCELEROMETER_BIAS])
+
+
+def mast(antenna=(2.0, 0.5, -3.0), gauge=(-1.5, 0.2, 0.4)):
+    return msgspec.structs.replace(
+        SUITE,
+        gnss=msgspec.structs.replace(SUITE.gnss, lever_arm_m=antenna),
+        pressure=msgspec.structs.replace(SUITE.pressure, lever_arm_m=gauge),
+    )
+
+
+def test_position_and_velocity_are_the_origins_and_not_the_antennas():
+    """Against the antenna's and the gauge's place and motion, differentiated numerically."""
+    suite = mast()
+    R, v = ATTITUDE_AT_T0, np.array([0.1, -0.2, 0.0])
+
+    def at(lever, t):
+        return np.array([3.0, -4.0, 0.25]) + v * t + R @ rotation_exp(t * RATE) @ np.array(lever)
+
+    antenna = at(suite.gnss.lever_arm_m, 0.0)
+    moving = (at(suite.gnss.lever_arm_m, 1e-6) - at(suite.gnss.lever_arm_m, -1e-6)) / 2e-6
+    seen = GnssFix(
+        t_ns=T0,
+        north_m=antenna[0],
+        east_m=antenna[1],
+        velocity_north_mps=moving[0],
+        velocity_east_mps=moving[1],
+    )
+    pressed = PressureDepth(t_ns=T0, depth_m=at(suite.pressure.lever_arm_m, 0.0)[2])
+    belief, _ = aligned([seen, compass(), pressed, *samples()], suite)
+    np.testing.assert_allclose(belief.x[:6], [3.0, -4.0, 0.25, *v], atol=1e-4)
+    np.testing.assert_allclose(belief.x[belief.layout.epoch], antenna[:2])
+
+
+def test_a_place_that_is_wrong_by_a_tilt_and_a_heading_is_known_to_be_wrong_by_them():
+    """Position and velocity errors that follow from biases are those that the covariance expects of them."""
+    suite = mast()
+    accelerometer, compass_bias = np.array([2e-3, -3e-3, 0.0]), 4e-3
+    messages = [fix(), compass(), depth(), *samples()]
+    wrong = [fix(), compass(heading=2.2 + compass_bias), depth(), *samples(bias=accelerometer)]
+    true, belief = aligned(messages, suite)[0], aligned(wrong, suite)[0]
+    layout, P = belief.layout, belief.P
+    causes = [*range(ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.stop), layout.compass_bias.start]
+    expected = P[:6, causes] @ np.linalg.solve(P[np.ix_(causes, causes)], [*accelerometer, compass_bias])
+    np.testing.assert_allclose(true.x[:6] - belief.x[:6], expected, atol=5e-5)
+    assert np.abs(expected[:2]).min() > 5e-3
+
+
+def test_a_gyro_bias_and_an_antenna_on_a_mast_make_a_velocity():
+    """True minus estimated is R (db x l): the covariance of the belief against that of drawn biases."""
+    suite = mast(antenna=(0.0, 0.0, -3.0))
+    belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
+    drawn = suite.imu.gyro_bias_sd_radps * np.random.default_rng(0).standard_normal((100_000, 3))
+    velocity = np.cross(drawn, [0.0, 0.0, -3.0]) @ belief.R.T
+    expected = velocity.T @ drawn / len(drawn)
+    np.testing.assert_allclose(belief.P[3:5, GYRO_BIAS], expected[:2], atol=3e-2 * np.abs(expected).max())
+
+
+def test_a_covariance_with_levers_is_one():
+    belief, _ = aligned([fix(), compass(), depth(), *samples()], mast())
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    assert np.linalg.eigvalsh(belief.P).min() > -1e-12  # the clone is position and attitude themselves
+
+
+def test_sound_speed_and_mounting_start_as_the_sensors_file_has_them():
+    turned = (0.1, -0.05, 0.785)
+    net = Lbl(
+        period_ns=10_000_000_000,
+        transponders_m=((0.0, 0.0, 50.0),),
+        sound_speed_mps=1480.0,
+        sound_speed_sd_mps=2.96,
+        range_sd_m=1.0,
+        missing_share=0.0,
+        outlier_share=0.0,
+        outlier_m=0.0,
+    )
+    suite = msgspec.structs.replace(SUITE, lbl=net, adcp=msgspec.structs.replace(SUITE.adcp, mounting_rad=turned))
+    belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
+    at = belief.layout.sound_speed
+    assert at.stop - at.start == 1
+    np.testing.assert_allclose(belief.P[at, at], 0.002**2)
+    np.testing.assert_allclose(belief.mounting, rotation(*turned))
+
+
+def test_a_fix_that_comes_late_finds_what_was_measured_since():
+    """0.3 s late: levelled at once, at its own time, with the samples that a fix in time would have had."""
+    late = [depth(), compass(), *samples(count=31), fix(), *samples(first=32, count=3)]
+    belief, since = aligned(late[:34])
+    ordered, _ = aligned([fix(), compass(), depth(), *samples()])
+    assert belief.t_ns == T0
+    np.testing.assert_array_equal(belief.R, ordered.R)
+    np.testing.assert_array_equal(belief.P, ordered.P)
+    assert [m.t_ns for m in since] == [T0 + k * DT_NS for k in range(1, 32)]
+
+
+def test_what_comes_twice_counts_once():
+    once, _ = aligned([fix(), compass(), depth(), *samples()])
+    messages = sorted([fix(), compass(), depth(), *samples()] * 2, key=lambda m: m.t_ns)
+    twice, since = aligned(messages)
+    np.testing.assert_array_equal(twice.R, once.R)
+    assert len(since) == 21
+
+
+def test_a_receiver_faster_than_the_levelling_does_not_keep_the_filter_from_starting():
+    """Ten fixes a second."""
+    often = [fix(T0 + k * 100_000_000) for k in range(10)]
+    messages = sorted(
+        [*often, compass(), depth(), *samples(count=90)], key=lambda m: (m.t_ns, isinstance(m, ImuSample))
+    )
+    alignment = Alignment(SUITE, CONFIG)
+    for message in messages:
+        alignment.take(message)
+        if not alignment.waiting_for:
+            break
+    belief, since = alignment.belief()
+    assert belief.t_ns == T0
+    assert sum(isinstance(m, GnssFix) for m in since) == 2
+
+
+def test_a_message_from_the_future_does_not_keep_the_filter_from_starting():
+    """One wrong clock: what is heard in time is kept all the same."""
+    belief, since = aligned([depth(T0 + 3_600_000_000_000), fix(), compass(), depth(), *samples()])
+    assert belief.x[2] == 0.25
+    assert len(since) == 22
+
+
+def test_without_an_inertial_unit_messages_do_not_pile_up():
+    alignment = Alignment(SUITE, CONFIG)
+    for k in range(6100):
+        alignment.take(depth(T0 + k))
+    assert len(alignment._heard) == 6000

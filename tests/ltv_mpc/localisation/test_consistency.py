@@ -8,6 +8,7 @@ from ltv_mpc.frames import rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.signals import Estimate
 
 EVERY_NS = 10_000_000_000
 
@@ -24,6 +25,8 @@ class Sailed:
         seen = np.zeros(71, dtype=bool)
         for message in dive.messages:
             for said in self.estimator.step(message.t_ns, inbox_of(message)):
+                if not isinstance(said, Estimate):
+                    continue
                 self.estimates[said.t_ns] = said
                 if said.t_ns >= 0 and said.t_ns % EVERY_NS == 0:
                     self._grade(suite, seen)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.correction import correct
+from ltv_mpc.localisation.correction import correct, reduce, update
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.localisation.turning import turn_with_heading
+from ltv_mpc.localisation.turning import HEADING, swing
 
 LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
 OPEN = 1e9
@@ -31,7 +31,7 @@ def random_rows(m, seed=1):
     return Rows(state, partial, 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
 
 
-@pytest.mark.parametrize("m", [1, 2, 60, 120])
+@pytest.mark.parametrize("m", [1, 2, 4, 5, 60, 120])
 def test_an_update_is_the_textbooks(belief, m):
     """K = P H^T (H P H^T + R)^-1, and Joseph's form of the covariance, carried over to the estimate that moved."""
     rows, P = random_rows(m), belief.P.copy()
@@ -42,7 +42,9 @@ def test_an_update_is_the_textbooks(belief, m):
     assert correction.accepted.all()
     np.testing.assert_allclose(belief.x, K @ rows.residual, atol=1e-11)
     expected = I_KH @ P @ I_KH.T + K @ R @ K.T
-    turn_with_heading(expected, belief.x, LAYOUT)
+    M = np.eye(LAYOUT.size)
+    M[:, HEADING] += swing(belief.x, LAYOUT)
+    expected = M @ expected @ M.T
     np.testing.assert_allclose(belief.P, expected, atol=1e-11)
     np.testing.assert_array_equal(belief.P, belief.P.T)
     np.testing.assert_allclose(correction.nis, rows.residual**2 / np.diag(H @ P @ H.T + R))
@@ -89,3 +91,49 @@ def test_a_covariance_that_is_none_is_reported_and_left_alone(belief):
     assert not correction.accepted.any()
     np.testing.assert_array_equal(belief.P, before.P)
     np.testing.assert_array_equal(belief.x, before.x)
+
+
+@pytest.mark.parametrize("m", [1, 3, 20])
+@pytest.mark.parametrize("n", [3, 31, 32, 33, 100])
+def test_any_covariance_can_be_updated_without_a_belief(n, m):
+    """Of a filter with states of its own, few or many; sizes about that of a tile."""
+    rng = np.random.default_rng(n + m)
+    root = rng.standard_normal((n, n))
+    P = root @ root.T
+    before = 0.5 * (P + P.T)
+    P = before.copy()
+    state = np.array([rng.choice(n, 3, replace=False) for _ in range(m)])
+    rows = Rows(state, rng.standard_normal((m, 3)), rng.standard_normal(m), rng.uniform(0.5, 2, m))
+    H, R = rows.dense(n), np.diag(rows.variance)
+    K = np.linalg.solve(H @ before @ H.T + R, H @ before).T
+    correction = update(P, rows, OPEN)
+    np.testing.assert_allclose(correction.error, K @ rows.residual, atol=1e-10)
+    np.testing.assert_allclose(P, before - K @ H @ before, atol=1e-9)
+    np.testing.assert_array_equal(P, P.T)
+
+
+def test_rows_beyond_the_gate_say_that_nothing_is_to_be_added():
+    P = np.eye(4)
+    rows = Rows(np.array([[0]]), np.ones((1, 1)), np.array([1e3]), np.ones(1))
+    correction = update(P, rows, 10.8)
+    assert not correction.accepted.any()
+    np.testing.assert_array_equal(correction.error, np.zeros(4))
+    np.testing.assert_array_equal(P, np.eye(4))
+
+
+@pytest.mark.parametrize("m", [0, 1, 3, 9])
+def test_what_is_left_is_symmetric_whatever_stood_in_the_lower_triangle(m):
+    """Only the upper one is read: each path, few rows or many."""
+    rng = np.random.default_rng(m)
+    n = LAYOUT.size
+    root, W, a = rng.standard_normal((n, n)), 0.01 * rng.standard_normal((m, n)), rng.standard_normal(n)
+    a[HEADING] = 0
+    P = root @ root.T
+    P = 0.5 * (P + P.T)
+    M = np.eye(n)
+    M[:, HEADING] += a
+    expected = M @ (P - W.T @ W) @ M.T
+    P[np.tril_indices(n, -1)] = np.nan
+    reduce(P, W, a)
+    np.testing.assert_allclose(P, expected, rtol=1e-10, atol=1e-9)
+    np.testing.assert_array_equal(P, P.T)

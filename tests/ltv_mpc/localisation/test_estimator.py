@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import Estimator, estimate
+from ltv_mpc.localisation.estimator import SENSORS, Estimator, estimate
 from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.state import Belief, Layout, grid
-from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import AdcpPing, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
+from ltv_mpc.localisation.suite import BottomTracking, Suite
+from ltv_mpc.signals import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
 
 SUITE = Suite.load("realistic")
 CONFIG = EstimatorConfig()
@@ -25,11 +25,12 @@ def dive(make_dive):
 
 @pytest.fixture
 def run(inbox_of):
-    def run(messages, config=CONFIG, estimator=None):
-        estimator = estimator or Estimator(SUITE, config)
+    def run(messages, config=CONFIG, estimator=None, suite=SUITE):
+        estimator = estimator or Estimator(suite, config)
         out = []
         for message in messages:
-            out += [(message, said) for said in estimator.step(message.t_ns, inbox_of(message))]
+            said = estimator.step(message.t_ns, inbox_of(message))
+            out += [(message, one) for one in said if isinstance(one, Estimate)]
         return estimator, out
 
     return run
@@ -83,6 +84,37 @@ def test_a_sensor_that_is_silent_does_not_hold_the_estimate_for_more_than_one_sa
     assert max(late.values()) <= 10_000_000
 
 
+def test_an_estimate_waits_for_the_sea_bed_where_it_is_tracked_at_once(dive, run):
+    """Tracked ten times a second, and the last to speak at each instant."""
+    tracking = BottomTracking(
+        period_ns=PERIOD_NS,
+        range_m=50.0,
+        beam_noise_sd_mps=0.01,
+        missing_share=0.0,
+        outlier_share=0.0,
+        outlier_mps=0.0,
+    )
+    nothing = np.full(4, np.nan)
+    pings = [BottomTrack(t_ns=k * PERIOD_NS, range_m=nothing, beam_velocity_mps=nothing) for k in range(-5, 41)]
+    messages = sorted([*dive.messages, *pings], key=lambda m: (m.t_ns, isinstance(m, BottomTrack)))
+    for latency_ns, last in ((0, BottomTrack), (20_000_000, PressureDepth)):
+        slow = msgspec.structs.replace(tracking, latency_ns=latency_ns)
+        _, out = run(messages, suite=msgspec.structs.replace(SUITE, bottom_track=slow))
+        causes = {type(cause) for cause, said in out if said.t_ns > 0 and said.t_ns % 1_000_000_000}
+        assert causes == {last}
+
+
+@pytest.mark.parametrize("sensor", ["adcp", "pressure", "compass", "gnss", "tdcp"])
+def test_an_estimate_does_not_wait_for_a_sensor_that_is_late_by_its_file(dive, run, sensor):
+    """Nor for one that is not there: at -0.1 s only the pressure is due, at 0 everything but the profiler's ping."""
+    late = msgspec.structs.replace(getattr(SUITE, sensor), latency_ns=50_000_000)
+    kind = next(kind for kind, name in SENSORS.items() if name == sensor)
+    others = [m for m in dive.messages if not isinstance(m, kind) or m.t_ns < -800_000_000]
+    _, out = run(others, suite=msgspec.structs.replace(SUITE, **{sensor: late}))
+    delays = {said.t_ns: cause.t_ns - said.t_ns for cause, said in out}
+    assert max(delays[t_ns] for t_ns in (-100_000_000, 0, 1_000_000_000)) == 0
+
+
 def test_the_order_of_arrival_at_one_instant_and_within_one_sample_does_not_matter(dive, run):
     """Aiding messages that come ahead of the inertial sample that covers them wait for it.
 
@@ -112,25 +144,27 @@ def test_a_ping_between_two_samples_is_used_at_its_own_time(dive, run):
     assert stops == [1_333_333_332, 1_340_000_000]
 
 
-def test_what_is_older_than_the_belief_is_counted_and_changes_nothing(dive, run, inbox_of):
+def test_what_is_too_old_or_comes_twice_is_counted_and_changes_nothing(dive, run, inbox_of):
     estimator, _ = run(dive.messages)
     before = estimator.filter.belief.copy()
-    for old in (dive.messages[-30], dive.messages[40]):
-        assert estimator.step(old.t_ns, inbox_of(old)) == []
-    imu = next(m for m in reversed(dive.messages) if isinstance(m, ImuSample))
-    ping = next(m for m in reversed(dive.messages) if isinstance(m, AdcpPing))
-    estimator.step(imu.t_ns, inbox_of(imu))
-    estimator.step(ping.t_ns, inbox_of(ping))
+    kinds = (ImuSample, PressureDepth, AdcpPing)
+    second = [next(m for m in reversed(dive.messages) if isinstance(m, kind)) for kind in kinds]
+    old = [m for m in dive.messages if 2_000_000_000 < m.t_ns < 2_700_000_000]
+    for message in (*second, *old):
+        assert estimator.step(message.t_ns, inbox_of(message)) == []
     np.testing.assert_array_equal(estimator.filter.belief.x, before.x)
     np.testing.assert_array_equal(estimator.filter.belief.P, before.P)
-    assert estimator.account["ImuSample.late"] >= 1
-    assert estimator.account["AdcpPing.late"] >= 1
+    account = estimator.account
+    assert account["imu.late"] == 1 + sum(isinstance(m, ImuSample) for m in old)
+    assert account["adcp.late"] == sum(isinstance(m, AdcpPing) for m in old) == 2
+    assert account["pressure.late"] == sum(isinstance(m, PressureDepth) for m in old)
+    assert (account["adcp.duplicate"], account["pressure.duplicate"]) == (1, 1)
 
 
 def test_lost_inertial_samples_are_bridged_and_counted(dive, run):
     kept = [m for m in dive.messages if not (isinstance(m, ImuSample) and 1_000_000_000 < m.t_ns <= 1_050_000_000)]
     estimator, out = run(kept)
-    assert estimator.account["ImuSample.gap"] == 1
+    assert estimator.account["imu.gap"] == 1
     assert estimator.filter.belief.t_ns == 4_000_000_000
     assert [said.t_ns for _, said in out] == [said.t_ns for _, said in run(dive.messages)[1]]
 
@@ -140,7 +174,7 @@ def test_messages_without_an_inertial_unit_do_not_pile_up(dive, run, inbox_of):
     for k in range(1, 1101):
         message = PressureDepth(t_ns=4_000_000_000 + k, depth_m=0.8)
         estimator.step(message.t_ns, inbox_of(message))
-    assert estimator.account["PressureDepth.without_imu"] == 100
+    assert estimator.account["pressure.without_imu"] == 100
 
 
 def test_estimates_off_the_inertial_grid_are_made_at_their_own_time(dive, run):
@@ -168,6 +202,7 @@ def test_messages_of_one_inbox_are_used_as_if_they_came_one_by_one(dive, run, in
     _, out = run(dive.messages)
     together = Estimator(SUITE, CONFIG)
     said = together.step(0, [entry for m in dive.messages for entry in inbox_of(m)])
+    said = [one for one in said if isinstance(one, Estimate)]
     assert len(said) == len(out)
     assert all(same(a, b) for (_, a), b in zip(out, said, strict=True))
 

@@ -112,7 +112,7 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
     Unknowns: velocity north and east, each beam's bias, the cells at the start and each of their steps.
     """
     walk = 0.02
-    config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=walk)
+    config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=walk, adapts_to_water=False)
     imu = msgspec.structs.replace(
         PAPER.imu,
         gyro_bias_sd_radps=0.0,

@@ -394,3 +394,12 @@ def test_files_that_cannot_be_read_are_refused_by_name(tmp_path: Path, monkeypat
     monkeypatch.setattr(reader, "LARGEST_FILE", len(FILE) - 1)
     with pytest.raises(ConfigError, match=f"has {len(FILE)} bytes: at most"):
         reader.read(path)
+
+
+def test_settings_are_alike_where_only_the_first_cell_has_moved_by_centimetres():
+    leader = parse(written(HEADS[0], still(HEADS[0]))).ensembles[0].settings
+    moved = leader._replace(first_cell_m=leader.first_cell_m + 0.04 * leader.cell_m)
+    assert leader.alike(moved)
+    assert moved.alike(leader)
+    assert not leader.alike(leader._replace(first_cell_m=leader.first_cell_m + 0.5 * leader.cell_m))
+    assert not leader.alike(moved._replace(pings=leader.pings + 1))

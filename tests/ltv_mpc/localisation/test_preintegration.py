@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
-from ltv_mpc.localisation.preintegration import integrate, noise_of
+from ltv_mpc.localisation.preintegration import carry, integrate, noise_of
 from ltv_mpc.localisation.suite import Suite
 
 IMU = Suite.load("realistic").imu
@@ -168,3 +168,18 @@ def test_gathered_noise_is_that_of_every_sample_moved_to_the_end():
     np.testing.assert_allclose(Phi, whole, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(Q, total, rtol=1e-10, atol=1e-24)
     np.testing.assert_array_equal(x, y)
+
+
+def test_the_large_covariance_is_moved_as_its_fifteen_first_states_are():
+    """T P T^T + Q with T = diag(Phi, 1), and not a bit of symmetry lost."""
+    rng = np.random.default_rng(6)
+    root, Phi, own = rng.standard_normal((40, 40)), rng.standard_normal((15, 15)), rng.standard_normal((15, 15))
+    Phi[rng.uniform(size=Phi.shape) < 0.5] = 0.0
+    P = root @ root.T
+    P = 0.5 * (P + P.T)
+    T, Q = np.eye(40), np.zeros((40, 40))
+    T[:15, :15], Q[:15, :15] = Phi, own @ own.T
+    expected = T @ P @ T.T + Q
+    carry(P, Phi, Q[:15, :15].copy())
+    np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-10)
+    np.testing.assert_array_equal(P, P.T)

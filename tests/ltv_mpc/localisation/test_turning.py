@@ -7,16 +7,18 @@ import pytest
 
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.correction import reduce
 from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.localisation.turning import turn_with_heading
+from ltv_mpc.localisation.turning import swing
 from ltv_mpc.localisation.water_column import write_prior
 from ltv_mpc.signals import AdcpPing, ImuSample
 
 SUITE = Suite.load("realistic")
 CONFIG = EstimatorConfig()
 LAYOUT = Layout.of(Suite.load("paper"), CONFIG)
+NOTHING = np.empty((0, LAYOUT.size))
 
 
 def turn(x):
@@ -24,6 +26,7 @@ def turn(x):
     N = np.zeros(LAYOUT.size)
     N[8] = 1
     N[3:5] = -x[4], x[3]
+    N[LAYOUT.mean] = -x[LAYOUT.mean][1], x[LAYOUT.mean][0]
     N[LAYOUT.north], N[LAYOUT.east] = -x[LAYOUT.east], x[LAYOUT.north]
     return N
 
@@ -32,7 +35,7 @@ def test_the_direction_of_a_common_turn_moves_with_the_estimate():
     rng = np.random.default_rng(0)
     x, dx = rng.standard_normal((2, LAYOUT.size))
     P = np.outer(turn(x), turn(x))
-    turn_with_heading(P, dx, LAYOUT)
+    reduce(P, NOTHING, swing(dx, LAYOUT))
     np.testing.assert_allclose(P, np.outer(turn(x + dx), turn(x + dx)), atol=1e-12)
 
 
@@ -44,7 +47,7 @@ def test_it_is_a_congruence_and_keeps_symmetry():
     M = np.eye(LAYOUT.size)
     M[:, 8] += turn(dx) - turn(np.zeros(LAYOUT.size))
     expected = M @ P @ M.T
-    turn_with_heading(P, dx, LAYOUT)
+    reduce(P, NOTHING, swing(dx, LAYOUT))
     np.testing.assert_allclose(P, expected, rtol=1e-10, atol=1e-10)
     np.testing.assert_array_equal(P, P.T)
 

@@ -1,0 +1,197 @@
+"""Water that changes as its prior does not foresee: how the filter sees it, and what it then grants the water.
+
+Seen    A ping's innovations are fitted, by least squares over its rows, with a velocity of all water past the vehicle
+        and with a shear, D of ``innovations.py``. Water that changes everywhere at once, as a front does, shows in the
+        velocity's two horizontal parts, internal waves in the shear; what shows in the vertical part is no water.
+        And corrections that keep moving a single node one way: corrections e of one state are white with the variance
+        (W^T W)_kk by which they reduce its own, so with m, a the sums of both, that forget with tau = 30 s,
+            z = m_n^2 / a_n + m_e^2 / a_e ~ chi-square(2)
+Granted a random walk of all nodes that are states, smooth over depth,
+            P_water += q^2 dt exp(-|z_i - z_j| / 30 m),  north and east,
+        of one of two strengths q, while it lasts:
+            slow  3 mm/s per sqrt(s), after a shear: waves of 5 cm/s in 300 s change by 1 cm/s within 10 s
+            fast  5 cm/s per sqrt(s), after a velocity: ten times less or more makes no difference while a front passes,
+                  for the vehicle's velocity then rests on the inertial unit alone
+        and of single nodes, w_k^2 dt with w_k^2 = |m|^2 / (2 tau), which halves in 60 s.
+        What fast does not account for is not water but the unit or the profiler: it is left to the gate and said to be
+        inconsistent. (0.5 m/s per sqrt(s) took a failed accelerometer for water, and the filter with it.)
+Back    A front is seen three to ten seconds after it came; until then the filter has taken it for a tilt and a
+        velocity of the vehicle, and is sure of them. So it is granted from ``BACK_NS`` before it was seen: the filter
+        goes back and does these seconds again (``late.py``).
+Cost    Nothing is granted while nothing is seen: known water is filtered to the bit as without any of this.
+Blind   A change as slow as the errors of tilt allow for, 2 mm/s2 (0.2 m/s in 100 s), shows nowhere: say
+        ``current_change_mps_per_rts`` where that is to be expected.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.localisation import innovations
+from ltv_mpc.localisation.innovations import Mean
+from ltv_mpc.localisation.state import Belief
+from ltv_mpc.signals import Array
+
+BACK_NS = 10_000_000_000
+
+_SMOOTH_M = 30.0
+_MEANS_S = (1.0, 3.0, 10.0)
+_SLOPES_S = (3.0, 10.0, 30.0)
+"""Over which they are taken."""
+
+_CUT = 2.0
+"""Deviations to which each row is cut before it is fitted, so that an outlier counts as two."""
+_WORST = 100.0
+"""Condition of a fit, of columns of one length, up to which beams are held to point in enough directions."""
+
+_NODE_S = 30.0
+_NODE_LIMIT = 20.0
+"""z of water as foretold stayed below 13 in eight descents; a walk granted by mistake costs its node alone."""
+_NODE_FADES_S = 60.0 / math.log(2.0)
+_NODE_LEAST = 1e-8
+"""m2/s3: a walk of 0.1 mm/s per sqrt(s) is none."""
+
+_LIMIT_1, _LIMIT_2 = innovations.limit(1), innovations.limit(2)
+
+_LONGEST_NS = 120_000_000_000
+_BEYOND_NS = 2_000_000_000
+"""For so long a call for what no water does is remembered: a second, the time between two reports, and another."""
+
+
+class Change(enum.IntEnum):
+    """How much the water is granted."""
+
+    NONE = 0
+    SLOW = 1
+    FAST = 2
+
+
+WALK_MPS_PER_RTS = {Change.NONE: 0.0, Change.SLOW: 0.003, Change.FAST: 0.05}
+_HOLD_NS = {Change.SLOW: 60_000_000_000, Change.FAST: 10_000_000_000}
+
+
+class Adaptation:
+    """Of one filter; part of what it goes back to."""
+
+    def __init__(self, nodes: int, cell_m: float, from_ns: int) -> None:
+        """``nodes`` of the whole grid; before ``from_ns`` nothing is granted."""
+        self._cell_m = cell_m
+        self._means = Mean(_MEANS_S, 2)
+        self._downward = Mean(_MEANS_S, 1)
+        self._slopes = Mean(_SLOPES_S, 2)
+        self._from_ns = from_ns
+        self._beyond_ns: int | None = None
+        self._until_ns: dict[Change, int] = {}
+        self._held_ns: dict[Change, int] = {}
+        self._t_ns: int | None = None  # of the last corrections
+        self._moved = np.zeros((2, nodes))  # m
+        self._allowed = np.zeros((2, nodes))  # a
+        self._node_walk = np.zeros(nodes)  # w^2 (m2/s3)
+
+    def copy(self) -> Adaptation:
+        """Independent of this one."""
+        other = Adaptation.__new__(Adaptation)
+        other.__dict__.update(self.__dict__)
+        other._means, other._downward, other._slopes = self._means.copy(), self._downward.copy(), self._slopes.copy()
+        other._until_ns, other._held_ns = dict(self._until_ns), dict(self._held_ns)
+        return other
+
+    def change(self, t_ns: int) -> Change:
+        """Granted at ``t_ns``."""
+        return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=Change.NONE)
+
+    def walk_mps_per_rts(self, t_ns: int) -> float:
+        """What is published: the stronger of all nodes' walk and the strongest of a single node's."""
+        return max(WALK_MPS_PER_RTS[self.change(t_ns)], math.sqrt(float(self._node_walk.max())))
+
+    def beyond(self, t_ns: int) -> bool:
+        """Means have just called for what no water does: more than fast, or up and down."""
+        return self._beyond_ns is not None and t_ns - self._beyond_ns < _BEYOND_NS
+
+    def hear(self, t_ns: int, u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> None:
+        """Innovations r (m,) of one ping with covariance S; u (m, 3) each row's beam in NED."""
+        most = _CUT * np.sqrt(np.diagonal(S))
+        r = np.clip(r, -most, most)
+        D, known = _fit(u)
+        d, V = D.T @ r, D.T @ S @ D
+        if known:
+            self._means.add(t_ns, d[:2], V[:2, :2])
+            self._downward.add(t_ns, d[2:], V[2:, 2:])
+        D, known = _fit((cell - cell.mean())[:, None] * u[:, :2])
+        if known:
+            self._slopes.add(t_ns, D.T @ r, D.T @ S @ D)
+
+    def seen(self, t_ns: int) -> Change:
+        """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""
+        granted, limit = self.change(t_ns), _LIMIT_2
+        means = self._means.chi_square() > limit
+        if (self._downward.chi_square() > _LIMIT_1).any() or (means[0] and granted is Change.FAST):
+            self._beyond_ns = t_ns
+        if self.beyond(t_ns) or t_ns < self._from_ns:
+            return Change.NONE
+        if means.any() and granted < Change.FAST:
+            return Change.FAST
+        if (self._slopes.chi_square() > limit).any() and granted < Change.SLOW:
+            return Change.SLOW
+        return Change.NONE
+
+    def grant(self, change: Change, until_ns: int, now_ns: int) -> None:
+        """From now on, wherever "now" has gone back to. ``until_ns`` comes from ``hold``."""
+        self._held_ns[change] = until_ns - now_ns
+        self._until_ns[change] = until_ns
+
+    def hold(self, change: Change, now_ns: int) -> int:
+        """Until when it is granted: twice as long as the last time where that was not long ago."""
+        last_ns, hold_ns = self._held_ns.get(change, 0), _HOLD_NS[change]
+        if last_ns and now_ns < self._until_ns[change] + 2 * last_ns:
+            hold_ns = min(2 * last_ns, _LONGEST_NS)
+        return now_ns + hold_ns
+
+    def moved(self, belief: Belief, error: Array, told: Array) -> None:
+        """One ping's corrections (n,), and by how much it has reduced each variance (n,)."""
+        layout, first = belief.layout, belief.column.first
+        window = slice(first, first + layout.north.stop - layout.north.start)
+        e = np.stack([error[layout.north], error[layout.east]])
+        a = np.stack([told[layout.north], told[layout.east]])
+        dt = 0.0 if self._t_ns is None else max(belief.t_ns - self._t_ns, 0) * 1e-9
+        self._t_ns = belief.t_ns
+        keep = math.exp(-dt / _NODE_S)
+        moved, allowed = keep * self._moved, keep * keep * self._allowed
+        moved[:, window] += e
+        allowed[:, window] += a
+        z = (moved**2 / np.where(allowed > 0.0, allowed, 1.0)).sum(axis=0)
+        walk = self._node_walk * math.exp(-dt / _NODE_FADES_S)
+        walk[walk < _NODE_LEAST] = 0.0
+        off = z > _NODE_LIMIT
+        if off.any():
+            walk[off] += (moved[:, off] ** 2).sum(axis=0) / (2.0 * _NODE_S)
+            moved[:, off], allowed[:, off] = 0.0, 0.0
+        self._moved, self._allowed, self._node_walk = moved, allowed, walk
+
+    def grow(self, belief: Belief, dt: float) -> None:
+        """What is granted over the last ``dt`` (s), into the covariance."""
+        layout, P = belief.layout, belief.P
+        q2 = WALK_MPS_PER_RTS[self.change(belief.t_ns)] ** 2
+        if q2 > 0.0:
+            k = np.arange(layout.north.stop - layout.north.start)
+            smooth = q2 * dt * np.exp(-np.abs(k[:, None] - k[None, :]) * self._cell_m / _SMOOTH_M)
+            for axis in (layout.north, layout.east):
+                P[axis, axis] += smooth
+        if self._node_walk.any():
+            first = belief.column.first
+            own = dt * self._node_walk[first : first + layout.north.stop - layout.north.start]
+            for axis in (layout.north, layout.east):
+                i = np.arange(axis.start, axis.stop)
+                P[i, i] += own
+
+
+def _fit(X: Array) -> tuple[Array, bool]:
+    """D (m, k) with D^T X = 1, by least squares; False where beams of one plane alone say nothing across it."""
+    normal = X.T @ X
+    sd = np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
+    known = bool(np.linalg.cond(normal / np.outer(sd, sd)) < _WORST)
+    return (X @ np.linalg.inv(normal) if known else np.zeros_like(X)), known

@@ -1,0 +1,169 @@
+"""Health of the filter and of each sensor, from the innovations as they were before the gate.
+
+Window  the last 10 s of each sensor: its rows, how many of them passed, and of those  x = r_i^2 / S_ii
+NIS     mean x of the rows that passed over what chi-square truncated at the gate g has,
+            E[x | x <= g] = F_3(g) / F_1(g),   F_k the distribution of chi-square of k degrees of freedom
+        so that outliers do not make a good sensor look bad: they count as refused.
+Band    of a sensor: chi-square of N degrees of freedom over N, at 1e-6 on either side. Rows of one message share the
+        vehicle's error; the sum of their x has the variance 2 sum rho_ij^2, rho their correlation in S, so that m rows
+        count as  N = m^2 / sum_ij rho_ij^2  independent ones (of a profiler some 50 of 56, 1500 in the window);
+        messages of a consistent filter are independent. One false alarm in a week.
+        Ranges and fixes from a ship come seldom and carry a second-order variance: for them only too large is wrong.
+Refused more than half of the rows of the window, of at least two messages.
+Filter  inconsistent when what ties its velocity or its depth down (profiler, bottom track, pressure) is refused, or
+        has innovations ``GROSS`` times as large as said, or two sensors at once are: then it is not the sensor that is
+        wrong; or it is, and the filter has no business without it. The compass alone is not reason enough, gyros are
+        better. Nor is a profiler a quarter noisier than its file says: that is the sensor's flag.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtr, chdtri
+
+from ltv_mpc.localisation.filter import Verdict
+from ltv_mpc.localisation.late import REACH_NS
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.signals import FilterStatus, SensorReport, SensorStatus
+
+WINDOW_NS = 10_000_000_000
+SILENT_PERIODS = 3
+FEWEST = 3
+"""Messages below which a mean is not judged."""
+FALSE_ALARM = 1e-6
+GROSS = 2.3
+"""Upper end of the band of thirty messages, a window of pings, were all rows of a message one."""
+ONLY_TOO_LARGE = ("lbl", "usbl", "gnss", "tdcp")
+TIES = ("adcp", "bottom_track", "pressure")
+AT_SURFACE = ("gnss", "tdcp")
+"""Silent by design once the descent has begun."""
+
+
+class _Judged(NamedTuple):
+    t_ns: int
+    rows: int
+    passed: int
+    squares: float  # sum of x over those that passed
+    pairs: float  # sum of rho_ij^2 over them
+
+
+class Monitor:
+    """Hears every verdict once; asked once a second."""
+
+    def __init__(self, suite: Suite, gate_probability: float) -> None:
+        """Sensors that ``suite`` does not have are not reported."""
+        gate = float(chdtri(1, 1.0 - gate_probability))
+        self._expected = float(chdtr(3, gate) / chdtr(1, gate))
+        self._silent_ns = _silent_after(suite)
+        self._window: dict[str, deque[_Judged]] = {name: deque() for name in self._silent_ns}
+        self._last_ns: dict[str, int] = {}
+        self._reported: Counter[str] = Counter()
+
+    def hear(self, verdict: Verdict) -> None:
+        """What came of one message."""
+        window = self._window.get(verdict.sensor)
+        if window is None:
+            return
+        x = verdict.residual**2 / np.diagonal(verdict.S)
+        passed = verdict.accepted
+        S = verdict.S[np.ix_(passed, passed)]
+        sd2 = np.diagonal(S)
+        pairs = float((S * S / np.outer(sd2, sd2)).sum())
+        window.append(_Judged(verdict.t_ns, len(x), len(S), float(x[passed].sum()), pairs))
+        self._last_ns[verdict.sensor] = max(verdict.t_ns, self._last_ns.get(verdict.sensor, verdict.t_ns))
+
+    def forget(self) -> None:
+        """The filter has begun anew: what the old one said of the sensors does not count."""
+        for window in self._window.values():
+            window.clear()
+
+    def sensors(self, t_ns: int, account: Mapping[str, int]) -> tuple[SensorReport, ...]:
+        """One report a sensor at ``t_ns``; ``account`` counts from the beginning (``Estimator.account``)."""
+        new = Counter(account)
+        new.subtract(self._reported)
+        self._reported = Counter(account)
+        reports = []
+        for name, window in self._window.items():
+            while window and window[0].t_ns <= t_ns - WINDOW_NS:
+                window.popleft()
+            refused = {
+                key.partition(".")[2]: count
+                for key, count in sorted(new.items())
+                if count > 0 and key.startswith(f"{name}.") and key.partition(".")[2] not in ("used", "late_applied")
+            }
+            nis, status = self._judge(name, t_ns)
+            reports.append(
+                SensorReport(
+                    sensor=name,
+                    status=status,
+                    used=new[f"{name}.used"],
+                    refused=refused,
+                    nis=nis,
+                    last_t_ns=self._last_ns.get(name),
+                )
+            )
+        return tuple(reports)
+
+    def _judge(self, name: str, t_ns: int) -> tuple[float | None, SensorStatus]:
+        window = self._window[name]
+        passed = sum(j.passed for j in window)
+        rows = sum(j.rows for j in window)
+        nis = sum(j.squares for j in window) / passed / self._expected if passed else None
+        last_ns = self._last_ns.get(name)
+        if last_ns is None or t_ns - last_ns > self._silent_ns[name]:
+            ended = name in AT_SURFACE and t_ns > 0
+            return nis, SensorStatus.OK if ended else SensorStatus.SILENT
+        if len(window) >= 2 and 2 * passed < rows:
+            return nis, SensorStatus.REJECTED
+        if nis is not None and len(window) >= FEWEST:
+            low, high = band(passed * passed / sum(j.pairs for j in window))
+            if nis > high or (nis < low and name not in ONLY_TOO_LARGE):
+                return nis, SensorStatus.INCONSISTENT
+        return nis, SensorStatus.OK
+
+
+def band(independent: float) -> tuple[float, float]:
+    """Of a mean over this many independent squares."""
+    low, high = chdtri(independent, 1.0 - FALSE_ALARM), chdtri(independent, FALSE_ALARM)
+    return float(low) / independent, float(high) / independent
+
+
+def verdict_of(reports: tuple[SensorReport, ...]) -> tuple[FilterStatus, str]:
+    """The filter's status by its sensors', and why in words."""
+    wrong = [r for r in reports if _grossly(r)]
+    if any(r.sensor in TIES for r in wrong) or len(wrong) > 1:
+        return FilterStatus.INCONSISTENT, "; ".join(_words(r) for r in wrong)
+    return FilterStatus.NOMINAL, ""
+
+
+def _grossly(report: SensorReport) -> bool:
+    if report.status is SensorStatus.INCONSISTENT:
+        return report.nis is not None and report.nis > GROSS
+    return report.status is SensorStatus.REJECTED
+
+
+def _words(report: SensorReport) -> str:
+    if report.status is SensorStatus.REJECTED:
+        return f"{report.sensor}: most of it fails the gate"
+    return f"{report.sensor}: squared innovations {report.nis:.2g} times what is said"
+
+
+def _silent_after(suite: Suite) -> dict[str, int]:
+    """Of each sensor that corrects the filter, by name: how old its newest message may be (ns)."""
+    tables = {
+        "gnss": suite.gnss,
+        "tdcp": suite.tdcp,
+        "adcp": suite.adcp,
+        "pressure": suite.pressure,
+        "compass": suite.compass,
+        "bottom_track": suite.bottom_track,
+        "usbl": suite.usbl,
+    }
+    after = {name: SILENT_PERIODS * t.period_ns + t.latency_ns for name, t in tables.items() if t is not None}
+    if suite.lbl is not None:
+        after["lbl"] = SILENT_PERIODS * suite.lbl.period_ns + REACH_NS
+    return after

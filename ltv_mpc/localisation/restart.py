@@ -1,0 +1,118 @@
+"""A filter that has diverged begins anew where it was last good.
+
+Good    once a second position and velocity are kept, with their covariance. When innovations have been out of their
+        band for ``PATIENCE_NS``, the last good instant is one window of the monitor before they left it: what the
+        window averaged over was tainted already.
+Anew    as afloat, by ``Alignment``, with a fix made of what is known in place of the satellites':
+            p = p_g + v_g t,   sd_p^2 = P_pp + (sd_v t)^2      t since the good instant
+            v = v_g,           sd_v = 0.3 m/s                   a vehicle may have got up to half its top speed
+        level from the accelerometers with 0.1 m/s2 of motion, heading from the compass, biases and water as at the
+        start. What made the first filter diverge may go on: where the last restart is not long ago, the inertial
+        unit's biases are let ten times as wide again, up to a hundred times.
+        Until compass, pressure and 0.2 s of samples have come, the old filter goes on being published.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.alignment import Alignment
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.health import WINDOW_NS
+from ltv_mpc.localisation.state import Belief
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.signals import Array, FilterStatus, GnssFix
+
+PATIENCE_NS = 10_000_000_000
+GRACE_NS = 30_000_000_000
+"""It is said to have restarted for this long."""
+SOON_NS = 120_000_000_000
+"""A second restart within this time is of the same cause."""
+VELOCITY_SD_MPS = 0.3
+ACCELERATION_SD_MPS2 = 0.1
+WIDER, WIDEST = 10.0, 100.0
+"""Beyond a hundred times 1 mg the tilt that levelling leaves open is no small angle: such filters diverged for good."""
+_KEPT = 60
+
+
+class Place(NamedTuple):
+    """Where the vehicle was and how it moved, north and east."""
+
+    t_ns: int
+    position_m: Array  # (2,)
+    velocity_mps: Array  # (2,)
+    variance_m2: float  # of the worse of both axes
+
+
+def usable(belief: Belief) -> bool:
+    """Finite, and no variance below zero."""
+    return bool(np.isfinite(belief.x).all() and np.isfinite(belief.P).all() and (np.diagonal(belief.P) >= 0).all())
+
+
+class Restarts:
+    """Watches one filter after the other; told of each second's verdict."""
+
+    def __init__(self, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None) -> None:
+        self.count = 0
+        self._suite, self._config, self._prior = suite, config, prior
+        self._places: deque[Place] = deque(maxlen=_KEPT)
+        self._bad_since_ns: int | None = None
+        self._last_ns: int | None = None
+        self._wider = 1.0
+
+    def recent(self, t_ns: int) -> bool:
+        """It has begun anew a short while ago."""
+        return self._last_ns is not None and t_ns - self._last_ns < GRACE_NS
+
+    def watch(self, belief: Belief, status: FilterStatus) -> bool:
+        """Take note of a second; true: the filter must begin anew."""
+        t_ns = belief.t_ns
+        if not usable(belief):
+            return bool(self._places)
+        if status is FilterStatus.NOMINAL:
+            self._bad_since_ns = None
+        elif self._bad_since_ns is None:
+            self._bad_since_ns = t_ns
+        x, P = belief.x, belief.P
+        variance = float(max(P[0, 0], P[1, 1]))
+        self._places.append(Place(t_ns, x[:2].copy(), x[3:5].copy(), variance))
+        return self._bad_since_ns is not None and t_ns - self._bad_since_ns >= PATIENCE_NS
+
+    def begin(self, t_ns: int) -> Alignment:
+        """What a new filter is made of; what is measured from now on is to be given to it."""
+        good = self._good(t_ns)
+        soon = self._last_ns is not None and t_ns - self._last_ns < SOON_NS
+        self._wider = min(self._wider * WIDER, WIDEST) if soon else 1.0
+        self.count += 1
+        self._last_ns = t_ns
+        self._bad_since_ns = None
+        self._places.clear()
+        gone_s = (t_ns - good.t_ns) * 1e-9
+        replace, suite = msgspec.structs.replace, self._suite
+        sd_m = math.hypot(math.sqrt(good.variance_m2), VELOCITY_SD_MPS * gone_s)
+        gnss = replace(suite.gnss, position_sd_m=sd_m, velocity_sd_mps=VELOCITY_SD_MPS, lever_arm_m=(0.0, 0.0, 0.0))
+        imu = replace(
+            suite.imu,
+            gyro_bias_sd_radps=suite.imu.gyro_bias_sd_radps * self._wider,
+            accelerometer_bias_sd_mps2=suite.imu.accelerometer_bias_sd_mps2 * self._wider,
+        )
+        config = replace(self._config, afloat_acceleration_sd_mps2=ACCELERATION_SD_MPS2)
+        alignment = Alignment(replace(suite, gnss=gnss, imu=imu), config, self._prior)
+        north, east = (good.position_m + good.velocity_mps * gone_s).tolist()
+        v_north, v_east = good.velocity_mps.tolist()
+        alignment.take(
+            GnssFix(t_ns=t_ns, north_m=north, east_m=east, velocity_north_mps=v_north, velocity_east_mps=v_east)
+        )
+        return alignment
+
+    def _good(self, t_ns: int) -> Place:
+        """The newest place from before the window in which it went wrong, or the oldest there is."""
+        since_ns = t_ns if self._bad_since_ns is None else self._bad_since_ns
+        before = [place for place in self._places if place.t_ns <= since_ns - WINDOW_NS]
+        return before[-1] if before else self._places[0]

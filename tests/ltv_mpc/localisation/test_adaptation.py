@@ -1,0 +1,278 @@
+"""Water that does what its prior does not foresee: seen, granted from before it was seen, and only then."""
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.adaptation import BACK_NS, Adaptation, Change
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter import Filter
+from ltv_mpc.localisation.measurements.adcp import beam_directions
+from ltv_mpc.localisation.state import Belief, Layout
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.signals import AdcpPing
+
+PAPER = Suite.load("paper")
+CONFIG = EstimatorConfig()
+BLIND = msgspec.structs.replace(CONFIG, adapts_to_water=False)
+SECOND = 1_000_000_000
+END_S = 45.0
+CELLS = 20
+
+
+def front(t_s, depth_m):
+    """0.2 m/s over ten seconds, to the north-east, at all depths."""
+    return 0.2 * np.clip((t_s - 20.0) / 10.0, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
+
+
+def waves(t_s, depth_m):
+    """First mode of a column of 40 m: 5 cm/s in 200 s."""
+    return 0.05 * np.sin(2 * np.pi * t_s / 200.0) * np.cos(np.pi * depth_m / 40.0)
+
+
+def with_water(dive, extra):
+    """The dive's messages, had the water moved by ``extra`` more, north and east alike (paper: mounted as meant)."""
+    beams = beam_directions(PAPER.adcp.beam_angle_rad)
+    out = []
+    for message in dive.messages:
+        if isinstance(message, AdcpPing):
+            k = dive.at(message.t_ns)
+            u = beams @ dive.R[k].T
+            depth = dive.position[k, 2] + np.outer(u[:, 2], message.range_m)
+            more = (u[:, :1] + u[:, 1:2]) * extra(message.t_ns * 1e-9, depth)
+            message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + more)
+        out.append(message)
+    return out
+
+
+@pytest.fixture(scope="module")
+def dives(make_dive):
+    return [make_dive(PAPER, seed, duration_s=END_S) for seed in (40, 41)]
+
+
+@pytest.fixture(scope="module")
+def run(inbox_of):
+    def run(messages, config=CONFIG, estimator=None):
+        estimator = estimator or Estimator(PAPER, config)
+        for message in messages:
+            estimator.step(message.t_ns, inbox_of(message))
+        estimator.filter.settle()
+        return estimator.filter
+
+    return run
+
+
+class Granted(NamedTuple):
+    change: Change
+    at_ns: int
+    from_ns: int
+    until_ns: int
+
+
+@pytest.fixture
+def granted(monkeypatch):
+    """What has been granted while a filter ran."""
+    log = []
+    grant, restore = Adaptation.grant, Filter.restore
+    back_ns = []
+
+    def spy_restore(self, then):
+        back_ns.append(then.belief.t_ns)
+        return restore(self, then)
+
+    def spy_grant(self, change, until_ns, now_ns):
+        log.append(Granted(change, now_ns, back_ns[-1], until_ns))
+        return grant(self, change, until_ns, now_ns)
+
+    monkeypatch.setattr(Filter, "restore", spy_restore)
+    monkeypatch.setattr(Adaptation, "grant", spy_grant)
+    return log
+
+
+def off_by(filter_, dive):
+    """Squared error of the horizontal velocity over what the filter says of it: chi-square of 2 degrees."""
+    e = filter_.belief.x[3:5] - dive.velocity[-1, :2]
+    return e @ np.linalg.solve(filter_.belief.P[3:5, 3:5], e)
+
+
+def same(one, other):
+    return np.array_equal(one.belief.x, other.belief.x) and np.array_equal(one.belief.P, other.belief.P)
+
+
+def test_water_as_foretold_is_filtered_to_the_bit_as_without(dives, run, granted):
+    for dive in dives:
+        assert same(run(dive.messages), run(dive.messages, BLIND))
+    assert granted == []
+
+
+def test_a_front_is_seen_within_seconds_and_the_velocity_then_is_as_good_as_the_filter_says(dives, run, granted):
+    """99.9 % of chi-square of 2 degrees is 13.8; a filter that does not adapt is off by hundreds."""
+    for dive in dives:
+        granted.clear()
+        messages = with_water(dive, front)
+        assert off_by(run(messages, BLIND), dive) > 100
+        assert off_by(run(messages), dive) < 13.8
+        assert granted[0].change is Change.FAST
+        assert 20 * SECOND < granted[0].at_ns < 26 * SECOND
+
+
+def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives, run, granted):
+    dive = dives[0]
+    messages = with_water(dive, waves)
+    square = {}
+    for config in (CONFIG, BLIND):
+        belief = run(messages, config).belief
+        nodes = np.arange(14, 30)  # those that are still seen
+        truth = dive.water[nodes, 0] + waves(END_S, nodes)
+        k = belief.layout.north.start + nodes - belief.column.first
+        e = belief.x[k] - truth
+        square[config.adapts_to_water] = e @ np.linalg.solve(belief.P[np.ix_(k, k)], e) / len(nodes)
+    assert Change.SLOW in {one.change for one in granted}
+    assert square[False] > 5
+    assert square[True] < 2.5
+
+
+def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_then(dives, run, granted):
+    """Against a filter that is granted it at that instant, and never goes back."""
+    dive = dives[0]
+    messages = with_water(dive, front)
+    adapted = run([m for m in messages if m.t_ns <= 26 * SECOND])
+    assert len(granted) == 1
+    _, at_ns, from_ns, until_ns = granted.pop()
+    assert at_ns - BACK_NS - SECOND < from_ns <= at_ns - BACK_NS
+
+    told = Estimator(PAPER, CONFIG)
+    run([m for m in messages if m.t_ns <= from_ns], estimator=told)
+    told.filter.water.grant(Change.FAST, until_ns, at_ns)
+    assert same(adapted, run([m for m in messages if from_ns < m.t_ns <= 26 * SECOND], estimator=told))
+
+
+def test_after_a_while_nothing_is_granted_any_more_and_longer_the_next_time():
+    water = Adaptation(CELLS, 1.0, 0)
+    assert water.hold(Change.FAST, 50 * SECOND) == 60 * SECOND
+    water.grant(Change.FAST, 60 * SECOND, 50 * SECOND)
+    assert water.change(60 * SECOND - 1) is Change.FAST
+    assert water.change(60 * SECOND) is Change.NONE
+    assert water.walk_mps_per_rts(60 * SECOND) == 0.0
+    assert water.hold(Change.FAST, 65 * SECOND) == 85 * SECOND
+    assert water.hold(Change.FAST, 90 * SECOND) == 100 * SECOND
+
+
+U = np.repeat(beam_directions(PAPER.adcp.beam_angle_rad), 10, axis=0)
+CELL = np.tile(np.arange(10), 4)
+S = 1e-4 * np.eye(40)
+
+
+def hear(water, rng, pings, r, first=0):
+    """Pings of white noise about ``r``; what the last one calls for."""
+    for k in range(first, first + pings):
+        water.hear(k * SECOND // 3, U, CELL, r + 0.01 * rng.standard_normal(40), S)
+    return water.seen((first + pings - 1) * SECOND // 3)
+
+
+@pytest.mark.parametrize(
+    ("r", "change", "beyond"),
+    [
+        (0.0 * CELL, Change.NONE, False),
+        (U @ [0.02, -0.01, 0.0], Change.FAST, False),
+        ((CELL - 4.5) * (U @ [0.003, 0.0, 0.0]), Change.SLOW, False),
+        (U @ [0.0, 0.0, 0.01], Change.NONE, True),
+        (U @ [0.02, -0.01, 0.01], Change.NONE, True),
+    ],
+    ids=["noise", "velocity", "shear", "upward", "velocity and upward"],
+)
+def test_a_velocity_calls_for_much_a_shear_for_little_and_what_moves_up_for_nothing(r, change, beyond):
+    """Water does not move up and down: that is the unit or the profiler, and is said."""
+    water = Adaptation(CELLS, 1.0, 0)
+    assert hear(water, np.random.default_rng(3), 40, r) is change
+    assert water.beyond(13 * SECOND) is beyond
+
+
+def test_outliers_on_every_tenth_row_call_for_nothing():
+    """All of one sign along two beams that look opposite ways: as a velocity they would be 15 cm/s."""
+    water = Adaptation(CELLS, 1.0, 0)
+    r = np.where((CELL == 3) & (np.arange(40) < 20), np.sign(U[:, 0]) * 0.5, 0.0)
+    assert hear(water, np.random.default_rng(8), 12, r) is Change.NONE
+
+
+def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water():
+    water = Adaptation(CELLS, 1.0, 0)
+    rng, r = np.random.default_rng(4), U @ [0.02, -0.01, 0.0]
+    assert hear(water, rng, 40, r) is Change.FAST
+    assert not water.beyond(13 * SECOND)
+    water.grant(Change.FAST, 30 * SECOND, 13 * SECOND)
+    assert hear(water, rng, 1, r, first=40) is Change.NONE
+    assert water.beyond(14 * SECOND)
+    assert not water.beyond(16 * SECOND)
+
+
+def test_a_filter_that_has_just_begun_anew_takes_nothing_for_a_front():
+    rng, r = np.random.default_rng(5), U @ [0.02, -0.01, 0.0]
+    assert hear(Adaptation(CELLS, 1.0, 20 * SECOND), rng, 40, r) is Change.NONE
+    assert hear(Adaptation(CELLS, 1.0, 13 * SECOND), rng, 40, r) is Change.FAST
+
+
+def test_beams_of_one_plane_alone_are_not_asked():
+    water = Adaptation(CELLS, 1.0, 0)
+    two = slice(0, 20)
+    for k in range(40):
+        water.hear(k * SECOND // 3, U[two], CELL[two], np.full(20, 0.1), S[two, two])
+    assert water.seen(13 * SECOND) is Change.NONE
+
+
+def belief_of_water():
+    config = msgspec.structs.replace(CONFIG, deepest_m=float(CELLS - 1))
+    belief = Belief.blank(Layout.of(PAPER, config), 0)
+    belief.P = 1e-4 * np.eye(belief.layout.size)
+    return belief
+
+
+def moved(water, belief, rng, pings, shift):
+    """Corrections as white as they should be, of sd 1 mm/s, and ``shift`` (m/s) of node 7's north besides."""
+    for _ in range(pings):
+        belief.t_ns += SECOND // 3
+        error = 1e-3 * rng.standard_normal(belief.layout.size)
+        error[belief.layout.north.start + 7] += shift
+        water.moved(belief, error, np.full(belief.layout.size, 1e-6))
+
+
+def test_a_node_that_corrections_keep_moving_is_granted_a_walk_of_its_own_which_fades():
+    belief, rng = belief_of_water(), np.random.default_rng(6)
+    water = Adaptation(CELLS, 1.0, 0)
+    moved(water, belief, rng, 300, 0.0)
+    assert water.walk_mps_per_rts(belief.t_ns) == 0.0
+    moved(water, belief, rng, 120, 1.5e-3)
+    walk = water.walk_mps_per_rts(belief.t_ns)
+    assert 1e-3 < walk < 20e-3
+
+    before = belief.P.copy()
+    water.grow(belief, 2.0)
+    grown = belief.P - before
+    north, east = belief.layout.north.start + 7, belief.layout.east.start + 7
+    assert grown[north, north] == grown[east, east] == pytest.approx(2.0 * walk**2)
+    grown[north, north] = grown[east, east] = 0.0
+    assert not grown.any()
+
+    moved(water, belief, rng, 180, 0.0)  # 60 s
+    assert water.walk_mps_per_rts(belief.t_ns) == pytest.approx(walk / np.sqrt(2), rel=0.02)
+
+
+def test_what_is_granted_to_all_is_smooth_over_depth_and_leaves_the_covariance_definite():
+    belief = belief_of_water()
+    water = Adaptation(CELLS, 1.0, 0)
+    before = belief.P.copy()
+    water.grow(belief, 4.0)
+    np.testing.assert_array_equal(belief.P, before)
+    water.grant(Change.FAST, SECOND, 0)
+    water.grow(belief, 4.0)
+    grown, z = belief.P - before, np.arange(CELLS)
+    expected = 4.0 * 0.05**2 * np.exp(-np.abs(z[:, None] - z) / 30.0)
+    for axis in (belief.layout.north, belief.layout.east):
+        np.testing.assert_allclose(grown[axis, axis], expected)
+        grown[axis, axis] = 0.0
+    assert not grown.any()
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    assert np.linalg.eigvalsh(belief.P)[0] > 0

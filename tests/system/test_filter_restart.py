@@ -1,0 +1,109 @@
+"""A filter that is led astray begins anew, in closed loop, and the thrusters do not jump."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.signals import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
+from services.run import locked
+from services.run.situation import Override, resolve
+from sim.lockstep import LockStep
+
+FROM_S, TO_S, END_S = 15, 30, 80
+SECOND = 1_000_000_000
+
+
+class Led:
+    """The sensors' node, whose words are altered for a while."""
+
+    def __init__(self, node, alter):
+        self.node, self.alter = node, alter
+        self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
+
+    def step(self, t_ns, inbox):
+        said = self.node.step(t_ns, inbox)
+        return [self.alter(s) if FROM_S * SECOND < s.t_ns < TO_S * SECOND else s for s in said]
+
+
+def scaled_doppler(signal):
+    if isinstance(signal, AdcpPing):
+        return msgspec.structs.replace(signal, beam_velocity_mps=1.5 * signal.beam_velocity_mps)
+    return signal
+
+
+def wild_accelerometer(signal):
+    """Its bias a hundred times as large."""
+    if isinstance(signal, ImuSample):
+        force = np.array(signal.specific_force_mps2) + 0.98 * np.array([1.0, -1.0, 0.0])
+        return msgspec.structs.replace(signal, specific_force_mps2=tuple(force.tolist()))
+    return signal
+
+
+class Ears:
+    def __init__(self):
+        self.truth, self.estimates, self.reports, self.applied = {}, [], [], []
+
+    def stepped(self, *_):
+        pass
+
+    def published(self, _node, message):
+        match message.signal:
+            case Truth() as truth:
+                self.truth[truth.t_ns] = truth
+            case Estimate() as estimate:
+                self.estimates.append(estimate)
+            case LocalisationReport() as report:
+                self.reports.append(report)
+            case Applied() as applied:
+                self.applied.append(applied)
+
+
+@pytest.fixture(scope="module", params=[scaled_doppler, wild_accelerometer], ids=["doppler", "accelerometer"])
+def led(request):
+    situation = resolve("descent", [Override("test", [f"run.duration_s={END_S}", "run.seed=3"])])
+    nodes = [Led(n, request.param) if n.name == "sensors" else n for n in locked.nodes(situation)]
+    ears = Ears()
+    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=locked.LATEST, observe=ears).advance(END_S * SECOND)
+    return situation, ears
+
+
+def test_nothing_is_wrong_before_and_the_filter_is_called_inconsistent_within_the_window(led):
+    _, ears = led
+    status = {r.t_ns // SECOND: r for r in ears.reports}
+    assert all(r.status is FilterStatus.NOMINAL for t, r in status.items() if t <= FROM_S)
+    first = min(t for t, r in status.items() if r.status is FilterStatus.INCONSISTENT)
+    assert FROM_S < first <= FROM_S + 11
+    assert "adcp" in status[first].why
+
+
+def test_it_begins_anew_and_is_right_about_its_error_afterwards(led):
+    """Ten seconds out of the band, then said for half a minute; at the end inside 3 sigma."""
+    _, ears = led
+    begun = [r for r in ears.reports if r.status is FilterStatus.RESTARTED]
+    assert begun
+    assert begun[0].t_ns >= (FROM_S + 10) * SECOND
+    assert ears.reports[-1].restarts >= 1
+    last = ears.estimates[-1]
+    truth = ears.truth[last.t_ns]
+    e = np.array([last.north_m - truth.position_m[0], last.east_m - truth.position_m[1]])
+    P = last.covariance[:2, :2]
+    assert e @ np.linalg.solve(P, e) < 11.8  # 3 sigma of two dimensions
+    assert np.sqrt(P.diagonal().max()) < 12.0
+    v = np.hypot(last.velocity_north_mps - truth.velocity_mps[0], last.velocity_east_mps - truth.velocity_mps[1])
+    assert v < 0.3
+
+
+def test_estimates_go_on_without_a_gap_and_are_finite(led):
+    _, ears = led
+    times = np.array([e.t_ns for e in ears.estimates])
+    assert np.diff(times).max() == 100_000_000
+    assert all(np.isfinite([e.north_m, e.east_m, e.heading_rad]).all() for e in ears.estimates)
+
+
+def test_thrusts_change_within_the_slew_limit_all_along(led):
+    situation, ears = led
+    slew = max(max(a.command_slew_N_per_s[:2]) for a in ears.applied if a.t_ns > 0)
+    assert slew <= situation.vehicle.thrusters[0].slew_N_per_s * (1 + 1e-9)
+    assert max(a.plans_refused for a in ears.applied) == 0
