@@ -1,0 +1,242 @@
+"""One descent in lock step, with the filter's belief held against the truth at every whole second.
+
+An observer of the run: it sees each message at its publication, so the sensors' true biases and the filter's belief
+are those of that instant. It looks once the estimate of the instant is out, and only while the filter stands there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.frames import rotation
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter import Filter, Verdict
+from ltv_mpc.localisation.state import VELOCITY, grid
+from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.signals import AdcpPing, Array, Estimate, Truth
+from services.measure.batch import Job
+from services.run import locked
+from services.run.situation import Situation
+from sim.grading.bound import Trajectory, bound
+from sim.grading.consistency import TrueState, drawn, nees, nodes_around, squared
+from sim.lockstep import Cause, LockStep
+from sim.sensors.adcp import Profiler, beams
+from sim.sensors.bottom_track import BottomTracker
+from sim.sensors.compass import MagneticCompass
+from sim.sensors.imu import InertialUnit
+from sim.sensors.injected import Injected
+from sim.sensors.lbl import Transceiver
+from sim.sensors.node import Sensors
+from sim.sensors.usbl import Ship
+
+LOOK_NS = 1_000_000_000
+TRACK_NS = 100_000_000
+"""Between two looks at the belief; between two points of the true track, for the bound."""
+
+EIGENVALUE_NS = 10_000_000_000
+"""Between two looks at the least eigenvalue, which takes as long as ten of the other looks."""
+
+_WILD = {Profiler: "adcp", BottomTracker: "bottom_track", Ship: "usbl", Transceiver: "lbl"}
+"""Sensors that have outliers, by their name in a verdict."""
+
+N = TypeVar("N")
+
+
+class Squares(NamedTuple):
+    """Of one quantity or sensor in one run, by instant."""
+
+    t_ns: npt.NDArray[np.int64]
+    square: Array
+    dof: npt.NDArray[np.int64]
+
+
+class Record(NamedTuple):
+    """What one run came to."""
+
+    drift_m: Array  # (2,) north, east: localisation error at the end less that at t = 0
+    velocity_error_mps: Array  # (2,) at t = 0, estimated minus true
+    velocity_said_m2ps2: Array  # (2,) variance that the filter says
+    bound_drift_m2: Array  # (2,) variance
+    bound_velocity_m2ps2: Array  # (2,) variance at t = 0
+    drawn: dict[str, tuple[float, int]]  # how large the true biases are of themselves
+    nees: dict[str, Squares]
+    nis: dict[str, Squares]
+    least_eigenvalue: float
+    asymmetry: float  # largest |P - P^T|
+    missed: int  # instants at which the filter stood elsewhere
+
+
+def descend(job: Job) -> Record:
+    """Run it, watched, and work out the bound along its true track. Raises ``ConfigError``."""
+    situation = job.situation()
+    nodes = locked.nodes(situation)
+    probe = Probe(situation, nodes)
+    scenario = situation.scenario
+    lockstep = LockStep(
+        nodes,
+        start_ns=scenario.start_ns,
+        compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
+        observe=probe,
+        latest=locked.LATEST,
+    )
+    lockstep.advance(scenario.end_ns)
+    return probe.record()
+
+
+class Probe:
+    """Watches the nodes of a situation."""
+
+    def __init__(self, situation: Situation, nodes: Sequence[Node]) -> None:
+        self._situation = situation
+        self._estimator = _the(Estimator, nodes)
+        units = _the(Sensors, nodes).sensors
+        self._imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
+        self._compass = _the(MagneticCompass, units)
+        self._injected: dict[str, Injected] = {
+            _WILD[type(unit)]: unit.injected
+            for unit in units
+            if isinstance(unit, Profiler | BottomTracker | Ship | Transceiver)
+        }
+        config = situation.scenario.estimator
+        self._grid, self._cell_m = grid(config), config.cell_m
+        self.seen = np.zeros(len(self._grid), dtype=bool)  # nodes of the grid that a beam has measured so far
+        self._beams = beams(situation.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
+        self._lever = np.array(situation.suite.adcp.lever_arm_m)
+        self._watched: Filter | None = None
+        self.truth: Truth | None = None  # the last
+        self._track: list[Truth] = []
+        self._nees: dict[str, list[tuple[int, float, int]]] = {}
+        self._nis: dict[str, list[tuple[int, float, int]]] = {}
+        self._error: dict[int, Array] = {}  # of position and velocity, (4,), estimated minus true
+        self._velocity_said = np.full(2, np.nan)
+        self._drawn: dict[str, tuple[float, int]] = {}
+        self._least, self._asymmetry, self._missed = np.inf, 0.0, 0
+
+    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:  # noqa: ARG002
+        """A filter that has just begun is watched from its next message on."""
+        if self._estimator.filter is not self._watched:
+            self._watched = self._estimator.filter
+            if self._watched is not None:
+                self._watched.observers.append(self._judge)
+
+    def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002  (the type says who)
+        """One message."""
+        match message.signal:
+            case Truth() as truth:
+                self.truth = truth
+                if truth.t_ns % TRACK_NS == 0:
+                    self._track.append(truth)
+            case AdcpPing() as ping:
+                self._see(ping)
+            case Estimate() as estimate if self.truth is not None:
+                self._compare(estimate, self.truth)
+
+    def record(self) -> Record:
+        """After the run."""
+        situation = self._situation
+        if 0 not in self._error:
+            problem = "must be so long that the estimate has begun at t = 0"
+            value = situation.scenario.run.surface_time_s
+            raise ConfigError(f"scenario {situation.name}", "[run] surface_time_s", problem, value=value)
+        end_ns = max(self._error)
+        limit = bound(
+            situation.suite,
+            situation.scenario.estimator,
+            self._trajectory(),
+            at_s=[0.0, end_ns * 1e-9],
+            surface_time_s=situation.scenario.run.surface_time_s,
+        )
+        return Record(
+            drift_m=(self._error[end_ns] - self._error[0])[:2],
+            velocity_error_mps=self._error[0][2:],
+            velocity_said_m2ps2=self._velocity_said,
+            bound_drift_m2=np.diagonal(limit.drift[1])[:2].copy(),
+            bound_velocity_m2ps2=np.diagonal(limit.covariance[0])[3:5].copy(),
+            drawn=self._drawn,
+            nees={name: _squares(rows) for name, rows in self._nees.items()},
+            nis={name: _squares(rows) for name, rows in self._nis.items()},
+            least_eigenvalue=float(self._least),
+            asymmetry=self._asymmetry,
+            missed=self._missed,
+        )
+
+    def _see(self, ping: AdcpPing) -> None:
+        """Cells of the water around the beams that came back."""
+        if self.truth is None:
+            return
+        down = rotation(*self.truth.attitude_rad)[2]
+        along = down @ self._lever + np.outer(self._beams @ down, ping.range_m)  # (4, K)
+        back = np.isfinite(ping.beam_velocity_mps)
+        self.seen |= nodes_around(self.truth.position_m[2] + along[back], self._cell_m, len(self.seen))
+
+    def _judge(self, verdict: Verdict) -> None:
+        """NIS of one message, before the gate; outliers that were put in are left out."""
+        good = np.ones(len(verdict.residual), dtype=bool)
+        injected = self._injected.get(verdict.sensor)
+        if injected is not None and (wild := injected.at(verdict.t_ns)) is not None:
+            good = ~(wild.ravel()[verdict.places] if wild.size > 1 else wild)
+        if good.any():
+            row = verdict.t_ns, squared(verdict.residual[good], verdict.S[np.ix_(good, good)]), int(good.sum())
+            self._nis.setdefault(verdict.sensor, []).append(row)
+
+    def _compare(self, estimate: Estimate, truth: Truth) -> None:
+        t_ns, filter_ = estimate.t_ns, self._estimator.filter
+        if t_ns < 0:
+            return
+        if t_ns == truth.t_ns:
+            said = estimate.north_m, estimate.east_m, estimate.velocity_north_mps, estimate.velocity_east_mps
+            self._error[t_ns] = np.array(said) - np.array(truth.position_m[:2] + truth.velocity_mps[:2])
+        if t_ns % LOOK_NS != 0:
+            return
+        if filter_ is None or not t_ns == filter_.belief.t_ns == truth.t_ns:
+            self._missed += 1
+            return
+        filter_.settle()
+        true = self.true_state(truth)
+        for name, (square, dof) in nees(filter_.belief, true, self.seen).items():
+            self._nees.setdefault(name, []).append((t_ns, square, dof))
+        P = filter_.belief.P
+        if t_ns == 0:
+            self._velocity_said = np.diagonal(P)[VELOCITY][:2].copy()
+            self._drawn = drawn(true, self._situation.suite)
+        self._asymmetry = max(self._asymmetry, float(np.abs(P - P.T).max()))
+        if t_ns % EIGENVALUE_NS == 0:
+            self._least = min(self._least, float(np.linalg.eigvalsh(P)[0]))
+
+    def true_state(self, truth: Truth) -> TrueState:
+        """Of now, ``truth`` being the plant's last word."""
+        return TrueState(
+            position_m=np.array(truth.position_m),
+            velocity_mps=np.array(truth.velocity_mps),
+            rotation=rotation(*truth.attitude_rad),
+            gyro_bias_radps=self._imu.gyro_bias_radps,
+            accelerometer_bias_mps2=self._imu.accelerometer_bias_mps2,
+            beam_bias_mps=self._profiler.beam_bias_mps,
+            near_bias_mps=self._profiler.near_bias_mps,
+            mounting=self._profiler.mounting,
+            compass_bias_rad=self._compass.bias_rad,
+            water_mps=self._situation.water.over(self._grid, truth.t_ns),
+        )
+
+    def _trajectory(self) -> Trajectory:
+        return Trajectory(
+            t_s=np.array([truth.t_ns * 1e-9 for truth in self._track]),
+            position_m=np.array([truth.position_m for truth in self._track]),
+            velocity_mps=np.array([truth.velocity_mps for truth in self._track]),
+            rotation=np.array([rotation(*truth.attitude_rad) for truth in self._track]),
+            water_mps=self._situation.water.over(self._grid, 0),
+        )
+
+
+def _squares(rows: list[tuple[int, float, int]]) -> Squares:
+    t, square, dof = zip(*rows, strict=True)
+    return Squares(np.array(t, dtype=np.int64), np.array(square), np.array(dof, dtype=np.int64))
+
+
+def _the(kind: type[N], among: Sequence[object]) -> N:
+    return next(one for one in among if isinstance(one, kind))
