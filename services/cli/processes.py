@@ -110,14 +110,16 @@ def estimator(
     from ltv_mpc.localisation.config import EstimatorConfig
     from ltv_mpc.localisation.suite import Suite
     from ltv_mpc.vehicle.parameters import Vehicle
+    from services.run.water import beside, told
 
     Vehicle.load(vehicle)
     suite = Suite.load(sensors)
-    table = EstimatorConfig() if settings is None else EstimatorConfig.load(str(settings))
+    table = EstimatorConfig() if settings is None else beside(settings.parent, EstimatorConfig.load(str(settings)))
+    prior = told(table)
     options = bus(connect, listen, mode, config, namespace)
     from services.nodes import estimator as node
 
-    return node.main(suite, table, options)
+    return node.main(suite, table, options, prior=prior)
 
 
 def recorder(

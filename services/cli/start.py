@@ -25,6 +25,7 @@ KEYS = {
     "--compute-delay-s": "run.compute_delay_s",
     "--horizon-s": "controller.horizon_s",
     "--currents": "water.file",
+    "--water-prior": "estimator.water_prior",
     "--sensors": "sensors",
     "--vehicle": "vehicle",
     "--reference": "reference",
@@ -55,6 +56,10 @@ def sim(
     currents: Annotated[
         str | None,
         short("--currents", KEYS["--currents"], "FILE.csv", "A measured profile (depth_m, v_north_mps, u_east_mps)."),
+    ] = None,
+    water_prior: Annotated[
+        str | None,
+        short("--water-prior", KEYS["--water-prior"], "FILE.csv", "What the estimator knows: a run's currents.csv."),
     ] = None,
     sensors: Annotated[
         str | None, short("--sensors", KEYS["--sensors"], "NAME|FILE", "What is mounted: paper, realistic, or a file.")
@@ -94,6 +99,7 @@ def sim(
 
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
+    from ltv_mpc.errors import ConfigError
     from services.run import folder, space
     from services.run.situation import resolve
 
@@ -105,6 +111,7 @@ def sim(
         "--compute-delay-s": compute_delay_s,
         "--horizon-s": horizon_s,
         "--currents": currents,
+        "--water-prior": water_prior,
         "--sensors": sensors,
         "--vehicle": vehicle,
         "--reference": reference,
@@ -114,6 +121,8 @@ def sim(
     overrides = _overrides(set_ or (), given, [name for name, on in flags.items() if on])
     if lockstep:
         _refuse_speed(overrides)
+    if perfect_state and water_prior is not None:
+        raise ConfigError("option --water-prior", "", "cannot act together with --perfect-state: nothing is estimated")
     situation = resolve(scenario, overrides)
     space.check(out or folder.ROOT, situation.scenario.run)
     run_folder = folder.make(situation.name, situation.files, out=out, force=force)

@@ -88,10 +88,10 @@ class Supervisor:
             outcome = self._supervise()
         if not self._folder.recording.exists():
             return outcome
-        summary = of_recording(self._situation, self._folder.recording)
+        summary, water = of_recording(self._situation, self._folder.recording)
         if summary.cycles == 0:
             return outcome
-        self._folder.write_summary(summary)
+        self._folder.write_result(summary, water)
         return replace(outcome, summary=summary)
 
     def _supervise(self) -> Outcome:

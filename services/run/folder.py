@@ -2,9 +2,11 @@
 
 runs/20261121T054500Z-descent/
     scenario.toml     resolved: every value, the seed, what made it; `ltv-mpc sim RUN/scenario.toml` runs it again
-    config/*.toml     vehicle, sensors, reference, controller, estimator (and currents.csv): the files it names
+    config/*.toml     vehicle, sensors, reference, controller, estimator: the files it names
+    config/*.csv      currents, of a measured water; water-prior, where the estimator was given one
     run.mcap          every message
     summary.json      what it came to
+    currents.csv      the current as it was estimated at the end, with standard deviations; not with --perfect-state
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from pathlib import Path
 
 import msgspec
 
+from ltv_mpc.currents import WaterPrior, write_profile
 from ltv_mpc.errors import ConfigError
 from sim.grading.summary import Summary
 
@@ -43,6 +46,11 @@ class RunFolder:
         return self.path / "summary.json"
 
     @property
+    def currents(self) -> Path:
+        """currents.csv."""
+        return self.path / "currents.csv"
+
+    @property
     def scenario(self) -> Path:
         """scenario.toml."""
         return self.path / "scenario.toml"
@@ -51,11 +59,15 @@ class RunFolder:
         """One of the settings files: ``vehicle``, ``sensors``, ``reference``, ``controller``, ``estimator``."""
         return self.path / "config" / f"{what}.toml"
 
-    def write_summary(self, summary: Summary) -> None:
-        """summary.json, whole or not at all."""
+    def write_result(self, summary: Summary, water: WaterPrior | None) -> None:
+        """summary.json, and currents.csv of the water as it was estimated; each whole or not at all."""
         draft = self.summary.with_suffix(".json.part")
         draft.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
         draft.replace(self.summary)
+        if water is not None:
+            draft = self.currents.with_suffix(".csv.part")
+            write_profile(draft, water)
+            draft.replace(self.currents)
 
 
 def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force: bool = False) -> RunFolder:
@@ -108,7 +120,8 @@ def _given(path: Path, *, force: bool) -> Path:
             raise ConfigError(
                 "option --out", "", "a folder that is not empty: name another, or add --force", value=str(path)
             )
-        for old in (*path.glob("run*.mcap"), path / "summary.json"):  # else a run that fails would seem to have ended
+        # else a run that fails would seem to have ended
+        for old in (*path.glob("run*.mcap"), path / "summary.json", path / "currents.csv"):
             old.unlink(missing_ok=True)
     except OSError as error:
         raise _refusal(path, error) from None

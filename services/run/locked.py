@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Arrival, Inbox, Node
-from ltv_mpc.signals import InboxEntry, Rejected, Signal, StepRecord
+from ltv_mpc.signals import Estimate, InboxEntry, Rejected, Signal, StepRecord
 from services.bus import topics, wire
 from services.bus.door import rejection
 from services.bus.mailbox import Frame
@@ -15,6 +16,7 @@ from services.recording.writer import RunWriter
 from services.run.folder import RunFolder
 from services.run.situation import Situation
 from services.run.summary import LOCKSTEP, summarise
+from services.run.water import Learned
 from sim.grading.metrics import Grader
 from sim.grading.summary import Messages, Summary
 from sim.lockstep import EPOCH, Cause, LockStep
@@ -35,7 +37,7 @@ def nodes(situation: Situation) -> list[Node]:
     controller = ControllerNode(situation.vehicle, situation.reference, scenario.controller)
     if scenario.run.perfect_state:  # the sensors themselves write the estimate
         return [plant, sensors, controller]
-    return [plant, sensors, Estimator(situation.suite, scenario.estimator), controller]
+    return [plant, sensors, Estimator(situation.suite, scenario.estimator, situation.prior), controller]
 
 
 def run(
@@ -47,21 +49,23 @@ def run(
 ) -> Summary:
     """The whole run, or as far as it came when ``stop`` was asked and said so.
 
-    With a ``folder`` it is recorded and its summary written. ``progress`` is told the vehicle time.
+    With a ``folder`` it is recorded, and its summary written beside what it learned of the water. ``progress`` is told
+    the vehicle time.
     """
     if folder is None:
-        return _go(situation, None, progress, stop)
+        return _go(situation, None, progress, stop)[0]
     metadata = {"mode": LOCKSTEP, "seed": str(situation.scenario.run.seed), **situation.files}
     start_ns = situation.scenario.start_ns
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary = _go(situation, writer, progress, stop)
-    folder.write_summary(summary)
+        summary, water = _go(situation, writer, progress, stop)
+    folder.write_result(summary, water)
     return summary
 
 
 def _go(
     situation: Situation, writer: RunWriter | None, progress: Callable[[int], None] | None, stop: Callable[[], bool]
-) -> Summary:
+) -> tuple[Summary, WaterPrior | None]:
+    """The summary, and what was learned of the water."""
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer)
     lockstep = LockStep(
@@ -79,7 +83,7 @@ def _go(
         if progress is not None:
             progress(t_ns)
     messages = Messages(published=log.published_count, dropped=0, rejected=log.rejected_count)
-    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages)
+    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages), log.learned.prior()
 
 
 class _Log:
@@ -87,6 +91,7 @@ class _Log:
 
     def __init__(self, grader: Grader, writer: RunWriter | None) -> None:
         self.grader = grader
+        self.learned = Learned()
         self.published_count = 0
         self.rejected_count = 0
         self._hears = grader.hears
@@ -110,6 +115,8 @@ class _Log:
         signal = message.signal
         self.published_count += 1
         self.rejected_count += type(signal) is Rejected
+        if isinstance(signal, Estimate):
+            self.learned.hear(signal)
         if type(signal) in self._hears:
             self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
         if self._writer is not None:

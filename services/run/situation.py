@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,16 +12,20 @@ import msgspec
 
 from ltv_mpc import config, references
 from ltv_mpc.control import solvers
-from ltv_mpc.currents import read_profile
+from ltv_mpc.currents import WaterPrior, read_profile
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.made_by import made_by
+from services.run.water import beside, told
 from sim import water
 from sim.scenario import Scenario, checked, overridden
 
 ORIGIN = "scenario"
 """The entry of a run's [made_by] that keeps the name of its scenario."""
+
+PRIOR = "water-prior.csv"
+"""The estimator's prior of the water, in a run's config/."""
 
 
 class Override(NamedTuple):
@@ -40,6 +45,7 @@ class Situation:
     suite: Suite
     reference: Reference
     water: water.WaterColumn
+    prior: WaterPrior | None  # of the water, for the estimator; None: it knows nothing but the settings' prior
     files: Mapping[str, str]
     notes: tuple[str, ...]  # what a reader of the result should know of the inputs
 
@@ -47,6 +53,8 @@ class Situation:
 def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
     """The situation of a scenario (NAME or FILE) and of options on top of it. Raises ``ConfigError``."""
     scenario = Scenario.load(name)
+    folder = config.find(name, what="scenario", package="sim.scenarios").parent
+    scenario = msgspec.structs.replace(scenario, estimator=beside(folder, scenario.estimator))
     for override in overrides:
         scenario = overridden(scenario, override.assignments, source=override.source)
     scenario = checked(scenario, source=f"scenario {name}")
@@ -54,6 +62,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
     suite = Suite.load(scenario.sensors)
     solvers.make(scenario.controller)  # refuses one that is not there
     reference = references.load(scenario.reference)
+    prior = told(scenario.estimator)
     called = _called(name, scenario)
     return Situation(
         name=called,
@@ -62,8 +71,9 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
         suite=suite,
         reference=reference,
         water=water.make(scenario.water, scenario.run.seed),
-        files=_files(scenario, called),
-        notes=_notes(scenario),
+        prior=prior,
+        files=_files(scenario, suite, called),
+        notes=_notes(scenario, prior),
     )
 
 
@@ -74,8 +84,11 @@ def _called(name: str, scenario: Scenario) -> str:
     return origin if origin and plain else Path(name).stem
 
 
-def _files(scenario: Scenario, called: str) -> dict[str, str]:
-    """Settings files as they were read, comments and all; the aboard tables without any word of the truth."""
+def _files(scenario: Scenario, suite: Suite, called: str) -> dict[str, str]:
+    """Settings files as they were read, comments and all; the aboard tables without any word of the truth.
+
+    Sensors upon a shipped base are resolved: the shipped one may be another when the run is run again.
+    """
     files = {
         f"config/{what}.toml": config.read_text(config.find(name, what=what, package=package), what=what)
         for what, name, package in (
@@ -84,23 +97,31 @@ def _files(scenario: Scenario, called: str) -> dict[str, str]:
             ("reference", scenario.reference, "ltv_mpc.references.files"),
         )
     }
+    if "base" in tomllib.loads(files["config/sensors.toml"]):
+        files["config/sensors.toml"] = config.to_toml(suite)
+    measured, prior = scenario.water.file, scenario.estimator.water_prior
+    if measured:
+        files["config/currents.csv"] = config.read_text(Path(measured), what="currents")
+    if prior:
+        files[f"config/{PRIOR}"] = config.read_text(Path(prior), what="currents")
     files["config/controller.toml"] = config.to_toml(scenario.controller)
-    files["config/estimator.toml"] = config.to_toml(scenario.estimator)
-    if scenario.water.file:
-        files["config/currents.csv"] = config.read_text(Path(scenario.water.file), what="currents")
+    # Each names the prior from where it stands itself.
+    aboard = msgspec.structs.replace(scenario.estimator, water_prior=PRIOR if prior else "")
+    files["config/estimator.toml"] = config.to_toml(aboard)
     again = msgspec.structs.replace(
         scenario,
         vehicle="config/vehicle.toml",
         sensors="config/sensors.toml",
         reference="config/reference.toml",
-        water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if scenario.water.file else ""),
+        water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if measured else ""),
+        estimator=msgspec.structs.replace(scenario.estimator, water_prior=f"config/{PRIOR}" if prior else ""),
         made_by={ORIGIN: called, **made_by()},
     )
     files["scenario.toml"] = config.to_toml(again)
     return files
 
 
-def _notes(scenario: Scenario) -> tuple[str, ...]:
+def _notes(scenario: Scenario, prior: WaterPrior | None) -> tuple[str, ...]:
     stages = scenario.controller.stages
     notes = [f"horizon {scenario.controller.horizon_s:g} s: {stages} stages, {stages * 0.3:.1f} s"]
     if scenario.water.file:
@@ -108,4 +129,10 @@ def _notes(scenario: Scenario) -> tuple[str, ...]:
         first, last = float(profile.depth_m[0]), float(profile.depth_m[-1])
         name = Path(scenario.water.file).name
         notes.append(f"currents {name}: {first:g} to {last:g} m, held constant above and below")
+    if prior is not None:
+        first, last = float(prior.depth_m[0]), float(prior.depth_m[-1])
+        name = Path(scenario.estimator.water_prior).name
+        known = f"sd {1e3 * prior.sd_mps.min():.1f} to {1e3 * prior.sd_mps.max():.1f} mm/s"
+        use = ", not read: the state is given away" if scenario.run.perfect_state else ""
+        notes.append(f"water prior {name}: {first:g} to {last:g} m, {known}{use}")
     return tuple(notes)

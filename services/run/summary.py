@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltv_mpc.control.config import STAGE_NS
-from ltv_mpc.signals import NodeStatus, Rejected
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.signals import Estimate, NodeStatus, Rejected
 from services.bus import topics
 from services.bus.wire import WireError
 from services.recording.losses import Losses
 from services.recording.reader import Recording
 from services.run.situation import Situation
+from services.run.water import Learned
 from sim.grading.metrics import Grader, quantiles
 from sim.grading.summary import Messages, Summary
 from sim.plant import PERIOD_NS
@@ -62,8 +64,9 @@ def _duration_ns(until_ns: int, end_ns: int) -> int:
     return end_ns if until_ns + PERIOD_NS > end_ns else max(0, until_ns)
 
 
-def of_recording(situation: Situation, path: Path) -> Summary:
-    """The summary of a run of processes, from its run.mcap, be it complete or cut off."""
+def of_recording(situation: Situation, path: Path) -> tuple[Summary, WaterPrior | None]:
+    """The summary of a run of processes and what it learned of the water, from its run.mcap, complete or cut off."""
+    learned = Learned()
     grader = Grader(situation.vehicle, speed=situation.scenario.run.speed)
     losses = Losses()
     rejected = 0
@@ -77,10 +80,13 @@ def of_recording(situation: Situation, path: Path) -> Summary:
             except WireError:  # its readers have turned it away too
                 continue
             grader.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
-    return summarise(
+            if isinstance(signal, Estimate):
+                learned.hear(signal)
+    summary = summarise(
         situation,
         grader,
         mode=SERVICES,
         messages=Messages(published=losses.published, dropped=losses.missing, rejected=rejected),
         restarts=sum(starts - 1 for key, starts in losses.epochs().items() if key.startswith(STATUS)),
     )
+    return summary, learned.prior()

@@ -94,7 +94,7 @@ EXAMPLES: tuple[Signal, ...] = (
         status=FilterStatus.INCONSISTENT,
         why="adcp: innovations 3.1 times as large as said",
         restarts=1,
-        water_adapted=2.5,
+        water_walk_mps_per_rts=0.05,
         sensors=(
             SensorReport(
                 sensor="adcp",

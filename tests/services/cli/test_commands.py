@@ -23,7 +23,10 @@ from services.nodes import recorder
 from services.recording.reader import Recording
 from services.run.folder import RunFolder
 
-COMMANDS = ("sim", "controller", "topics", "profile", "router", "plant", "sensors", "estimator", "recorder")
+COMMANDS = (
+    *("sim", "controller", "localise", "topics", "profile", "localisation-check"),
+    *("router", "plant", "sensors", "estimator", "recorder"),
+)
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from ltv_mpc.currents import read_prior
 from ltv_mpc.signals import NodeStatus, Plan, Truth
 from services.launch import supervisor
 from services.recording.losses import Losses
@@ -140,6 +141,22 @@ def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process
     assert {view.phase for view in screen.views} >= {"starting", "diving"}
     assert isinstance(screen.views[-1].truth, Truth)
     assert isinstance(screen.views[-1].plan, Plan)
+
+
+def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_learned(tmp_path: Path) -> None:
+    """A current deeper than the profiler's range, which only the file can have told."""
+    known = tmp_path / "known.csv"
+    known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
+    s = resolve("descent", [Override("test", ["run.duration_s=1", f"estimator.water_prior={known}"])])
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    known.unlink()
+    outcome = supervisor.run(s, run, Screen())
+    assert outcome.completed, outcome
+    learned = read_prior(run.currents)
+    (at,) = (learned.depth_m == 50.0).nonzero()[0]
+    assert learned.north_mps[at] == pytest.approx(0.5, abs=0.03)
+    assert learned.east_mps[at] == pytest.approx(-0.25, abs=0.03)
+    assert learned.sd_mps[at] < 0.02
 
 
 def test_a_child_that_dies_fails_the_run_and_is_named_with_its_last_lines(tmp_path: Path) -> None:

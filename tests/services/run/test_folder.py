@@ -6,8 +6,10 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from ltv_mpc.currents import WaterPrior, read_prior
 from ltv_mpc.errors import ConfigError
 from services.run import folder
 from services.run.situation import resolve
@@ -57,7 +59,7 @@ def test_an_empty_folder_is_taken_and_one_that_is_not_is_refused_untouched() -> 
 
 def test_force_takes_a_full_folder_and_removes_only_what_would_be_taken_for_this_run() -> None:
     Path("full").mkdir()
-    for name in ("run.mcap", "run.2.mcap", "summary.json", "notes.txt"):
+    for name in ("run.mcap", "run.2.mcap", "summary.json", "currents.csv", "notes.txt"):
         Path("full", name).write_text("old")
     folder.make("descent", FILES, out=Path("full"), force=True)
     assert sorted(p.name for p in Path("full").iterdir()) == ["config", "notes.txt", "scenario.toml"]
@@ -77,13 +79,18 @@ def test_a_root_that_cannot_be_made_is_refused_in_words() -> None:
         folder.make("descent", FILES)
 
 
-def test_the_summary_is_json_with_nulls_and_leaves_no_draft() -> None:
+def test_the_summary_is_json_with_nulls_the_water_a_prior_and_neither_leaves_a_draft() -> None:
     situation = resolve("descent")
     nothing = Messages(published=0, dropped=0, rejected=0)
     summary = summarise(situation, Grader(situation.vehicle), mode=LOCKSTEP, messages=nothing)
     made = folder.make("descent", FILES, out=Path("here"))
-    made.write_summary(summary)
+    made.write_result(summary, None)
     read = json.loads(made.summary.read_text())
     assert read["mode"] == "lockstep"
     assert read["thrust"]["max_abs_N"] is None
     assert sorted(p.name for p in Path("here").iterdir()) == ["config", "scenario.toml", "summary.json"]
+    one = np.ones(1)
+    water = WaterPrior(depth_m=one, north_mps=one, east_mps=-one, sd_mps=one / 3, sd_common_mps=0.1)
+    made.write_result(summary, water)
+    assert read_prior(made.currents).sd_mps[0] == 1 / 3
+    assert sorted(p.name for p in Path("here").iterdir()) == ["config", "currents.csv", "scenario.toml", "summary.json"]

@@ -206,7 +206,7 @@ def test_the_summary_of_a_recording_is_that_of_the_run_itself(
 ) -> None:
     """But for what only processes have: a speed, and wall times."""
     here, place, summary = recorded
-    again = of_recording(here, place.recording)
+    again, _ = of_recording(here, place.recording)
     assert again.mode == "services"
     assert set(again.stages_us) == {"age", "transport", "apply"}
     lockstep = msgspec.structs.replace(

@@ -52,7 +52,7 @@ def summary(tmp_path: Path) -> Summary:
         # An estimate that no node would let in: it counts as published and is not graded.
         rubbish = wire.plain(ESTIMATE, wire.Header(epoch=13, sequence=1, sent_monotonic_us=5)) | {"north_m": None}
         writer.write_plain("estimate", Estimate, rubbish, 0)
-    return of_recording(resolve("descent", [Override("test", ["run.speed=10"])]), path)
+    return of_recording(resolve("descent", [Override("test", ["run.speed=10"])]), path)[0]
 
 
 def test_gaps_of_the_sequences_are_dropped_messages(summary: Summary) -> None:
