@@ -1,0 +1,113 @@
+"""What fixes below the surface are worth: 30 min of hovering at 20 m, without them and with each.
+
+    .venv/bin/python -m benchmarks.aiding [--seed N] [--duration-s T] [--out FILE.png]
+
+Realistic sensors, full loop in lock step; the sensors files are those of examples/. The sea bed lies at 35 m.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ltv_mpc.signals import Array, Estimate, Truth
+from services.measure.batch import Job, each
+from services.run import locked
+from sim.lockstep import LockStep
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "sensors"
+SUITES = {
+    "none": "realistic",
+    "bottom track": str(EXAMPLES / "bottom_track.toml"),
+    "USBL": str(EXAMPLES / "usbl.toml"),
+    "LBL": str(EXAMPLES / "lbl.toml"),
+}
+BOTTOM_M = 35.0
+
+
+class Drift(NamedTuple):
+    """Of one run, each second."""
+
+    t_s: Array
+    error_m: Array  # horizontal, absolute
+    sd_m: Array  # of the worse axis, as the filter says
+
+
+class _Log:
+    def __init__(self) -> None:
+        self.truth: dict[int, Truth] = {}
+        self.rows: list[tuple[float, float, float]] = []
+
+    def stepped(self, *_: Any) -> None:
+        pass
+
+    def published(self, _node: str, message: Any) -> None:
+        signal = message.signal
+        if isinstance(signal, Truth):
+            self.truth = {signal.t_ns: signal}
+        elif isinstance(signal, Estimate) and signal.t_ns % 1_000_000_000 == 0 and signal.covariance is not None:
+            truth = self.truth.get(signal.t_ns)
+            if truth is not None:
+                north, east = signal.north_m - truth.position_m[0], signal.east_m - truth.position_m[1]
+                sd = float(np.sqrt(max(signal.covariance[0, 0], signal.covariance[1, 1])))
+                self.rows.append((signal.t_ns * 1e-9, float(np.hypot(north, east)), sd))
+
+
+def hover(job: Job) -> Drift:
+    """One run."""
+    situation, log = job.situation(), _Log()
+    lockstep = LockStep(
+        locked.nodes(situation), start_ns=situation.scenario.start_ns, latest=locked.LATEST, observe=log
+    )
+    lockstep.advance(situation.scenario.end_ns)
+    return Drift(*np.array(log.rows).T)
+
+
+def draw(drifts: dict[str, Drift], path: Path) -> None:
+    """Error over time with 3 sigma, one panel each on one scale."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, panels = plt.subplots(1, len(drifts), figsize=(12, 3.4), sharey=True, layout="constrained")
+    for panel, (name, drift) in zip(panels, drifts.items(), strict=True):
+        minutes = drift.t_s / 60.0
+        panel.fill_between(minutes, 0.0, 3.0 * drift.sd_m, color="#56B4E9", alpha=0.3, lw=0, label="3 sigma")
+        panel.plot(minutes, drift.error_m, color="#0072B2", lw=1.2, label="error")
+        panel.set_title(f"with {name}" if name != "none" else "no fixes below the surface", fontsize=10)
+        panel.set_xlabel("time (min)")
+        panel.set_yscale("symlog", linthresh=1.0)
+        panel.set_ylim(0.0, 60.0)
+        panel.set_yticks([0, 0.5, 1, 3, 10, 30], ["0", "0.5", "1", "3", "10", "30"])
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel("horizontal error (m)")
+    panels[0].legend(loc="upper left", fontsize=9)
+    figure.savefig(path, dpi=110)
+
+
+def main() -> None:
+    """The table, and the picture where one is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--duration-s", type=float, default=1800.0)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--workers", type=int)
+    options = parser.parse_args()
+    common = (f"run.seed={options.seed}", f"run.duration_s={options.duration_s}", f"water.bottom_m={BOTTOM_M}")
+    jobs = [Job("hover", (f"sensors={suite}", *common)) for suite in SUITES.values()]
+    found: dict[int, Drift] = dict(each(hover, jobs, workers=options.workers))
+    drifts = {name: found[i] for i, name in enumerate(SUITES)}
+    print(f"{'fixes':<14}{'error at end':>14}{'3 sigma':>10}{'largest after 60 s':>20}   m")
+    for name, drift in drifts.items():
+        largest = drift.error_m[drift.t_s > 60.0].max()
+        print(f"{name:<14}{drift.error_m[-1]:>14.2f}{3 * drift.sd_m[-1]:>10.2f}{largest:>20.2f}")
+    if options.out is not None:
+        draw(drifts, options.out)
+
+
+if __name__ == "__main__":
+    main()
