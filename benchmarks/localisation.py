@@ -2,15 +2,18 @@
 
     .venv/bin/python -m benchmarks.localisation [--json] [--out FILE.png] [--repeats N] [--sensors NAME]
 
-One simulated descent is heard by estimators that differ in their cells alone, each message through the node's own
-``step``: alignment, inertial samples, corrections, the history for late messages and ten estimates a second. Processor
-time, not wall time; settings take turns, N times (9), since the machine may be shared: the least is the cost, the
-median says how much of it the others took.
+One simulated descent is heard again and again by filters that differ in their cells alone. Measured are
+    filter  its own computing: inertial samples, corrections, the window, what it grants changing water
+    node    the whole estimator through ``step``: besides, the history for late messages, the watch over every sensor
+            and ten estimates a second
+Processor time, not wall time. Settings take turns, N times (9): the machine may be shared, so the least is the cost,
+and the median says how much of it the others took.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import statistics
 import time
@@ -25,34 +28,46 @@ from rich.progress import Progress
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.node import Arrival, Inbox
+from ltv_mpc.signals import ImuSample
 from services.measure.batch import Job
 from services.run import locked
 from sim.lockstep import Cause, LockStep
 
 CELLS = (25, 50, 70, 140, 280, 500)
 DESCENT_S = 60.0
-BEHIND_M = {"every cell kept": 2000.0, "70 m behind kept (default)": 70.0, "none behind kept": 0.0}
-"""``kept_m`` of each curve."""
+DEFAULT = EstimatorConfig()
 
 LIMITS = {70: 0.005, 500: 0.10}
-"""Share of a core, of the first curve."""
-
-COLOURS = ("#0072B2", "#E69F00", "#009E73")
-MARKERS = ("o", "s", "^")
+"""Share of a core that the filter may take where every cell is kept."""
 
 
-class Setting(NamedTuple):
-    """One point of one curve."""
+class Curve(NamedTuple):
+    """What is measured of which setting, and how it is drawn: Okabe and Ito's colours, and marks, tell them apart."""
 
-    curve: str
-    cells: int
+    name: str
+    node: bool  # the whole, not the filter alone
+    kept_m: float
+    colour: str
+    marker: str
+    line: str
+
+
+CURVES = (
+    Curve("filter, every cell kept", False, 2000.0, "#0072B2", "o", "-"),
+    Curve(f"filter, {DEFAULT.kept_m:g} m behind kept (default)", False, DEFAULT.kept_m, "#E69F00", "s", "-"),
+    Curve("filter, none behind kept", False, 0.0, "#009E73", "^", "-"),
+    Curve("whole node, every cell kept", True, 2000.0, "#777777", "D", "--"),
+)
 
 
 class Cost(NamedTuple):
-    """Of one setting. Shares of a core."""
+    """Of one curve at one number of cells. Shares of a core."""
 
+    curve: str
+    cells: int
     states: int
     least: float
     median: float
@@ -72,42 +87,89 @@ class Heard:
         pass
 
 
-def record(sensors: str) -> tuple[Suite, list[tuple[int, Inbox]], float]:
-    """The sensors, what the estimator of a descent is handed, and over how many seconds."""
-    situation = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).situation()
-    scenario, heard = situation.scenario, Heard()
-    LockStep(locked.nodes(situation), start_ns=scenario.start_ns, observe=heard, latest=locked.LATEST).advance(
-        scenario.end_ns
-    )
-    return situation.suite, heard.steps, (scenario.end_ns - scenario.start_ns) * 1e-9
+class Descent(NamedTuple):
+    """The sensors, and what an estimator was handed of them."""
+
+    suite: Suite
+    steps: list[tuple[int, Inbox]]
+
+    @classmethod
+    def simulated(cls, sensors: str) -> Descent:
+        """In lock step, once. Raises ``ConfigError``."""
+        situation = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).situation()
+        scenario, heard = situation.scenario, Heard()
+        nodes = locked.nodes(situation)
+        LockStep(nodes, start_ns=scenario.start_ns, observe=heard, latest=locked.LATEST).advance(scenario.end_ns)
+        return cls(situation.suite, heard.steps)
+
+    def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[tuple[int, Inbox]]]:
+        """An estimator whose filter stands, and what is still to come."""
+        estimator = Estimator(self.suite, config)
+        for i, (t_ns, inbox) in enumerate(self.steps):
+            if estimator.filter is not None:
+                return estimator, self.steps[i:]
+            estimator.step(t_ns, inbox)
+        raise RuntimeError("the descent has not been long enough to align")
 
 
-def measure(suite: Suite, steps: list[tuple[int, Inbox]], seconds: float, setting: Setting) -> tuple[int, float]:
-    """Number of states and share of a core of one pass."""
-    config = msgspec.structs.replace(EstimatorConfig(), deepest_m=float(setting.cells), kept_m=BEHIND_M[setting.curve])
-    estimator = Estimator(suite, config)
-    began = time.process_time()
-    for t_ns, inbox in steps:
+def of_node(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
+    """Number of states, and share of a core."""
+    estimator, rest = descent.aligned(config)
+    began, from_ns = time.process_time(), rest[0][0]
+    for t_ns, inbox in rest:
         estimator.step(t_ns, inbox)
     spent = time.process_time() - began
     if estimator.filter is None:
-        raise RuntimeError("the descent has not been long enough to align")
-    return estimator.filter.belief.layout.size, spent / seconds
+        raise RuntimeError("the filter has been lost on the way")
+    return estimator.filter.belief.layout.size, spent / ((rest[-1][0] - from_ns) * 1e-9)
 
 
-def growth(cells: Sequence[int], costs: Sequence[Cost]) -> dict[str, float]:
-    """Exponent of the cost in the number of states, between each setting and the next."""
-    states = [cost.states for cost in costs]
+def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
+    """Number of states, and share of a core: every message at its time, the inertial sample across it split there."""
+    estimator, rest = descent.aligned(config)
+    if estimator.filter is None:
+        raise RuntimeError("the filter has been lost on the way")
+    filter_ = Filter(descent.suite, config, estimator.filter.belief)
+    from_ns = filter_.belief.t_ns
+    samples: list[ImuSample] = []
+    aiding: list[Aiding] = []
+    for _, inbox in rest:
+        for arrival in inbox:
+            signal = arrival.signal
+            if isinstance(signal, ImuSample):
+                samples.append(signal)
+            elif isinstance(signal, Aiding) and signal.t_ns > from_ns:
+                aiding.append(signal)
+    aiding.sort(key=lambda message: message.t_ns, reverse=True)
+    began = time.process_time()
+    for sample in samples:
+        while aiding and aiding[-1].t_ns <= sample.t_ns:
+            message = aiding.pop()
+            if message.t_ns > filter_.belief.t_ns:
+                filter_.advance(message.t_ns, sample)
+            filter_.correct(message)
+        if sample.t_ns > filter_.belief.t_ns:
+            filter_.advance(sample.t_ns, sample)
+    spent = time.process_time() - began
+    return filter_.belief.layout.size, spent / ((filter_.belief.t_ns - from_ns) * 1e-9)
+
+
+def measure(descent: Descent, curve: Curve, cells: int) -> tuple[int, float]:
+    """One pass."""
+    config = msgspec.structs.replace(DEFAULT, deepest_m=float(cells), kept_m=curve.kept_m)
+    return (of_node if curve.node else of_filter)(descent, config)
+
+
+def growth(costs: Sequence[Cost]) -> dict[str, float]:
+    """Exponent of the cost in the number of states, between each number of cells and the next."""
     return {
-        f"{cells[i]} to {cells[i + 1]} cells": float(
-            np.log(costs[i + 1].least / costs[i].least) / np.log(states[i + 1] / states[i])
-        )
-        for i in range(len(costs) - 1)
-        if states[i + 1] > states[i]
+        f"{a.cells} to {b.cells} cells": float(np.log(b.least / a.least) / np.log(b.states / a.states))
+        for a, b in itertools.pairwise(costs)
+        if b.states > a.states
     }
 
 
-def draw(path: Path, results: dict[Setting, Cost], sensors: str) -> None:
+def draw(path: Path, costs: Sequence[Cost], sensors: str) -> None:
     """Share of a core against cells, both logarithmic."""
     import matplotlib as mpl
 
@@ -115,30 +177,29 @@ def draw(path: Path, results: dict[Setting, Cost], sensors: str) -> None:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
-    for curve, colour, marker in zip(BEHIND_M, COLOURS, MARKERS, strict=True):
-        share = [100 * results[Setting(curve, cells)].least for cells in CELLS]
-        axes.loglog(CELLS, share, color=colour, marker=marker, markersize=7, linewidth=1.8, label=curve)
-    last = 100 * results[Setting("every cell kept", CELLS[-1])].least
-    reach = np.array([150.0, CELLS[-1]])
-    axes.loglog(
-        reach, last * (reach / CELLS[-1]) ** 2, color="#555555", linestyle=":", label="as the square of the cells"
-    )
-    for cells, limit in LIMITS.items():
-        axes.plot(cells, 100 * limit, marker="_", color="#D55E00", markersize=26, markeredgewidth=2.5, linestyle="none")
-        axes.annotate(
-            f"at most {100 * limit:g} %", (cells, 100 * limit), xytext=(14, 6), textcoords="offset points", ha="right"
+    for curve in CURVES:
+        points = [cost for cost in costs if cost.curve == curve.name]
+        style = {"color": curve.colour, "marker": curve.marker, "linestyle": curve.line}
+        axes.loglog(
+            [p.cells for p in points], [100 * p.least for p in points], **style, linewidth=1.8, label=curve.name
         )
+    last = 100 * next(c.least for c in costs if (c.curve, c.cells) == (CURVES[0].name, CELLS[-1]))
+    reach = np.array([190.0, CELLS[-1]])
+    axes.loglog(reach, last * (reach / CELLS[-1]) ** 2, color="#333333", linestyle=":", label="square of the cells")
+    limits = [100 * limit for limit in LIMITS.values()]
+    text = "limits of the filter: " + ", ".join(f"{100 * share:g} % at {cells}" for cells, share in LIMITS.items())
+    axes.plot([*LIMITS], limits, "_", color="#D55E00", markersize=26, markeredgewidth=3.0, label=text)
     axes.set_xticks(CELLS, [str(cells) for cells in CELLS])
     ticks = [0.1, 0.2, 0.5, 1, 2, 5, 10]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set_xlim(22, 570)
-    axes.set_ylim(0.08, 16)
+    axes.set_ylim(0.1, 40)
     axes.set_xlabel("water cells of 1 m in the grid")
     axes.set_ylabel("processor time, % of one core at real time")
-    axes.set_title(f"Localisation, sensors {sensors}: 3 profiles of 120 beam cells a second", fontsize=11)
+    axes.set_title(f"Cost of localisation, sensors {sensors}", fontsize=11)
     axes.grid(which="major", color="#dddddd", linewidth=0.7)
-    axes.legend(loc="upper left", frameon=False)
+    axes.legend(loc="upper left", frameon=False, markerscale=0.8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -151,35 +212,36 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--sensors", default="paper")
     options = parser.parse_args()
-    suite, steps, seconds = record(options.sensors)
-    settings = [Setting(curve, cells) for curve in BEHIND_M for cells in CELLS]
-    measure(suite, steps[: len(steps) // 4], seconds, settings[0])  # compiles
-    spent: dict[Setting, list[float]] = {setting: [] for setting in settings}
-    states: dict[Setting, int] = {}
+    descent = Descent.simulated(options.sensors)
+    settings = [(curve, cells) for curve in CURVES for cells in CELLS]
+    measure(descent, CURVES[0], CELLS[0])  # compiles
+    spent: list[list[float]] = [[] for _ in settings]
+    states = [0] * len(settings)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("passes", total=options.repeats * len(settings))
         for _ in range(options.repeats):
-            for setting in settings:
-                states[setting], share = measure(suite, steps, seconds, setting)
-                spent[setting].append(share)
+            for i, (curve, cells) in enumerate(settings):
+                states[i], share = measure(descent, curve, cells)
+                spent[i].append(share)
                 progress.advance(task)
-    results = {s: Cost(states[s], min(spent[s]), statistics.median(spent[s])) for s in settings}
-    exponents = growth(CELLS, [results[Setting("every cell kept", cells)] for cells in CELLS])
+    costs = [
+        Cost(curve.name, cells, size, min(shares), statistics.median(shares))
+        for (curve, cells), size, shares in zip(settings, states, spent, strict=True)
+    ]
+    exponents = growth(costs[: len(CELLS)])
     if options.json:
-        table = [{**setting._asdict(), **results[setting]._asdict()} for setting in settings]
-        print(
-            json.dumps({"sensors": options.sensors, "share_of_a_core": table, "growth_in_states": exponents}, indent=1)
-        )
+        table = {"sensors": options.sensors, "costs": [c._asdict() for c in costs], "growth_in_states": exponents}
+        print(json.dumps(table, indent=1))
     else:
-        print("| cells | " + " | ".join(f"{curve}: states | least (%) | median (%)" for curve in BEHIND_M) + " |")
-        print("|---|" + "---|" * (3 * len(BEHIND_M)))
-        for cells in CELLS:
-            row = [results[Setting(curve, cells)] for curve in BEHIND_M]
-            text = " | ".join(f"{c.states} | {100 * c.least:.3f} | {100 * c.median:.3f}" for c in row)
-            print(f"| {cells} | {text} |")
-        print("\ncost grows with the states as their power: " + ", ".join(f"{k} {v:.2f}" for k, v in exponents.items()))
+        print("| % of a core, least (median) | " + " | ".join(f"{cells} cells" for cells in CELLS) + " |")
+        print("|---|" + "---|" * len(CELLS))
+        for curve in CURVES:
+            row = [c for c in costs if c.curve == curve.name]
+            print(f"| {curve.name} | " + " | ".join(f"{100 * c.least:.2f} ({100 * c.median:.2f})" for c in row) + " |")
+        powers = ", ".join(f"{between} {power:.2f}" for between, power in exponents.items())
+        print(f"\n{CURVES[0].name}: grows with the power of the number of states: {powers}")
     if options.out is not None:
-        draw(options.out, results, options.sensors)
+        draw(options.out, costs, options.sensors)
 
 
 if __name__ == "__main__":

@@ -197,7 +197,7 @@ class FilterStatus(enum.StrEnum):
     """How far the localisation filter can be believed."""
 
     NOMINAL = "nominal"
-    ADAPTING = "adapting"  # its water changes as nothing foretold: it has granted the water a walk of its own
+    UNFORESEEN = "unforeseen"  # water that nothing foretold: cells may be worse than said, or have been granted a walk
     INCONSISTENT = "inconsistent"  # its innovations are larger or smaller than it says
     RESTARTED = "restarted"  # begun anew from its last good position, less than the grace time ago
 

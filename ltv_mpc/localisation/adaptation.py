@@ -3,21 +3,23 @@
 Seen    A ping's innovations are fitted, by least squares over its rows, with a velocity of all water past the vehicle
         and with a shear, D of ``innovations.py``. Water that changes everywhere at once, as a front does, shows in the
         velocity's two horizontal parts, internal waves in the shear; what shows in the vertical part is no water.
-        And corrections that keep moving a single node one way: corrections e of one state are white with the variance
-        (W^T W)_kk by which they reduce its own, so with m, a the sums of both, that forget with tau = 30 s,
-            z = m_n^2 / a_n + m_e^2 / a_e ~ chi-square(2)
 Granted a random walk of all nodes that are states, smooth over depth,
             P_water += q^2 dt exp(-|z_i - z_j| / 30 m),  north and east,
         of one of two strengths q, while it lasts:
             slow  3 mm/s per sqrt(s), after a shear: waves of 5 cm/s in 300 s change by 1 cm/s within 10 s
             fast  5 cm/s per sqrt(s), after a velocity: ten times less or more makes no difference while a front passes,
                   for the vehicle's velocity then rests on the inertial unit alone
-        and of single nodes, w_k^2 dt with w_k^2 = |m|^2 / (2 tau), which halves in 60 s.
         What fast does not account for is not water but the unit or the profiler: it is left to the gate and said to be
         inconsistent. (0.5 m/s per sqrt(s) took a failed accelerometer for water, and the filter with it.)
 Back    A front is seen three to ten seconds after it came; until then the filter has taken it for a tilt and a
         velocity of the vehicle, and is sure of them. So it is granted from ``BACK_NS`` before it was seen: the filter
         goes back and does these seconds again (``late.py``).
+Restless, and only said: corrections that keep moving cells one way. The corrections of one state are white, with the
+        variance (W^T W)_kk by which they reduce its own, so with m, a the sums of both, that forget with tau = 15 s,
+            z = m^2 / a ~ chi-square(1)
+        whose mean over both axes of the nodes that a ping sees, averaged over 40 s, is 1 in water as foretold. It rises
+        where each cell changes by itself, or with more shear than the prior has. To grant that by itself, to single
+        nodes or to all, made positions worse and cells hardly better.
 Cost    Nothing is granted while nothing is seen: known water is filtered to the bit as without any of this.
 Blind   A change as slow as the errors of tilt allow for, 2 mm/s2 (0.2 m/s in 100 s), shows nowhere: say
         ``current_change_mps_per_rts`` where that is to be expected.
@@ -48,12 +50,11 @@ _CUT = 2.0
 _WORST = 100.0
 """Condition of a fit, of columns of one length, up to which beams are held to point in enough directions."""
 
-_NODE_S = 30.0
-_NODE_LIMIT = 20.0
-"""z of water as foretold stayed below 13 in eight descents; a walk granted by mistake costs its node alone."""
-_NODE_FADES_S = 60.0 / math.log(2.0)
-_NODE_LEAST = 1e-8
-"""m2/s3: a walk of 0.1 mm/s per sqrt(s) is none."""
+_NODES_S, _AVERAGED_S = 15.0, 40.0
+_RESTLESS = 1.6
+"""Fifteen descents through water as foretold: 1.25 at most with the paper's sensors, 1.54 with realistic ones."""
+_Z_MOST = 20.0
+"""To which z is cut: one node that is wrong by a lot must not speak for all."""
 
 _LIMIT_1, _LIMIT_2 = innovations.limit(1), innovations.limit(2)
 
@@ -90,7 +91,7 @@ class Adaptation:
         self._t_ns: int | None = None  # of the last corrections
         self._moved = np.zeros((2, nodes))  # m
         self._allowed = np.zeros((2, nodes))  # a
-        self._node_walk = np.zeros(nodes)  # w^2 (m2/s3)
+        self._average = 1.0  # of z
 
     def copy(self) -> Adaptation:
         """Independent of this one."""
@@ -105,8 +106,13 @@ class Adaptation:
         return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=Change.NONE)
 
     def walk_mps_per_rts(self, t_ns: int) -> float:
-        """What is published: the stronger of all nodes' walk and the strongest of a single node's."""
-        return max(WALK_MPS_PER_RTS[self.change(t_ns)], math.sqrt(float(self._node_walk.max())))
+        """What is granted, q."""
+        return WALK_MPS_PER_RTS[self.change(t_ns)]
+
+    @property
+    def restless(self) -> bool:
+        """Cells of the water have been moved by more than is foretold: their errors may be larger than said."""
+        return self._average > _RESTLESS
 
     def beyond(self, t_ns: int) -> bool:
         """Means have just called for what no water does: more than fast, or up and down."""
@@ -151,42 +157,36 @@ class Adaptation:
             hold_ns = min(2 * last_ns, _LONGEST_NS)
         return now_ns + hold_ns
 
-    def moved(self, belief: Belief, error: Array, told: Array) -> None:
-        """One ping's corrections (n,), and by how much it has reduced each variance (n,)."""
+    def moved(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array, told: Array) -> None:
+        """One ping's corrections (n,), and by how much it has reduced each variance (n,).
+
+        ``upper`` are the nodes of the grid below which its cells lie.
+        """
         layout, first = belief.layout, belief.column.first
         window = slice(first, first + layout.north.stop - layout.north.start)
-        e = np.stack([error[layout.north], error[layout.east]])
-        a = np.stack([told[layout.north], told[layout.east]])
-        dt = 0.0 if self._t_ns is None else max(belief.t_ns - self._t_ns, 0) * 1e-9
+        dt = 0.0 if self._t_ns is None else (belief.t_ns - self._t_ns) * 1e-9
         self._t_ns = belief.t_ns
-        keep = math.exp(-dt / _NODE_S)
+        keep = math.exp(-dt / _NODES_S)
         moved, allowed = keep * self._moved, keep * keep * self._allowed
-        moved[:, window] += e
-        allowed[:, window] += a
-        z = (moved**2 / np.where(allowed > 0.0, allowed, 1.0)).sum(axis=0)
-        walk = self._node_walk * math.exp(-dt / _NODE_FADES_S)
-        walk[walk < _NODE_LEAST] = 0.0
-        off = z > _NODE_LIMIT
-        if off.any():
-            walk[off] += (moved[:, off] ** 2).sum(axis=0) / (2.0 * _NODE_S)
-            moved[:, off], allowed[:, off] = 0.0, 0.0
-        self._moved, self._allowed, self._node_walk = moved, allowed, walk
+        for axis, states in enumerate((layout.north, layout.east)):
+            moved[axis, window] += error[states]
+            allowed[axis, window] += told[states]
+        self._moved, self._allowed = moved, allowed
+
+        seen = np.union1d(upper, upper + 1)
+        a = allowed[:, seen]
+        z = np.minimum(moved[:, seen] ** 2 / np.where(a > 0.0, a, np.inf), _Z_MOST)
+        self._average += -math.expm1(-dt / _AVERAGED_S) * (float(z.mean()) - self._average)
 
     def grow(self, belief: Belief, dt: float) -> None:
         """What is granted over the last ``dt`` (s), into the covariance."""
-        layout, P = belief.layout, belief.P
-        q2 = WALK_MPS_PER_RTS[self.change(belief.t_ns)] ** 2
-        if q2 > 0.0:
+        q = self.walk_mps_per_rts(belief.t_ns)
+        if q > 0.0:
+            layout = belief.layout
             k = np.arange(layout.north.stop - layout.north.start)
-            smooth = q2 * dt * np.exp(-np.abs(k[:, None] - k[None, :]) * self._cell_m / _SMOOTH_M)
+            smooth = q * q * dt * np.exp(-np.abs(k[:, None] - k[None, :]) * self._cell_m / _SMOOTH_M)
             for axis in (layout.north, layout.east):
-                P[axis, axis] += smooth
-        if self._node_walk.any():
-            first = belief.column.first
-            own = dt * self._node_walk[first : first + layout.north.stop - layout.north.start]
-            for axis in (layout.north, layout.east):
-                i = np.arange(axis.start, axis.stop)
-                P[i, i] += own
+                belief.P[axis, axis] += smooth
 
 
 def _fit(X: Array) -> tuple[Array, bool]:

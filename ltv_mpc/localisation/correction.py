@@ -4,12 +4,14 @@ S = H P H^T + R,  each row passes if residual_i^2 / S_ii <= gate;  of those that
     error = W^T L^-1 residual,   P := P - W^T W
 ``weigh`` says what the rows tell of the error, ``reduce`` what then is left of the covariance, ``update`` does both on
 any P; ``correct`` moves a belief by the error and carries P over to the estimate that has moved (``turning.py``).
-Exact   P is symmetric to the last bit: one triangle is reckoned, the other written from it tile by tile.
+Exact   P stays symmetric to the last bit: of few rows both triangles are reckoned by the same sums, of many one
+        triangle is, and the other written from it tile by tile.
 Cost    H is sparse: H P costs m w n, S m^2 w, W m^2 n, W^T W m n^2 / 2; then one pass over P.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +26,7 @@ from ltv_mpc.localisation.turning import HEADING, swing
 from ltv_mpc.signals import Array
 
 _FEW = 4
-"""Rows up to which W^T W is formed in the pass over P itself: a call of the library for it would be another pass."""
+"""Rows up to which no library is called: its calls would take longer than the sums, and be another pass over P."""
 
 _TILE = 32
 """Two tiles of P, 16 kB, stay in the innermost cache while one becomes the other's transpose."""
@@ -39,7 +41,6 @@ class Correction(NamedTuple):
     definite: bool  # S was positive definite; if not, nothing has been touched, and P must not be trusted
     error: Array  # (n,), of the estimate: what is to be added to it; zero if no row passed
     told: Array  # (n,), diagonal of W^T W: by how much the variances become less
-    square: float  # r^T S^-1 r of the rows that passed
 
 
 @kernel
@@ -51,47 +52,84 @@ def _project(P: Array, state: npt.NDArray[np.int64], partial: Array, variance: A
     S = np.empty((m, m))
     for i in range(m):
         for a in range(w):
-            c = partial[i, a]
+            c, s = partial[i, a], state[i, a]
             if c != 0.0:
-                row = P[state[i, a]]
                 for k in range(n):
-                    HP[i, k] += c * row[k]
+                    HP[i, k] += c * P[s, k]
     for i in range(m):
         for j in range(i + 1):
-            s = 0.0
+            total = 0.0
             for a in range(w):
-                s += partial[j, a] * HP[i, state[j, a]]
-            S[i, j] = s
-            S[j, i] = s
+                total += partial[j, a] * HP[i, state[j, a]]
+            S[i, j] = total
+            S[j, i] = total
         S[i, i] += variance[i]
     return HP, S
 
 
 @kernel
-def _pass(P: Array, W: Array, a: Array, b: Array) -> None:
-    """P := P - W^T W + a b^T + b a^T, of which only the upper triangle is read, and both are written.
+def _fold(HP: Array, S: Array, residual: Array) -> tuple[bool, Array]:
+    """S = L L^T; HP := L^-1 HP = W and residual := L^-1 residual, in place; the error W^T L^-1 residual, (n,).
 
-    W is (m, n), m may be 0.
+    For few rows: what LAPACK does, without its calls. False and anything if S is not definite.
     """
+    m, n = HP.shape
+    L = np.zeros((m, m))
+    error = np.zeros(n)
+    for i in range(m):
+        for j in range(i + 1):
+            s = S[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i > j:
+                L[i, j] = s / L[j, j]
+            elif s > 0.0:
+                L[i, i] = math.sqrt(s)
+            else:
+                return False, error
+        for k in range(i):
+            c = L[i, k]
+            residual[i] -= c * residual[k]
+            for j in range(n):
+                HP[i, j] -= c * HP[k, j]
+        residual[i] /= L[i, i]
+        for j in range(n):
+            HP[i, j] /= L[i, i]
+            error[j] += HP[i, j] * residual[i]
+    return True, error
+
+
+@kernel
+def _subtract(P: Array, W: Array, a: Array, b: Array) -> None:
+    """P := P - W^T W + a b^T + b a^T, all of it: each element and its mirror image by the same sums, so to the bit."""
     n, m = P.shape[0], W.shape[0]
+    for i in range(n):
+        ai, bi = a[i], b[i]
+        if m == 1:  # as most messages are: one loop instead of two
+            wi = W[0, i]
+            for j in range(n):
+                P[i, j] += (ai * b[j] + bi * a[j]) - wi * W[0, j]
+            continue
+        for j in range(n):
+            P[i, j] += ai * b[j] + bi * a[j]
+        for k in range(m):
+            wi = W[k, i]
+            for j in range(n):
+                P[i, j] -= wi * W[k, j]
+
+
+@kernel
+def _mirror(P: Array, a: Array, b: Array) -> None:
+    """P := P + a b^T + b a^T, of which only the upper triangle is read, and both are written, tile by tile."""
+    n = P.shape[0]
     for top in range(0, n, _TILE):
         bottom = min(top + _TILE, n)
         for left in range(top, n, _TILE):
             right = min(left + _TILE, n)
             for i in range(top, bottom):
                 ai, bi = a[i], b[i]
-                first = max(i, left)
-                if m == 1:  # as most messages are: one loop instead of two
-                    wi = W[0, i]
-                    for j in range(first, right):
-                        P[i, j] += ai * b[j] + bi * a[j] - wi * W[0, j]
-                    continue
-                for j in range(first, right):
+                for j in range(max(i, left), right):
                     P[i, j] += ai * b[j] + bi * a[j]
-                for k in range(m):
-                    wi = W[k, i]
-                    for j in range(first, right):
-                        P[i, j] -= wi * W[k, j]
             for j in range(left, right):
                 for i in range(top, min(bottom, j)):
                     P[j, i] = P[i, j]
@@ -108,20 +146,24 @@ def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
     residual = rows.residual
     nothing = np.zeros(len(P)), np.empty((0, len(P)))
     if not accepted.any():
-        return Correction(accepted, nis, S, True, nothing[0], nothing[0], 0.0), nothing[1]
+        return Correction(accepted, nis, S, True, nothing[0], nothing[0]), nothing[1]
     of_accepted = S
     if not accepted.all():
         HP = HP[accepted]
         of_accepted = S[np.ix_(accepted, accepted)]
         residual = residual[accepted]
-    # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
-    L, info = dpotrf(of_accepted.T, lower=1, clean=0)
-    if info != 0:
-        return Correction(np.zeros_like(accepted), nis, S, False, nothing[0], nothing[0], 0.0), nothing[1]
-    WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m'): W^T = (H P)^T L^-T
-    y = dtrsv(L, residual, lower=1)
-    told = np.einsum("nm,nm->n", WT, WT)
-    return Correction(accepted, nis, S, True, WT @ y, told, float(y @ y)), WT.T
+    if len(residual) <= _FEW:
+        W = HP
+        definite, error = _fold(W, of_accepted, residual.copy())
+    else:
+        # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
+        L, info = dpotrf(of_accepted.T, lower=1, clean=0)
+        if definite := info == 0:
+            WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m'): W^T = (H P)^T L^-T
+            W, error = WT.T, WT @ dtrsv(L, residual, lower=1)
+    if not definite:
+        return Correction(np.zeros_like(accepted), nis, S, False, nothing[0], nothing[0]), nothing[1]
+    return Correction(accepted, nis, S, True, error, np.einsum("mn,mn->n", W, W)), W
 
 
 def reduce(P: Array, W: Array, a: Array | None = None) -> None:
@@ -129,16 +171,22 @@ def reduce(P: Array, W: Array, a: Array | None = None) -> None:
 
     M P M^T = P + a b^T + b a^T with b = P_.s + a P_ss / 2.
     """
-    if len(W) > _FEW:
-        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)
-        W = W[:0]
+    many = len(W) > _FEW
+    if many:
+        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # the upper triangle of P
     if a is None:
         a = b = np.zeros(len(P))
     else:
-        h = np.concatenate([P[:HEADING, HEADING], P[HEADING, HEADING:]])  # of the upper triangle
-        h -= W.T @ W[:, HEADING]
+        h = P[HEADING].copy()
+        if many:
+            h[:HEADING] = P[:HEADING, HEADING]
+        elif len(W):
+            h -= W[:, HEADING] @ W
         b = h + (0.5 * h[HEADING]) * a
-    _pass(P, W, a, b)
+    if many:
+        _mirror(P, a, b)
+    else:
+        _subtract(P, W, a, b)
 
 
 def update(P: Array, rows: Rows, gate: float) -> Correction:

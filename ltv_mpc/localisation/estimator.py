@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 
 import numpy as np
@@ -28,7 +28,7 @@ from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.health import Monitor, verdict_of
 from ltv_mpc.localisation.late import History, spacing_ns
 from ltv_mpc.localisation.measurements.compass import heading_partials
-from ltv_mpc.localisation.restart import GRACE_NS, Restarts
+from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite
 from ltv_mpc.localisation.state import ATTITUDE, CORE, GYRO_BIAS, Belief, grid
 from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
 from ltv_mpc.node import Inbox, OnMessage
@@ -62,6 +62,11 @@ SENSORS: dict[type[Signal], str] = {
 """What is read, and the name of each in the account: its table's in the sensors file."""
 
 REPORT_NS = 1_000_000_000
+RECENT_NS = 2_500_000_000
+"""What is kept for a filter that begins anew: two headings, if they come once a second."""
+
+_MOST_RECENT = 6000
+"""Messages kept: an inertial unit at 1 kHz and the others; a bound for when there is none."""
 
 _MOST_WAITING = 1000
 """Messages that wait for an inertial sample; beyond, the oldest is dropped: the unit has failed."""
@@ -121,6 +126,7 @@ class Estimator:
         self._account: Counter[str] = Counter()  # of the node, and of filters that are no more
         self._monitor = Monitor(suite, config.gate_probability)
         self._restarts = Restarts(suite, config, prior)
+        self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MOST_RECENT)
         self._anew: Alignment | None = None  # of the filter that is to take the diverged one's place
         self._report_ns = 0  # of the report to come
 
@@ -173,11 +179,17 @@ class Estimator:
         return self._history
 
     def _use(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
-        self._apply(history, message, out)
+        self._recent.append(message)
+        if isinstance(message, ImuSample):
+            while self._recent[0].t_ns < message.t_ns - RECENT_NS:
+                self._recent.popleft()
         if self._anew is not None:
             self._anew.take(message)
-            if not self._anew.waiting_for:
-                self._replace(history.filter, self._anew)
+        self._apply(history, message, out)
+        if self._anew is None and not finite(history.filter.belief) and self._restarts.knows_a_place:
+            self._anew = self._restarts.begin(history.filter.belief.t_ns, self._recent)
+        if self._anew is not None and not self._anew.waiting_for:
+            self._replace(history.filter, self._anew)
 
     def _replace(self, old: Filter, alignment: Alignment) -> None:
         """The new filter takes over, at the time that the old one has reached; nothing is published on the way."""
@@ -187,11 +199,12 @@ class Estimator:
         belief, since = alignment.belief()
         # The prior of the water is wide again: until it has settled, what moves past is not taken for a front.
         history = self._begin(belief, belief.t_ns + GRACE_NS)
-        next_ns, report_ns, open_ = self._next_ns, self._report_ns, self._open
+        next_ns, open_, self._open = self._next_ns, self._open, False
         for earlier in since:
             if earlier.t_ns <= old.belief.t_ns:
                 self._apply(history, earlier, [])
-        self._next_ns, self._report_ns, self._open = next_ns, report_ns, open_
+        self._next_ns, self._open = next_ns, open_
+        history.filter.account.clear()  # counted when the old filter used it
 
     def _apply(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
         if isinstance(message, ImuSample):
@@ -208,7 +221,7 @@ class Estimator:
             self._account[f"{sensor}.late"] += 1
         elif history.knows(message):
             self._account[f"{sensor}.duplicate"] += 1
-        else:
+        elif finite(history.filter.belief):
             history.insert(message)
             if isinstance(message, AdcpPing):
                 history.adapt()
@@ -255,9 +268,10 @@ class Estimator:
         if history.knows(message):
             self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
             return
-        history.correct(message)
-        if isinstance(message, AdcpPing):
-            history.adapt()
+        if finite(history.filter.belief):
+            history.correct(message)
+            if isinstance(message, AdcpPing):
+                history.adapt()
         if self._open:
             if type(message) in self._awaited:
                 self._awaited.remove(type(message))
@@ -280,12 +294,14 @@ class Estimator:
         walk = filter_.water.walk_mps_per_rts(t_ns)
         if filter_.water.beyond(t_ns) and status is FilterStatus.NOMINAL:
             status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
-        if self._anew is None and self._restarts.watch(filter_.belief, status):
-            self._anew = self._restarts.begin(t_ns)
+        if self._anew is None and self._restarts.watch(filter_.belief, status, broken=self._monitor.broken):
+            self._anew = self._restarts.begin(t_ns, self._recent)
         if self._restarts.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
-        elif walk > 0.0 and status is FilterStatus.NOMINAL:
-            status, why = FilterStatus.ADAPTING, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
+        elif status is FilterStatus.NOMINAL and walk > 0.0:
+            status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
+        elif status is FilterStatus.NOMINAL and filter_.water.restless:
+            status, why = FilterStatus.UNFORESEEN, "cells of the water change, or differ, by more than is foretold"
         return LocalisationReport(
             t_ns=t_ns,
             status=status,

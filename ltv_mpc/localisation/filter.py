@@ -56,8 +56,6 @@ class Verdict(NamedTuple):
     residual: Array  # (m,)
     S: Array  # (m, m), innovation covariance
     accepted: npt.NDArray[np.bool_]  # (m,)
-    groups: npt.NDArray[np.int64] | None = None  # (m,), the same for rows that share a beam; None: as places
-    square: float = 0.0  # of all accepted together: r_a^T S_aa^-1 r_a
     definite: bool = True  # S was positive definite; if not, nothing was accepted
 
 
@@ -183,13 +181,13 @@ class Filter:
                 self.account["adcp.no_return"] += ping.without_return
                 self.account["adcp.outside_grid"] += ping.outside_grid
                 cells = len(message.range_m)
-                correction = self._use("adcp", ping.rows, ping.places, ping.places // cells)
+                correction = self._use("adcp", ping.rows, ping.places)
                 if correction is not None:
                     self.belief.column.see(ping.nodes[correction.accepted])
-                    if self._config.adapts_to_water:
+                    if self._config.adapts_to_water and correction.definite:
                         r, S = ping.rows.residual, correction.S
                         self.water.hear(self.belief.t_ns, ping.beams, ping.places % cells, r, S)
-                        self.water.moved(self.belief, correction.error, correction.told)
+                        self.water.moved(self.belief, ping.nodes, correction.error, correction.told)
             case PressureDepth():
                 self._use("pressure", pressure.rows(self.belief, message, suite.pressure))
             case CompassHeading():
@@ -223,9 +221,7 @@ class Filter:
                 else:
                     self._use("usbl", usbl.rows(self.belief, message, suite.usbl))
 
-    def _use(
-        self, sensor: str, rows: Rows, places: Indices | None = None, groups: Indices | None = None
-    ) -> Correction | None:
+    def _use(self, sensor: str, rows: Rows, places: Indices | None = None) -> Correction | None:
         """None without rows."""
         if len(rows.residual) == 0:
             return None
@@ -240,11 +236,9 @@ class Filter:
                 sensor=sensor,
                 t_ns=self.belief.t_ns,
                 places=where,
-                groups=groups,
                 residual=rows.residual,
                 S=correction.S,
                 accepted=correction.accepted,
-                square=correction.square,
                 definite=correction.definite,
             )
             for observer in self.observers:

@@ -62,12 +62,14 @@ class Monitor:
         self._window: dict[str, deque[_Judged]] = {name: deque() for name in self._silent_ns}
         self._last_ns: dict[str, int] = {}
         self._reported: Counter[str] = Counter()
+        self.broken = False  # a covariance of innovations was not positive definite: the filter's own is not either
 
     def hear(self, verdict: Verdict) -> None:
         """What came of one message."""
         window = self._window.get(verdict.sensor)
         if window is None:
             return
+        self.broken = self.broken or not verdict.definite
         x = verdict.residual**2 / np.diagonal(verdict.S)
         passed = verdict.accepted
         S = verdict.S[np.ix_(passed, passed)]
@@ -78,6 +80,7 @@ class Monitor:
 
     def forget(self) -> None:
         """The filter has begun anew: what the old one said of the sensors does not count."""
+        self.broken = False
         for window in self._window.values():
             window.clear()
 

@@ -9,25 +9,29 @@ Anew    as afloat, by ``Alignment``, with a fix made of what is known in place o
         level from the accelerometers with 0.1 m/s2 of motion, heading from the compass, biases and water as at the
         start. What made the first filter diverge may go on: where the last restart is not long ago, the inertial
         unit's biases are let ten times as wide again, up to a hundred times.
-        Until compass, pressure and 0.2 s of samples have come, the old filter goes on being published.
+        It begins at the time of the last heading that 0.2 s of samples have followed, a second ago at most, and is
+        brought up to now by what has been measured since: estimates go on without a gap. Where no heading has come
+        lately the old filter goes on until one does, and with it pressure and samples.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.localisation.alignment import Alignment
+from ltv_mpc.localisation.alignment import LEVELLING_NS, Alignment
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter import Aiding
 from ltv_mpc.localisation.health import WINDOW_NS
 from ltv_mpc.localisation.state import Belief
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array, FilterStatus, GnssFix
+from ltv_mpc.signals import Array, CompassHeading, FilterStatus, GnssFix, ImuSample
 
 PATIENCE_NS = 10_000_000_000
 GRACE_NS = 30_000_000_000
@@ -39,6 +43,8 @@ ACCELERATION_SD_MPS2 = 0.1
 WIDER, WIDEST = 10.0, 100.0
 """Beyond a hundred times 1 mg the tilt that levelling leaves open is no small angle: such filters diverged for good."""
 _KEPT = 60
+_SPARE_NS = 50_000_000
+"""More than a sample: the first after a heading and the last before now enclose the time of levelling."""
 
 
 class Place(NamedTuple):
@@ -48,6 +54,12 @@ class Place(NamedTuple):
     position_m: Array  # (2,)
     velocity_mps: Array  # (2,)
     variance_m2: float  # of the worse of both axes
+
+
+def finite(belief: Belief) -> bool:
+    """A quick look, for every message: what is not finite anywhere is not finite here by the next."""
+    x, P = belief.x, belief.P
+    return math.isfinite(x[0] + x[2] + x[3] + x[5] + P[0, 0] + P[2, 2] + P[3, 3])
 
 
 def usable(belief: Belief) -> bool:
@@ -66,15 +78,20 @@ class Restarts:
         self._last_ns: int | None = None
         self._wider = 1.0
 
+    @property
+    def knows_a_place(self) -> bool:
+        """A good one; only then can a filter begin anew."""
+        return bool(self._places)
+
     def recent(self, t_ns: int) -> bool:
         """It has begun anew a short while ago."""
         return self._last_ns is not None and t_ns - self._last_ns < GRACE_NS
 
-    def watch(self, belief: Belief, status: FilterStatus) -> bool:
-        """Take note of a second; true: the filter must begin anew."""
+    def watch(self, belief: Belief, status: FilterStatus, *, broken: bool = False) -> bool:
+        """Take note of a second; true: the filter must begin anew. ``broken``: at once."""
         t_ns = belief.t_ns
-        if not usable(belief):
-            return bool(self._places)
+        if broken or not usable(belief):
+            return self.knows_a_place
         if status is FilterStatus.NOMINAL:
             self._bad_since_ns = None
         elif self._bad_since_ns is None:
@@ -84,15 +101,15 @@ class Restarts:
         self._places.append(Place(t_ns, x[:2].copy(), x[3:5].copy(), variance))
         return self._bad_since_ns is not None and t_ns - self._bad_since_ns >= PATIENCE_NS
 
-    def begin(self, t_ns: int) -> Alignment:
-        """What a new filter is made of; what is measured from now on is to be given to it."""
-        good = self._good(t_ns)
-        soon = self._last_ns is not None and t_ns - self._last_ns < SOON_NS
+    def begin(self, now_ns: int, recent: Sequence[ImuSample | Aiding]) -> Alignment:
+        """What a new filter is made of, of what was heard recently; if that is not enough it is to be given more."""
+        t_ns = _start(now_ns, recent)
+        good = self._good(now_ns)
+        soon = self._last_ns is not None and now_ns - self._last_ns < SOON_NS
         self._wider = min(self._wider * WIDER, WIDEST) if soon else 1.0
         self.count += 1
-        self._last_ns = t_ns
+        self._last_ns = now_ns
         self._bad_since_ns = None
-        self._places.clear()
         gone_s = (t_ns - good.t_ns) * 1e-9
         replace, suite = msgspec.structs.replace, self._suite
         sd_m = math.hypot(math.sqrt(good.variance_m2), VELOCITY_SD_MPS * gone_s)
@@ -109,6 +126,11 @@ class Restarts:
         alignment.take(
             GnssFix(t_ns=t_ns, north_m=north, east_m=east, velocity_north_mps=v_north, velocity_east_mps=v_east)
         )
+        self._places.clear()
+        self._places.append(Place(t_ns, np.array([north, east]), good.velocity_mps, sd_m**2))
+        for message in recent:
+            if message.t_ns >= t_ns and not isinstance(message, GnssFix):
+                alignment.take(message)
         return alignment
 
     def _good(self, t_ns: int) -> Place:
@@ -116,3 +138,9 @@ class Restarts:
         since_ns = t_ns if self._bad_since_ns is None else self._bad_since_ns
         before = [place for place in self._places if place.t_ns <= since_ns - WINDOW_NS]
         return before[-1] if before else self._places[0]
+
+
+def _start(now_ns: int, recent: Sequence[ImuSample | Aiding]) -> int:
+    """Of the new filter: the last heading that enough samples have followed; now, if there is none."""
+    headings = [m.t_ns for m in recent if isinstance(m, CompassHeading) and m.t_ns <= now_ns - LEVELLING_NS - _SPARE_NS]
+    return max(headings, default=now_ns)

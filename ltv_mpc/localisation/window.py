@@ -30,7 +30,7 @@ from ltv_mpc.signals import Array
 
 Places: TypeAlias = npt.NDArray[np.int64]
 
-_HORIZONTAL = np.array([POSITION.start, POSITION.start + 1])
+_HORIZONTAL = np.arange(POSITION.stop)[:2]
 _SMALLEST = 1e-9
 """Added to the correlations of g, whose diagonal is 1: what g leaves open is not reckoned closer than to 3e-5 of sd."""
 
@@ -49,7 +49,7 @@ def follow(belief: Belief, above_m: float, below_m: float, cell_m: float) -> Non
     highest = max(math.floor((depth - above_m) / cell_m), 0)
     while column.first + cells - 1 < lowest:
         _shift(belief, down=True)
-    while column.first > min(highest, layout.nodes - cells):
+    while column.first > highest:
         _shift(belief, down=False)
 
 

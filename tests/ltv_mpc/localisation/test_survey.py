@@ -23,7 +23,7 @@ SUITE = msgspec.structs.replace(
     adcp=msgspec.structs.replace(REALISTIC.adcp, range_m=7.0, lever_arm_m=(0.0, 0.0, 0.0)),
     imu=msgspec.structs.replace(REALISTIC.imu, **QUIET),
 )
-WHOLE = msgspec.structs.replace(EstimatorConfig(), deepest_m=40.0, gate_probability=1.0)
+WHOLE = msgspec.structs.replace(EstimatorConfig(), deepest_m=40.0, gate_probability=1.0, adapts_to_water=False)
 WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
 UNCHANGED = msgspec.structs.replace(WHOLE, water_prior_change_sd_mps=0.0)
 
@@ -97,7 +97,7 @@ def test_the_variance_of_each_depth_and_of_their_average_are_those_of_the_belief
     belief.column.seen[:] = True
     profile = learned(belief, grid(WHOLE))
     np.testing.assert_allclose(profile.sd_mps**2, own + 2e-4)  # the larger of the two
-    assert profile.sd_common_mps**2 == pytest.approx(np.clip(1.5e-4, 0, own.min() + 1e-4))
+    assert profile.sd_common_mps == pytest.approx(np.sqrt(min(1.5e-4, own.min() + 1e-4)))
 
 
 def test_only_depths_between_the_uppermost_and_the_lowest_seen_are_saved():

@@ -51,6 +51,7 @@ def test_water_that_changes_walks_node_by_node():
     np.testing.assert_allclose(np.diag(grown)[LAYOUT.north], 9e-6, rtol=1e-9)
     np.testing.assert_allclose(np.diag(grown)[LAYOUT.east], 9e-6, rtol=1e-9)
     assert np.count_nonzero(grown) == 2 * len(grid(config))
+    assert belief.column.walked == pytest.approx(9e-6)
 
 
 def test_a_published_profile_is_the_belief_with_the_larger_deviation_of_its_axes():
@@ -150,3 +151,6 @@ def test_a_dive_that_begins_deep_begins_with_a_window_about_it():
     assert published.depth_m[0] == 300.0 - config.kept_m
     assert published.depth_m[-1] > 330.0
     assert len(published.depth_m) == layout.north.stop - layout.north.start == len(published.north_mps)
+    belief.x[2] = 499.0
+    water_column.write_prior(belief, config)
+    assert water_column.profile(belief, grid(config)).depth_m[-1] == 500.0

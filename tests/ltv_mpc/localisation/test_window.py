@@ -10,13 +10,14 @@ import pytest
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter
-from ltv_mpc.localisation.state import Belief, Layout, reach_m
+from ltv_mpc.localisation.state import Belief, Layout, grid, reach_m
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.survey import learned
 from ltv_mpc.localisation.water_column import node_prior, walk, write_prior
-from ltv_mpc.localisation.window import follow
+from ltv_mpc.localisation.window import follow, given, grown
 from ltv_mpc.signals import AdcpPing, Estimate
 
-WHOLE = EstimatorConfig()
+WHOLE = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False)
 WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
 
 
@@ -113,16 +114,19 @@ def uneven():
     )
 
 
-def started(prior):
-    """At the surface, with a state besides the water that the filter may know something of."""
-    belief = Belief.blank(LAYOUT, 0)
+def started(prior, layout=LAYOUT):
+    """At the surface, with states besides the water that the filter may know something of."""
+    belief = Belief.blank(layout, 0)
     belief.P[:15, :15] = np.eye(15)
+    belief.P[layout.beam_bias, layout.beam_bias] = np.eye(4)
     write_prior(belief, WINDOW)
-    nodes = slice(0, CELLS)
+    nodes = slice(0, layout.north.stop - layout.north.start)
     belief.column.prior = prior
-    for axis, states in enumerate((LAYOUT.north, LAYOUT.east)):
+    for axis, states in enumerate((layout.north, layout.east)):
         belief.x[states] = prior.mean_mps[nodes, axis]
         belief.P[states, states] = prior.covariance(nodes)
+        m = layout.mean.start + axis
+        belief.P[m, m] = belief.P[m, states] = belief.P[states, m] = prior.common_sd_mps**2
     return belief
 
 
@@ -140,32 +144,70 @@ def test_a_window_that_has_sunk_through_unmeasured_water_has_the_priors_moments(
     np.testing.assert_allclose(belief.P[LAYOUT.north, LAYOUT.east], 0, atol=1e-12)
 
 
-def measured(belief, node, gain, variance, rng):
-    """Conditions the whole belief on c_node + gain . [north, heading, beam bias] + noise, by the textbook."""
-    H = np.zeros((2, LAYOUT.size))
+def measured(belief, node, gain, variance, z):
+    """Conditions the whole belief on z = c_node + gain . [north, heading, beam bias] + noise, by the textbook."""
+    H = np.zeros((2, belief.layout.size))
     H[[0, 1], states_of(belief, [node])] = 1.0
-    H[:, [0, 8, LAYOUT.beam_bias.start]] = gain
+    H[:, [0, 8, belief.layout.beam_bias.start]] = gain
     K = np.linalg.solve(H @ belief.P @ H.T + variance * np.eye(2), H @ belief.P).T
-    belief.x += K @ (rng.standard_normal(2) - H @ belief.x)
+    belief.x += K @ (z - H @ belief.x)
     P = belief.P - K @ H @ belief.P
     belief.P[:] = 0.5 * (P + P.T)
 
 
-def test_what_was_measured_is_still_known_after_going_down_and_up_again(uneven):
-    """Every state, its deviation and all correlations; velocity, here unmeasured, is not asked."""
+def test_what_was_measured_of_depths_left_behind_is_as_if_they_had_been_kept(uneven):
+    """Down, up, down and up again, water and biases measured on the way, position only at the top, before it all.
+
+    Velocity, which a window does not follow so far, is not measured. Compared with the belief that keeps all nodes:
+    every state of the window, every correlation; and what would be saved of all depths.
+    """
     rng = np.random.default_rng(5)
-    belief = started(uneven)
-    belief.P[LAYOUT.beam_bias, LAYOUT.beam_bias] = np.eye(4)
+    whole_layout = Layout.of(SUITE, WHOLE)
+    window, whole = started(uneven), started(uneven, whole_layout)
+    before = np.arange(LAYOUT.north.start)
+
+    def measure(nodes, by_position):
+        for node in nodes:
+            gain, z = rng.standard_normal((2, 3)), rng.standard_normal(2)
+            gain[:, 0] *= by_position
+            for belief in (window, whole):
+                measured(belief, node, gain, 0.1, z)
+                belief.column.see(np.array([node - 1]))
+
+    measure(range(1, CELLS, 2), by_position=1.0)
+    for depth in (45.0, 0.0, 52.0, 0.0, 20.0):
+        sink(window, depth)
+        first = window.column.first
+        nodes = np.arange(first, first + CELLS)
+        a = np.concatenate([before, states_of(window, nodes)])
+        b = np.concatenate([before, states_of(whole, nodes)])
+        assert sorted(a) == list(range(LAYOUT.size))
+        assert set(window.column.dropped).isdisjoint(nodes)
+        x, P = whole.x.copy(), whole.P
+        x[2] = window.x[2]
+        np.testing.assert_allclose(window.x[a], x[b], atol=1e-6)
+        np.testing.assert_allclose(window.P[np.ix_(a, a)], P[np.ix_(b, b)], atol=1e-6)
+        np.testing.assert_array_equal(window.P, window.P.T)
+        measure(rng.choice(nodes[1:], 6, replace=False), by_position=0.0)
+        a, b = learned(window, grid(WHOLE)), learned(whole, grid(WHOLE))
+        for field in ("depth_m", "north_mps", "east_mps", "sd_mps", "sd_common_mps"):
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-6)
+    assert len(window.column.dropped) > CELLS
+
+
+def test_a_fix_of_position_undoes_what_the_water_was_known_to_share_with_its_error():
+    """Then the position is not the one that the dropped nodes erred with: and P must stay a covariance."""
+    rng = np.random.default_rng(8)
+    belief = started(node_prior(WHOLE))
     for node in range(CELLS):
-        measured(belief, node, rng.standard_normal((2, 3)), 0.1, rng)
-    x, P = belief.x.copy(), belief.P.copy()
-    sink(belief, 40.0)
-    assert belief.column.first > CELLS
+        measured(belief, node, np.array([[1.0, 0, 0], [0, 0, 0]]), 1e-4, rng.standard_normal(2))
+    sink(belief, 30.0)
+    link = belief.column.dropped[3]
+    assert abs(link.B[0, 0]) > 0.2 * np.sqrt(link.C[0, 0] * link.S[0, 0])
+    belief.P[0, :] *= 1e-3  # as fixed to a thousandth of what it was
+    belief.P[:, 0] *= 1e-3
     sink(belief, 0.0)
-    assert belief.column.first == 0
-    water = np.arange(LAYOUT.mean.start, LAYOUT.size)
-    np.testing.assert_allclose(belief.x[water], x[water], atol=1e-6)
-    np.testing.assert_allclose(belief.P, P, atol=1e-6)
+    assert np.linalg.eigvalsh(belief.P)[0] > -1e-12
 
 
 def test_a_depth_is_seen_once_an_accepted_beam_has_measured_beside_it():
@@ -188,19 +230,27 @@ def test_a_depth_is_seen_once_an_accepted_beam_has_measured_beside_it():
 
 
 def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
-    """By the variance that it and what it hangs on have gained."""
+    """By the variance that it and what it hangs on have gained since it was dropped, and by none from before."""
     config = msgspec.structs.replace(WINDOW, current_change_mps_per_rts=1e-3)
-    still, walking = started(node_prior(WHOLE)), started(node_prior(WHOLE))
-    for belief, later in ((still, 0.0), (walking, 100.0)):
+    gained = []
+    for before_s, after_s in ((50.0, 0.0), (50.0, 100.0)):
+        belief = started(node_prior(WHOLE))
+        walk(belief, config, before_s)
         for node in range(CELLS):
-            measured(belief, node, np.zeros((2, 3)), 1e-6, np.random.default_rng(0))
+            measured(belief, node, np.zeros((2, 3)), 1e-4, np.zeros(2))
         sink(belief, 12.0)
-        assert 0 in belief.column.dropped
-        walk(belief, config, later)
+        link = belief.column.dropped[0]
+        belief.column.walked += after_s * 1e-6
+        water = given(LAYOUT, 0) >= LAYOUT.north.start
+        assert np.abs(link.A[:, water]).max() > 0.1
+        np.testing.assert_allclose(
+            grown(link, water, belief.column.walked) - link.C,
+            after_s * 1e-6 * (np.eye(2) + link.A[:, water] @ link.A[:, water].T),
+            atol=1e-12,
+        )
         sink(belief, 0.0)
-    k = LAYOUT.north.start
-    gained = walking.P[k, k] - still.P[k, k]
-    assert 1e-4 < gained < 3e-4
+        gained.append(belief.P[LAYOUT.north.start, LAYOUT.north.start])
+    assert 1e-4 < gained[1] - gained[0] < 2e-4
 
 
 def test_coming_back_the_filter_is_as_good_as_it_says(make_yoyo):
