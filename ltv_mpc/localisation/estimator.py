@@ -22,6 +22,7 @@ import numpy as np
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation import water_column
+from ltv_mpc.localisation.adaptation import Change
 from ltv_mpc.localisation.alignment import Alignment
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Aiding, Filter
@@ -300,6 +301,8 @@ class Estimator:
             status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
             status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
+            if filter_.water.change(t_ns) is Change.UNIT:
+                why = "water that changes for longer than a front, or a gyro's fault: both are allowed for"
         elif status is FilterStatus.NOMINAL and filter_.water.restless:
             status, why = FilterStatus.UNFORESEEN, "cells of the water change, or differ, by more than is foretold"
         return LocalisationReport(

@@ -1,5 +1,6 @@
 """Water that does what its prior does not foresee: seen, granted from before it was seen, and only then."""
 
+import math
 from typing import NamedTuple
 
 import msgspec
@@ -13,9 +14,9 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.measurements.rows import Rows
-from ltv_mpc.localisation.state import Belief, Layout
+from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import AdcpPing
+from ltv_mpc.signals import AdcpPing, ImuSample
 
 PAPER = Suite.load("paper")
 CONFIG = EstimatorConfig()
@@ -139,6 +140,22 @@ def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives,
     assert square[True] < 2.5
 
 
+def test_a_gyro_that_fails_is_not_taken_for_a_front_again_and_again(dives, run, granted):
+    """30 deg/h, thirty times what it is said to have: the filter learns it, and is as good as it says."""
+    dive, fault = dives[0], math.radians(30.0) / 3600.0
+    messages = []
+    for message in dive.messages:
+        if isinstance(message, ImuSample) and message.t_ns > 12 * SECOND:
+            p, q, r = message.angular_rate_radps
+            message = msgspec.structs.replace(message, angular_rate_radps=(p + fault, q, r))
+        messages.append(message)
+    filter_ = run(messages)
+    assert [one.change for one in granted] == [Change.FAST, Change.UNIT]
+    assert off_by(filter_, dive) < 9.2  # 99 % of chi-square of 2 degrees; of FAST alone, some eighty
+    sd = np.sqrt(filter_.belief.P[GYRO_BIAS.start, GYRO_BIAS.start])
+    assert abs(filter_.belief.x[GYRO_BIAS.start] - fault) < 3 * sd < 3 * fault
+
+
 def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_then(dives, run, granted):
     """Against a filter that is granted it at that instant, and never goes back."""
     dive = dives[0]
@@ -190,7 +207,7 @@ def hear(water, rng, pings, r, first=0):
     [
         (0.0 * CELL, Change.NONE, False),
         (U @ [0.02, -0.01, 0.0], Change.FAST, False),
-        (U @ [0.007, 0.0, 0.0], Change.FAST, False),
+        (U @ [0.007, 0.0, 0.0], Change.UNIT, False),
         ((CELL - 4.5) * (U @ [0.003, 0.0, 0.0]), Change.SLOW, False),
         (U @ [0.0, 0.0, 0.01], Change.NONE, True),
         (U @ [0.02, -0.01, 0.01], Change.NONE, True),
@@ -211,15 +228,58 @@ def test_outliers_on_every_tenth_row_call_for_nothing():
     assert hear(water, np.random.default_rng(8), 12, r) is Change.NONE
 
 
-def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water():
+@pytest.mark.parametrize("change", [Change.FAST, Change.UNIT])
+def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water(change):
     water = Adaptation(CELLS, 1.0, 0)
     rng, r = np.random.default_rng(4), U @ [0.02, -0.01, 0.0]
     assert hear(water, rng, 40, r) is Change.FAST
     assert not water.beyond(13 * SECOND)
-    water.grant(Change.FAST, 30 * SECOND, 13 * SECOND)
+    water.grant(change, 30 * SECOND, 13 * SECOND)
     assert hear(water, rng, 1, r, first=40) is Change.NONE
     assert water.beyond(14 * SECOND)
     assert not water.beyond(16 * SECOND)
+
+
+def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and_long_after_is_a_front():
+    for again_s, change in ((15, Change.UNIT), (19.5, Change.UNIT), (21, Change.FAST)):
+        water = Adaptation(CELLS, 1.0, 0)
+        water.grant(Change.FAST, 10 * SECOND, 0)
+        r, first = U @ [0.03, -0.01, 0.0], round(3 * again_s)
+        assert hear(water, np.random.default_rng(11), 1, 0.0 * CELL, first=first - 1) is Change.NONE
+        assert hear(water, np.random.default_rng(12), 2, r, first=first) is change
+
+
+def test_what_shows_over_ten_seconds_alone_may_be_the_unit():
+    """Of 30 pings, 0.3 of one's deviation each; of 9 in 3 s it is not seen."""
+    water = Adaptation(CELLS, 1.0, 0)
+    calls = [hear(water, np.random.default_rng(k), 1, U @ [0.0038, 0.0, 0.0], first=k) for k in range(120)]
+    assert next(call for call in calls if call is not Change.NONE) is Change.UNIT
+
+
+def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
+    belief = belief_of_water()
+    water = Adaptation(CELLS, 1.0, 0)
+    water.grant(Change.UNIT, 20 * SECOND, 0)
+    before = belief.P.copy()
+    water.grow(belief, 1.0)
+    first = belief.P - before
+    before = belief.P.copy()
+    water.grow(belief, 1.0)
+    walk = belief.P - before
+
+    opened, layout = first - walk, belief.layout
+    for i in range(3):
+        assert opened[GYRO_BIAS, GYRO_BIAS][i, i] == pytest.approx((5e-4) ** 2)
+    for i in range(2):
+        assert opened[ATTITUDE, ATTITUDE][i, i] == pytest.approx(1e-4)
+    assert opened[ATTITUDE, ATTITUDE][2, 2] == 0.0
+    for axis, nodes in enumerate((layout.north, layout.east)):
+        v, m = VELOCITY.start + axis, layout.mean.start + axis
+        alike = [v, m, *range(nodes.start, nodes.stop)]
+        np.testing.assert_allclose(opened[np.ix_(alike, alike)], 0.09)
+    assert opened[VELOCITY.start, VELOCITY.start + 1] == opened[VELOCITY.start + 2, VELOCITY.start + 2] == 0.0
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    assert np.linalg.eigvalsh(belief.P)[0] > 0
 
 
 def test_a_filter_that_has_just_begun_anew_takes_nothing_for_a_front():
@@ -295,14 +355,34 @@ def test_what_corrections_tell_is_by_how_much_they_reduce_each_variance():
         before = np.diagonal(P).copy()
 
 
-def test_a_step_between_two_cells_makes_them_restless_and_water_as_foretold_does_not(dives, run):
+def test_cells_that_walk_each_by_itself_are_restless_and_water_as_foretold_is_not(dives, run):
     dive = dives[0]
+    walk = np.cumsum(0.006 * np.random.default_rng(9).standard_normal((int(END_S) + 2, 75)), axis=0)
 
+    def each(t_s, depth_m):
+        return np.interp(depth_m, np.arange(75), walk[max(int(t_s), 0)])
+
+    assert not run(dive.messages).water.restless
+    assert run(with_water(dive, each)).water.restless
+
+
+def test_a_step_between_two_cells_is_noticed(dives, run, granted):
     def step(_, depth_m):
         return 0.3 * np.clip(depth_m - 24.5, 0.0, 1.0)
 
-    assert not run(dive.messages).water.restless
-    assert run(with_water(dive, step)).water.restless
+    run(with_water(dives[0], step))
+    assert Change.SLOW in {one.change for one in granted}
+
+
+def test_a_chance_of_a_cells_first_pings_is_forgotten_though_it_told_most_of_what_is_known_of_it():
+    belief, rng = belief_of_water(), np.random.default_rng(10)
+    water, upper = Adaptation(CELLS, 1.0, 0), np.arange(1, 18)
+    for k in range(400):
+        belief.t_ns += SECOND // 3
+        sd = 1e-2 if k < 5 else 1e-4
+        error = np.full(belief.layout.size, 2.5 * sd) if k < 5 else sd * rng.standard_normal(belief.layout.size)
+        water.moved(belief, upper, error, np.full(belief.layout.size, sd**2))
+    assert not water.restless
 
 
 def test_what_is_granted_to_all_is_smooth_over_depth_and_leaves_the_covariance_definite():
