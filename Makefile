@@ -43,9 +43,10 @@ figures: setup  ## docs/descent.png: no control, 2.5 s and 5 s horizon, from thr
 	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/5s $(DESCENT) --horizon-s 5
 	$(BIN)/python -P -m services.views.figures docs/descent.png runs/figures/none runs/figures/2.5s runs/figures/5s
 
-bench: setup  ## tables of the README: errors over 20 seeds, latency of a cycle by horizon
+bench: setup .venv/peers  ## tables of the README: errors over 20 seeds, latency of a cycle, other tools beside it
 	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
+	$(BIN)/python -m benchmarks.peers
 
 mutants: setup .venv/mutation  ## flip the sign of every term, one at a time: a test must fail for each; FILES= for some
 	@$(BIN)/python -m tests.mutation.run $(FILES)
@@ -72,7 +73,13 @@ clean:  ## remove .venv and caches; runs/ stays
 
 .venv/installed: .venv/made pyproject.toml
 	@echo "installing into .venv"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,viz,bench]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,viz]'
+	@touch $@
+
+# Into .venv itself: what is compared has the same Python, numpy and solvers, and the kernels are compiled already.
+.venv/peers: .venv/installed
+	@echo "installing what is compared with"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]'
 	@touch $@
 
 .venv/mutation: .venv/installed

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array, Plan, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -35,11 +36,12 @@ class SentCommands:
 
     def sent(self, plan: Plan) -> None:
         """``plan`` was sent: it is in force from its first knot on."""
-        start = int(plan.t_ns[0])
-        old = (self._t < start) & (self._t > start - KEPT_NS)
-        end_t, end_thrust = self._ramp_down(int(plan.t_ns[-1]), plan.thrust_N[-1])
-        self._t = np.concatenate([self._t[old], plan.t_ns, end_t])
-        self._thrust = np.concatenate([self._thrust[old], plan.thrust_N, end_thrust])
+        self._t, self._thrust = supersede(self._t, self._thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest)
+
+    @property
+    def knots(self) -> tuple[Times, Array]:
+        """Times (M,) and commands (M, 3): linear between, constant beyond."""
+        return self._t, self._thrust
 
     def reported(self, t_ns: int, command_N: Triple) -> None:
         """The actuators say what was in force at ``t_ns``."""
@@ -71,11 +73,42 @@ class SentCommands:
         inner = self._t[(self._t > from_ns) & (self._t < until_ns)]
         return np.concatenate([[from_ns], inner, [until_ns]]).astype(np.int64)
 
-    def _ramp_down(self, end_ns: int, thrust: Array) -> tuple[Times, Array]:
-        """Knots from the end of a plan to rest, one where each thruster gets there."""
-        seconds = np.abs(thrust - self._rest) / self._slew
-        corners = np.unique(seconds[seconds > 0])
-        if not len(corners):
-            return np.empty(0, dtype=np.int64), np.empty((0, 3))
-        left = 1.0 - np.minimum(corners[:, None] / np.where(seconds > 0, seconds, 1.0), 1.0)
-        return end_ns + np.ceil(corners * 1e9).astype(np.int64), self._rest + left * (thrust - self._rest)
+
+@kernel
+def supersede(
+    t: Times, thrust: Array, plan_t: Times, plan_thrust: Array, slew: Array, rest: Array
+) -> tuple[Times, Array]:
+    """Knots t (M,), thrust (M, 3) until the plan begins, then the plan, then its way to rest at the slew limit."""
+    first = np.searchsorted(t, plan_t[0] - KEPT_NS, side="right")
+    until = np.searchsorted(t, plan_t[0], side="left")
+    end = len(plan_t) - 1
+    # One knot where each thruster comes to rest, in their order.
+    seconds = np.abs(plan_thrust[end] - rest) / slew
+    corners = np.unique(seconds[seconds > 0.0])
+    kept, ahead = max(until - first, 0), len(plan_t)
+    out_t = np.empty(kept + ahead + len(corners), dtype=np.int64)
+    out = np.empty((len(out_t), 3))
+    out_t[:kept], out[:kept] = t[first : first + kept], thrust[first : first + kept]
+    out_t[kept : kept + ahead], out[kept : kept + ahead] = plan_t, plan_thrust
+    for i in range(len(corners)):
+        at = kept + ahead + i
+        out_t[at] = plan_t[end] + np.int64(np.ceil(corners[i] * 1e9))
+        for j in range(3):
+            left = 1.0 - min(corners[i] / seconds[j], 1.0) if seconds[j] > 0.0 else 1.0
+            out[at, j] = rest[j] + left * (plan_thrust[end, j] - rest[j])
+    return out_t, out
+
+
+@kernel
+def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
+    """Thruster i's command at one time, by knots t (M,), thrust (M, 3): zero where nothing was sent."""
+    if len(t) == 0:
+        return 0.0
+    k = np.searchsorted(t, at, side="right")
+    if k == 0:
+        return float(thrust[0, i])
+    if k == len(t):
+        return float(thrust[k - 1, i])
+    # Differences of times are exact in float64 and keep their nanoseconds.
+    part = float(at - t[k - 1]) / float(t[k] - t[k - 1])
+    return float(thrust[k - 1, i] + part * (thrust[k, i] - thrust[k - 1, i]))

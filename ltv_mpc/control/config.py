@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
+
+Formulation: TypeAlias = Literal["sparse", "partial", "condensed", "auto"]
+"""How the QP is laid out: states kept, kept at the ends of blocks only, eliminated; or the fastest measured."""
 
 STAGE_NS = 300_000_000
 """Time between two knots."""
@@ -29,16 +32,27 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1.5e-3
 
 
+class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the current does that its profile does not say: ``disturbance.py``. Off where ``sd_mps`` is 0."""
+
+    sd_mps: Annotated[float, Meta(ge=0, le=2)] = 0.0  # before anything was seen; 0.1 where no profile is known
+    walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.01  # 4 cm/s over 8 m at 0.2 m/s: 9 mm/s per sqrt(s)
+    noise_mps: Annotated[float, Meta(gt=0, le=1)] = 1e-3  # of the velocity over ground from estimate to estimate
+    most_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # the bias stays within, each way
+
+
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the controller."""
 
     horizon_s: Annotated[float, Meta(ge=0.3, le=120)] = 5.0
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
     weights: Weights = Weights()
+    disturbance: Disturbance = Disturbance()
     lateral: bool = True  # false: the lateral thrusters stay at zero: what happens without control
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
     tolerance: Annotated[float, Meta(gt=0, le=1e-1)] = 5e-6
     solver: str = "osqp"
+    formulation: Formulation = "sparse"
     delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected before anything was measured
 

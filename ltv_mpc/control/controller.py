@@ -9,21 +9,24 @@ lag and slew in the model, one convex QP a cycle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+import math
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from ltv_mpc.control import trajectory
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.constants import pack
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.guess import cost, steer
-from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
+from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
-from ltv_mpc.control.prediction import Prediction, Start, current_at
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.prediction import Prediction, Start, currents, profile_of
 from ltv_mpc.control.solvers import make
-from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan
+from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.references.kinds import Anchor
@@ -39,15 +42,13 @@ from ltv_mpc.signals import (
     SolveStatus,
     Times,
 )
+from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
 
 COLD_PASSES = 6
 """Linearisations of the first cycle, whose guess is crude."""
-
-STEPS = (1.0, 0.5, 0.25, 0.1)
-"""Parts of the QP's step that are tried in turn until the cost along the exact flow does not rise."""
 
 LONGEST_INTEGRATION_S = 2.0
 """After a longer silence the depth error was not this all the time."""
@@ -60,14 +61,21 @@ USABLE_RESIDUAL = 1e-3
 exact flow like any other, and its commands are inside box and slew like any other's."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Memory:
+class _Memory(NamedTuple):
     """What a cycle leaves to the next."""
 
-    t_ns: Times  # (N+1,) knots
+    start_ns: int  # of its first knot
+    U: Array  # (N+1, 2)
+
+
+class _Lateral(NamedTuple):
+    """What a cycle wants of the lateral thrusters, and how it came to it."""
+
     X: Array  # (N+1, 8)
     U: Array  # (N+1, 2)
-    y: Array  # dual of the QP
+    origin: PlanOrigin
+    solve: Solve
+    why: str
 
 
 class Controller:
@@ -84,15 +92,18 @@ class Controller:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
         self.config = config = config or ControllerConfig()
         self.vehicle = vehicle
-        self._p = vehicle.coefficients()
-        self._stage_s = np.full(config.stages, STAGE_S)
+        self._numbers = pack(vehicle, config.weights, STAGE_S)
         self._lap = stopwatch
+        self._solver = make(vehicle, config)
+        self._lin = Linearisation.empty(config.stages)
+        self._ahead_ns = np.arange(config.stages + 1, dtype=np.int64) * STAGE_NS
+        self._target = np.empty((config.stages, 2))
+        self._nothing = np.zeros((config.stages + 1, 2))
         self._limits = ThrustLimits.of(vehicle, STAGE_S)
-        self._form = SparseForm(config.stages, self._limits, config.weights)
-        self._solver = make(config)
-        self._vertical = VerticalLaw(vehicle)
+        self._passes = COLD_PASSES
         self._commands = SentCommands(vehicle)
         self._prediction = Prediction(vehicle)
+        self._bias = CurrentBias(config.disturbance) if config.disturbance.sd_mps > 0 else None
         self._delay = Delay(round(config.first_delay_s * 1e9), config.delay_quantile)
         self._memory: _Memory | None = None
         self._integral_N = 0.0
@@ -124,6 +135,8 @@ class Controller:
         now = estimate.t_ns if t_ns is None else t_ns
         if applied is not None:
             self.report(applied)
+        if self._bias is not None:
+            estimate = self._bias.corrected(estimate, self._prediction, self._commands)
         begun, idle = None, ""
         if abs(now - estimate.t_ns) > OLDEST_ESTIMATE_NS:
             idle = f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.0f} s old"
@@ -137,33 +150,46 @@ class Controller:
             self._delay.solves_from(now)
         delay_ns = self._delay.expected_ns()
         start = self._prediction.roll(estimate, now + delay_ns, self._commands)
-        knots = start.t_ns + np.arange(self.config.stages + 1, dtype=np.int64) * STAGE_NS
+        knots = start.t_ns + self._ahead_ns
         vertical = self._vertical_plan(start, knots, begun)
-        current = current_at(estimate.current, vertical.depth_m)
+        profile = profile_of(estimate)
+        currents(profile.depth_m, profile.north_mps, profile.east_mps, vertical.depth_m, self._lin.flat)
         self._lap("predict")
-        if begun is None or idle:
-            X, U = self._released(start, knots, current)
-            origin, solve, why = PlanOrigin.ZERO, Solve(status=SolveStatus.NOT_RUN), idle
-            self._memory = None
+        wanted = None if begun is None else self._reference.position(begun)
+        if wanted is None or idle:
+            lateral = self._released(start, idle)
         else:
-            X, U, origin, solve, why = self._solve(start, knots, current, self._reference.position(begun))
+            lateral = self._solve(start, wanted)
+        thrust = np.empty((len(knots), 3))
+        thrust[:, :2], thrust[:, 2] = lateral.U, vertical.thrust_N
         plan = Plan(
             cycle_t_ns=now,
             t_ns=knots,
-            thrust_N=np.column_stack([U, vertical.thrust_N]),
-            states=X[:, :6].copy(),
-            origin=origin,
-            solve=solve,
-            why=why,
+            thrust_N=thrust,
+            states=lateral.X[:, :6].copy(),
+            origin=lateral.origin,
+            solve=lateral.solve,
+            why=lateral.why,
             estimate_t_ns=estimate.t_ns,
             expected_delay_ns=delay_ns,
-            reference_m=None if begun is None else self._reference.position(begun),
+            reference_m=wanted,
             reference_depth_m=None if begun is None else self._reference.depth_m,
         )
         self._commands.sent(plan)
         self._integrate(vertical, start.t_ns)
         self._lap("read")
         return plan
+
+    def remember(self, other: Controller) -> None:
+        """Go on from where ``other`` is: its reference, the plans that it sent, its last plan. The solver's own warm
+        start stays: so several controllers can be held against each other on the same problems.
+        """
+        self._reference, self._anchor = other._reference, other._anchor
+        self._memory, self._passes = other._memory, other._passes
+        self._integral_N, self._integrated_ns = other._integral_N, other._integrated_ns
+        self._commands = copy.deepcopy(other._commands)
+        self._prediction = copy.deepcopy(other._prediction)
+        self._delay = copy.deepcopy(other._delay)
 
     # --- the parts of a cycle ---
 
@@ -178,16 +204,16 @@ class Controller:
         if wanted is None:
             rest = self._commands.at(knots)[:, 2]
             return VerticalPlan(np.full(len(knots), start.depth_m), rest, 0.0)
-        return self._vertical.plan(
-            depth_m=start.depth_m,
-            sinking_mps=start.sinking_mps,
-            thrust_N=start.vertical_N,
-            command_N=float(start.command[2]),
-            integral_N=self._integral_N,
-            depth_ref_m=wanted[0],
-            sinking_ref_mps=wanted[1],
-            stage_s=STAGE_S,
+        plan = follow(
+            self._numbers,
+            start.depth_m,
+            start.sinking_mps,
+            start.vertical_N,
+            start.vertical_command_N,
+            self._integral_N,
+            *wanted,
         )
+        return VerticalPlan(*plan)
 
     def _integrate(self, vertical: VerticalPlan, start_ns: int) -> None:
         """The integral goes on from the last plan's start to this one's."""
@@ -196,87 +222,66 @@ class Controller:
             self._integral_N += vertical.integral_rate_N_per_s * seconds
         self._integrated_ns = start_ns
 
-    def _released(self, start: Start, knots: Times, current: Array) -> tuple[Array, Array]:
+    def _room(self) -> tuple[Array, Array]:
+        """For states (N+1, 8) and commands (N+1, 2) of a plan."""
+        return np.empty((self.config.stages + 1, STATES)), np.empty((self.config.stages + 1, 2))
+
+    def _released(self, start: Start, why: str) -> _Lateral:
         """The lateral thrusters go to zero at the slew limit."""
-        U = np.zeros((len(knots), 2))
-        U[0] = start.command[:2]
-        U = self._limits.enforced(U)
-        return self._roll(start.X, U, current), U
+        X, U = self._room()
+        trajectory.release(self._numbers, start.lateral, self._lin.C, X, U)
+        self._memory = None
+        return _Lateral(X, U, PlanOrigin.ZERO, Solve(status=SolveStatus.NOT_RUN), why)
 
-    def _roll(self, X0: Array, U: Array, current: Array) -> Array:
-        """The exact flow over the horizon, (N+1, 8)."""
-        return roll_out(X0, U, current, self._stage_s, self._p)
-
-    def _solve(
-        self, start: Start, knots: Times, current: Array, target: Pair
-    ) -> tuple[Array, Array, PlanOrigin, Solve, str]:
-        """States, commands and where they come from."""
-        reference = np.broadcast_to(np.array(target), (self.config.stages, 2))
-        X, U, y = self._guess(start, knots, current, reference)
-        passes = COLD_PASSES if self._memory is None else 1
-        for _ in range(passes):
-            lin = linearise(X, U, current, STAGE_S, self._p)
+    def _solve(self, start: Start, wanted: Pair) -> _Lateral:
+        """One linearisation and one QP; several where there is no plan yet."""
+        lin, target, numbers = self._lin, self._target, self._numbers
+        target[:] = wanted
+        self._linearise(start)
+        X, U = self._room()
+        for left in range(self._passes, 0, -1):
             self._lap("linearise")
-            qp = self._form.build(lin, reference)
+            self._solver.build(lin, target)
             self._lap("build")
-            solution = self._solver.solve(qp, np.zeros(self._form.variables), y)
+            self._solver.update()
+            self._lap("update")
+            commands, solve = self._solver.solve()
             self._lap("solve")
-            if not _usable(solution.solve):
-                return self._fallback(lin, knots, solution.solve)
-            X, U = self._step(lin, self._form.commands(lin, solution.x), current, reference)
-            y = solution.y
-        self._memory = _Memory(knots, X, U, y)
-        return X, U, PlanOrigin.SOLVED, solution.solve, ""
+            if not _usable(solve):
+                return self._fallback(start, solve)
+            trajectory.step(numbers, lin.flat, target, commands, X, U)
+            if left > 1:
+                trajectory.again(numbers, lin.flat, self.config.stages, X, U)
+        self._passes = 1
+        self._memory = _Memory(start.t_ns, U)
+        return _Lateral(X, U, PlanOrigin.SOLVED, solve, "")
 
-    def _cost(self, X: Array, U: Array, current: Array, reference: Array) -> float:
-        return cost(X, U, current, reference, self._limits, self.config.weights)
-
-    def _step(self, lin: Linearisation, U: Array, current: Array, reference: Array) -> tuple[Array, Array]:
-        """From the trajectory linearised along towards the QP's commands: the largest part that is no worse.
-
-        The solver meets box and slew to its tolerance; what is returned meets them exactly.
-        """
-        before = self._cost(lin.X, lin.U, current, reference)
-        for part in STEPS:
-            commands = self._limits.enforced(lin.U + part * (U - lin.U))
-            X = self._roll(lin.X[0], commands, current)
-            if self._cost(X, commands, current, reference) <= before:
-                return X, commands
-        return lin.X, lin.U
-
-    def _guess(self, start: Start, knots: Times, current: Array, reference: Array) -> tuple[Array, Array, Array]:
-        """Trajectory to linearise along, and dual: the previous plan on the new grid, or a steered one if better."""
-        N = self.config.stages
-        low, high = self._limits.box(start.command[:2], N)
-        candidates = []
-        for astern in (False, True):
-            X, U = steer(
-                start.X, start.command[:2], current, reference, STAGE_S, low, high, self._limits.change, astern, self._p
-            )
-            candidates.append((self._cost(X, U, current, reference), X, U, np.zeros(self._form.rows)))
+    def _linearise(self, start: Start) -> None:
+        """Along the previous plan on the new knots, or a steered one if that is better; the solver is told which."""
         old = self._memory
-        if old is not None:
-            t, told = (knots - old.t_ns[0]) * 1e-9, (old.t_ns - old.t_ns[0]) * 1e-9
-            U = np.stack([np.interp(t, told, old.U[:, i]) for i in range(2)], axis=1)
-            U[0] = start.command[:2]
-            U = self._limits.enforced(U)
-            X = self._roll(start.X, U, current)
-            candidates.append(
-                (self._cost(X, U, current, reference), X, U, self._form.shifted_dual(old.y, t[0] / STAGE_S))
-            )
-        _, X, U, y = min(candidates, key=lambda candidate: candidate[0])
-        return X, U, y
+        if old is None:
+            self._passes = COLD_PASSES
+            stages, commands = math.nan, self._nothing
+        else:
+            stages, commands = (start.t_ns - old.start_ns) / STAGE_NS, old.U
+        kind = trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
+        if kind == trajectory.CARRIED:
+            self._solver.shift(stages)
+        else:
+            self._solver.forget()
 
-    def _fallback(self, lin: Linearisation, knots: Times, solve: Solve) -> tuple[Array, Array, PlanOrigin, Solve, str]:
-        """The previous plan on the new grid, already inside box and slew; it stays the guess of the next cycle."""
-        finite = np.isfinite(lin.X).all() and np.isfinite(lin.U).all()
-        if self._memory is None or not finite:
-            U = np.zeros_like(lin.U)
-            U[0] = lin.U[0]
+    def _fallback(self, start: Start, solve: Solve) -> _Lateral:
+        """The trajectory linearised along: the previous plan on the new knots, inside box and slew already."""
+        lin = self._lin
+        X, U = lin.X.copy(), lin.U.copy()
+        if self._memory is None or not (np.isfinite(X).all() and np.isfinite(U).all()):
             self._memory = None
-            return lin.X, self._limits.enforced(U), PlanOrigin.ZERO, solve, solve.why
-        self._memory = _Memory(knots, lin.X, lin.U, np.zeros_like(self._memory.y))
-        return lin.X, lin.U, PlanOrigin.SHIFTED, solve, solve.why
+            U[1:] = 0.0
+            U = self._limits.enforced(U)
+            return _Lateral(X, U, PlanOrigin.ZERO, solve, solve.why)
+        self._solver.forget()
+        self._memory = _Memory(start.t_ns, U)
+        return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
 
 
 def _usable(solve: Solve) -> bool:

@@ -8,9 +8,8 @@ careful costs little, since the vehicle's motion until then is predicted.
 
 from __future__ import annotations
 
+import math
 from collections import deque
-
-import numpy as np
 
 from ltv_mpc.signals import Applied, CycleTiming
 
@@ -22,7 +21,7 @@ class Delay:
     """Expected delay in vehicle nanoseconds."""
 
     def __init__(self, first_ns: int, quantile: float) -> None:
-        self._first_ns = first_ns
+        self._first_ns = self._expected_ns = first_ns
         self._quantile = quantile
         self._receipts: deque[int] = deque(maxlen=REMEMBERED)
         self._computing: deque[int] = deque(maxlen=REMEMBERED)
@@ -36,6 +35,7 @@ class Delay:
             self._first_ns = max(self._first_ns, self.expected_ns())
             self._receipts.clear()
             self._computing.clear()
+            self._learn()
 
     def receipt(self, applied: Applied) -> None:
         """The actuators say which plan they got, and when."""
@@ -45,16 +45,24 @@ class Delay:
             return
         self._receipt_of = applied.plan_cycle_t_ns
         self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
+        self._learn()
 
     def timing(self, timing: CycleTiming) -> None:
         """What the last cycle took, without transport."""
         if self._solves_from is None or timing.t_ns >= self._solves_from:
             self._computing.append(timing.compute_ns)
+            self._learn()
 
     def expected_ns(self) -> int:
         """From the start of a cycle to its plan's arrival."""
+        return self._expected_ns
+
+    def _learn(self) -> None:
+        """Between cycles: what is expected from now on."""
         measured = self._receipts or self._computing
         if not measured:
-            return self._first_ns
-        middle, high = np.quantile(np.array(measured), (0.5, self._quantile), method="higher")
-        return int(high + (high - middle))
+            self._expected_ns = self._first_ns
+            return
+        in_order = sorted(measured)
+        middle, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
+        self._expected_ns = high + (high - middle)

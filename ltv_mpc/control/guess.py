@@ -18,9 +18,8 @@ import math
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon import velocity_over_ground
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.constants import Constants
+from ltv_mpc.control.limits import bounds
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES, advance_stage
 from ltv_mpc.vehicle.parameters import Coefficients
@@ -43,26 +42,15 @@ def speed_at(push: float, p: Coefficients) -> float:
 
 
 @kernel
-def steer(
-    X0: Array,
-    U0: Array,
-    C: Array,
-    ref: Array,
-    h: float,
-    low: Array,
-    high: Array,
-    change: Array,
-    astern: bool,
-    p: Coefficients,
-) -> tuple[Array, Array]:
+def steer(X0: Array, U0: Array, C: Array, ref: Array, astern: bool, c: Constants) -> tuple[Array, Array]:
     """States (N+1, 8) and commands (N+1, 2) under the law.
 
-    C (N+1, 2) current and ref (N, 2) position wanted, at the knots; low, high (N, 2) box; change (2,) between knots.
+    C (N+1, 2) current and ref (N, 2) position wanted, at the knots.
     """
-    N = ref.shape[0]
+    N, h, p, o = ref.shape[0], c.stage_s, c.p, c.objective
     X, U = np.empty((N + 1, STATES)), np.empty((N + 1, 2))
     X[0], U[0] = X0, U0
-    fastest = speed_at(high[0, 0] + high[0, 1], p)
+    fastest = speed_at(o.high[0] + o.high[1], p)
     sign = -1.0 if astern else 1.0
     for k in range(N):
         x = X[k]
@@ -79,23 +67,9 @@ def steer(
         surge = p.mass_surge * (wanted - x[2]) / SURGE_S + (p.linear_surge + p.quadratic_surge * abs(wanted)) * wanted
         # F1 + F2 = X, F1 a1 - F2 a2 = N
         arms = p.arm_port + p.arm_starboard
-        F1 = (surge * p.arm_starboard + yaw) / arms
-        F2 = (surge * p.arm_port - yaw) / arms
-        U[k + 1, 0] = min(max(F1, low[k, 0], U[k, 0] - change[0]), high[k, 0], U[k, 0] + change[0])
-        U[k + 1, 1] = min(max(F2, low[k, 1], U[k, 1] - change[1]), high[k, 1], U[k, 1] + change[1])
+        F = ((surge * p.arm_starboard + yaw) / arms, (surge * p.arm_port - yaw) / arms)
+        for i in range(2):
+            low, high = bounds(U0[i], k + 1, o.low[i], o.high[i], o.change[i])
+            U[k + 1, i] = min(max(F[i], low, U[k, i] - o.change[i]), high, U[k, i] + o.change[i])
         advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, X[k + 1])
     return X, U
-
-
-def cost(X: Array, U: Array, C: Array, reference: Array, limits: ThrustLimits, weights: Weights) -> float:
-    """What a trajectory X (N+1, 8), U (N+1, 2) in a current C (N+1, 2) costs against ref (N, 2): as in the QP."""
-    velocity, _ = velocity_over_ground(X[-1], C[-1])
-    square = ((X[1:, :2] - reference) ** 2).sum(axis=1)
-    u = U / limits.scale
-    return float(
-        weights.position_per_m2 * square.sum()
-        + weights.terminal_position_per_m2 * square[-1]
-        + weights.terminal_velocity_s2_per_m2 * (velocity**2).sum()
-        + weights.thrust * (u[1:] ** 2).sum()
-        + weights.thrust_change * (np.diff(u, axis=0) ** 2).sum()
-    )

@@ -23,7 +23,7 @@ from ltv_mpc.vehicle.sensitivity import SCRATCH, lag_tables, linearise_stage
 
 
 class Linearisation(NamedTuple):
-    """The motion to first order along a trajectory of N stages."""
+    """The motion to first order along a trajectory of N stages: one array, and its parts as views of it."""
 
     X: Array  # (N+1, 8) the trajectory; X[0] is the state at the plan's start
     U: Array  # (N+1, 2) its commands; U[0] is the command in force at the plan's start
@@ -32,6 +32,48 @@ class Linearisation(NamedTuple):
     A: Array  # (N, 8, 8)
     B0: Array  # (N, 8, 2) with respect to U[k]
     B1: Array  # (N, 8, 2) with respect to U[k+1]
+    flat: Array  # all of it
+
+    @classmethod
+    def empty(cls, stages: int) -> Linearisation:
+        """Room for one of so many stages."""
+        linearisation: Linearisation = views(np.empty(size(stages)), stages)
+        return linearisation
+
+    @classmethod
+    def of(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
+        """One made of these arrays, which are copied."""
+        made = cls.empty(len(Phi))
+        for part, given in zip(made[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
+            part[...] = given
+        return made
+
+
+@kernel
+def size(N: int) -> int:
+    """Length of the flat array of N stages."""
+    return (N + 1) * (STATES + 4) + N * (STATES + STATES * STATES + 4 * STATES)
+
+
+@kernel
+def views(flat: Array, N: int) -> Linearisation:
+    """The parts of a flat array: a kernel is handed the one, and takes it apart itself."""
+    x = (N + 1) * STATES
+    u = x + (N + 1) * 2
+    c = u + (N + 1) * 2
+    phi = c + N * STATES
+    a = phi + N * STATES * STATES
+    b0 = a + N * STATES * 2
+    return Linearisation(
+        flat[:x].reshape(N + 1, STATES),
+        flat[x:u].reshape(N + 1, 2),
+        flat[u:c].reshape(N + 1, 2),
+        flat[c:phi].reshape(N, STATES),
+        flat[phi:a].reshape(N, STATES, STATES),
+        flat[a:b0].reshape(N, STATES, 2),
+        flat[b0:].reshape(N, STATES, 2),
+        flat,
+    )
 
 
 @kernel
@@ -45,28 +87,33 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 
 
 @kernel
-def _linearise(
-    X: Array, U: Array, C: Array, h: float, p: Coefficients, Phi: Array, A: Array, B0: Array, B1: Array
-) -> None:
+def linearise_along(lin: Linearisation, h: float, p: Coefficients) -> None:
+    """Phi, A, B0 and B1 along the X, U and C that ``lin`` holds; every stage lasts h seconds."""
+    X, U, C = lin.X, lin.U, lin.C
     lag, gain = lag_tables(h, p)
     Z = np.empty(SCRATCH)
     for k in range(U.shape[0] - 1):
-        linearise_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, Phi[k], A[k], B0[k], B1[k])
+        linearise_stage(
+            X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
+        )
 
 
 def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:
     """The motion to first order along X (N+1, 8), U (N+1, 2), in a current C (N+1, 2); every stage lasts h seconds."""
-    N = len(U) - 1
-    Phi, A = np.empty((N, STATES)), np.empty((N, STATES, STATES))
-    B0, B1 = np.empty((N, STATES, 2)), np.empty((N, STATES, 2))
-    _linearise(X, U, C, h, p, Phi, A, B0, B1)
-    return Linearisation(X, U, C, Phi, A, B0, B1)
+    lin = Linearisation.empty(len(U) - 1)
+    lin.X[...], lin.U[...], lin.C[...] = X, U, C
+    linearise_along(lin, h, p)
+    return lin
 
 
+@kernel
 def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
     """[n', e'] (2,) at a state x (8,) in a current c (2,), and its derivative with respect to [u, v, psi], (2, 3)."""
     cos, sin = np.cos(x[4]), np.sin(x[4])
+    velocity, slope = np.empty(2), np.empty((2, 3))
     # n' = cos psi u - sin psi v + c_n,  e' = sin psi u + cos psi v + c_e
-    velocity = np.array([cos * x[2] - sin * x[3] + c[0], sin * x[2] + cos * x[3] + c[1]])
-    slope = np.array([[cos, -sin, -sin * x[2] - cos * x[3]], [sin, cos, cos * x[2] - sin * x[3]]])
+    velocity[0] = cos * x[2] - sin * x[3] + c[0]
+    velocity[1] = sin * x[2] + cos * x[3] + c[1]
+    slope[0, 0], slope[0, 1], slope[0, 2] = cos, -sin, -sin * x[2] - cos * x[3]
+    slope[1, 0], slope[1, 1], slope[1, 2] = sin, cos, cos * x[2] - sin * x[3]
     return velocity, slope

@@ -39,28 +39,33 @@ class ThrustLimits:
         return np.maximum(self.high, -self.low)
 
     def box(self, start: Array, stages: int) -> tuple[Array, Array]:
-        """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,).
-
-        A start outside the box (a limit that was just lowered) is brought in at the slew limit, so that the QP always
-        has a solution.
-        """
+        """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,): ``bounds`` at every knot."""
         reach = np.arange(1, stages + 1)[:, None] * self.change
-        # From a start inside, these are the box itself, however little of it is within reach: the slew rows hold the
-        # commands there already, and a box that is nowhere active costs the solver nothing.
         return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
     def enforced(self, commands: Array) -> Array:
         """``commands`` (N+1, 2) moved, knot by knot from the first, to the nearest that obey box and slew exactly."""
         out = commands.copy()
-        low, high = self.box(commands[0], len(commands) - 1)
-        _bring_in(out, self.change, low, high)
+        bring_in(out, self.low, self.high, self.change)
         return out
 
 
 @kernel
-def _bring_in(U: Array, change: Array, low: Array, high: Array) -> None:
-    """U (N+1, 2) in place: slew from the knot before, then the box (N, 2)."""
+def bounds(start: float, knot: int, low: float, high: float, change: float) -> tuple[float, float]:
+    """Lower and upper bound of one thruster's U[knot], knot = 1 .. N, from U[0] = ``start``.
+
+    A start outside the box (a limit that was just lowered) is brought in at the slew limit, so that the QP always has a
+    solution. From a start inside, these are the box itself, however little of it is within reach: the slew rows hold
+    the commands there already, and a box that is nowhere active costs the solver nothing.
+    """
+    return min(low, start + knot * change), max(high, start - knot * change)
+
+
+@kernel
+def bring_in(U: Array, low: Array, high: Array, change: Array) -> None:
+    """U (N+1, 2) in place: at each knot the slew from the knot before, then the box."""
     for k in range(1, U.shape[0]):
         for i in range(2):
+            least, most = bounds(U[0, i], k, low[i], high[i], change[i])
             U[k, i] = min(max(U[k, i], U[k - 1, i] - change[i]), U[k - 1, i] + change[i])
-            U[k, i] = min(max(U[k, i], low[k - 1, i]), high[k - 1, i])
+            U[k, i] = min(max(U[k, i], least), most)

@@ -7,15 +7,19 @@ the actuators report.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from ltv_mpc.control.commands import SentCommands
-from ltv_mpc.control.horizon import roll_out
-from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Triple
-from ltv_mpc.vehicle.flow import advance_heave, lag_weights
+from ltv_mpc.compiled import kernel
+from ltv_mpc.control.commands import SentCommands, command_at
+from ltv_mpc.control.config import STAGE_NS, Weights
+from ltv_mpc.control.constants import constants, pack
+from ltv_mpc.control.horizon import views
+from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Times
+from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STEP_NS = 100_000_000
@@ -25,16 +29,32 @@ REPORTS = 32
 """Reports of the actuators that are kept: 3 s at 10 Hz, more than any estimate is late."""
 
 
+NEVER = -(2**62)
+"""The time of a report that there is not."""
+
+NO_PROFILE = CurrentProfile(depth_m=np.empty(0), north_mps=np.empty(0), east_mps=np.empty(0))
+
+
 @dataclass(frozen=True, slots=True)
 class Start:
     """The vehicle at the instant at which the plan takes effect."""
 
     t_ns: int
-    X: Array  # (8,) n, e, u, v, psi, r, F1, F2
-    command: Array  # (3,) in force
+    lateral: Array  # (10,) n, e, u, v, psi, r, F1, F2, and the commands of port and starboard in force
+    vertical_command_N: float
     depth_m: float
     sinking_mps: float
     vertical_N: float  # delivered
+
+    @property
+    def X(self) -> Array:
+        """(8,) n, e, u, v, psi, r, F1, F2."""
+        return self.lateral[:STATES]
+
+    @property
+    def command(self) -> Array:
+        """(3,) in force."""
+        return np.array([*self.lateral[STATES:], self.vertical_command_N])
 
 
 def current_at(profile: CurrentProfile | None, depth_m: Array) -> Array:
@@ -51,80 +71,151 @@ class Prediction:
     """Rolls estimates forward through the commands sent."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._p = vehicle.coefficients()
-        self._lag_s = tuple(t.lag_s for t in vehicle.thrusters)
-        self._reports: deque[tuple[int, Triple]] = deque(maxlen=REPORTS)
+        self._numbers = pack(vehicle, Weights(), STAGE_NS * 1e-9)
+        self._reports: deque[tuple[int, Array]] = deque(maxlen=REPORTS)
+        self._nothing = np.zeros(3)
 
     def report(self, applied: Applied) -> None:
         """The actuators say what they deliver."""
         if not self._reports or applied.t_ns > self._reports[-1][0]:
-            self._reports.append((applied.t_ns, applied.thrust_N))
-
-    def delivered(self, t_ns: int, commands: SentCommands) -> Array:
-        """Thrust delivered (3,) at t_ns: the last report before it, brought there by the lag; else the commands."""
-        before = [report for report in self._reports if report[0] <= t_ns]
-        if not before:
-            thrust: Array = commands.at(np.array([t_ns], dtype=np.int64))[0]
-            return thrust
-        times = commands.between(before[-1][0], t_ns)
-        F, u = np.array(before[-1][1]), commands.at(times)
-        for k in range(len(times) - 1):
-            h = float(times[k + 1] - times[k]) * 1e-9
-            if h > 0.0:
-                for i in range(3):
-                    a, b0, b1 = lag_weights(h, h, self._lag_s[i])
-                    F[i] = a * F[i] + b0 * u[k, i] + b1 * u[k + 1, i]
-        return F
+            self._reports.append((applied.t_ns, np.array(applied.thrust_N)))
 
     def roll(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
         """The vehicle at ``t_ns``, not before the estimate's own time."""
         t_ns = max(t_ns, estimate.t_ns)
-        F = self.delivered(estimate.t_ns, commands)
-        z = 0.0 if estimate.depth_m is None else estimate.depth_m
-        w = 0.0 if estimate.velocity_down_mps is None else estimate.velocity_down_mps
-        times = self._pieces(commands.between(estimate.t_ns, t_ns))
-        u = commands.at(times)
-        h = np.diff(times) * 1e-9
-        # The depth does not depend on the rest: it goes first, and gives the current on the way.
-        depth = np.empty(len(times))
-        depth[0] = z
-        F3 = float(F[2])
-        for k in range(len(h)):
-            if estimate.depth_m is None:
-                depth[k + 1] = z
-                continue
-            z, w, F3 = advance_heave(z, w, F3, u[k, 2], u[k + 1, 2], h[k], self._p)
-            z, w = (z, w) if z > 0.0 else (0.0, max(w, 0.0))  # the surface
-            depth[k + 1] = z
-        c = current_at(estimate.current, depth)
-        X = roll_out(self._state(estimate, c[0], F), np.ascontiguousarray(u[:, :2]), c, h, self._p)[-1]
-        return Start(t_ns, X, u[-1], z, w, F3)
-
-    @staticmethod
-    def _pieces(knots: np.ndarray) -> np.ndarray:
-        """Knots with further ones in between, at most STEP_NS apart."""
-        out = [int(knots[0])]
-        for t in knots[1:]:
-            n = max(1, -(-(int(t) - out[-1]) // STEP_NS))
-            start, way = out[-1], int(t) - out[-1]
-            if way > 0:
-                out.extend(start + way * (i + 1) // n for i in range(n))
-        return np.array(out, dtype=np.int64)
-
-    @staticmethod
-    def _state(estimate: Estimate, c: Array, F: Array) -> Array:
-        """X (8,) at the estimate's time: [u, v] = R(psi)' (velocity over ground - current)."""
-        cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
-        north, east = estimate.velocity_north_mps - c[0], estimate.velocity_east_mps - c[1]
-        return np.array(
-            [
+        report_ns, report = NEVER, self._nothing
+        for at, thrust in reversed(self._reports):
+            if at <= estimate.t_ns:
+                report_ns, report = at, thrust
+                break
+        flat = np.array(
+            (
                 estimate.north_m,
                 estimate.east_m,
-                cos * north + sin * east,
-                -sin * north + cos * east,
                 estimate.heading_rad,
                 estimate.yaw_rate_radps,
-                F[0],
-                F[1],
-            ]
+                estimate.velocity_north_mps,
+                estimate.velocity_east_mps,
+                math.nan if estimate.depth_m is None else estimate.depth_m,
+                estimate.velocity_down_mps or 0.0,
+            )
         )
+        profile = profile_of(estimate)
+        start = roll_to(
+            self._numbers,
+            flat,
+            estimate.t_ns,
+            t_ns,
+            *commands.knots,
+            report_ns,
+            report,
+            profile.depth_m,
+            profile.north_mps,
+            profile.east_mps,
+        )
+        return Start(t_ns, start[:10], *start[10:].tolist())
+
+
+def profile_of(estimate: Estimate) -> CurrentProfile:
+    """The estimate's current; one without depths, which is none, where it has none."""
+    return NO_PROFILE if estimate.current is None else estimate.current
+
+
+@kernel
+def current_in(depth: Array, north: Array, east: Array, z: float) -> tuple[float, float]:
+    """North and east current at depth z: linear between the profile's depths, constant beyond; zero without one."""
+    if len(depth) == 0:
+        return 0.0, 0.0
+    k = np.searchsorted(depth, z, side="right")
+    if k == 0:
+        return north[0], east[0]
+    if k == len(depth):
+        return north[k - 1], east[k - 1]
+    part = (z - depth[k - 1]) / (depth[k] - depth[k - 1])
+    return north[k - 1] + part * (north[k] - north[k - 1]), east[k - 1] + part * (east[k] - east[k - 1])
+
+
+@kernel
+def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: tuple[float, float, float]) -> Array:
+    """Thrust delivered (3,) at ``until``, from F (3,) at ``since``, through the commands sent and the lag."""
+    out = F.copy()
+    k = np.searchsorted(t, since, side="right")
+    while since < until:
+        end = min(t[k], until) if k < len(t) else until
+        h = float(end - since) * 1e-9
+        for i in range(3):
+            a, b0, b1 = lag_weights(h, h, lags[i])
+            out[i] = a * out[i] + b0 * command_at(t, thrust, since, i) + b1 * command_at(t, thrust, end, i)
+        since = end
+        k += 1
+    return out
+
+
+@kernel
+def roll_to(
+    numbers: Array,
+    estimate: Array,
+    since: int,
+    until: int,
+    t: Times,
+    thrust: Array,
+    report_ns: int,
+    report: Array,
+    depth: Array,
+    north: Array,
+    east: Array,
+) -> Array:
+    """State X (8,), commands of port and starboard, then vertical command, depth, sinking speed, vertical thrust (14,).
+
+    ``estimate`` (8,): north, east, heading, yaw rate, velocity north and east over ground, depth (NaN: none), sinking
+    speed, valid at ``since``; commands by t (M,), thrust (M, 3); ``report`` (3,) what was delivered at ``report_ns``.
+    """
+    p = constants(numbers).p
+    lags = (p.lag_port, p.lag_starboard, p.lag_vertical)
+    out = np.empty(14)
+    if report_ns == NEVER:
+        F = np.array([command_at(t, thrust, since, i) for i in range(3)])
+    else:
+        F = _delivered(report_ns, report, since, t, thrust, lags)
+    has_depth = not np.isnan(estimate[6])
+    z, w, F3 = (estimate[6] if has_depth else 0.0), estimate[7], F[2]
+    c0, c1, u0, u1 = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
+    c0[0], c0[1] = current_in(depth, north, east, z)
+    # [u, v] = R(psi)' (velocity over ground - current)
+    cos, sin = np.cos(estimate[2]), np.sin(estimate[2])
+    vn, ve = estimate[4] - c0[0], estimate[5] - c0[1]
+    X = out[:STATES]
+    X[0], X[1], X[2], X[3] = estimate[0], estimate[1], cos * vn + sin * ve, cos * ve - sin * vn
+    X[4], X[5], X[6], X[7] = estimate[2], estimate[3], F[0], F[1]
+    knot = np.searchsorted(t, since, side="right")
+    while since < until:
+        end = min(t[knot], until) if knot < len(t) else until
+        pieces = max(1, -(-(end - since) // STEP_NS))
+        begin, way = since, end - since
+        for i in range(pieces):
+            at = begin + way * (i + 1) // pieces
+            h = float(at - since) * 1e-9
+            if has_depth:  # it does not depend on the rest, and gives the current on the way
+                w0, w1 = command_at(t, thrust, since, 2), command_at(t, thrust, at, 2)
+                z, w, F3 = advance_heave(z, w, F3, w0, w1, h, p)
+                if z <= 0.0:  # the surface
+                    z, w = 0.0, max(w, 0.0)
+            c1[0], c1[1] = current_in(depth, north, east, z)
+            for j in range(2):
+                u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
+            advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)
+            c0[:] = c1
+            since = at
+        knot += 1
+    for j in range(3):
+        out[STATES + j] = command_at(t, thrust, until, j)
+    out[11], out[12], out[13] = z, w, F3
+    return out
+
+
+@kernel
+def currents(depth: Array, north: Array, east: Array, at: Array, flat: Array) -> None:
+    """The current at depths ``at`` (N+1,) into the C of a linearisation's flat array."""
+    C = views(flat, len(at) - 1).C
+    for k in range(len(at)):
+        C[k, 0], C[k, 1] = current_in(depth, north, east, at[k])

@@ -14,6 +14,7 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc import config
+from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array, Estimate, Pair, Times
 
 Metres: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -59,11 +60,20 @@ class _Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """Depth (m) and sinking speed (m/s) wanted at each time, (M,) each, or None."""
         if self.depth_m is None:
             return None
-        way = self.depth_m - anchor.depth_m
-        s = np.maximum((t_ns - anchor.t_ns) * 1e-9, 0.0) * self.descent_rate_mps
-        moving = s < abs(way)
-        depth = anchor.depth_m + np.sign(way) * np.minimum(s, abs(way))
-        return depth, np.where(moving, np.sign(way) * self.descent_rate_mps, 0.0)
+        return ramp(t_ns, anchor.t_ns, anchor.depth_m, self.depth_m, self.descent_rate_mps)
+
+
+@kernel
+def ramp(t_ns: Times, begun_ns: int, start: float, end: float, rate: float) -> tuple[Array, Array]:
+    """Depth and speed at each time, from ``start`` at ``begun_ns`` to ``end`` at ``rate``, then at rest."""
+    depth, speed = np.empty(len(t_ns)), np.empty(len(t_ns))
+    sign = np.sign(end - start)
+    for k in range(len(t_ns)):
+        way = max(float(t_ns[k] - begun_ns) * 1e-9, 0.0) * rate
+        moving = way < abs(end - start)
+        depth[k] = start + sign * way if moving else end
+        speed[k] = sign * rate if moving else 0.0
+    return depth, speed
 
 
 class Point(_Kind, frozen=True, kw_only=True, tag="point"):

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
+import msgspec
+
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.controller import OLDEST_ESTIMATE_NS
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Reference
@@ -41,7 +46,17 @@ def main(
 
 
 def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
-    """Have all compiled code and the solver loaded: two cycles of a controller that is thrown away."""
+    """Have all compiled code and the solver loaded: some cycles of a controller that is thrown away.
+
+    At the line; far off it, where the solver takes more than one turn and the step more than one try; with an estimate
+    that is no number, and with one that is too old, where the thrusters are let go.
+    """
     node = ControllerNode(vehicle, reference, config)
-    for t_ns in (0, config.period_ns):
-        node.step(t_ns, [Arrival(Estimate.at_rest(depth_m=0.0), 1, 0, t_ns)])
+    begun = 0 if reference.start_s is None else max(0, round(reference.start_s * 1e9))
+    here = Estimate.at_rest(depth_m=0.0, heading_rad=1.0)
+    off = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)
+    broken = Estimate.at_rest(depth_m=0.0, heading_rad=math.nan)
+    for k, estimate in enumerate((here, here, off, off, broken)):
+        t_ns = begun + k * config.period_ns
+        node.step(t_ns, [Arrival(msgspec.structs.replace(estimate, t_ns=t_ns), 1, k, t_ns)])
+    node.step(t_ns + 2 * OLDEST_ESTIMATE_NS, [])

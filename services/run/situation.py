@@ -60,7 +60,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
     scenario = checked(scenario, source=f"scenario {name}")
     vehicle = Vehicle.load(scenario.vehicle)
     suite = Suite.load(scenario.sensors)
-    solvers.make(scenario.controller)  # refuses one that is not there
+    solvers.make(vehicle, scenario.controller)  # refuses one that is not there
     reference = references.load(scenario.reference)
     prior = told(scenario.estimator)
     called = _called(name, scenario)

@@ -10,33 +10,35 @@ p = [n, e], p' its velocity over ground; F the thrusters' largest thrust; dX = X
 tells a vehicle that stops on its point from one that passes, or orbits, it: within a short horizon both are as near.
 The sparsity pattern is fixed by N: only numbers change from cycle to cycle.
 
-Variables are scaled to be of order one, z_k = [dX_k / STATE_SCALE, dU_k / F] and p'_N at the end. Rows are scaled by
-kind: OSQP's one step size rho acts on a row multiplied by s as rho s^2, and equalities want 1e4 to 1e5 times that of
-box and slew. With all this done here, OSQP's own scaling stays off, and a solve has no memory.
+Variables are scaled to be of order one, z_k = [dX_k / STATE_SCALE, dU_k / F] and p'_N at the end; the rows of the
+dynamics are divided by the same scales. What else a solver wants of its rows is the solver's own business.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.horizon import Linearisation, linearise, velocity_over_ground
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.constants import objective, pack_objective
+from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
+from ltv_mpc.control.limits import ThrustLimits, bounds
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
+
+Places = npt.NDArray[np.int64]
 
 WIDTH = STATES + 2
 """Variables a stage: the state at its end and both commands there."""
 
 STATE_SCALE = np.array([1.0, 1.0, 0.3, 0.3, 1.0, 0.3])
 """n, e (m), u, v (m/s), psi (rad), r (rad/s); the two thrusts are scaled by their limits."""
-
-DYNAMICS_ROW = 300.0
-"""Row scale of the equalities: rho 300 squared times that of box and slew."""
 
 STATE_PATTERN = np.ones((STATES, STATES), dtype=bool)
 """Which entries of A can be other than zero: positions carry over and depend on the rest; thrust on itself."""
@@ -49,21 +51,41 @@ THRUST_PATTERN = np.ones((STATES, 2), dtype=bool)
 THRUST_PATTERN[6, 1] = THRUST_PATTERN[7, 0] = False
 
 
+class Map(NamedTuple):
+    """Where numbers go: A_data[place] = flat[source] * scale, and the slope of the velocity at the end."""
+
+    place: Places
+    source: Places
+    velocity: Places  # (6,)
+    row_of: Places  # (nnz,) the row of each stored entry of A
+
+
+@kernel
+def map_of(flat: Places, entries: int) -> Map:
+    """The parts of a flat array, as ``SparseForm.map`` holds them."""
+    taken = (len(flat) - 6 - entries) // 2
+    return Map(flat[:taken], flat[taken : 2 * taken], flat[2 * taken : 2 * taken + 6], flat[2 * taken + 6 :])
+
+
 class SparseForm:
-    """The layout for N stages: where each number of a cycle goes."""
+    """The layout for N stages: where each number of a cycle goes.
+
+    Columns: 10 a stage (the state at its end, both commands there), then the terminal velocity. Rows: 8 of dynamics a
+    stage, 2 of the terminal velocity (these are the ``equalities``), then 2 of slew a stage, then 2 of box a stage.
+    """
 
     def __init__(self, stages: int, limits: ThrustLimits, weights: Weights) -> None:
         """``limits`` and ``weights`` fix P; only q, A's numbers, l and u change from cycle to cycle."""
         self.stages = stages
         self.limits = limits
         self.weights = weights
-        self._scale = np.concatenate([STATE_SCALE, limits.scale])  # (8,) of a state
-        self._thrust_scale = limits.scale
         position = np.full(stages, weights.position_per_m2)
         position[-1] += weights.terminal_position_per_m2
-        self._position_weight = position
         self.variables = stages * WIDTH + 2
-        self.rows = stages * (STATES + 4) + 2
+        self.equalities = stages * STATES + 2
+        self.rows = self.equalities + 4 * stages
+        self._position = position
+        self.state_scale = np.concatenate([STATE_SCALE, limits.scale])
         self.P = self._cost()
         self._make_pattern()
 
@@ -72,14 +94,14 @@ class SparseForm:
     def _cost(self) -> csc_array:
         N, r, s = self.stages, self.weights.thrust, self.weights.thrust_change
         diagonal = np.zeros((N, WIDTH))
-        diagonal[:, :2] = self._position_weight[:, None] * STATE_SCALE[:2] ** 2
+        diagonal[:, :2] = self._position[:, None] * STATE_SCALE[:2] ** 2
         # r |U_k|^2 + s |U_k - U_(k-1)|^2 + s |U_(k+1) - U_k|^2, the last one without a successor
         diagonal[:, STATES:] = r + 2.0 * s
         diagonal[-1, STATES:] = r + s
         between = np.zeros((N - 1, WIDTH))
         between[:, STATES:] = -s
-        at = np.arange(N * WIDTH)
-        last = N * WIDTH + np.arange(2)
+        at = np.arange(N * WIDTH, dtype=np.int32)
+        last = N * WIDTH + np.arange(2, dtype=np.int32)
         rows = np.concatenate([at, at[:-WIDTH], at[WIDTH:], last])
         columns = np.concatenate([at, at[WIDTH:], at[:-WIDTH], last])
         end = np.full(2, self.weights.terminal_velocity_s2_per_m2)
@@ -87,106 +109,132 @@ class SparseForm:
         there = values != 0.0
         return csc_array(coo_array((values[there], (rows[there], columns[there])), shape=(self.variables,) * 2))
 
-    def _gradient(self, lin: Linearisation, reference: Array) -> Array:
-        """q (n,): the cost's gradient at zero deviation."""
-        q = np.zeros((self.stages, WIDTH))
-        # w_k (p_k - ref_k)
-        q[:, :2] = self._position_weight[:, None] * (lin.X[1:, :2] - reference) * STATE_SCALE[:2]
-        U = lin.U / self._thrust_scale
-        # r U_k + s (U_k - U_(k-1)) - s (U_(k+1) - U_k)
-        step = np.diff(U, axis=0)
-        q[:, STATES:] = self.weights.thrust * U[1:] + self.weights.thrust_change * step
-        q[:-1, STATES:] -= self.weights.thrust_change * step[1:]
-        return np.concatenate([q.ravel(), np.zeros(2)])
-
     # --- the constraints ---
 
     def _make_pattern(self) -> None:
-        """Rows: 8 of dynamics a stage, 2 of the terminal velocity, then 2 of slew a stage, then 2 of box a stage.
-
-        Each entry is (row, column, source): source is its place in the vector of all values that ``build`` makes,
-        [1, -1, A (N, 8, 8), B0 (N, 8, 2), B1 (N, 8, 2), V (2, 3)].
-        """
-        N = self.stages
-        one, minus_one = 0, 1
-        A = 2 + np.arange(N * STATES * STATES).reshape(N, STATES, STATES)
-        B0 = 2 + A.size + np.arange(N * STATES * 2).reshape(N, STATES, 2)
-        B1 = B0 + B0.size
-        V = 2 + A.size + B0.size + B1.size + np.arange(6).reshape(2, 3)
-        equalities = N * STATES + 2
-        entries: list[tuple[int, int, int]] = []
+        """Which entry of A is which number of the linearisation: entries are numbered, and found again in columns."""
+        N, E = self.stages, self.equalities
+        # A linearisation that holds, instead of its numbers, where each of them lies.
+        where = views(np.arange(float(size(N))), N)
+        per_state = self.state_scale[None, :] / self.state_scale[:, None]
+        per_thrust = self.limits.scale[None, :] / self.state_scale[:, None]
+        fixed: list[tuple[int, int, float]] = []  # row, column, number
+        taken: list[tuple[int, int, float, float]] = []  # row, column, where from, scale
         for k in range(N):
             before, here = (k - 1) * WIDTH, k * WIDTH
             for i in range(STATES):
                 row = k * STATES + i
-                entries.append((row, here + i, minus_one))
-                entries += [(row, here + STATES + j, B1[k, i, j]) for j in range(2) if THRUST_PATTERN[i, j]]
-                if k > 0:
-                    entries += [(row, before + j, A[k, i, j]) for j in range(STATES) if STATE_PATTERN[i, j]]
-                    entries += [(row, before + STATES + j, B0[k, i, j]) for j in range(2) if THRUST_PATTERN[i, j]]
+                fixed.append((row, here + i, -1.0))
+                for j in range(2):
+                    if THRUST_PATTERN[i, j]:
+                        taken.append((row, here + STATES + j, where.B1[k, i, j], per_thrust[i, j]))
+                        if k > 0:
+                            taken.append((row, before + STATES + j, where.B0[k, i, j], per_thrust[i, j]))
+                taken += [
+                    (row, before + j, where.A[k, i, j], per_state[i, j])
+                    for j in range(STATES)
+                    if k > 0 and STATE_PATTERN[i, j]
+                ]
             for j in range(2):
-                slew, box = equalities + k * 2 + j, equalities + (N + k) * 2 + j
-                entries += [(slew, here + STATES + j, one), (box, here + STATES + j, one)]
+                slew, box = E + k * 2 + j, E + (N + k) * 2 + j
+                fixed += [(slew, here + STATES + j, 1.0), (box, here + STATES + j, 1.0)]
                 if k > 0:
-                    entries.append((slew, before + STATES + j, minus_one))
-        for i in range(2):
-            entries.append((N * STATES + i, N * WIDTH + i, minus_one))
-            entries += [(N * STATES + i, (N - 1) * WIDTH + 2 + j, V[i, j]) for j in range(3)]
-        rows, columns, source = np.array(entries, dtype=np.int64).T
-        # Numbering the entries tells where each of them ends up in compressed columns.
+                    fixed.append((slew, before + STATES + j, -1.0))
+        end = (N - 1) * WIDTH + 2
+        velocity = [(N * STATES + i, end + j) for i in range(2) for j in range(3)]
+        fixed += [(N * STATES + i, N * WIDTH + i, -1.0) for i in range(2)]
+        at = [entry[:2] for entry in fixed] + [entry[:2] for entry in taken] + velocity
+        rows, columns = np.array(at, dtype=np.int32).T  # OSQP's own type
         numbered = csc_array(
-            coo_array((np.arange(1.0, len(rows) + 1.0), (rows, columns)), shape=(self.rows, self.variables))
+            coo_array((np.arange(1.0, len(at) + 1.0), (rows, columns)), shape=(self.rows, self.variables))
         )
-        order = numbered.data.astype(np.int64) - 1
-        row_scale = np.where(rows < equalities, DYNAMICS_ROW, 1.0)
-        self._source: npt.NDArray[np.int64] = source[order]
-        self._entry_scale: Array = row_scale[order]
-        self._pattern = numbered
+        place = np.argsort(numbered.data)
+        self._template = np.zeros(len(at))
+        self._template[place[: len(fixed)]] = [entry[2] for entry in fixed]
+        middle = slice(len(fixed), len(fixed) + len(taken))
+        source = np.array([entry[2] for entry in taken], dtype=np.int64)
+        self.pattern = numbered
+        """Of A; its numbers mean nothing."""
+        self.map: Places = np.concatenate([place[middle], source, place[middle.stop :], numbered.indices]).astype(
+            np.int64
+        )
+        self.factor = np.array([entry[3] for entry in taken])
+        self.numbers = pack_objective(self.limits, self.weights)
+
+    def template(self) -> Array:
+        """Room for A's numbers (nnz,), with those in it that never change."""
+        return self._template.copy()
+
+    def fill(self, lin: Linearisation, reference: Array, A_data: Array, q: Array, l: Array, u: Array) -> None:  # noqa: E741
+        """One cycle's numbers into A_data (nnz,), made by ``template``, q (n,), l and u (m,)."""
+        fill(self.numbers, lin.flat, reference, self.map, self.factor, A_data, q, l, u)
 
     def build(self, lin: Linearisation, reference: Array) -> QP:
         """The QP of one cycle; ``reference`` is (N, 2): north and east (m) wanted at the knots 1 .. N."""
-        N = self.stages
-        state, thrust = self._scale, self._thrust_scale
-        # rows divided by, columns multiplied by the scales of their variables
-        A = lin.A * (state[None, :] / state[:, None])
-        B0 = lin.B0 * (thrust[None, :] / state[:, None])
-        B1 = lin.B1 * (thrust[None, :] / state[:, None])
-        velocity, slope = velocity_over_ground(lin.X[-1], lin.C[-1])
-        V = slope * state[2:5]
-        values = np.concatenate([[1.0, -1.0], A.ravel(), B0.ravel(), B1.ravel(), V.ravel()])
-        A_data = values[self._source] * self._entry_scale
-        # -dX_(k+1) + A dX_k + B0 dU_k + B1 dU_(k+1) = Xbar_(k+1) - Phi_k
-        gap = np.concatenate([((lin.X[1:] - lin.Phi) / state).ravel(), -velocity]) * DYNAMICS_ROW
-        step = np.diff(lin.U, axis=0)
-        change = self.limits.change
-        low, high = self.limits.box(lin.U[0], N)
-        lower = np.concatenate([gap, ((-change - step) / thrust).ravel(), ((low - lin.U[1:]) / thrust).ravel()])
-        upper = np.concatenate([gap, ((change - step) / thrust).ravel(), ((high - lin.U[1:]) / thrust).ravel()])
-        pattern = self._pattern
-        A_matrix = csc_array((A_data, pattern.indices, pattern.indptr), shape=pattern.shape)
-        return QP(self.P, self._gradient(lin, reference), A_matrix, lower, upper)
+        A_data, q = self.template(), np.empty(self.variables)
+        lower, upper = np.empty(self.rows), np.empty(self.rows)
+        self.fill(lin, np.ascontiguousarray(reference), A_data, q, lower, upper)
+        return self.assembled(A_data, q, lower, upper)
 
-    # --- back to the vehicle ---
+    def assembled(self, A_data: Array, q: Array, l: Array, u: Array) -> QP:  # noqa: E741
+        """Numbers of this form as a QP."""
+        A = csc_array((A_data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape)
+        return QP(self.P, q, A, l, u)
 
     def commands(self, lin: Linearisation, x: Array) -> Array:
         """Commands (N+1, 2) at the knots of a solution x (n,)."""
         U = lin.U.copy()
-        U[1:] += x[:-2].reshape(self.stages, WIDTH)[:, STATES:] * self._thrust_scale
+        U[1:] += x[:-2].reshape(self.stages, WIDTH)[:, STATES:] * self.limits.scale
         return U
 
-    def shifted_dual(self, y: Array, stages: float) -> Array:
-        """A dual y (m,) for a grid that begins ``stages`` later: linear between stages, the last one repeated."""
-        N = self.stages
-        at = np.clip(np.arange(N) + stages, 0, N - 1)
-        low = at.astype(int)
-        part = (at - low)[:, None]
-        out = y.copy()
-        equalities = N * STATES + 2
-        for first, width in ((0, STATES), (equalities, 2), (equalities + 2 * N, 2)):
-            rows = y[first : first + N * width].reshape(N, width)
-            moved = (1.0 - part) * rows[low] + part * rows[np.minimum(low + 1, N - 1)]
-            out[first : first + N * width] = moved.ravel()
-        return out
+
+@kernel
+def fill(
+    numbers: Array,
+    flat: Array,
+    reference: Array,
+    places: Places,
+    factor: Array,
+    data: Array,
+    q: Array,
+    l: Array,  # noqa: E741
+    u: Array,
+) -> None:
+    """What ``SparseForm.fill`` does."""
+    N = reference.shape[0]
+    lin, c = views(flat, N), objective(numbers)
+    X, U, F, r, s = lin.X, lin.U, c.scale, c.thrust, c.thrust_change
+    to = map_of(places, len(data))
+    for i in range(len(to.place)):
+        data[to.place[i]] = flat[to.source[i]] * factor[i]
+    velocity, slope = velocity_over_ground(X[N], lin.C[N])
+    E = N * STATES + 2
+    for k in range(N):
+        row, column = k * STATES, k * WIDTH
+        for i in range(STATES):
+            # -dX_(k+1) + A dX_k + B0 dU_k + B1 dU_(k+1) = Xbar_(k+1) - Phi_k
+            scale = STATE_SCALE[i] if i < 6 else F[i - 6]
+            l[row + i] = u[row + i] = (X[k + 1, i] - lin.Phi[k, i]) / scale
+            q[column + i] = 0.0
+        weight = c.position + (c.terminal_position if k == N - 1 else 0.0)
+        for i in range(2):
+            # w_k (p_k - ref_k)
+            q[column + i] = weight * (X[k + 1, i] - reference[k, i]) * STATE_SCALE[i]
+            # r U_k + s (U_k - U_(k-1)) - s (U_(k+1) - U_k)
+            step = (U[k + 1, i] - U[k, i]) / F[i]
+            q[column + STATES + i] = r * U[k + 1, i] / F[i] + s * step
+            if k > 0:
+                q[column - WIDTH + STATES + i] -= s * step
+            slew, box = E + 2 * k + i, E + 2 * (N + k) + i
+            low, high = bounds(U[0, i], k + 1, c.low[i], c.high[i], c.change[i])
+            l[slew], u[slew] = -c.change[i] / F[i] - step, c.change[i] / F[i] - step
+            l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
+    for i in range(2):
+        # -p'_N + V dX_N = -p'bar_N
+        l[N * STATES + i] = u[N * STATES + i] = -velocity[i]
+        q[N * WIDTH + i] = 0.0
+        for j in range(3):
+            data[to.velocity[3 * i + j]] = slope[i, j] * STATE_SCALE[2 + j]
 
 
 def build_qp(

@@ -1,46 +1,59 @@
-"""Solvers: each takes the cycle's QP and returns a ``Solution``; none ever raises for a problem it cannot solve."""
+"""Solvers: each takes a cycle's linearisation and returns commands; none ever raises for a problem it cannot solve."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
 
-from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.qp.problem import QP, Solution
-from ltv_mpc.control.solvers.by_name import ByName, known_solvers
-from ltv_mpc.control.solvers.osqp import Osqp
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.solvers.by_name import ByName, known_solvers, solve_qp
+from ltv_mpc.control.solvers.daqp import CondensedDaqp
+from ltv_mpc.control.solvers.partial_osqp import PartialOsqp
+from ltv_mpc.control.solvers.solver import Answer, Solver
+from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
+from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Array
+from ltv_mpc.vehicle.parameters import Vehicle
+
+NATIVE: dict[tuple[str, Formulation], Callable[[ControllerConfig, ThrustLimits], Solver]] = {
+    ("osqp", "sparse"): SparseOsqp,
+    ("osqp", "partial"): PartialOsqp,
+    ("daqp", "condensed"): CondensedDaqp,
+    ("piqp", "sparse"): SparsePiqp,
+}
+"""By their own interfaces, updated in place. Every other solver goes through qpsolvers, on the sparse form."""
 
 
-class Solver(Protocol):
-    """Keeps what it needs from cycle to cycle; the pattern of P and A never changes."""
-
-    def solve(self, qp: QP, warm_x: Array, warm_y: Array) -> Solution:
-        """Solve from a first guess of primal (n,) and dual (m,)."""
-        ...
-
-
-def make(config: ControllerConfig) -> Solver:
-    """The solver that ``config`` names. Raises ``ConfigError`` for an unknown one, naming those that are known."""
-    if config.solver == "osqp":
-        return Osqp(config.max_iterations, config.tolerance)
-    if config.solver in known_solvers():
-        return ByName(config.solver)
-    raise ConfigError(
-        "controller settings",
-        "solver",
-        f"not installed or not known; installed: {', '.join(sorted({'osqp', *known_solvers()}))}",
-        value=config.solver,
-    )
-
-
-def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
-    """Solve one QP from nothing with any installed solver by name. Raises ``ConfigError`` for an unknown name."""
-    import numpy as np
-
-    return make(ControllerConfig(solver=solver, max_iterations=20_000, tolerance=1e-9)).solve(
-        qp, np.zeros(len(qp.q)), np.zeros(len(qp.l))
-    )
+def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
+    """The solver that ``config`` names. Raises ``ConfigError`` for one that is not there or has no such formulation."""
+    limits = ThrustLimits.of(vehicle, STAGE_NS * 1e-9)
+    formulation = chosen(config)
+    native = NATIVE.get((config.solver, formulation))
+    if native is not None:
+        return native(config, limits)
+    if config.solver not in known_solvers():
+        raise ConfigError(
+            "controller settings",
+            "solver",
+            f"not installed or not known; installed: {', '.join(known_solvers())}",
+            value=config.solver,
+        )
+    if formulation != "sparse":
+        there = sorted({f for _, f in NATIVE if (config.solver, f) in NATIVE} | {"sparse"})
+        raise ConfigError(
+            "controller settings",
+            "formulation",
+            f"not there for solver {config.solver}, which has: {', '.join(there)}",
+            value=formulation,
+        )
+    return ByName(config, limits)
 
 
-__all__ = ["Solver", "make", "solve_qp"]
+def chosen(config: ControllerConfig) -> Formulation:
+    """What ``auto`` stands for."""
+    if config.formulation != "auto":
+        return config.formulation
+    return {"osqp": "partial", "daqp": "condensed"}.get(config.solver, "sparse")  # type: ignore[return-value]
+
+
+__all__ = ["NATIVE", "Answer", "Solver", "chosen", "make", "solve_qp"]

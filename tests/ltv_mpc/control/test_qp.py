@@ -2,53 +2,21 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
-import osqp
 import pytest
 
-from ltv_mpc import ControllerConfig, build_qp, solve_qp
-from ltv_mpc.control.guess import cost
+from ltv_mpc import build_qp, solve_qp
+from ltv_mpc.control.constants import objective
 from ltv_mpc.control.horizon import roll_out, velocity_over_ground
 from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH
-from ltv_mpc.control.solvers import make
-from ltv_mpc.control.solvers.osqp import Osqp
-from ltv_mpc.signals import SolveStatus
+from ltv_mpc.control.trajectory import cost
 from ltv_mpc.vehicle.parameters import Vehicle
+from tests.ltv_mpc.control.problems import precise
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
-
-
-def exact_commands(cycle):
-    qp = cycle.form.build(cycle.lin, cycle.reference)
-    solution = solve_qp(qp, "daqp")
-    assert solution.solve.status is SolveStatus.SOLVED
-    return cycle.form.commands(cycle.lin, solution.x)
-
-
-def test_the_first_free_knot_is_within_a_tenth_of_a_newton_of_another_solver_in_99_percent(cycles):
-    """DAQP is an exact active-set method that shares nothing with OSQP; duals are handed on as in the controller."""
-    chosen = cycles[6:]  # without the cold passes, which have no warm start
-    assert len(chosen) >= 200
-    config = ControllerConfig()
-    solver, dual = make(config), np.zeros(chosen[0].form.rows)
-    off, worst = [], 0.0
-    for cycle in chosen:
-        qp = cycle.form.build(cycle.lin, cycle.reference)
-        solution = solver.solve(qp, np.zeros(len(qp.q)), cycle.form.shifted_dual(dual, 1.0))
-        dual = solution.y
-        ours, exact = cycle.form.commands(cycle.lin, solution.x), exact_commands(cycle)
-        off.append(np.abs(ours[1] - exact[1]).max())
-        kkt = residuals(qp, solution.x, solution.y)
-        worst = max(worst, kkt.stationarity, kkt.primal, kkt.complementarity)
-    assert np.mean(np.array(off) <= 0.1) >= 0.99
-    assert max(off) <= 1.0
-    # the solver's tolerance is on these residuals of the scaled problem
-    assert worst <= 10 * config.tolerance
 
 
 def test_the_constraints_are_the_dynamics_box_and_slew_of_the_trajectory(cycles):
@@ -112,7 +80,7 @@ def test_the_objective_is_the_documented_cost(cycles):
         q1, d1 = both(rng.normal(size=(N, WIDTH)), rng.normal(size=2))
         assert q1 - q0 == pytest.approx(d1 - d0, rel=1e-9)
     # and the cost that the line search compares is the same one
-    assert cost(lin.X, lin.U, lin.C, cycle.reference, form.limits, form.weights) == pytest.approx(
+    assert cost(lin.X, lin.U, lin.C, cycle.reference, objective(form.numbers)) == pytest.approx(
         2 * (d0 + 0.5 * form.weights.terminal_velocity_s2_per_m2 * (velocity**2).sum()), rel=1e-12
     )
 
@@ -120,7 +88,7 @@ def test_the_objective_is_the_documented_cost(cycles):
 def without_limits(form, qp):
     equal = form.stages * 8 + 2
     low, high = qp.l.copy(), qp.u.copy()
-    low[equal:], high[equal:] = -1e20, 1e20
+    low[equal:], high[equal:] = -1e9, 1e9
     return QP(qp.P, qp.q, qp.A, low, high)
 
 
@@ -179,69 +147,9 @@ def riccati(cycle):
 def test_the_unconstrained_problem_agrees_with_a_time_varying_riccati_recursion(cycles):
     for cycle in cycles[10::40]:
         qp = without_limits(cycle.form, cycle.form.build(cycle.lin, cycle.reference))
-        solution = Osqp(20_000, 1e-12).solve(qp, np.zeros(len(qp.q)), np.zeros(len(qp.l)))
-        ours = cycle.form.commands(cycle.lin, solution.x)[1:] - cycle.lin.U[1:]
+        ours = cycle.form.commands(cycle.lin, precise(qp))[1:] - cycle.lin.U[1:]
         want = riccati(cycle)
         np.testing.assert_allclose(ours, want, rtol=0, atol=1e-6 * max(1.0, np.abs(want).max()))
-
-
-def test_a_poisoned_problem_is_named_and_the_next_good_one_is_solved(cycles):
-    """One NaN inside OSQP would spoil every later solve."""
-    form = cycles[30].form
-    good = form.build(cycles[30].lin, cycles[30].reference)
-    bad = QP(good.P, np.full_like(good.q, np.nan), good.A, good.l, good.u)
-    solver, zeros = Osqp(400, 1e-6), (np.zeros(len(good.q)), np.zeros(len(good.l)))
-    before = solver.solve(good, *zeros)
-    assert solver.solve(bad, *zeros).solve.status is SolveStatus.NON_FINITE
-    after = solver.solve(good, *zeros)
-    np.testing.assert_array_equal(before.x, after.x)
-
-
-def test_a_solve_has_no_memory_of_the_ones_before(cycles):
-    """Replay needs the same bits whatever was solved before."""
-    first = cycles[20].form.build(cycles[20].lin, cycles[20].reference)
-    second = cycles[180].form.build(cycles[180].lin, cycles[180].reference)
-    zeros = np.zeros(len(first.q)), np.zeros(len(first.l))
-    used, fresh = Osqp(400, 5e-6), Osqp(400, 5e-6)
-    used.solve(second, *zeros)
-    used.solve(first, *zeros)
-    fresh.solve(first, *zeros)
-    np.testing.assert_array_equal(used.solve(second, *zeros).x, fresh.solve(second, *zeros).x)
-
-
-class InterruptedWorkspace:
-    """What OSQP answers when a Ctrl-C came during its solve."""
-
-    def __init__(self, real):
-        self._real = real
-
-    def __getattr__(self, name):
-        return getattr(self._real, name)
-
-    def solve(self, **options):
-        result = self._real.solve(**options)
-        info = SimpleNamespace(
-            status_val=int(osqp.SolverStatus.OSQP_SIGINT), status="interrupted", iter=1, prim_res=1.0, dual_res=1.0
-        )
-        return SimpleNamespace(x=result.x, y=result.y, info=info)
-
-
-def test_a_ctrl_c_that_osqp_takes_for_itself_is_handed_on(cycles):
-    qp = cycles[30].form.build(cycles[30].lin, cycles[30].reference)
-    zeros = np.zeros(len(qp.q)), np.zeros(len(qp.l))
-    solver = Osqp(400, 5e-6)
-    solver.solve(qp, *zeros)
-    solver._solver = InterruptedWorkspace(solver._solver)
-    with pytest.raises(KeyboardInterrupt):
-        solver.solve(qp, *zeros)
-
-
-def test_the_iteration_limit_ends_a_solve_and_says_so(cycles):
-    qp = cycles[150].form.build(cycles[150].lin, cycles[150].reference)
-    solution = Osqp(5, 1e-14).solve(qp, np.zeros(len(qp.q)), np.zeros(len(qp.l)))
-    assert solution.solve.status is SolveStatus.ITERATION_LIMIT
-    assert solution.solve.iterations <= 50
-    assert "iterations" in solution.solve.why
 
 
 @pytest.mark.parametrize("solver", ["daqp", "osqp"])

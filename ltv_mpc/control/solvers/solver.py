@@ -1,0 +1,44 @@
+"""What a solver is to the controller: from a linearised cycle to commands."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.signals import Array, Solve
+
+
+class Answer(NamedTuple):
+    """Commands (N+1, 2) at the knots, the first of them the one in force there, and the solver's account."""
+
+    commands: Array
+    solve: Solve
+
+
+class Solver(Protocol):
+    """Keeps its workspace and its warm start from cycle to cycle; never raises for a problem it cannot solve."""
+
+    def shift(self, stages: float) -> None:
+        """The next problem's knots lie so many stages after the last one's, along the same plan."""
+        ...
+
+    def forget(self) -> None:
+        """The next problem has nothing to do with the last one."""
+        ...
+
+    def build(self, lin: Linearisation, reference: Array) -> None:
+        """The problem's numbers; ``reference`` (N, 2) is the position (m) wanted at the knots 1 .. N."""
+        ...
+
+    def update(self) -> None:
+        """The numbers into the solver."""
+        ...
+
+    def solve(self) -> Answer:
+        """Solve what was built; commands that are not finite are never handed out."""
+        ...
+
+    def problem(self) -> QP:
+        """The problem that was built last, in the solver's own variables."""
+        ...

@@ -1,0 +1,348 @@
+"""OSQP on the sparse QP: one workspace, updated in place, with a step size for each kind of row.
+
+OSQP's method (Stellato et al. 2020) is the alternating direction method of multipliers with one step size rho. One is
+wrong for two of three kinds of row: the dynamics want 1e4 to 1e7 times that of box and slew, and a limit that is active
+100 times that of one that is not. A row multiplied by s acts as if its step size were rho s^2, so the rows are scaled
+and rho stays 1. Which limits are active is known before the solve from the previous one's duals, and looked at again
+after each turn of some iterations: where it has changed the rows are scaled anew. A's numbers change in every cycle
+anyway, so the factorisation is paid already.
+
+The first guess: at the trajectory linearised along (with its gaps, if it has any, closed by a forward sweep), the
+duals of the dynamics from a backward sweep (the costates), those of box and slew from the previous solve. Where nothing
+is limited this is nearly the solution; a handful of iterations does it.
+
+The over-relaxation is off: with step sizes this unequal the plain iteration is the faster one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.constants import Objective, objective
+from ltv_mpc.control.horizon import Linearisation, velocity_over_ground, views
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp.condensed import not_finite
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH, Places, SparseForm, fill, map_of
+from ltv_mpc.control.solvers.osqp_raw import PLAIN, Workspace, workspace
+from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.vehicle.flow import STATES
+
+EQUALITY_ROW = 300.0
+"""s of the dynamics: their step size is its square."""
+
+LIMIT_ROW = 0.015
+"""s of box and slew rows that are not active, where the gradient is small."""
+
+GRADIENT = 0.5
+"""Largest entry of q up to which LIMIT_ROW holds; beyond, duals grow with q, and the step size with them."""
+
+LARGEST_LIMIT_ROW = 0.2
+
+LOOSEST = 5.0
+"""By how much the tolerance grows with the duals, at most."""
+
+ACTIVE = 10.0
+"""By how much more rows of active limits are scaled."""
+
+NOT_ACTIVE = 1e-9
+"""A dual below this is what rounding left of none."""
+
+TURN = 9
+"""Iterations between two looks at the active limits."""
+
+PATIENCE = 6
+"""Turns until each is twice as long as the one before: with its rows left alone, OSQP converges always."""
+
+CHECK = 3
+"""Iterations between two looks at the residuals."""
+
+
+class Room(NamedTuple):
+    """The numbers of one solve, in one array."""
+
+    A: Array  # (nnz,) of the problem
+    q: Array  # (n,)
+    l: Array  # noqa: E741  (m,)
+    u: Array
+    x: Array  # (n,) primal and dual: of the last solve, or the first guess of the next
+    y: Array
+    rows: Array  # (m,) by what each row is multiplied
+    As: Array  # the same with scaled rows
+    ls: Array
+    us: Array
+    ys: Array
+
+
+@kernel
+def room(flat: Array, N: int) -> Room:
+    """The parts of a flat array for N stages."""
+    n, m = N * WIDTH + 2, N * (STATES + 4) + 2
+    e = (len(flat) - 2 * n - 7 * m) // 2
+    q = e
+    l = q + n  # noqa: E741
+    x = l + 2 * m
+    y = x + n
+    As = y + 2 * m
+    ls = As + e
+    return Room(
+        flat[:q],
+        flat[q:l],
+        flat[l : l + m],
+        flat[l + m : x],
+        flat[x:y],
+        flat[y : y + m],
+        flat[y + m : As],
+        flat[As:ls],
+        flat[ls : ls + m],
+        flat[ls + m : ls + 2 * m],
+        flat[ls + 2 * m :],
+    )
+
+
+class SparseOsqp:
+    """The default solver."""
+
+    def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
+        """``config.tolerance`` is absolute, on the residuals of the scaled problem."""
+        self.form = form = SparseForm(config.stages, limits, config.weights)
+        self._most = config.max_iterations
+        self._tolerance = self._eps = config.tolerance
+        entries = form.pattern.nnz
+        self._flat = np.zeros(2 * entries + 2 * form.variables + 7 * form.rows)
+        self._room: Room = room(self._flat, form.stages)
+        self._room.A[:] = form.template()
+        self._shift = math.nan
+        self._finite, self._why = False, "nothing was built"
+        self._lin: Linearisation | None = None
+        self._workspace: Workspace | None = None
+
+    def shift(self, stages: float) -> None:
+        """As in ``Solver``."""
+        self._shift = stages
+
+    def forget(self) -> None:
+        """As in ``Solver``."""
+        self._shift = math.nan
+
+    def build(self, lin: Linearisation, reference: Array) -> None:
+        """As in ``Solver``."""
+        self._lin, form = lin, self.form
+        size = prepare(form.numbers, lin.flat, reference, form.map, form.factor, self._shift, self._flat)
+        self._finite = size >= 0.0
+        self._why = "" if self._finite else not_finite(lin, reference)
+        self._eps = self._tolerance * min(size, LOOSEST)
+
+    def update(self) -> None:
+        """As in ``Solver``."""
+        if not self._finite:  # one NaN would poison the workspace for every later solve
+            return
+        if self._workspace is None:
+            at = self._room
+            of = self.form.assembled(at.As, at.q, at.ls, at.us)
+            settings = {**PLAIN, "alpha": 1.0, "eps_abs": self._tolerance, "check_termination": CHECK, "max_iter": TURN}
+            self._workspace = workspace(of.P, of.q, of.A, of.l, of.u, settings)
+            self._workspace.warm_start(at.x, at.ys)
+        else:
+            self._load(self._workspace)
+
+    def _load(self, solver: Workspace) -> None:
+        at = self._room
+        solver.update_matrices(at.As)
+        solver.update_vectors(at.q, at.ls, at.us)
+        solver.warm_start(at.x, at.ys)
+
+    def solve(self) -> Answer:
+        """As in ``Solver``. Ends after ``max_iterations`` or a few more, never by time."""
+        lin, solver = self._lin, self._workspace
+        assert lin is not None  # built
+        if not self._finite or solver is None:
+            return self._nothing(lin, self._why)
+        commands = np.empty_like(lin.U)
+        iterations, turn = 0, 0
+        while True:
+            solver.limit(min(TURN * 2 ** max(0, turn - PATIENCE), self._most), self._eps)
+            turn += 1
+            status = solver.solve()
+            account = solver.account()
+            iterations += account.iterations
+            if not take(self.form.numbers, *solver.read(), lin.flat, self._flat, commands):
+                self._workspace = None
+                return self._nothing(lin, "OSQP returned a value that is not finite; rebuilt")
+            if status is SolveStatus.SOLVED or iterations >= self._most:
+                break
+            if rescale(self.form.map, self._flat, self.form.stages) > 0:
+                self._load(solver)
+        self._shift = 0.0
+        why = ""
+        if status is not SolveStatus.SOLVED:
+            residuals = f"primal residual {account.primal_residual:.1e}, dual {account.dual_residual:.1e}"
+            why = f"OSQP: {status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
+        solve = Solve(
+            status=status,
+            iterations=iterations,
+            primal_residual=account.primal_residual,
+            dual_residual=account.dual_residual,
+            why=why,
+        )
+        return Answer(commands, solve)
+
+    def problem(self) -> QP:
+        """As in ``Solver``: without the scales of its rows."""
+        at = self._room
+        return self.form.assembled(at.A.copy(), at.q.copy(), at.l.copy(), at.u.copy())
+
+    def point(self) -> tuple[Array, Array]:
+        """Primal (n,) and dual (m,) of ``problem`` where the last solve ended."""
+        return self._room.x.copy(), self._room.y.copy()
+
+    def _nothing(self, lin: Linearisation, why: str) -> Answer:
+        self.forget()
+        return Answer(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why=why))
+
+
+@kernel
+def prepare(
+    numbers: Array, flat: Array, reference: Array, places: Places, factor: Array, shift: float, solve: Array
+) -> float:
+    """The problem, its first guess, and both with scaled rows, into ``solve`` (``room``).
+
+    Returns how much larger than GRADIENT the cost's gradient is, as a step size goes with it; -1 if a number is not
+    finite.
+    """
+    N = reference.shape[0]
+    at = room(solve, N)
+    fill(numbers, flat, reference, places, factor, at.A, at.q, at.l, at.u)
+    first_guess(numbers, flat, at.q, shift, at.x, at.y)
+    if rescale(places, solve, N) < 0:
+        return -1.0
+    return growth(at.q)
+
+
+@kernel
+def growth(q: Array) -> float:
+    """How much larger than for a small gradient duals, and with them step sizes and residuals, are."""
+    gradient = 0.0
+    for i in range(len(q)):
+        gradient = max(gradient, abs(q[i]))
+    return float(max(1.0, np.sqrt(gradient / GRADIENT)))
+
+
+@kernel
+def first_guess(numbers: Array, flat: Array, q: Array, shift: float, x: Array, y: Array) -> None:
+    """x (n,) and y (m,) to begin with, in place of those of the last solve, ``shift`` stages earlier (NaN: of none)."""
+    N = (len(q) - 2) // WIDTH
+    c, lin = objective(numbers), views(flat, N)
+    E = N * STATES + 2
+    _shift_limits(y, E, N, shift)
+    velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
+    x[:] = 0.0
+    # d_(k+1) = A d_k + Phi_k - Xbar_(k+1): the gaps closed, commands as they are
+    d, last = np.zeros(STATES), np.zeros(STATES)
+    for k in range(N):
+        for i in range(STATES):
+            d[i] = lin.Phi[k, i] - lin.X[k + 1, i]
+            for j in range(STATES):
+                d[i] += lin.A[k, i, j] * last[j]
+        last[:] = d
+        for i in range(STATES):
+            x[k * WIDTH + i] = d[i] / _state_scale(i, c)
+    # m p'_N = y: the terminal velocity's own column
+    costate = np.zeros(STATES)
+    for i in range(2):
+        w = velocity[i]
+        for j in range(3):
+            w += V[i, j] * d[2 + j]
+        x[N * WIDTH + i] = w
+        y[N * STATES + i] = c.terminal_velocity * w
+        for j in range(3):
+            costate[2 + j] += V[i, j] * c.terminal_velocity * w
+    # lambda_(k-1) = gradient_k + A_k' lambda_k: the columns of the states
+    before = np.zeros(STATES)
+    for k in range(N - 1, -1, -1):
+        weight = c.position + (c.terminal_position if k == N - 1 else 0.0)
+        for i in range(2):
+            scale = STATE_SCALE[i]
+            costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
+        for i in range(STATES):
+            y[k * STATES + i] = costate[i] * _state_scale(i, c)
+            before[i] = 0.0
+        for j in range(STATES):
+            for i in range(STATES):
+                before[i] += lin.A[k, j, i] * costate[j]
+        costate[:] = before
+
+
+@kernel
+def _state_scale(i: int, c: Objective) -> float:
+    return float(STATE_SCALE[i] if i < 6 else c.scale[i - 6])
+
+
+@kernel
+def _shift_limits(y: Array, E: int, N: int, stages: float) -> None:
+    """The duals of slew and box on knots so many stages later: linear between stages, the last one repeated."""
+    if np.isnan(stages):
+        y[E:] = 0.0
+        return
+    if stages == 0.0:
+        return
+    old = y[E:].copy()
+    for k in range(N):
+        at = min(max(k + stages, 0.0), N - 1.0)
+        low = int(at)
+        high, part = min(low + 1, N - 1), at - low
+        for j in range(2):
+            y[E + 2 * k + j] = (1.0 - part) * old[2 * low + j] + part * old[2 * high + j]
+            y[E + 2 * (N + k) + j] = (1.0 - part) * old[2 * (N + low) + j] + part * old[2 * (N + high) + j]
+
+
+@kernel
+def rescale(places: Places, solve: Array, N: int) -> int:
+    """The problem and its dual with rows scaled by what the dual says of them, in ``solve`` (``room``).
+
+    Returns 1 if a scale has changed, 0 if none has, -1 if a number is not finite.
+    """
+    at = room(solve, N)
+    row_of = map_of(places, len(at.A)).row_of
+    E = N * STATES + 2
+    size = growth(at.q)
+    free = min(LIMIT_ROW * size, LARGEST_LIMIT_ROW)
+    changed, total = 0, size
+    for i in range(len(at.rows)):
+        s = EQUALITY_ROW if i < E else (free if abs(at.y[i]) <= NOT_ACTIVE else free * ACTIVE)
+        if s != at.rows[i]:
+            changed, at.rows[i] = 1, s
+        at.ls[i], at.us[i], at.ys[i] = at.l[i] * s, at.u[i] * s, at.y[i] / s
+        total += at.l[i] + at.u[i] + at.y[i]
+    for i in range(len(at.A)):
+        at.As[i] = at.A[i] * at.rows[row_of[i]]
+        total += at.As[i]
+    return changed if np.isfinite(total) else -1
+
+
+@kernel
+def take(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands: Array) -> bool:
+    """A solution x (n,), y (m,) of the problem with scaled rows into ``solve`` (``room``), and as commands (N+1, 2).
+
+    Returns whether it is finite.
+    """
+    N = commands.shape[0] - 1
+    at, U, F = room(solve, N), views(flat, N).U, objective(numbers).scale
+    total = 0.0
+    for i in range(len(x)):
+        at.x[i] = x[i]
+        total += x[i]
+    for i in range(len(y)):
+        at.y[i] = y[i] * at.rows[i]
+        total += y[i]
+    for i in range(2):
+        commands[0, i] = U[0, i]
+        for k in range(N):
+            commands[k + 1, i] = U[k + 1, i] + x[k * WIDTH + STATES + i] * F[i]
+    return bool(np.isfinite(total))

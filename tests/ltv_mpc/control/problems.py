@@ -1,0 +1,70 @@
+"""Problems for every formulation and solver, and their optimum by a solver that shares nothing with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import piqp
+from scipy.sparse import csc_matrix
+
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.signals import Array
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PAPER = Vehicle.load("paper")
+LIMITS = ThrustLimits.of(PAPER, 0.3)
+LOWERED = ThrustLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.change)
+"""A box that was just made smaller: a command can be outside of it."""
+
+
+def motion(seed: int, stages: int, *, gap: float = 0.0) -> tuple[Linearisation, Array]:
+    """Linearised along a motion of the paper's vehicle whose knots are off it by ``gap``; and a reference (N, 2)."""
+    rng = np.random.default_rng(seed)
+    X0 = np.concatenate([rng.normal(size=2), rng.normal(size=2) * 0.2, [rng.uniform(-3, 3)], rng.normal(size=1) * 0.2])
+    U = np.empty((stages + 1, 2))
+    U[0] = rng.uniform(-50, 50, 2)
+    for k in range(stages):
+        U[k + 1] = np.clip(U[k] + rng.uniform(-1, 1, 2) * LIMITS.change, LIMITS.low, LIMITS.high)
+    C = rng.normal(size=(stages + 1, 2)) * 0.05
+    p = PAPER.coefficients()
+    X = roll_out(np.concatenate([X0, U[0]]), U, C, np.full(stages, 0.3), p)
+    X[1:] += gap * rng.normal(size=(stages, 8)) * [1.0, 1.0, 0.3, 0.3, 1.0, 0.3, 30.0, 30.0]
+    return linearise(X, U, C, 0.3, p), np.tile(rng.normal(size=2), (stages, 1))
+
+
+def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
+    """Sensitivities without structure but for the documented one, and gaps; and a reference that moves."""
+    rng = np.random.default_rng(seed)
+    A, B0, B1 = (rng.normal(size=(stages, 8, k)) * 0.3 for k in (8, 2, 2))
+    A[:, :, :2] = A[:, 6:, :] = 0.0
+    A[:, range(8), range(8)] = rng.uniform(0.3, 0.8, (stages, 8))
+    A[:, range(2), range(2)] = 1.0
+    for B in (B0, B1):
+        B /= LIMITS.scale
+        B[:, 6, 1] = B[:, 7, 0] = 0.0
+    X = rng.normal(size=(stages + 1, 8))
+    U = rng.uniform(-40, 40, (stages + 1, 2))
+    lin = Linearisation.of(
+        X, U, rng.normal(size=(stages + 1, 2)), X[1:] + rng.normal(size=(stages, 8)) * 0.1, A, B0, B1
+    )
+    return lin, rng.normal(size=(stages, 2))
+
+
+def precise(qp: QP) -> Array:
+    """The optimum x (n,) by an interior-point method, to about 1e-12."""
+    rows, equal = csc_matrix(qp.A), qp.l == qp.u
+    solver = piqp.SparseSolver()
+    solver.settings.eps_abs = solver.settings.eps_rel = 1e-13
+    solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = 1e-14
+    solver.setup(csc_matrix(qp.P), qp.q, rows[equal], qp.l[equal], rows[~equal], qp.l[~equal], qp.u[~equal])
+    solver.solve()
+    return np.array(solver.result.x)
+
+
+def optimum(lin: Linearisation, reference: Array, limits: ThrustLimits, weights: Weights) -> Array:
+    """Commands (N+1, 2) of the sparse QP's optimum."""
+    form = SparseForm(len(lin.U) - 1, limits, weights)
+    return form.commands(lin, precise(form.build(lin, reference)))
