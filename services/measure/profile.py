@@ -1,135 +1,190 @@
-"""How long a controller cycle takes on this machine, on the problems of a closed loop in lock step."""
+"""How long a controller cycle takes on this machine: by solver, formulation and horizon, beside PIQP on the sparse QP.
+
+A ratio is of whole control steps, on the same problems in the same run; it means something between rows whose thrusts
+are equally near the exact solution.
+"""
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.node import Inbox
-from ltv_mpc.signals import Plan, Signal, SolveStatus
-from services.process.stopwatch import StageTimer
-from services.run import locked
-from services.run.situation import Override, Situation, resolve
-from sim.lockstep import LockStep
+from services.measure import profile_problems as problems
+from services.measure.profile_machine import Machine, load, machine
+from services.measure.profile_measuring import Pair, Samples, measure
+from services.measure.profile_problems import Episode, seconds
+
+YARDSTICK = Pair("piqp", "sparse")
+"""Always measured: what every other row is a ratio of."""
+
+RELAXED = Pair("piqp", "sparse", tolerance=1e-6)
+"""Always measured, too: the yardstick at the quality that is asked of the others, 0.1 N in 99 % of the cycles."""
+
+FORMULATIONS = ("sparse", "partial", "condensed")
+"""What ``all`` stands for; ``auto`` is one of these."""
 
 WARM_UP = 20
-"""Cycles at the start that are left out: cold caches, and linearising more than once from a crude guess."""
+"""Cycles of a descent that are solved before any is measured: cold caches, and what is set up at first use."""
 
-TOTAL = "cycle"
+MOST_STAGES = 400
 
 
-class Times(msgspec.Struct, frozen=True, kw_only=True):
-    """Wall time of one stage over all cycles (us)."""
+class Spread(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a sample over all cycles."""
 
-    median_us: float
-    p90_us: float
-    p99_us: float
-    max_us: float
+    median: float
+    p90: float
+    p99: float
+    max: float
+
+    @classmethod
+    def of(cls, sample: Sequence[float]) -> Spread:
+        """NaN is left out."""
+        known = np.array([x for x in sample if x == x])
+        if not len(known):
+            return cls(median=0.0, p90=0.0, p99=0.0, max=0.0)
+        median, p90, p99, most = np.quantile(known, [0.5, 0.9, 0.99, 1.0]).tolist()
+        return cls(median=median, p90=p90, p99=p99, max=most)
+
+
+class Ratio(msgspec.Struct, frozen=True, kw_only=True):
+    """Time of a cycle over that of PIQP on the sparse QP, at the same horizon in the same run."""
+
+    median: float
+    p99: float
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One horizon. ``times`` by stage, the whole cycle first."""
+    """One solver and formulation at one horizon."""
 
-    horizon_s: float
-    stages: int
-    cycles: int
     solver: str
-    solved: int
-    times: dict[str, Times]
+    formulation: str
+    tolerance: float | None  # where another than the solver's own was set
+    stages: int
+    horizon_s: float
+    cycles: int
+    cycle_us: Spread
+    stage_us: dict[str, Spread]
+    iterations: Spread
+    thrust_error_N: Spread  # first free knot, from the exact solution of the same QP
+    status: dict[str, int]
+    ratio: Ratio
+
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return f"{self.solver} {self.formulation}" + ("" if self.tolerance is None else f" {self.tolerance:g}")
 
 
-class TimedController(ControllerNode):
-    """A controller whose cycles are measured from outside."""
+class Profile(msgspec.Struct, frozen=True, kw_only=True):
+    """What was measured, on which problems and where."""
 
-    def __init__(self, situation: Situation) -> None:
-        self.timer = StageTimer()
-        self.measured: list[dict[str, float]] = []
-        self.solved = 0
-        super().__init__(situation.vehicle, situation.reference, situation.scenario.controller, stopwatch=self.timer)
-
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
-        """One cycle, measured."""
-        self.timer.start()
-        outputs = super().step(t_ns, inbox)
-        plans = [signal for signal in outputs if isinstance(signal, Plan)]
-        if any(plan.solve.status is not SolveStatus.NOT_RUN for plan in plans):
-            self.measured.append(self.timer.stage_us)
-            self.solved += any(plan.solve.status is SolveStatus.SOLVED for plan in plans)
-        return outputs
+    rows: list[Row]
+    problems: dict[str, int]  # cycles of each kind at each horizon
+    machine: Machine
 
 
-def parse_horizons(text: str) -> list[str]:
-    """``2.5,5,10`` as texts, each of which the key controller.horizon_s will judge."""
-    horizons = [part.strip() for part in text.split(",")]
-    if not all(horizons):
-        raise ConfigError("option --horizons", "", "must be seconds with commas between, as in 2.5,5,10", value=text)
-    return horizons
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """The profile, and the samples that it sums up, in the order of its rows."""
+
+    profile: Profile
+    samples: list[Samples]
 
 
-def situations(horizons: Sequence[str], *, cycles: int, seed: str) -> list[Situation]:
-    """The paper's descent, as long as the cycles need, at each horizon. Raises ``ConfigError``."""
-    period_s = ControllerConfig().period_s
-    common = [f"run.duration_s={(cycles + WARM_UP + 1) * period_s:.3f}", "run.perfect_state=true"]
-    return [
-        resolve(
-            "descent",
-            [
-                Override("option --seed", [f"run.seed={seed}"]),
-                Override("option --cycles", common),
-                Override("option --horizons", [f"controller.horizon_s={horizon}"]),
-            ],
-        )
-        for horizon in horizons
-    ]
+# --- what is asked for -----------------------------------------------------------------------------------------------
 
 
-def measure(situation: Situation, *, cycles: int) -> Row:
-    """One horizon's row."""
-    controller = TimedController(situation)
-    nodes = [controller if node.name == controller.name else node for node in locked.nodes(situation)]
-    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=locked.LATEST).advance(situation.scenario.end_ns)
-    kept = controller.measured[WARM_UP : WARM_UP + cycles]
-    config = situation.scenario.controller
-    names = list(dict.fromkeys(name for cycle in kept for name in cycle))
-    times = {TOTAL: _times([sum(cycle.values()) for cycle in kept])}
-    times |= {name: _times([cycle.get(name, 0.0) for cycle in kept]) for name in names}
+def parse_horizons(text: str) -> list[int]:
+    """``17,34`` as numbers of stages. Raises ``ConfigError``."""
+    parts = [part.strip() for part in text.split(",")]
+    stages = [int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts]
+    for part, number in zip(parts, stages, strict=True):
+        if not 1 <= number <= MOST_STAGES:
+            problem = f"must be numbers of stages of {seconds(1):g} s, 1 to {MOST_STAGES}, as in 17,34"
+            raise ConfigError("option --horizons", "", problem, value=part)
+    return list(dict.fromkeys(stages))
+
+
+def parse_pairs(solvers: str, formulation: str, episode: Episode) -> tuple[list[Pair], list[str]]:
+    """The pairs to measure, the yardstick first, and what was left out, in words. Raises ``ConfigError``.
+
+    A formulation that a solver does not have is left out; ``episode`` is where it is tried.
+    """
+    if formulation not in (*FORMULATIONS, "auto", "all"):
+        problem = f"must be one of {', '.join((*FORMULATIONS, 'auto', 'all'))}"
+        raise ConfigError("option --formulation", "", problem, value=formulation)
+    wanted = FORMULATIONS if formulation == "all" else (formulation,)
+    pairs, left_out = [YARDSTICK, RELAXED], []
+    for solver in dict.fromkeys(part.strip() for part in solvers.split(",")):
+        refusals = {name: _refusal(Pair(solver, name), episode) for name in (*FORMULATIONS, "auto")}
+        if all(refusals.values()):
+            raise ConfigError("option --solvers", "", refusals["sparse"], value=solver)
+        pairs += [Pair(solver, name) for name in wanted if not refusals[name]]
+        left_out += [f"{solver} {name} left out: {refusals[name]}" for name in wanted if refusals[name]]
+    if len(pairs) == 2 and left_out:
+        raise ConfigError("option --formulation", "", f"none of {solvers} has it", value=formulation)
+    if refusal := _refusal(YARDSTICK, episode):
+        raise ConfigError("option --solvers", "", f"always measured: {refusal}", value=YARDSTICK.solver)
+    return list(dict.fromkeys(pairs)), left_out
+
+
+def _refusal(pair: Pair, episode: Episode) -> str:
+    """Why there is no such controller; empty where there is."""
+    try:
+        pair.controller(episode)
+    except ConfigError as error:
+        return error.problem
+    return ""
+
+
+# --- measuring -------------------------------------------------------------------------------------------------------
+
+
+def run(
+    by_horizon: Sequence[Sequence[Episode]], pairs: Sequence[Pair], *, seed: int, progress: Callable[[], None]
+) -> Measured:
+    """Measure each pair on the episodes of each horizon. Raises ``ConfigError`` where no cycle was solved."""
+    order = random.Random(seed)
+    rows, samples = [], []
+    load_before = load()
+    for episodes in by_horizon:
+        stages = episodes[0].config.stages
+        (warm_up,) = problems.simulated(stages, 1, seed)[:1]
+        warm_up = warm_up._replace(cycles=WARM_UP)
+        measured = measure(episodes, pairs, warm_up=warm_up, order=order, progress=progress)
+        if not measured[0].cycle_us:
+            raise ConfigError("option --run", "", "holds no cycle of the controller that was solved")
+        rows += _rows(pairs, measured)
+        samples += measured
+    kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
+    for episode in by_horizon[0]:
+        kinds[episode.kind] += episode.cycles
+    profile = Profile(rows=rows, problems=kinds, machine=machine(load_before))
+    return Measured(profile=profile, samples=samples)
+
+
+def _rows(pairs: Sequence[Pair], measured: Sequence[Samples]) -> list[Row]:
+    yardstick = Spread.of(measured[pairs.index(YARDSTICK)].cycle_us)
+    return [_row(pair, samples, yardstick) for pair, samples in zip(pairs, measured, strict=True)]
+
+
+def _row(pair: Pair, samples: Samples, yardstick: Spread) -> Row:
+    cycle = Spread.of(samples.cycle_us)
     return Row(
-        horizon_s=config.stages * STAGE_NS * 1e-9,
-        stages=config.stages,
-        cycles=len(kept),
-        solver=config.solver,
-        solved=controller.solved,
-        times=times,
+        solver=pair.solver,
+        formulation=pair.formulation,
+        tolerance=pair.tolerance,
+        stages=samples.stages,
+        horizon_s=seconds(samples.stages),
+        cycles=len(samples.cycle_us),
+        cycle_us=cycle,
+        stage_us={stage: Spread.of(times) for stage, times in samples.stage_us.items()},
+        iterations=Spread.of(samples.iterations),
+        thrust_error_N=Spread.of(samples.thrust_error_N),
+        status={str(status): count for status, count in samples.status.most_common()},
+        ratio=Ratio(median=cycle.median / yardstick.median, p99=cycle.p99 / yardstick.p99),
     )
-
-
-def measure_all(situations: Sequence[Situation], *, cycles: int, progress: Callable[[str], None]) -> list[Row]:
-    """A row for each situation."""
-    rows = []
-    for situation in situations:
-        progress(f"horizon {situation.scenario.controller.horizon_s:g} s: {cycles} cycles")
-        rows.append(measure(situation, cycles=cycles))
-    return rows
-
-
-def table(rows: Sequence[Row]) -> str:
-    """For people, in milliseconds."""
-    lines = [
-        f"{'horizon':>8} {'stages':>6} {'cycles':>6}  {'stage':<10} {'median':>9} {'p90':>9} {'p99':>9} {'max':>9}  ms"
-    ]
-    for row in rows:
-        for i, (name, t) in enumerate(row.times.items()):
-            head = f"{row.horizon_s:>6.1f} s {row.stages:>6} {row.cycles:>6}" if i == 0 else " " * 22
-            figures = " ".join(f"{us / 1000:>9.3f}" for us in (t.median_us, t.p90_us, t.p99_us, t.max_us))
-            lines.append(f"{head}  {name:<10} {figures}")
-    return "\n".join(lines)
-
-
-def _times(us: Sequence[float]) -> Times:
-    median, p90, p99, most = np.quantile(np.array(us), [0.5, 0.9, 0.99, 1.0]).tolist()
-    return Times(median_us=median, p90_us=p90, p99_us=p99, max_us=most)

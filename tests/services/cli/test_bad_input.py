@@ -130,7 +130,7 @@ CASES = [
     ("sim --seed", "requires an argument"),
     ("sim descent hover", "unexpected extra argument"),
     ("topics plann", 'topic "plann": does not travel; did you mean "plan"?'),
-    ("profile --horizons 5,x", 'option --horizons: [controller] horizon_s = "x": must be a number'),
+    ("profile --horizons 5,x", 'option --horizons: "x": must be numbers of stages of 0.3 s'),
     ("profile --horizons 5,,", "option --horizons"),
     ("profile --cycles 0", "--cycles"),
     # --- one process each -----------------------------------------------------------------------------------------

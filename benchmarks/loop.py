@@ -1,0 +1,224 @@
+"""A closed loop without messages, sensors or recording: the true vehicle, the controller, and the figures of both.
+
+The instants of a run in lock step with ``run.perfect_state``: a cycle each 0.3 s on the truth of that instant, the
+plant in steps of 10 ms. Its figures are those of ``ltv-mpc run --lockstep`` to 1e-3 m, in a fraction of the time, and
+a study can put its hands in: what the controller is told of the water, a thruster that is weaker than it says, another
+controller.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.frames import wrap_angle
+from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Plan, Times
+from ltv_mpc.vehicle.parameters import Coefficients
+from services.run.situation import Override, Situation, resolve
+from sim import motion
+from sim.plant import level_to_ned, mismatched
+from sim.water import WaterColumn
+
+STEP_NS = 10_000_000
+"""As the plant."""
+
+SIDES = ("min_N", "max_N")
+
+Told = Callable[[Estimate], Estimate]
+"""What the controller is told, made of the truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """One run from t = 0 on, sampled each 10 ms."""
+
+    distance_m: Array  # (K,) truth to reference
+    mean_abs_N: float  # commands, over time and both lateral thrusters
+    saturated: float  # fraction of the time with either of them at its minimum or maximum
+    origins: dict[str, int]  # plans by where they came from
+
+    @property
+    def mean_m(self) -> float:
+        """Mean distance."""
+        return float(self.distance_m.mean())
+
+    @property
+    def max_m(self) -> float:
+        """Largest distance."""
+        return float(self.distance_m.max())
+
+
+@dataclass(kw_only=True)
+class Loop:
+    """One situation, flown by one controller.
+
+    ``share`` (3,): of what they report, the part that port, starboard and vertical thruster really deliver.
+    """
+
+    situation: Situation
+    controller: Controller
+    told: Told = lambda estimate: estimate
+    seen: Callable[[Estimate, Plan], None] = lambda _estimate, _plan: None
+    share: Array = field(default_factory=lambda: np.ones(3))
+
+    def fly(self) -> Outcome:
+        """The whole run. ``seen`` is shown each cycle's estimate and plan after t = 0."""
+        scenario, water, controller = self.situation.scenario, self.situation.water, self.controller
+        plant = _Vehicle(self.situation, self.share)
+        cells = round(scenario.estimator.deepest_m / scenario.estimator.cell_m)
+        depths = scenario.estimator.cell_m * np.arange(cells + 1, dtype=np.float64)
+        period_ns, delay_ns = scenario.controller.period_ns, round(scenario.run.compute_delay_s * 1e9)
+        t_ns, next_ns = scenario.start_ns, -(-scenario.start_ns // period_ns) * period_ns
+        plans: list[Plan] = []
+        states, commands = [], []
+        while t_ns < scenario.end_ns:
+            until_ns = min(next_ns, scenario.end_ns)
+            times = np.append(np.arange(t_ns, until_ns, STEP_NS), until_ns)
+            # Plans arrive when they were expected to: what was sent is what is in force.
+            u = np.where(times[:, None] >= 0, controller._commands.at(times), 0.0)
+            track = plant.go(times, u)
+            if t_ns >= 0:
+                states.append(track)
+                commands.append(u[1:, :2])
+            t_ns = until_ns
+            if t_ns >= scenario.end_ns:
+                break
+            controller.report(_applied(t_ns, plant.thrust / self.share, u[-1], plans, delay_ns))
+            estimate = self.told(_estimate(t_ns, plant.state, water, depths))
+            plans.append(controller.plan(estimate, t_ns=t_ns))
+            next_ns = t_ns + max(period_ns, delay_ns)
+            if plans[-1].reference_m is not None:
+                self.seen(estimate, plans[-1])
+        off = np.concatenate(states) - np.array(plans[-1].reference_m)
+        F = np.concatenate(commands)
+        low, high = (np.array([getattr(t, side) for t in controller.vehicle.thrusters[:2]]) for side in SIDES)
+        at_box = ((low + 1e-6 >= F) | (high - 1e-6 <= F)).any(axis=1)
+        origins = Counter(plan.origin.value for plan in plans if plan.reference_m is not None)
+        return Outcome(np.hypot(*off.T), float(np.abs(F).mean()), float(at_box.mean()), dict(origins))
+
+
+class _Vehicle:
+    """The true vehicle: the plant's motion, without its node and its gate."""
+
+    def __init__(self, situation: Situation, share: Array) -> None:
+        start, vehicle = situation.scenario.plant, situation.vehicle
+        self.state = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
+        self.thrust = np.zeros(3)
+        self._revolutions = np.zeros(3)
+        self._share = share
+        self._water = situation.water
+        self._p = mismatched(vehicle.coefficients(), start.mismatch)
+        self._propellers = np.array([[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters])
+        self._rho, self._factor = vehicle.water_density_kgpm3, start.mismatch.thrust
+
+    def go(self, t_ns: Times, u: Array) -> Array:
+        """On under commands u (M+1, 3) at t_ns (M+1,); positions (M, 2) after each step."""
+        earlier, later, share = self._water.between(int(t_ns[0] + t_ns[-1]) // 2)
+        return _drive(
+            t_ns * 1e-9,
+            u * self._share,
+            self.state,
+            self._revolutions,
+            self._water.depth_m,
+            earlier,
+            later,
+            share,
+            self._p,
+            self._propellers,
+            self._rho,
+            self._factor,
+            self.thrust,
+        )
+
+
+@kernel
+def _drive(
+    t: Array,
+    u: Array,
+    state: Array,
+    revolutions: Array,
+    depths: Array,
+    earlier: Array,
+    later: Array,
+    share: float,
+    p: Coefficients,
+    propellers: Array,
+    rho: float,
+    factor: float,
+    F: Array,
+) -> Array:
+    """``motion.step`` from t[k] to t[k+1], ``state`` (8,), ``revolutions`` and ``F`` (3,) in place; afloat to t = 0."""
+    out = np.empty((len(t) - 1, 2))
+    for k in range(len(t) - 1):
+        motion.step(
+            state,
+            revolutions,
+            u[k],
+            u[k + 1],
+            t[k + 1] <= 0.0,
+            t[k + 1] - t[k],
+            depths,
+            earlier,
+            later,
+            share,
+            p,
+            propellers,
+            rho,
+            factor,
+            F,
+        )
+        out[k] = state[:2]
+    return out
+
+
+def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], delay_ns: int) -> Applied:
+    """The actuators' report: the last plan came ``delay_ns`` after the start of its cycle."""
+    cycle_ns = plans[-1].cycle_t_ns if plans else 0
+    return Applied(
+        t_ns=t_ns,
+        thrust_N=tuple(thrust.tolist()),
+        command_N=tuple(command.tolist()),
+        command_slew_N_per_s=(0.0, 0.0, 0.0),
+        plan_epoch=1 if plans else 0,
+        plan_sequence=len(plans) - 1,
+        plan_cycle_t_ns=cycle_ns,
+        plan_received_t_ns=cycle_ns + delay_ns,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    )
+
+
+def _estimate(t_ns: int, state: Array, water: WaterColumn, depths_m: Array) -> Estimate:
+    """The truth, with the whole current at ``depths_m`` (K,)."""
+    n, e, u, v, psi, r, z, w = state.tolist()
+    here, current = water.at(z, t_ns), water.over(depths_m, t_ns)
+    # [n', e'] = R(psi) [u, v] + c(z)
+    north, east = level_to_ned(u, v, psi)
+    return Estimate(
+        t_ns=t_ns,
+        north_m=n,
+        east_m=e,
+        heading_rad=wrap_angle(psi),
+        yaw_rate_radps=r,
+        velocity_north_mps=north + here[0],
+        velocity_east_mps=east + here[1],
+        depth_m=z,
+        velocity_down_mps=w,
+        current=CurrentProfile(
+            depth_m=depths_m,
+            north_mps=np.ascontiguousarray(current[:, 0]),
+            east_mps=np.ascontiguousarray(current[:, 1]),
+            sd_mps=np.zeros(len(depths_m)),
+        ),
+    )
+
+
+def situation(*settings: str, scenario: str = "descent") -> Situation:
+    """A shipped scenario with KEY=VALUE settings on top, the state known."""
+    return resolve(scenario, [Override("benchmark", ("run.perfect_state=true", *settings))])

@@ -1,0 +1,28 @@
+"""The peers that are installed."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+
+from benchmarks.peers.peer import Peer
+
+FILES = {
+    "with_qpmpc": ("QpmpcDaqp", ("qpmpc", "daqp")),
+    "with_cvxpy": ("CvxpyOsqp", ("cvxpy",)),
+    "with_casadi": ("CasadiIpopt", ("casadi",)),
+    "with_do_mpc": ("DoMpcIpopt", ("do_mpc", "casadi")),
+    "with_scipy": ("ScipyLeastSquares", ("scipy",)),
+}
+"""File, class, and what it imports."""
+
+
+def installed() -> tuple[list[type[Peer]], list[str]]:
+    """The peers, and the files of those whose packages are not there."""
+    there, missing = [], []
+    for file, (name, needs) in FILES.items():
+        if all(find_spec(package) for package in needs):
+            there.append(getattr(import_module(f"benchmarks.peers.{file}"), name))
+        else:
+            missing.append(file)
+    return there, missing

@@ -1,0 +1,87 @@
+"""A peer in the controller's place: as a contestant of the profile, and in a closed loop of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.peers.peer import Peer
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.node import Cycle, Inbox, Stopwatch, no_stopwatch
+from ltv_mpc.signals import Applied, CycleTiming, Estimate, Pair, Plan, PlanOrigin, Signal, SolveStatus
+from services.measure.profile_measuring import Contestant, limits_of, solved_by
+from services.measure.profile_problems import Episode
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A peer as a contestant."""
+
+    peer: type[Peer]
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
+        """The episode's controller, with the peer as its solver."""
+        controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
+        solved_by(controller, lambda _own: self.peer(episode.config, limits_of(episode), episode.vehicle))
+        return controller
+
+
+class Loop:
+    """A node that controls, and notes how far off the line the vehicle is and what its lateral thrusters deliver."""
+
+    name = "controller"
+    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Signal], ...] = (Plan,)
+
+    def __init__(self, contestant: Contestant, episode: Episode) -> None:
+        self.schedule = Cycle(episode.config.period_ns)
+        self.off_m: list[float] = []
+        self.thrust_N: list[float] = []
+        self.cycles = 0
+        self.unsolved = 0
+        self._controller = contestant.controller(episode, no_stopwatch)
+        self._estimate: Estimate | None = None
+        self._target: Pair | None = None
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """One cycle."""
+        for arrival in inbox:
+            match arrival.signal:
+                case Estimate() as estimate:
+                    self._estimate = estimate
+                    if self._target is not None:
+                        north, east = self._target
+                        self.off_m.append(float(np.hypot(estimate.north_m - north, estimate.east_m - east)))
+                case Applied() as applied:
+                    self._controller.report(applied)
+                    if self._target is not None:
+                        self.thrust_N.append(float(np.mean(np.abs(applied.thrust_N[:2]))))
+                case CycleTiming() as timing:
+                    self._controller.timing(timing)
+                case _:
+                    pass
+        if self._estimate is None:
+            return []
+        plan = self._controller.plan(self._estimate, t_ns=t_ns)
+        if plan.solve.status is not SolveStatus.NOT_RUN:
+            self._target = plan.reference_m
+            self.cycles += 1
+            self.unsolved += plan.origin is not PlanOrigin.SOLVED
+        return [plan]
+
+
+@dataclass(frozen=True)
+class Held:
+    """What a closed loop came to."""
+
+    off_m: float  # mean distance from the line
+    thrust_N: float  # mean of |F|, both lateral thrusters
+    unsolved: int  # cycles without a solution
+
+
+def closed(contestant: Contestant, episode: Episode) -> Held:
+    """The whole episode under the contestant's own plans."""
+    loop = Loop(contestant, episode)
+    episode.feed(loop, lambda: loop.cycles > episode.cycles)
+    return Held(float(np.mean(loop.off_m)), float(np.mean(loop.thrust_N)), loop.unsolved)

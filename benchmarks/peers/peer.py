@@ -1,0 +1,65 @@
+"""What every peer is: a solver of the controller that takes a linearisation and gives commands at the knots.
+
+Peers that solve the nonlinear problem take from the linearisation only what it was taken along: the state at the start,
+the command in force, the current, and the commands to start from.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.vehicle.parameters import Vehicle
+
+
+class Peer:
+    """``solves`` says which problem: ``QP`` is the controller's own, ``NLP`` the nonlinear one behind it."""
+
+    name: ClassVar[str]
+    solves: ClassVar[str]
+    packages: ClassVar[tuple[str, ...]]
+    settings: ClassVar[str]  # what differs from the tool's defaults, and why
+
+    def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
+        self.stages = config.stages
+        self.weights = config.weights
+        self.limits = limits
+        self.vehicle = vehicle
+        self.lin: Linearisation
+        self.reference: Array
+
+    def shift(self, stages: float) -> None:
+        """The next problem begins so many stages later."""
+
+    def forget(self) -> None:
+        """The next problem has nothing to do with the last one."""
+
+    def build(self, lin: Linearisation, reference: Array) -> None:
+        """Take the problem's numbers."""
+        self.lin, self.reference = lin, reference
+
+    def update(self) -> None:
+        """Nothing: peers set up and solve in one."""
+
+    def solve(self) -> Answer:
+        """Solve what was built."""
+        raise NotImplementedError
+
+    def problem(self) -> QP:
+        """A peer does not show its problem."""
+        raise NotImplementedError
+
+    def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Answer:
+        """Commands (N+1, 2) from those after the first (N, 2); None: there is no solution, for the reason ``why``."""
+        commands = self.lin.U.copy()
+        if following is None or not np.isfinite(following).all():
+            return Answer(commands, Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite"))
+        commands[1:] = following
+        return Answer(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))

@@ -1,0 +1,63 @@
+"""The comparison as markdown: time beside closed-loop error, settings and machine below."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from benchmarks.peers.loop import Held
+from services.measure import profile_machine
+from services.measure.profile import Spread
+from services.measure.profile_machine import Machine
+
+
+@dataclass(frozen=True)
+class Line:
+    """One tool."""
+
+    name: str
+    solves: str  # QP or NLP
+    settings: str
+    cycle_us: Spread
+    thrust_error_N: Spread
+    held: dict[str, Held]  # by kind of episode
+
+
+def markdown(
+    lines: Sequence[Line], *, title: str, notes: Sequence[str], machine: Machine, packages: Sequence[str]
+) -> str:
+    """The first line's time is what the others are multiples of."""
+    kinds = list(lines[0].held)
+    head = ["", "solves", "cycle, median (ms)", "p99 (ms)", "times the first", "first thrust off, p99 (N)"]
+    head += [f"{kind}: off the line (m)" for kind in kinds] + ["mean abs F (N)", "without a solution"]
+    out = [f"# {title}", "", _row(head), "|" + "---|" * len(head)]
+    for line in lines:
+        unsolved = sum(held.unsolved for held in line.held.values())
+        thrust = " / ".join(f"{line.held[kind].thrust_N:.1f}" for kind in kinds)
+        out.append(
+            _row(
+                [
+                    line.name,
+                    line.solves,
+                    _ms(line.cycle_us.median),
+                    _ms(line.cycle_us.p99),
+                    f"{line.cycle_us.median / lines[0].cycle_us.median:.3g}",
+                    f"{line.thrust_error_N.p99:.2g}" if line.solves == "QP" else "",
+                    *(f"{line.held[kind].off_m:.3f}" for kind in kinds),
+                    thrust,
+                    str(unsolved),
+                ]
+            )
+        )
+    out += ["", *notes, "", "| | settings |", "|---|---|"]
+    out += [_row([line.name, line.settings]) for line in lines]
+    out += ["", "Measured on: " + profile_machine.line(machine, packages) + f"; commit {machine['commit']}."]
+    return "\n".join(out) + "\n"
+
+
+def _row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def _ms(us: float) -> str:
+    return f"{us / 1000:.3g}"

@@ -1,0 +1,268 @@
+"""Candidates side by side: each cycle of a closed loop is solved by every one of them, in an order drawn anew.
+
+One controller drives the loop. Before each cycle every candidate is handed the driver's memory, so that prediction,
+guess and linearisation are the same for all; warm starts are each solver's own. So all have the same problems under the
+same load of the machine, and their ratios mean something where single figures do not.
+"""
+
+from __future__ import annotations
+
+import gc
+import random
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+import piqp
+from scipy.sparse import csc_matrix
+
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.solvers.solver import Answer, Solver
+from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
+from ltv_mpc.node import Cycle, Inbox, Stopwatch, no_stopwatch
+from ltv_mpc.signals import Applied, Array, CycleTiming, Estimate, Plan, Signal, SolveStatus
+from services.measure.profile_problems import Episode, seconds
+from services.process.stopwatch import StageTimer
+
+STAGES = ("predict", "linearise", "build", "update", "solve", "read")
+
+EXACT = 1e-10
+"""Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""
+
+
+class Contestant(Protocol):
+    """What is measured."""
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch) -> Controller:
+        """A new controller for an episode. Raises ``ConfigError``."""
+        ...
+
+
+class Pair(NamedTuple):
+    """A solver of this project by its names."""
+
+    solver: str
+    formulation: str
+    tolerance: float | None = None  # of PIQP on the sparse QP alone, absolute and relative; None: its own
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
+        """The episode's, with this solver. Raises ``ConfigError`` where there is none."""
+        config = msgspec.structs.replace(episode.config, solver=self.solver, formulation=self.formulation)
+        controller = Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
+        if self.tolerance is not None:
+            solved_by(controller, lambda _own: SparsePiqp(config, limits_of(episode), self.tolerance))
+        return controller
+
+
+def limits_of(episode: Episode) -> ThrustLimits:
+    """Of the episode's vehicle between two knots."""
+    return ThrustLimits.of(episode.vehicle, seconds(1))
+
+
+def solved_by(controller: Controller, instead: Callable[[Solver], Solver]) -> None:
+    """Another solver for a controller: what ``instead`` makes of its own."""
+    controller._solver = instead(controller._solver)
+
+
+class Samples:
+    """What was measured of one contestant at one horizon: an entry a cycle."""
+
+    def __init__(self, stages: int) -> None:
+        self.stages = stages  # N
+        self.cycle_us: list[float] = []
+        self.stage_us: dict[str, list[float]] = {stage: [] for stage in STAGES}
+        self.iterations: list[int] = []
+        self.thrust_error_N: list[float] = []  # of the first free knot; NaN: there was no finite answer
+        self.status: Counter[SolveStatus] = Counter()
+
+
+def measure(
+    episodes: Sequence[Episode],
+    contestants: Sequence[Contestant],
+    *,
+    warm_up: Episode,
+    order: random.Random,
+    progress: Callable[[], None],
+) -> list[Samples]:
+    """The samples of each contestant over all episodes, which have one horizon; ``progress`` hears of each cycle."""
+    stages = warm_up.config.stages
+    _run(warm_up, contestants, [Samples(stages) for _ in contestants], order, lambda: None)
+    samples = [Samples(stages) for _ in contestants]
+    for episode in episodes:
+        _run(episode, contestants, samples, order, progress)
+    return samples
+
+
+def _run(
+    episode: Episode,
+    contestants: Sequence[Contestant],
+    samples: Sequence[Samples],
+    order: random.Random,
+    progress: Callable[[], None],
+) -> None:
+    candidates = [_Candidate(who, episode, into) for who, into in zip(contestants, samples, strict=True)]
+    bench = _Bench(episode, candidates, order, progress)
+    with _collections_held_back():
+        episode.feed(bench, lambda: bench.measured >= episode.cycles)
+
+
+@contextmanager
+def _collections_held_back() -> Iterator[None]:
+    """As in the service, a collection of garbage is not part of a cycle: the bench collects between cycles."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+class _Bench:
+    """Stands in the controller's place: the driver's plans go out, the candidates' are measured."""
+
+    name = "controller"
+    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Signal], ...] = (Plan,)
+
+    def __init__(
+        self, episode: Episode, candidates: Sequence[_Candidate], order: random.Random, progress: Callable[[], None]
+    ) -> None:
+        self.schedule = Cycle(episode.config.period_ns)
+        self.measured = 0
+        self._driver = Controller(episode.vehicle, episode.reference, episode.config)
+        self._candidates = candidates
+        self._exact = _Exact(episode)
+        self._order = order
+        self._progress = progress
+        self._estimate: Estimate | None = None
+        self._begun = False
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """One cycle of everybody."""
+        for arrival in inbox:
+            match arrival.signal:
+                case Estimate() as estimate if self._estimate is None or estimate.t_ns > self._estimate.t_ns:
+                    self._estimate = estimate
+                case Applied() as applied:
+                    self._driver.report(applied)
+                case CycleTiming() as timing:
+                    self._driver.timing(timing)
+                case _:
+                    pass
+        if self._estimate is None:
+            return []
+        plans = [
+            (candidate, candidate.plan(self._driver, self._estimate, t_ns))
+            for candidate in self._order.sample(self._candidates, len(self._candidates))
+        ]
+        plan = self._driver.plan(self._estimate, t_ns=t_ns)
+        if plan.solve.status is not SolveStatus.NOT_RUN:
+            if self._begun:  # the first cycle linearises more than once, from a crude guess
+                for candidate, its in plans:
+                    candidate.keep(its, self._exact)
+                self.measured += 1
+                self._progress()
+            self._begun = True
+        gc.collect(1)
+        return [plan]
+
+
+class _Candidate:
+    """A controller whose cycles are measured."""
+
+    def __init__(self, contestant: Contestant, episode: Episode, into: Samples) -> None:
+        self.timer = StageTimer()
+        self.controller = contestant.controller(episode, self.timer)
+        self._witness: _Witness
+        solved_by(self.controller, self._watched)
+        self._into = into
+        self._cycle_us = 0.0
+
+    def _watched(self, solver: Solver) -> Solver:
+        self._witness = _Witness(solver)
+        return self._witness
+
+    def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
+        """One cycle, measured."""
+        controller, timer = self.controller, self.timer
+        controller.remember(driver)
+        started_ns = time.monotonic_ns()
+        timer.start()
+        plan = controller.plan(estimate, t_ns=t_ns)
+        self._cycle_us = (time.monotonic_ns() - started_ns) / 1000
+        return plan
+
+    def keep(self, plan: Plan, exact: _Exact) -> None:
+        """Write down the cycle that ``plan`` made."""
+        into = self._into
+        into.cycle_us.append(self._cycle_us)
+        for stage, sample in into.stage_us.items():
+            sample.append(self.timer.stage_us.get(stage, 0.0))
+        into.iterations.append(plan.solve.iterations)
+        into.status[plan.solve.status] += 1
+        error = np.abs(self._witness.answer.commands[1] - exact.commands(self._witness)[1]).max()
+        into.thrust_error_N.append(float(error) if np.isfinite(error) else np.nan)
+
+
+class _Witness:
+    """A solver that remembers what it was asked last, and what it said."""
+
+    lin: Linearisation
+    reference: Array
+    answer: Answer
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self.shift, self.forget, self.update, self.problem = (
+            solver.shift,
+            solver.forget,
+            solver.update,
+            solver.problem,
+        )
+
+    def build(self, lin: Linearisation, reference: Array) -> None:
+        self.lin, self.reference = lin, reference
+        self._solver.build(lin, reference)
+
+    def solve(self) -> Answer:
+        self.answer = self._solver.solve()
+        return self.answer
+
+
+class _Exact:
+    """The commands at the knots that solve a problem to a tolerance far below every candidate's."""
+
+    def __init__(self, episode: Episode) -> None:
+        config = episode.config
+        self._form = SparseForm(config.stages, limits_of(episode), config.weights)
+        self._along: tuple[bytes, bytes, bytes] | None = None
+        self._commands: Array = np.empty(0)
+
+    def commands(self, asked: _Witness) -> Array:
+        """(N+1, 2) of what was asked; of the problem that was asked last at no further cost."""
+        lin = asked.lin
+        along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.reference).tobytes())
+        if along != self._along:
+            self._along = along
+            self._commands = self._solved(lin, asked.reference)
+        return self._commands
+
+    def _solved(self, lin: Linearisation, reference: Array) -> Array:
+        qp = self._form.build(lin, reference)
+        equal = qp.l == qp.u
+        A = csc_matrix(qp.A)
+        solver = piqp.SparseSolver()
+        solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = EXACT
+        solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.0
+        solver.setup(csc_matrix(qp.P), qp.q, A[equal], qp.l[equal], A[~equal], qp.l[~equal], qp.u[~equal])
+        solver.solve()
+        return self._form.commands(lin, np.array(solver.result.x))
