@@ -36,6 +36,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     bound_rms_m: float
     ratio: float
     ratio_at_bound: tuple[float, float]  # where 95 % of such checks lie of a filter that is at its bound
+    true_error_m: float  # mean over time and runs: the vehicle from the line, by the full loop
     velocity_error_rms_mps: float  # at t = 0
     velocity_said_rms_mps: float  # by the filter
     velocity_bound_rms_mps: float
@@ -114,6 +115,7 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
         bound_rms_m=bound_rms,
         ratio=_rms(drift**2) / bound_rms,
         ratio_at_bound=(float(np.sqrt(low / drift.size)), float(np.sqrt(high / drift.size))),
+        true_error_m=float(np.mean([record.true_error_m for record in records])),
         velocity_error_rms_mps=_rms(velocity**2),
         velocity_said_rms_mps=_rms([record.velocity_said_m2ps2 for record in records]),
         velocity_bound_rms_mps=_rms([record.bound_velocity_m2ps2 for record in records]),
@@ -162,6 +164,7 @@ def table(of: Result) -> str:
         f"seeds {of.first_seed} to {of.first_seed + of.runs - 1}, {of.wall_s:.0f} s",
         f"drift     {of.drift_rms_m:.3f} m an axis, bound {of.bound_rms_m:.3f} m, ratio {of.ratio:.2f} "
         f"(at the bound: {low:.2f} to {high:.2f})",
+        f"vehicle   {of.true_error_m:.3f} m from the line, mean over time and runs",
         f"velocity  {1e3 * of.velocity_error_rms_mps:.2f} mm/s at submergence, the filter says "
         f"{1e3 * of.velocity_said_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
         f"drift = {of.slope_s:.0f} s x velocity error, R2 {of.r2:.2f}",

@@ -63,6 +63,7 @@ class Record(NamedTuple):
     velocity_said_m2ps2: Array  # (2,) variance that the filter says
     bound_drift_m2: Array  # (2,) variance
     bound_velocity_m2ps2: Array  # (2,) variance at t = 0
+    true_error_m: float  # mean distance of the vehicle from the line through where it was at t = 0
     drawn: dict[str, tuple[float, int]]  # how large the true biases are of themselves
     nees: dict[str, Squares]
     nis: dict[str, Squares]
@@ -157,6 +158,7 @@ class Probe:
             velocity_said_m2ps2=self._velocity_said,
             bound_drift_m2=np.diagonal(limit.drift[1])[:2].copy(),
             bound_velocity_m2ps2=np.diagonal(limit.covariance[0])[3:5].copy(),
+            true_error_m=self._true_error(),
             drawn=self._drawn,
             nees={name: _squares(rows) for name, rows in self._nees.items()},
             nis={name: _squares(rows) for name, rows in self._nis.items()},
@@ -164,6 +166,10 @@ class Probe:
             asymmetry=self._asymmetry,
             missed=self._missed,
         )
+
+    def _true_error(self) -> float:
+        track = np.array([truth.position_m[:2] for truth in self._track if truth.t_ns >= 0])
+        return float(np.hypot(*(track - track[0]).T).mean())
 
     def _see(self, ping: AdcpPing) -> None:
         """Cells of the water around the beams that came back."""

@@ -38,6 +38,7 @@ def record(drift: tuple[float, float], velocity: tuple[float, float]) -> Record:
         velocity_said_m2ps2=np.array([4e-6, 4e-6]),
         bound_drift_m2=np.array([0.36, 0.64]),
         bound_velocity_m2ps2=np.array([1e-6, 1e-6]),
+        true_error_m=abs(drift[0]),
         drawn={"gyro_bias": (6.0, 3)},
         nees={"position": squares([0, 1], [3.0, 3.0], [3, 3]), "cells": squares([1], [10.0], [10])},
         nis={"gnss": squares([0], [4.0], [4])},
@@ -56,6 +57,7 @@ def test_drift_is_held_against_the_bound_and_against_the_velocity_error() -> Non
     assert result.drift_rms_m == pytest.approx(math.sqrt((1.0 + 0.36 + 0.64 + 0.04) / 4))
     assert result.bound_rms_m == pytest.approx(math.sqrt(0.5))
     assert result.ratio == pytest.approx(math.sqrt(0.51 / 0.5))
+    assert result.true_error_m == pytest.approx(0.9)
     assert result.slope_s == pytest.approx(200.0)
     assert result.r2 == pytest.approx(1 - 0.04 / 2.04)
     assert result.velocity_error_rms_mps == pytest.approx(math.sqrt(50e-6 / 4))
