@@ -54,7 +54,8 @@ def situation(duration_s: float, speed: float = 10.0) -> Situation:
 
 def children_of(parent: int) -> dict[int, str]:
     """Pid and command line of every living child; Python's own helper of multiprocessing, which other tests leave to a
-    worker for as long as it lives, is none of the launcher's."""
+    worker for as long as it lives, is none of the launcher's.
+    """
     children = {}
     for entry in Path("/proc").iterdir():
         try:

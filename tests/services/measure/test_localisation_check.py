@@ -124,6 +124,11 @@ def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scena
     assert 0.8 < pings.square.sum() / pings.dof.sum() < 1.2  # one outlier of 25 deviations left in would be 600
 
 
+def test_the_vehicle_s_distance_from_the_line_is_that_of_a_run_s_summary(scenario: str) -> None:
+    job = Job(scenario, ("sensors=paper", "run.seed=2"))
+    assert descend(job).true_error_m == pytest.approx(locked.run(job.situation()).true_error_m.mean, rel=0.05)
+
+
 def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario: str) -> None:
     """The compass's bias by its mean error, a profiler's by its own; seen cells by the filter's own account of them."""
     situation = Job(scenario, ("sensors=realistic", "run.seed=5")).situation()
