@@ -1,4 +1,4 @@
-"""Measure: ``profile``; ``localisation-check`` has a file of its own."""
+"""Measure: ``profile``; ``localisation-check`` and ``qp`` have files of their own."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import typer
 
 from services.cli.localisation_check import localisation_check
 from services.cli.options import Force, Json
+from services.cli.qp import qp
 
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(profile)
     app.command(rich_help_panel=panel)(localisation_check)
+    app.add_typer(qp, name="qp", rich_help_panel=panel)
 
 
 def profile(

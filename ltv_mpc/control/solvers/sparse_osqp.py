@@ -29,7 +29,7 @@ from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.condensed import not_finite
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH, Places, SparseForm, fill, map_of
-from ltv_mpc.control.solvers.osqp_raw import PLAIN, Workspace, workspace
+from ltv_mpc.control.solvers.osqp_raw import PLAIN, Settings, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
@@ -145,8 +145,7 @@ class SparseOsqp:
             return
         if self._workspace is None:
             at = self._room
-            of = self.form.assembled(at.As, at.q, at.ls, at.us)
-            settings = {**PLAIN, "alpha": 1.0, "eps_abs": self._tolerance, "check_termination": CHECK, "max_iter": TURN}
+            of, settings = self.scaled()
             self._workspace = workspace(of.P, of.q, of.A, of.l, of.u, settings)
             self._workspace.warm_start(at.x, at.ys)
         else:
@@ -197,6 +196,12 @@ class SparseOsqp:
         """As in ``Solver``: without the scales of its rows."""
         at = self._room
         return self.form.assembled(at.A.copy(), at.q.copy(), at.l.copy(), at.u.copy())
+
+    def scaled(self) -> tuple[QP, Settings]:
+        """The problem that was built last as OSQP gets it, its rows scaled, and OSQP's settings for it."""
+        at = self._room
+        settings = {**PLAIN, "alpha": 1.0, "eps_abs": self._tolerance, "check_termination": CHECK, "max_iter": TURN}
+        return self.form.assembled(at.As, at.q, at.ls, at.us), settings
 
     def point(self) -> tuple[Array, Array]:
         """Primal (n,) and dual (m,) of ``problem`` where the last solve ended."""

@@ -1,0 +1,58 @@
+"""The exported C code is compiled with the system's compiler and gives the same thrust."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.cli.app import run
+
+needs_compiler = pytest.mark.skipif(
+    shutil.which("gcc") is None or shutil.which("make") is None, reason="no gcc and make on this machine"
+)
+
+
+@needs_compiler
+@pytest.mark.parametrize("horizon_s", [1.5, 5.0])
+def test_the_compiled_code_gives_the_controller_s_thrust(
+    horizon_s: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    settings, folder = tmp_path / "controller.toml", tmp_path / "c"
+    settings.write_text(f"horizon_s = {horizon_s}\nmax_iterations = 4000\ntolerance = 1e-6\n")
+    assert run(["qp", "export-c", str(folder), "--settings", str(settings), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["stages"] == round(horizon_s / 0.3)
+    subprocess.run(["make", "-C", str(folder)], check=True, capture_output=True, timeout=120)
+    answer = subprocess.run([str(folder / "emosqp")], check=True, capture_output=True, text=True, timeout=20)
+    status, _, *thrust = answer.stdout.split()
+    assert status == "1"  # OSQP_SOLVED
+    np.testing.assert_allclose([float(x) for x in thrust], said["thrust_N"], atol=0.1)
+    assert np.abs(said["thrust_N"]).max() > 1.0
+    layout = dict(re.findall(r"#define (\w+) (\S+)", (folder / "mpc_layout.h").read_text()))
+    assert (int(layout["MPC_VARIABLES"]), int(layout["MPC_ROWS"])) == (said["variables"], said["rows"])
+
+
+def test_a_folder_that_is_not_empty_is_left_alone_without_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.c").write_text("int x;")
+    assert run(["qp", "export-c", str(tmp_path)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine.c"]
+    assert run(["qp", "export-c", str(tmp_path), "--force"]) == 0
+    assert (tmp_path / "mine.c").read_text() == "int x;"
+    assert (tmp_path / "mpc_workspace.c").exists()
+
+
+def test_another_solver_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = tmp_path / "controller.toml"
+    settings.write_text('solver = "daqp"\nformulation = "condensed"\n')
+    assert run(["qp", "export-c", str(tmp_path / "c"), "--settings", str(settings)]) == 2
+    assert "must be osqp on the sparse form" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()
