@@ -1,7 +1,7 @@
 """The controller's QP as C code that OSQP generates: no allocation, no library, for a processor without Python.
 
-The folder holds OSQP's sources and a workspace with one cycle's problem in it: a vehicle at rest, a metre off its
-point. The pattern is that of every cycle, so a program of one's own puts its numbers in with osqp_update_data_mat and
+The folder holds OSQP's sources and a workspace with one cycle's problem in it, of a vehicle somewhat off its
+plan. The pattern is that of every cycle, so a program of one's own puts its numbers in with osqp_update_data_mat and
 osqp_update_data_vec; which number is where is in mpc_layout.h. The sample, emosqp.c, solves the problem and prints the
 first free thrusts.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import osqp
 from scipy.sparse import csc_matrix, triu
 
@@ -88,7 +89,11 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Arra
     if not isinstance(solver, SparseOsqp):
         problem = "must be osqp on the sparse form: the code is OSQP's"
         raise ConfigError("controller settings", "solver", problem, value=f"{config.solver}, {config.formulation}")
-    controller.plan(Estimate.at_rest(north_m=1.0))
+    controller.plan(Estimate.at_rest(north_m=0.1))
+    # A cycle later, not where that plan led: the solution is not where it was linearised.
+    controller.plan(
+        msgspec.structs.replace(Estimate.at_rest(north_m=0.05, east_m=0.02, heading_rad=0.1), t_ns=STAGE_NS)
+    )
     return solver, controller._lin.U[1]
 
 
