@@ -21,9 +21,6 @@ from ltv_mpc.vehicle.flow import STATES, advance_stage
 CARRIED, AHEAD, ASTERN = range(3)
 """Where the trajectory linearised along comes from: the previous plan, or a law that steers either way."""
 
-NEAR_M = 0.02
-"""A previous plan that stays this close on average is kept without looking for a better one."""
-
 STEPS = (1.0, 0.5, 0.25, 0.1)
 """Parts of the QP's step that are tried in turn until the cost along the exact flow does not rise."""
 
@@ -73,7 +70,7 @@ def begin(numbers: Array, start: Array, ref: Array, old: Array, stages: float, f
     Returns where it comes from.
     """
     c, lin = constants(numbers), views(flat, ref.shape[0])
-    X, U, N = lin.X, lin.U, ref.shape[0]
+    X, U = lin.X, lin.U
     X[0], U[0] = start[:STATES], start[STATES:]
     kind, least = AHEAD, np.inf
     if not np.isnan(stages):
@@ -81,14 +78,12 @@ def begin(numbers: Array, start: Array, ref: Array, old: Array, stages: float, f
         bring_in(U, c.objective.low, c.objective.high, c.objective.change)
         roll(X, U, lin.C, c)
         kind, least = CARRIED, cost(X, U, lin.C, ref, c.objective)
-    near = NEAR_M * NEAR_M * (N * c.objective.position + c.objective.terminal_position)
-    if not least <= near:
-        for astern in (False, True):
-            steered_X, steered_U = steer(X[0], U[0], lin.C, ref, astern, c)
-            other = cost(steered_X, steered_U, lin.C, ref, c.objective)
-            if other < least or np.isinf(least):
-                X[:], U[:] = steered_X, steered_U
-                kind, least = ASTERN if astern else AHEAD, other
+    for astern in (False, True):
+        steered_X, steered_U = steer(X[0], U[0], lin.C, ref, astern, c)
+        other = cost(steered_X, steered_U, lin.C, ref, c.objective)
+        if other < least or np.isinf(least):
+            X[:], U[:] = steered_X, steered_U
+            kind, least = ASTERN if astern else AHEAD, other
     linearise_along(lin, c.stage_s, c.p)
     return kind
 

@@ -96,7 +96,7 @@ def test_looking_ahead_at_the_current_is_worth_metres(profile):
             off.append(distance(estimate))
         return float(np.mean(off[30:]))
 
-    assert mean_error(preview=True) < 0.65 * mean_error(preview=False)
+    assert mean_error(preview=True) < 0.6 * mean_error(preview=False)
 
 
 def test_dead_time_is_compensated(closed_loop):
