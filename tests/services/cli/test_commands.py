@@ -24,7 +24,7 @@ from services.recording.reader import Recording
 from services.run.folder import RunFolder
 
 COMMANDS = (
-    *("sim", "controller", "localise", "topics", "profile", "localisation-check"),
+    *("sim", "controller", "localise", "topics", "profile", "localisation-check", "qp"),
     *("router", "plant", "sensors", "estimator", "recorder"),
 )
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
