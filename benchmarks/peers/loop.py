@@ -8,8 +8,9 @@ import numpy as np
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.node import Cycle, Inbox, Stopwatch, no_stopwatch
-from ltv_mpc.signals import Applied, CycleTiming, Estimate, Pair, Plan, PlanOrigin, Signal, SolveStatus
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.node import Stopwatch, no_stopwatch
+from ltv_mpc.signals import Applied, Estimate, Pair, Plan, PlanOrigin, Signal, SolveStatus
 from services.measure.profile_measuring import Contestant, limits_of, solved_by
 from services.measure.profile_problems import Episode
 
@@ -27,48 +28,38 @@ class Entry:
         return controller
 
 
-class Loop:
+class Loop(ControllerNode):
     """A node that controls, and notes how far off the line the vehicle is and what its lateral thrusters deliver."""
 
-    name = "controller"
-    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
-    writes: tuple[type[Signal], ...] = (Plan,)
-
     def __init__(self, contestant: Contestant, episode: Episode) -> None:
-        self.schedule = Cycle(episode.config.period_ns)
+        super().__init__(episode.vehicle, episode.reference, episode.config)
+        self.controller = contestant.controller(episode, no_stopwatch)
         self.off_m: list[float] = []
         self.thrust_N: list[float] = []
         self.cycles = 0
         self.unsolved = 0
-        self._controller = contestant.controller(episode, no_stopwatch)
-        self._estimate: Estimate | None = None
         self._target: Pair | None = None
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
-        """One cycle."""
-        for arrival in inbox:
-            match arrival.signal:
-                case Estimate() as estimate:
-                    self._estimate = estimate
-                    if self._target is not None:
-                        north, east = self._target
-                        self.off_m.append(float(np.hypot(estimate.north_m - north, estimate.east_m - east)))
-                case Applied() as applied:
-                    self._controller.report(applied)
-                    if self._target is not None:
-                        self.thrust_N.append(float(np.mean(np.abs(applied.thrust_N[:2]))))
-                case CycleTiming() as timing:
-                    self._controller.timing(timing)
-                case _:
-                    pass
-        if self._estimate is None:
-            return []
-        plan = self._controller.plan(self._estimate, t_ns=t_ns)
+    def hear(self, signal: Signal) -> None:
+        """One message, and what it says of the loop once there is a plan."""
+        super().hear(signal)
+        match signal:
+            case Estimate() if self._target is not None:
+                north, east = self._target
+                self.off_m.append(float(np.hypot(signal.north_m - north, signal.east_m - east)))
+            case Applied() if self._target is not None:
+                self.thrust_N.append(float(np.mean(np.abs(signal.thrust_N[:2]))))
+            case _:
+                pass
+
+    def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
+        """One plan."""
+        plan = super().cycle(estimate, t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             self._target = plan.reference_m
             self.cycles += 1
             self.unsolved += plan.origin is not PlanOrigin.SOLVED
-        return [plan]
+        return plan
 
 
 @dataclass(frozen=True)

@@ -67,11 +67,15 @@ def objective(flat: Array) -> Objective:
 
 
 @kernel
+def coefficients(flat: Array) -> Coefficients:
+    """The inverse of ``np.array(vehicle.coefficients())``."""
+    return Coefficients(
+        flat[0], flat[1], flat[2], flat[3], flat[4], flat[5], flat[6], flat[7], flat[8], flat[9], flat[10], flat[11],
+        flat[12], flat[13], flat[14], flat[15], flat[16], flat[17], flat[18],
+    )  # fmt: skip
+
+
+@kernel
 def constants(flat: Array) -> Constants:
     """The inverse of ``pack``."""
-    v = flat[13:32]
-    p = Coefficients(
-        v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13], v[14], v[15], v[16],
-        v[17], v[18],
-    )  # fmt: skip
-    return Constants(objective(flat), p, flat[32:35], flat[35])
+    return Constants(objective(flat), coefficients(flat[13:32]), flat[32:35], flat[35])

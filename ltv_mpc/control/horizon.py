@@ -117,3 +117,44 @@ def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
     slope[0, 0], slope[0, 1], slope[0, 2] = cos, -sin, -sin * x[2] - cos * x[3]
     slope[1, 0], slope[1, 1], slope[1, 2] = sin, cos, cos * x[2] - sin * x[3]
     return velocity, slope
+
+
+@kernel
+def times(A: Array, k: int, x: Array, out: Array) -> None:
+    """out = A_k x: A (N, 8, 8), x and out (8,)."""
+    x2, x3, x4, x5, x6, x7 = x[2], x[3], x[4], x[5], x[6], x[7]
+    for i in range(6):
+        out[i] = (
+            (A[k, i, 2] * x2 + A[k, i, 3] * x3)
+            + (A[k, i, 4] * x4 + A[k, i, 5] * x5)
+            + (A[k, i, 6] * x6 + A[k, i, 7] * x7)
+        )
+    out[0] += x[0]
+    out[1] += x[1]
+    out[6] = A[k, 6, 6] * x6
+    out[7] = A[k, 7, 7] * x7
+
+
+@kernel
+def transposed_times(A: Array, k: int, x: Array, out: Array) -> None:
+    """out = A_k' x: A (N, 8, 8), x and out (8,)."""
+    x0, x1, x2, x3, x4, x5 = x[0], x[1], x[2], x[3], x[4], x[5]
+    out[0], out[1] = x0, x1
+    for j in range(2, 8):
+        out[j] = (
+            (A[k, 0, j] * x0 + A[k, 1, j] * x1)
+            + (A[k, 2, j] * x2 + A[k, 3, j] * x3)
+            + (A[k, 4, j] * x4 + A[k, 5, j] * x5)
+        )
+    out[6] += A[k, 6, 6] * x[6]
+    out[7] += A[k, 7, 7] * x[7]
+
+
+def not_finite(lin: Linearisation, reference: Array) -> str:
+    """In words: which of the inputs is not finite, and from which knot or stage on."""
+    names = (*Linearisation._fields[:-1], "reference")
+    for name, values in zip(names, (*lin[:-1], reference), strict=True):
+        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        if not finite.all():
+            return f"{name} is not finite from {int(np.argmin(finite))} on"
+    return "the QP's numbers are not finite"

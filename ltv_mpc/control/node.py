@@ -26,21 +26,27 @@ class ControllerNode:
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
         self.schedule = Cycle(config.period_ns)
-        self._controller = Controller(vehicle, reference, config, stopwatch=stopwatch)
+        self.controller = Controller(vehicle, reference, config, stopwatch=stopwatch)
         self._estimate: Estimate | None = None
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
         """One cycle at ``t_ns``; silent until the first estimate."""
         for arrival in inbox:
-            match arrival.signal:
-                case Estimate() as estimate if self._estimate is None or estimate.t_ns > self._estimate.t_ns:
-                    self._estimate = estimate
-                case Applied() as applied:
-                    self._controller.report(applied)
-                case CycleTiming() as timing:
-                    self._controller.timing(timing)
-                case _:
-                    pass
-        if self._estimate is None:
-            return []
-        return [self._controller.plan(self._estimate, t_ns=t_ns)]
+            self.hear(arrival.signal)
+        return [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
+
+    def hear(self, signal: Signal) -> None:
+        """One message."""
+        match signal:
+            case Estimate() as estimate if self._estimate is None or estimate.t_ns > self._estimate.t_ns:
+                self._estimate = estimate
+            case Applied() as applied:
+                self.controller.report(applied)
+            case CycleTiming() as timing:
+                self.controller.timing(timing)
+            case _:
+                pass
+
+    def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
+        """What a cycle does with the newest estimate."""
+        return self.controller.plan(estimate, t_ns=t_ns)

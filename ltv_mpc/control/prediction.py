@@ -15,8 +15,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.commands import SentCommands, command_at
-from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.constants import constants, pack
+from ltv_mpc.control.constants import coefficients
 from ltv_mpc.control.horizon import views
 from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Times
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
@@ -71,7 +70,7 @@ class Prediction:
     """Rolls estimates forward through the commands sent."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self._numbers = pack(vehicle, Weights(), STAGE_NS * 1e-9)
+        self._vehicle = np.array(vehicle.coefficients())
         self._reports: deque[tuple[int, Array]] = deque(maxlen=REPORTS)
         self._nothing = np.zeros(3)
 
@@ -102,7 +101,7 @@ class Prediction:
         )
         profile = profile_of(estimate)
         start = roll_to(
-            self._numbers,
+            self._vehicle,
             flat,
             estimate.t_ns,
             t_ns,
@@ -153,7 +152,7 @@ def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: 
 
 @kernel
 def roll_to(
-    numbers: Array,
+    vehicle: Array,
     estimate: Array,
     since: int,
     until: int,
@@ -167,10 +166,11 @@ def roll_to(
 ) -> Array:
     """State X (8,), commands of port and starboard, then vertical command, depth, sinking speed, vertical thrust (14,).
 
-    ``estimate`` (8,): north, east, heading, yaw rate, velocity north and east over ground, depth (NaN: none), sinking
-    speed, valid at ``since``; commands by t (M,), thrust (M, 3); ``report`` (3,) what was delivered at ``report_ns``.
+    ``vehicle`` (19,) its coefficients; ``estimate`` (8,): north, east, heading, yaw rate, velocity north and east over
+    ground, depth (NaN: none), sinking speed, valid at ``since``; commands by t (M,), thrust (M, 3); ``report`` (3,)
+    what was delivered at ``report_ns``.
     """
-    p = constants(numbers).p
+    p = coefficients(vehicle)
     lags = (p.lag_port, p.lag_starboard, p.lag_vertical)
     out = np.empty(14)
     if report_ns == NEVER:

@@ -23,11 +23,12 @@ from scipy.sparse import csc_matrix
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
-from ltv_mpc.node import Cycle, Inbox, Stopwatch, no_stopwatch
-from ltv_mpc.signals import Applied, Array, CycleTiming, Estimate, Plan, Signal, SolveStatus
+from ltv_mpc.node import Stopwatch, no_stopwatch
+from ltv_mpc.signals import Array, Estimate, Plan, SolveStatus
 from services.measure.profile_problems import Episode, seconds
 from services.process.stopwatch import StageTimer
 
@@ -126,45 +127,28 @@ def _collections_held_back() -> Iterator[None]:
         gc.unfreeze()
 
 
-class _Bench:
+class _Bench(ControllerNode):
     """Stands in the controller's place: the driver's plans go out, the candidates' are measured."""
-
-    name = "controller"
-    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
-    writes: tuple[type[Signal], ...] = (Plan,)
 
     def __init__(
         self, episode: Episode, candidates: Sequence[_Candidate], order: random.Random, progress: Callable[[], None]
     ) -> None:
-        self.schedule = Cycle(episode.config.period_ns)
+        super().__init__(episode.vehicle, episode.reference, episode.config)
         self.measured = 0
-        self._driver = Controller(episode.vehicle, episode.reference, episode.config)
         self._candidates = candidates
         self._exact = _Exact(episode)
         self._order = order
         self._progress = progress
-        self._estimate: Estimate | None = None
         self._begun = False
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
         """One cycle of everybody."""
-        for arrival in inbox:
-            match arrival.signal:
-                case Estimate() as estimate if self._estimate is None or estimate.t_ns > self._estimate.t_ns:
-                    self._estimate = estimate
-                case Applied() as applied:
-                    self._driver.report(applied)
-                case CycleTiming() as timing:
-                    self._driver.timing(timing)
-                case _:
-                    pass
-        if self._estimate is None:
-            return []
+        driver = self.controller
         plans = [
-            (candidate, candidate.plan(self._driver, self._estimate, t_ns))
+            (candidate, candidate.plan(driver, estimate, t_ns))
             for candidate in self._order.sample(self._candidates, len(self._candidates))
         ]
-        plan = self._driver.plan(self._estimate, t_ns=t_ns)
+        plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
             if self._begun:  # the first cycle linearises more than once, from a crude guess
                 for candidate, its in plans:
@@ -173,7 +157,7 @@ class _Bench:
                 self._progress()
             self._begun = True
         gc.collect(1)
-        return [plan]
+        return plan
 
 
 class _Candidate:

@@ -26,8 +26,9 @@ from scipy.sparse import csc_array, eye_array, vstack
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon import Linearisation, velocity_over_ground
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.constants import Objective, objective, pack_objective
+from ltv_mpc.control.horizon import Linearisation, times, transposed_times, velocity_over_ground
+from ltv_mpc.control.limits import ThrustLimits, bounds
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -45,8 +46,8 @@ class CondensedForm:
         self.f = np.zeros(n)
         self.lower = np.zeros(2 * n - 2)
         self.upper = np.zeros(2 * n - 2)
-        self._box = np.array([limits.low, limits.high, limits.change, limits.scale])
-        self._weights = cost_weights(weights)
+        self._numbers = pack_objective(limits, weights)
+        self._scale = limits.scale
         self._S = np.zeros((2, STATES, n))
 
     def build(self, lin: Linearisation, reference: Array) -> bool:
@@ -54,11 +55,11 @@ class CondensedForm:
 
         ``reference`` is (N, 2): north and east (m) wanted at the knots 1 .. N.
         """
-        return _build(*lin[:-1], reference, self._weights, self._box, self._S, self.H, self.f, self.lower, self.upper)
+        return _build(*lin[:-1], reference, self._numbers, self._S, self.H, self.f, self.lower, self.upper)
 
     def commands(self, lin: Linearisation, z: Array) -> tuple[Array, bool]:
         """Commands (N+1, 2) at the knots of a solution z (2N,), and whether they are finite."""
-        return commands(lin.U, z, self._box[3])
+        return commands(lin.U, z, self._scale)
 
     def problem(self) -> QP:
         """The QP last built: rows of z first, then the slew rows."""
@@ -72,29 +73,6 @@ def _slew_rows(stages: int) -> Array:
     return np.eye(n - 2, n, 2) - np.eye(n - 2, n)
 
 
-def cost_weights(weights: Weights) -> Array:
-    """w, w_N, m, r, s of sparse.py, (5,)."""
-    return np.array(
-        [
-            weights.position_per_m2,
-            weights.terminal_position_per_m2,
-            weights.terminal_velocity_s2_per_m2,
-            weights.thrust,
-            weights.thrust_change,
-        ]
-    )
-
-
-def not_finite(lin: Linearisation, reference: Array) -> str:
-    """In words: which of the inputs is not finite, and from which knot or stage on."""
-    names = (*Linearisation._fields[:-1], "reference")
-    for name, values in zip(names, (*lin[:-1], reference), strict=True):
-        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
-        if not finite.all():
-            return f"{name} is not finite from {int(np.argmin(finite))} on"
-    return "the QP's numbers are not finite"
-
-
 @kernel
 def _build(
     X: Array,
@@ -105,8 +83,7 @@ def _build(
     B0: Array,
     B1: Array,
     reference: Array,
-    weights: Array,
-    box: Array,
+    numbers: Array,
     S: Array,
     H: Array,
     f: Array,
@@ -114,9 +91,10 @@ def _build(
     upper: Array,
 ) -> bool:
     """H (2N, 2N), f (2N,) and the bounds (4N-2,) in place; S (2, 8, 2N) is scratch."""
-    slope = gradient(X, U, C, Phi, A, B0, B1, reference, weights, box[3], f)
-    _hessian(A, B0, B1, slope, weights, box[3], S, H)
-    bounds(U, box, lower, upper)
+    o = objective(numbers)
+    slope = gradient(X, U, C, Phi, A, B0, B1, reference, o, f)
+    _hessian(A, B0, B1, slope, o, S, H)
+    thrust_bounds(U, o, lower, upper)
     # A NaN or an infinity anywhere shows in a sum of all.
     total = f.sum() + lower.sum() + upper.sum()
     for i in range(H.shape[0]):
@@ -138,57 +116,23 @@ def commands(U: Array, z: Array, scale: Array) -> tuple[Array, bool]:
 
 
 @kernel
-def bounds(U: Array, box: Array, lower: Array, upper: Array) -> None:
-    """Bounds of z and of the slew rows, in place: ``box`` holds low, high, change, scale (4, 2) of limits.py."""
+def thrust_bounds(U: Array, o: Objective, lower: Array, upper: Array) -> None:
+    """Bounds of z and of the slew rows, in place."""
     N = U.shape[0] - 1
-    low, high, change, scale = box[0], box[1], box[2], box[3]
     for k in range(1, N + 1):
         for i in range(2):
-            # As in ThrustLimits.box: a start outside the box is brought in at the slew limit.
             here = 2 * k - 2 + i
-            least = min(low[i], U[0, i] + k * change[i])
-            most = max(high[i], U[0, i] - k * change[i])
+            least, most = bounds(U[0, i], k, o.low[i], o.high[i], o.change[i])
             if k == 1:
-                least = max(least, U[0, i] - change[i])
-                most = min(most, U[0, i] + change[i])
+                least = max(least, U[0, i] - o.change[i])
+                most = min(most, U[0, i] + o.change[i])
             else:
                 step = U[k, i] - U[k - 1, i]
                 slew = 2 * N + here - 2
-                lower[slew] = (-change[i] - step) / scale[i]
-                upper[slew] = (change[i] - step) / scale[i]
-            lower[here] = (least - U[k, i]) / scale[i]
-            upper[here] = (most - U[k, i]) / scale[i]
-
-
-@kernel
-def times(A: Array, k: int, x: Array, out: Array) -> None:
-    """out = A_k x: A (N, 8, 8), x and out (8,)."""
-    x2, x3, x4, x5, x6, x7 = x[2], x[3], x[4], x[5], x[6], x[7]
-    for i in range(6):
-        out[i] = (
-            (A[k, i, 2] * x2 + A[k, i, 3] * x3)
-            + (A[k, i, 4] * x4 + A[k, i, 5] * x5)
-            + (A[k, i, 6] * x6 + A[k, i, 7] * x7)
-        )
-    out[0] += x[0]
-    out[1] += x[1]
-    out[6] = A[k, 6, 6] * x6
-    out[7] = A[k, 7, 7] * x7
-
-
-@kernel
-def transposed_times(A: Array, k: int, x: Array, out: Array) -> None:
-    """out = A_k' x: A (N, 8, 8), x and out (8,)."""
-    x0, x1, x2, x3, x4, x5 = x[0], x[1], x[2], x[3], x[4], x[5]
-    out[0], out[1] = x0, x1
-    for j in range(2, 8):
-        out[j] = (
-            (A[k, 0, j] * x0 + A[k, 1, j] * x1)
-            + (A[k, 2, j] * x2 + A[k, 3, j] * x3)
-            + (A[k, 4, j] * x4 + A[k, 5, j] * x5)
-        )
-    out[6] += A[k, 6, 6] * x[6]
-    out[7] += A[k, 7, 7] * x[7]
+                lower[slew] = (-o.change[i] - step) / o.scale[i]
+                upper[slew] = (o.change[i] - step) / o.scale[i]
+            lower[here] = (least - U[k, i]) / o.scale[i]
+            upper[here] = (most - U[k, i]) / o.scale[i]
 
 
 @kernel
@@ -201,8 +145,7 @@ def gradient(
     B0: Array,
     B1: Array,
     reference: Array,
-    weights: Array,
-    scale: Array,
+    o: Objective,
     f: Array,
 ) -> Array:
     """f (2N,) in place; the slope V (2, 3) of the velocity over ground at the end."""
@@ -215,14 +158,14 @@ def gradient(
         for i in range(STATES):
             x[i] = y[i] + Phi[k, i] - X[k + 1, i]
         for i in range(2):
-            mu[k + 1, i] = weights[0] * (X[k + 1, i] + x[i] - reference[k, i])
+            mu[k + 1, i] = o.position * (X[k + 1, i] + x[i] - reference[k, i])
     velocity, slope = velocity_over_ground(X[N], C[N])
     for i in range(2):
-        mu[N, i] += weights[1] * (X[N, i] + x[i] - reference[N - 1, i])
+        mu[N, i] += o.terminal_position * (X[N, i] + x[i] - reference[N - 1, i])
         end = velocity[i] + slope[i, 0] * x[2] + slope[i, 1] * x[3] + slope[i, 2] * x[4]
         for j in range(3):
-            mu[N, 2 + j] += weights[2] * slope[i, j] * end
-    r, s = weights[3], weights[4]
+            mu[N, 2 + j] += o.terminal_velocity * slope[i, j] * end
+    r, s = o.thrust, o.thrust_change
     for k in range(N, 0, -1):
         if k < N:
             transposed_times(A, k, mu[k + 1], y)
@@ -237,7 +180,7 @@ def gradient(
                 for i in range(STATES):
                     total += B0[k, i, j] * mu[k + 1, i]
                 slewed -= U[k + 1, j] - U[k, j]
-            f[2 * k - 2 + j] = total * scale[j] + (r * U[k, j] + s * slewed) / scale[j]
+            f[2 * k - 2 + j] = total * o.scale[j] + (r * U[k, j] + s * slewed) / o.scale[j]
     return slope
 
 
@@ -275,7 +218,7 @@ def _back(A: Array, W: Array, WA: Array) -> None:
 
 
 @kernel
-def _hessian(A: Array, B0: Array, B1: Array, slope: Array, weights: Array, scale: Array, S: Array, H: Array) -> None:
+def _hessian(A: Array, B0: Array, B1: Array, slope: Array, o: Objective, S: Array, H: Array) -> None:
     """H (2N, 2N) in place; ``slope`` (2, 3) is V; S (2, 8, 2N) is scratch."""
     N = A.shape[0]
     G = np.empty((N + 1, STATES, 2))
@@ -297,8 +240,8 @@ def _hessian(A: Array, B0: Array, B1: Array, slope: Array, weights: Array, scale
                 for i in range(3):
                     for m in range(3):
                         both = slope[0, i] * slope[0, m] + slope[1, i] * slope[1, m]
-                        g[2 + i] += weights[2] * both * B[2 + m, j]
-            weight = weights[0] + (weights[1] if k == N else 0.0)
+                        g[2 + i] += o.terminal_velocity * both * B[2 + m, j]
+            weight = o.position + (o.terminal_position if k == N else 0.0)
             for i in range(2):
                 # B1_i' Q B1_j + D_i' W D_j,  with D_i = A B1_i + B0_i
                 total = weight * (B[0, i] * B[0, j] + B[1, i] * B[1, j])
@@ -307,7 +250,7 @@ def _hessian(A: Array, B0: Array, B1: Array, slope: Array, weights: Array, scale
                 if k < N:
                     for m in range(STATES):
                         total += B0[k, m, i] * WD[m]
-                H[2 * k - 2 + i, 2 * k - 2 + j] = total * scale[i] * scale[j]
+                H[2 * k - 2 + i, 2 * k - 2 + j] = total * o.scale[i] * o.scale[j]
             for i in range(STATES):
                 G[k, i, j] = g[i]
             G[k, 0, j] += weight * B[0, j]
@@ -315,12 +258,12 @@ def _hessian(A: Array, B0: Array, B1: Array, slope: Array, weights: Array, scale
         if k < N:
             _back(A[k], W, WA)
         else:
-            W[0, 0] = W[1, 1] = weights[1]
+            W[0, 0] = W[1, 1] = o.terminal_position
             for i in range(3):
                 for j in range(3):
-                    W[2 + i, 2 + j] = weights[2] * (slope[0, i] * slope[0, j] + slope[1, i] * slope[1, j])
-        W[0, 0] += weights[0]
-        W[1, 1] += weights[0]
+                    W[2 + i, 2 + j] = o.terminal_velocity * (slope[0, i] * slope[0, j] + slope[1, i] * slope[1, j])
+        W[0, 0] += o.position
+        W[1, 1] += o.position
 
     # Forwards: the sensitivities, and from them the rest of H
     for k in range(1, N + 1):
@@ -330,16 +273,16 @@ def _hessian(A: Array, B0: Array, B1: Array, slope: Array, weights: Array, scale
             _forward(A[k - 1], old, first, new)
             for i in range(STATES):
                 for j in range(2):
-                    new[i, first - 2 + j] += B0[k - 1, i, j] * scale[j]
+                    new[i, first - 2 + j] += B0[k - 1, i, j] * o.scale[j]
             for i in range(2):
-                _row(G[k], i, scale[i], new, first, H[first + i])
+                _row(G[k], i, o.scale[i], new, first, H[first + i])
         for i in range(STATES):
             for j in range(2):
-                new[i, first + j] = B1[k - 1, i, j] * scale[j]
+                new[i, first + j] = B1[k - 1, i, j] * o.scale[j]
     for i in range(2 * N):
         for j in range(i):
             H[j, i] = H[i, j]
-    thrust_terms(weights, H)
+    thrust_terms(o, H)
 
 
 @kernel
@@ -382,10 +325,10 @@ def _row(G: Array, i: int, scale: float, S: Array, columns: int, out: Array) -> 
 
 
 @kernel
-def thrust_terms(weights: Array, H: Array) -> None:
+def thrust_terms(o: Objective, H: Array) -> None:
     """The second derivatives of r |z_k|^2 / 2 + s |z_k - z_(k-1)|^2 / 2 on top of H (2N, 2N)."""
     n = H.shape[0]
-    r, s = weights[3], weights[4]
+    r, s = o.thrust, o.thrust_change
     for i in range(n):
         H[i, i] += r + (2.0 * s if i < n - 2 else s)
         if i < n - 2:

@@ -25,9 +25,10 @@ from scipy.sparse import coo_array, csc_array, diags_array
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
+from ltv_mpc.control.constants import objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
-from ltv_mpc.control.qp.condensed import bounds, commands, cost_weights, gradient, thrust_terms
+from ltv_mpc.control.qp.condensed import commands, gradient, thrust_bounds, thrust_terms
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import STATE_SCALE
 from ltv_mpc.signals import Array
@@ -50,16 +51,15 @@ class PartialForm:
         self.states = STATES * blocks  # unknowns x, and rows of the dynamics
         self.variables = self.states + 2 * N
         self.rows = self.states + 4 * N - 2
-        self._box = np.array([limits.low, limits.high, limits.change, limits.scale])
+        self._numbers = pack_objective(limits, weights)
         self.thrust_scale = limits.scale
         self._scale = np.concatenate([STATE_SCALE, limits.scale])
-        self._weights = cost_weights(weights)
         width = STATES + 2 * (int(np.diff(self.ends).max()) + 1)
         self._cost = np.zeros((blocks, width, width))  # of the knots inside a block, and of its end
         self._end = np.zeros((blocks, STATES, STATES))
         self.motion = np.zeros((blocks, STATES, width))
         self._T = np.zeros((2, STATES, width))
-        self._make_patterns(blocks, weights)
+        self._make_patterns(blocks)
         self.P = np.zeros(self._P.nnz)  # the stored entries of its upper triangle
         self.q = np.zeros(self.variables)
         self._f = self.q[self.states :]
@@ -76,7 +76,7 @@ class PartialForm:
         z = np.where(knots > 0, self.states + 2 * (knots - 1), -1)[:, None] + np.where(knots > 0, [[0], [1]], 0).T
         return np.concatenate([x, z.ravel()])
 
-    def _make_patterns(self, blocks: int, weights: Weights) -> None:
+    def _make_patterns(self, blocks: int) -> None:
         """P's upper triangle and A by columns; an entry's source is its place in the blocks' dense matrices."""
         cost = np.arange(self._cost.size).reshape(self._cost.shape)
         end = self._cost.size + np.arange(self._end.size).reshape(self._end.shape)
@@ -101,14 +101,14 @@ class PartialForm:
                 if columns[j] >= 0
             ]
             in_A += [(own + i, own + i, -1) for i in range(STATES)]
-        self._P, self._P_from, self._P_constant = self._pattern_of_P(in_P, weights)
+        self._P, self._P_from, self._P_constant = self._pattern_of_P(in_P)
         self._A, self.A_from, self.A_row = self._pattern_of_A(in_A)
 
-    def _pattern_of_P(self, entries: list[tuple[int, int, int]], weights: Weights) -> tuple[csc_array, Indices, Array]:
+    def _pattern_of_P(self, entries: list[tuple[int, int, int]]) -> tuple[csc_array, Indices, Array]:
         """Up to two sources an entry (the cost inside a block and at its start), (nnz, 2), and the thrust terms."""
         N, n = self.stages, self.variables
         thrust = np.zeros((2 * N, 2 * N))
-        thrust_terms(cost_weights(weights), thrust)
+        thrust_terms(objective(self._numbers), thrust)
         sources: dict[tuple[int, int], list[int]] = {}
         for i, j, source in entries:
             sources.setdefault((i, j), []).append(source)
@@ -147,8 +147,7 @@ class PartialForm:
         return _build(
             *lin[:-1],
             reference,
-            self._weights,
-            self._box,
+            self._numbers,
             self._scale,
             self.ends,
             self._T,
@@ -202,8 +201,7 @@ def _build(
     B0: Array,
     B1: Array,
     reference: Array,
-    weights: Array,
-    box: Array,
+    numbers: Array,
     scale: Array,
     ends: Indices,
     T: Array,
@@ -218,20 +216,21 @@ def _build(
     upper: Array,
 ) -> bool:
     """The blocks' matrices, P, f (2N,) and the bounds (4N-2,) in place; T (2, 8, width) is scratch."""
-    slope = gradient(X, U, C, Phi, A, B0, B1, reference, weights, box[3], f)
-    bounds(U, box, lower, upper)
+    o = objective(numbers)
+    slope = gradient(X, U, C, Phi, A, B0, B1, reference, o, f)
+    thrust_bounds(U, o, lower, upper)
     last = ends.shape[0] - 2
     total = f.sum() + lower.sum() + upper.sum()
     for b in range(last + 1):
-        _condense_block(A, B0, B1, ends[b], ends[b + 1], weights[0], scale, T, cost[b], motion[b])
+        _condense_block(A, B0, B1, ends[b], ends[b + 1], o.position, scale, T, cost[b], motion[b])
         end[b] = 0.0
         for i in range(2):
-            end[b, i, i] = (weights[0] + (weights[1] if b == last else 0.0)) * scale[i] ** 2
+            end[b, i, i] = (o.position + (o.terminal_position if b == last else 0.0)) * scale[i] ** 2
         total += motion[b].sum() + cost[b].sum()
     for i in range(3):
         for j in range(3):
             both = slope[0, i] * slope[0, j] + slope[1, i] * slope[1, j]
-            end[last, 2 + i, 2 + j] = weights[2] * both * scale[2 + i] * scale[2 + j]
+            end[last, 2 + i, 2 + j] = o.terminal_velocity * both * scale[2 + i] * scale[2 + j]
     _fill_P(cost, end, P_from, P_constant, P)
     return bool(np.isfinite(total))
 

@@ -39,7 +39,7 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
             value=config.solver,
         )
     if formulation != "sparse":
-        there = sorted({f for _, f in NATIVE if (config.solver, f) in NATIVE} | {"sparse"})
+        there = sorted({form for name, form in NATIVE if name == config.solver} | {"sparse"})
         raise ConfigError(
             "controller settings",
             "formulation",

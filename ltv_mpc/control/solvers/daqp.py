@@ -13,9 +13,9 @@ import numpy as np
 from daqp import Model
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.horizon import Linearisation, not_finite
 from ltv_mpc.control.limits import ThrustLimits
-from ltv_mpc.control.qp.condensed import CondensedForm, not_finite
+from ltv_mpc.control.qp.condensed import CondensedForm
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus

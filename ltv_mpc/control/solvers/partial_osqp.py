@@ -16,9 +16,9 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.horizon import Linearisation, not_finite
 from ltv_mpc.control.limits import ThrustLimits
-from ltv_mpc.control.qp.condensed import commands, not_finite
+from ltv_mpc.control.qp.condensed import commands
 from ltv_mpc.control.qp.partial import BLOCK, Indices, PartialForm, fill_A
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Account, Workspace, workspace

@@ -24,9 +24,15 @@ import numpy as np
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.constants import Objective, objective
-from ltv_mpc.control.horizon import Linearisation, velocity_over_ground, views
+from ltv_mpc.control.horizon import (
+    Linearisation,
+    not_finite,
+    times,
+    transposed_times,
+    velocity_over_ground,
+    views,
+)
 from ltv_mpc.control.limits import ThrustLimits
-from ltv_mpc.control.qp.condensed import not_finite
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH, Places, SparseForm, fill, map_of
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Settings, Workspace, workspace
@@ -251,10 +257,9 @@ def first_guess(numbers: Array, flat: Array, q: Array, shift: float, x: Array, y
     # d_(k+1) = A d_k + Phi_k - Xbar_(k+1): the gaps closed, commands as they are
     d, last = np.zeros(STATES), np.zeros(STATES)
     for k in range(N):
+        times(lin.A, k, last, d)
         for i in range(STATES):
-            d[i] = lin.Phi[k, i] - lin.X[k + 1, i]
-            for j in range(STATES):
-                d[i] += lin.A[k, i, j] * last[j]
+            d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
         last[:] = d
         for i in range(STATES):
             x[k * WIDTH + i] = d[i] / _state_scale(i, c)
@@ -277,10 +282,7 @@ def first_guess(numbers: Array, flat: Array, q: Array, shift: float, x: Array, y
             costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * _state_scale(i, c)
-            before[i] = 0.0
-        for j in range(STATES):
-            for i in range(STATES):
-                before[i] += lin.A[k, j, i] * costate[j]
+        transposed_times(lin.A, k, costate, before)
         costate[:] = before
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.qp.condensed import CondensedForm, not_finite
+from ltv_mpc.control.horizon import not_finite
+from ltv_mpc.control.qp.condensed import CondensedForm
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, precise, unlike_any_motion
 
 WEIGHTS = Weights()
