@@ -49,7 +49,7 @@ class Watched(Controller):
 
     def _solve(self, *parts: Any) -> Any:
         result, lin = super()._solve(*parts), self._lin
-        copied = {"X": lin.X.copy(), "U": lin.U.copy(), "C": lin.C.copy(), "ref": self._target.copy()}
+        copied = {"X": lin.X.copy(), "U": lin.U.copy(), "C": lin.C.copy(), "target": self._target.copy()}
         self.cycles.append({**copied, "ours": result.U})
         return result
 
@@ -60,57 +60,60 @@ class Optimum:
     def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
         self._p, self._weights = vehicle.coefficients(), config.weights
         self._limits = ThrustLimits.of(vehicle, STAGE_S)
-        self._packed = pack_objective(self._limits, self._weights)
+        self._packed = pack_objective(config.knots, self._limits, self._weights)
         self._N = N = config.stages
-        self._h = np.full(N, STAGE_S)
+        self._knots, self._g = config.knots, np.diff(config.knots)
+        self._h = self._g * STAGE_S
         X, U = ca.SX.sym("X", STATES, N), ca.SX.sym("U", 2, N)
         X0, U0 = ca.SX.sym("X0", STATES), ca.SX.sym("U0", 2)
-        C, ref = ca.SX.sym("C", 2, N + 1), ca.SX.sym("ref", 2, N)
-        stage = {h: _stage(self._p, h) for h in set(self._h.tolist())}
+        C, target = ca.SX.sym("C", 2, N + 1), ca.SX.sym("target", 2, N + 1)
+        stage = {h: _stage(self._p, h) for h in sorted(set(self._h.tolist()))}
         xs, us = [X0, *ca.horzsplit(X)], [U0, *ca.horzsplit(U)]
         gaps = [stage[self._h[k]](xs[k], us[k], us[k + 1], C[:, k], C[:, k + 1]) - xs[k + 1] for k in range(N)]
         steps = [us[k + 1] - us[k] for k in range(N)]
         w, scale = self._weights, ca.DM(self._limits.scale)
         objective = 0
         for k in range(N):
-            position = w.position_per_m2 + (w.terminal_position_per_m2 if k == N - 1 else 0.0)
-            objective += position * ca.sumsqr(xs[k + 1][:2] - ref[:, k])
-            objective += w.thrust * ca.sumsqr(us[k + 1] / scale)
-            objective += w.thrust_change * ca.sumsqr(steps[k] / scale)
+            g = self._g[k]
+            position = w.position_per_m2 * g + (w.terminal_position_per_m2 if k == N - 1 else 0.0)
+            objective += position * ca.sumsqr(xs[k + 1][:2] - target[:, k])
+            objective += w.thrust * g * ca.sumsqr(us[k + 1] / scale)
+            objective += w.thrust_change / g * ca.sumsqr(steps[k] / scale)
         dn, de, *_ = _rates(xs[N][2], xs[N][3], xs[N][4], xs[N][5], 0, 0, C[0, N], C[1, N], 0, 0, self._p)
-        objective += w.terminal_velocity_s2_per_m2 * (dn**2 + de**2)
+        off = ca.vertcat(dn, de) - target[:, N]
+        objective += w.terminal_velocity_s2_per_m2 * ca.sumsqr(off)
         problem = {
             "x": ca.veccat(X, U),
-            "p": ca.veccat(X0, U0, C, ref),
+            "p": ca.veccat(X0, U0, C, target),
             "f": objective,
             "g": ca.veccat(*gaps, *steps),
         }
         options = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": 500}}
         self._solve = ca.nlpsol("optimum", "ipopt", problem, options)
 
-    def cost(self, X0: Array, U: Array, C: Array, ref: Array) -> float:
+    def cost(self, X0: Array, U: Array, C: Array, target: Array) -> float:
         """Of commands U (N+1, 2) along the exact flow."""
-        return cost(self.roll(X0, U, C), U, C, ref, objective(self._packed))
+        return cost(self.roll(X0, U, C), U, C, target, objective(self._packed))
 
     def roll(self, X0: Array, U: Array, C: Array) -> Array:
         """The exact flow (N+1, 8) under commands U (N+1, 2)."""
         return roll_out(X0, U, C, self._h, self._p)
 
-    def solve(self, X: Array, U: Array, C: Array, ref: Array) -> tuple[Array, bool]:
+    def solve(self, X: Array, U: Array, C: Array, target: Array) -> tuple[Array, bool]:
         """Commands (N+1, 2) from a first guess X (N+1, 8), U (N+1, 2); whether IPOPT converged."""
         N, limits = self._N, self._limits
-        low, high = limits.box(U[0], N)
-        free, change = np.full(N * STATES, np.inf), np.tile(limits.change, N)
+        low, high = limits.box(U[0], self._knots)
+        free, change = np.full(N * STATES, np.inf), np.outer(self._g, limits.change).ravel()
         answer = self._solve(
             x0=np.concatenate([X[1:].ravel(), U[1:].ravel()]),
-            p=np.concatenate([X[0], U[0], C.ravel(), ref.ravel()]),
+            p=np.concatenate([X[0], U[0], C.ravel(), target.ravel()]),
             lbx=np.concatenate([-free, low.ravel()]),
             ubx=np.concatenate([free, high.ravel()]),
             lbg=np.concatenate([np.zeros(N * STATES), -change]),
             ubg=np.concatenate([np.zeros(N * STATES), change]),
         )
         commands = np.array(answer["x"]).ravel()[N * STATES :].reshape(N, 2)
-        enforced: Array = limits.enforced(np.concatenate([U[:1], commands]))
+        enforced: Array = limits.enforced(np.concatenate([U[:1], commands]), self._knots)
         return enforced, bool(self._solve.stats()["success"])
 
 
@@ -155,12 +158,12 @@ def _stage(p: Coefficients, h: float) -> Callable[..., Any]:
 
 def compare(optimum: Optimum, cycle: dict[str, Array]) -> dict[str, Any]:
     """One cycle against the optima that its start and its end lead to."""
-    X, U, C, ref, ours = (cycle[name] for name in ("X", "U", "C", "ref", "ours"))
+    X, U, C, target, ours = (cycle[name] for name in ("X", "U", "C", "target", "ours"))
     rolled = optimum.roll(X[0], ours, C)
-    theirs, converged = optimum.solve(X, U, C, ref)
-    onward, also = optimum.solve(rolled, ours, C, ref)
+    theirs, converged = optimum.solve(X, U, C, target)
+    onward, also = optimum.solve(rolled, ours, C, target)
     costs = {
-        name: optimum.cost(X[0], commands, C, ref)
+        name: optimum.cost(X[0], commands, C, target)
         for name, commands in (("start", U), ("ours", ours), ("optimum", theirs), ("onward", onward))
     }
     near = abs(costs["onward"] - costs["optimum"]) <= SAME_COST * costs["optimum"]

@@ -28,7 +28,7 @@ class Peer:
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
     def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
-        self.stages = config.stages
+        self.stages, self.knots = config.stages, config.knots
         self.weights = config.weights
         self.limits = limits
         self.vehicle = vehicle
@@ -41,9 +41,9 @@ class Peer:
     def forget(self) -> None:
         """The next problem has nothing to do with the last one."""
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
-        """Take the problem's numbers."""
-        self.lin, self.reference = lin, reference
+    def build(self, lin: Linearisation, target: Array) -> None:
+        """Take the problem's numbers; what is held is a point, so no velocity is wanted at the end."""
+        self.lin, self.reference = lin, target[:-1]
 
     def update(self) -> None:
         """Nothing: peers set up and solve in one."""

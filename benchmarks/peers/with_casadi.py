@@ -83,7 +83,7 @@ class CasadiIpopt(Peer):
     def solve(self) -> Answer:
         """From the guess, and the duals of the last solution."""
         lin, F, N = self.lin, self.limits.scale, self.stages
-        low, high = (bound / F for bound in self.limits.box(lin.U[0], N))
+        low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))
         free = np.full((N, STATES), np.inf)
         found = self._solver(
             x0=np.hstack([lin.X[1:], lin.U[1:] / F]).ravel(),

@@ -71,7 +71,7 @@ class CvxpyOsqp(Peer):
     def solve(self) -> Answer:
         """New numbers, then solve."""
         lin, F, N = self.lin, self.limits.scale, self.stages
-        low, high = self.limits.box(lin.U[0], N)
+        low, high = self.limits.box(lin.U[0], self.knots)
         velocity, slope = velocity_over_ground(lin.X[-1], lin.C[-1])
         values = (self._dynamics_values(), (self._rows, self._columns))
         self._dynamics.value_sparse = coo_array(values, shape=self._dynamics.shape)

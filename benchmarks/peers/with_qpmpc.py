@@ -56,7 +56,7 @@ class QpmpcDaqp(Peer):
         """Set up and solve."""
         lin, N = self.lin, self.stages
         A, B = self._transitions()
-        low, high = self.limits.box(lin.U[0], N)
+        low, high = self.limits.box(lin.U[0], self.knots)
         slew = self.limits.change
         # the reference in coordinates of the stage; U = 0 and the constant are their own targets
         at = np.zeros((N + 1, WIDTH))

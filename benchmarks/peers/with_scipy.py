@@ -27,7 +27,7 @@ class ScipyLeastSquares(Peer):
     def solve(self) -> Answer:
         """From the guess."""
         F = self.limits.scale
-        low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.stages))
+        low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.knots))
         start = np.clip(self.lin.U[1:] / F, low, high)
         found = least_squares(self._residuals, start.ravel(), bounds=(low.ravel(), high.ravel()))
         return self.answer(found.x.reshape(-1, 2) * F, iterations=int(found.nfev))

@@ -8,13 +8,15 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc import config
+from ltv_mpc.control import grid
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import Array
 
 Formulation: TypeAlias = Literal["sparse", "partial", "condensed", "auto"]
 """How the QP is laid out: states kept, kept at the ends of blocks only, eliminated; or the fastest measured."""
 
 STAGE_NS = 300_000_000
-"""Time between two knots."""
+"""Time between the first two knots."""
 
 
 class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,6 +47,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the controller."""
 
     horizon_s: Annotated[float, Meta(ge=0.3, le=120)] = 5.0
+    most_stages: Annotated[int, Meta(ge=2, le=400)] = 400  # a longer horizon is reached by stages that grow: grid.py
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
     weights: Weights = Weights()
     disturbance: Disturbance = Disturbance()
@@ -64,7 +67,16 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     @property
     def stages(self) -> int:
-        """Number of stages N: ``horizon_s`` in whole stages of 0.3 s."""
+        """Number of stages N: ``horizon_s`` in whole stages of 0.3 s, at most ``most_stages``."""
+        return min(self._reach, self.most_stages)
+
+    @property
+    def knots(self) -> Array:
+        """Their knots (N+1,) in first stages of 0.3 s."""
+        return grid.knots(self.stages, float(self._reach))
+
+    @property
+    def _reach(self) -> int:
         return max(1, round(self.horizon_s * 1e9 / STAGE_NS))
 
     @property

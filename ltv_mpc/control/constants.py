@@ -28,8 +28,9 @@ class Objective(NamedTuple):
     thrust_change: float
     low: Array  # (2,) N
     high: Array
-    change: Array  # N between two knots
+    change: Array  # N over the first stage
     scale: Array  # N: a thrust of 1 in the cost
+    t: Array  # (N+1,) knots in first stages: grid.py
 
 
 class Constants(NamedTuple):
@@ -38,11 +39,11 @@ class Constants(NamedTuple):
     objective: Objective
     p: Coefficients
     vertical: Array  # (3,) least and most thrust (N) and slew (N/s) of the vertical thruster
-    stage_s: float
+    stage_s: float  # of the first stage
 
 
-def pack_objective(limits: ThrustLimits, weights: Weights) -> Array:
-    """The flat array that ``objective`` takes apart."""
+def pack_objective(knots: Array, limits: ThrustLimits, weights: Weights) -> Array:
+    """The flat array that ``objective`` takes apart; ``knots`` (N+1,) as in ``grid.py``."""
     cost = (
         weights.position_per_m2,
         weights.terminal_position_per_m2,
@@ -50,20 +51,30 @@ def pack_objective(limits: ThrustLimits, weights: Weights) -> Array:
         weights.thrust,
         weights.thrust_change,
     )
-    return np.concatenate([cost, limits.low, limits.high, limits.change, limits.scale])
+    return np.concatenate([cost, limits.low, limits.high, limits.change, limits.scale, [len(knots)], knots])
 
 
-def pack(vehicle: Vehicle, weights: Weights, stage_s: float) -> Array:
-    """The flat array that ``constants`` takes apart: a packed objective comes first."""
+def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float) -> Array:
+    """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s."""
     vertical = vehicle.thruster.vertical
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s)
-    return np.concatenate([pack_objective(ThrustLimits.of(vehicle, stage_s), weights), vehicle.coefficients(), rest])
+    ours = pack_objective(knots, ThrustLimits.of(vehicle, stage_s), weights)
+    return np.concatenate([ours, vehicle.coefficients(), rest])
 
 
 @kernel
 def objective(flat: Array) -> Objective:
     """The inverse of ``pack_objective``; the beginning of what ``pack`` makes serves as well."""
-    return Objective(flat[0], flat[1], flat[2], flat[3], flat[4], flat[5:7], flat[7:9], flat[9:11], flat[11:13])
+    end = 14 + int(flat[13])
+    return Objective(
+        flat[0], flat[1], flat[2], flat[3], flat[4], flat[5:7], flat[7:9], flat[9:11], flat[11:13], flat[14:end]
+    )
+
+
+@kernel
+def length(o: Objective, k: int) -> float:
+    """Of the stage that ends at knot k = 1 .. N, in first stages."""
+    return float(o.t[k] - o.t[k - 1])
 
 
 @kernel
@@ -78,4 +89,5 @@ def coefficients(flat: Array) -> Coefficients:
 @kernel
 def constants(flat: Array) -> Constants:
     """The inverse of ``pack``."""
-    return Constants(objective(flat), coefficients(flat[13:32]), flat[32:35], flat[35])
+    rest = flat[14 + int(flat[13]) :]
+    return Constants(objective(flat), coefficients(rest[:19]), rest[19:22], rest[22])

@@ -92,12 +92,13 @@ class Controller:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
         self.config = config = config or ControllerConfig()
         self.vehicle = vehicle
-        self._numbers = pack(vehicle, config.weights, STAGE_S)
+        self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S)
         self._lap = stopwatch
         self._solver = make(vehicle, config)
         self._lin = Linearisation.empty(config.stages)
-        self._ahead_ns = np.arange(config.stages + 1, dtype=np.int64) * STAGE_NS
-        self._target = np.empty((config.stages, 2))
+        self._knots = config.knots
+        self._ahead_ns = np.round(self._knots * STAGE_NS).astype(np.int64)
+        self._target = np.zeros((config.stages + 1, 2))
         self._nothing = np.zeros((config.stages + 1, 2))
         self._limits = ThrustLimits.of(vehicle, STAGE_S)
         self._passes = COLD_PASSES
@@ -236,7 +237,7 @@ class Controller:
     def _solve(self, start: Start, wanted: Pair) -> _Lateral:
         """One linearisation and one QP; several where there is no plan yet."""
         lin, target, numbers = self._lin, self._target, self._numbers
-        target[:] = wanted
+        target[:-1] = wanted
         self._linearise(start)
         X, U = self._room()
         for left in range(self._passes, 0, -1):
@@ -277,7 +278,7 @@ class Controller:
         if self._memory is None or not (np.isfinite(X).all() and np.isfinite(U).all()):
             self._memory = None
             U[1:] = 0.0
-            U = self._limits.enforced(U)
+            U = self._limits.enforced(U, self._knots)
             return _Lateral(X, U, PlanOrigin.ZERO, solve, solve.why)
         self._solver.forget()
         self._memory = _Memory(start.t_ns, U)

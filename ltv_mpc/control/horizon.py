@@ -1,4 +1,4 @@
-"""The horizon: knots 0.3 s apart, the motion along them, and its linearisation (LTV: linear time-varying).
+"""The horizon: the motion along its knots, and its linearisation (LTV: linear time-varying).
 
 State at a knot  X = [n, e, u, v, psi, r, F1, F2] (8,): flow.py. Commands U (N+1, 2) at the knots, linear between them;
 current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8), Ubar (N+1, 2) and for k = 0 .. N-1:
@@ -87,12 +87,16 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 
 
 @kernel
-def linearise_along(lin: Linearisation, h: float, p: Coefficients) -> None:
-    """Phi, A, B0 and B1 along the X, U and C that ``lin`` holds; every stage lasts h seconds."""
+def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
+    """Phi, A, B0 and B1 along the X, U and C that ``lin`` holds, at knots t (N+1,) in stages of ``stage_s``."""
     X, U, C = lin.X, lin.U, lin.C
+    h = (t[1] - t[0]) * stage_s
     lag, gain = lag_tables(h, p)
     Z = np.empty(SCRATCH)
     for k in range(U.shape[0] - 1):
+        before, h = h, (t[k + 1] - t[k]) * stage_s
+        if h != before:
+            lag, gain = lag_tables(h, p)
         linearise_stage(
             X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
         )
@@ -102,7 +106,7 @@ def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linear
     """The motion to first order along X (N+1, 8), U (N+1, 2), in a current C (N+1, 2); every stage lasts h seconds."""
     lin = Linearisation.empty(len(U) - 1)
     lin.X[...], lin.U[...], lin.C[...] = X, U, C
-    linearise_along(lin, h, p)
+    linearise_along(lin, np.arange(float(len(U))), h, p)
     return lin
 
 
@@ -150,10 +154,10 @@ def transposed_times(A: Array, k: int, x: Array, out: Array) -> None:
     out[7] += A[k, 7, 7] * x[7]
 
 
-def not_finite(lin: Linearisation, reference: Array) -> str:
+def not_finite(lin: Linearisation, target: Array) -> str:
     """In words: which of the inputs is not finite, and from which knot or stage on."""
-    names = (*Linearisation._fields[:-1], "reference")
-    for name, values in zip(names, (*lin[:-1], reference), strict=True):
+    names = (*Linearisation._fields[:-1], "target")
+    for name, values in zip(names, (*lin[:-1], target), strict=True):
         finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
         if not finite.all():
             return f"{name} is not finite from {int(np.argmin(finite))} on"

@@ -1,6 +1,6 @@
 """Box and slew of the two lateral thrusters over the horizon, and the last word on what is sent.
 
-A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h;  linear between knots, so
+A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h[k];  linear between knots, so
 |dF/dt| <= slew everywhere, and at the junction of two plans too, since U[0] is the command in force there.
 """
 
@@ -17,7 +17,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 @dataclass(frozen=True, slots=True)
 class ThrustLimits:
-    """Box (2,) each and the largest change between two knots (2,), in N."""
+    """Box (2,) each and the largest change over the first stage (2,), in N."""
 
     low: Array
     high: Array
@@ -25,7 +25,7 @@ class ThrustLimits:
 
     @classmethod
     def of(cls, vehicle: Vehicle, stage_s: float) -> ThrustLimits:
-        """The lateral thrusters' limits for stages of ``stage_s``."""
+        """The lateral thrusters' limits where the first stage lasts ``stage_s``."""
         lateral = vehicle.thrusters[:2]
         return cls(
             np.array([t.min_N for t in lateral]),
@@ -38,34 +38,37 @@ class ThrustLimits:
         """The larger of both sides of the box (2,): what a thrust of 1 means in the cost."""
         return np.maximum(self.high, -self.low)
 
-    def box(self, start: Array, stages: int) -> tuple[Array, Array]:
-        """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,): ``bounds`` at every knot."""
-        reach = np.arange(1, stages + 1)[:, None] * self.change
+    def box(self, start: Array, knots: Array) -> tuple[Array, Array]:
+        """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,): ``bounds`` at every knot (N+1,)."""
+        reach = knots[1:, None] * self.change
         return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
-    def enforced(self, commands: Array) -> Array:
-        """``commands`` (N+1, 2) moved, knot by knot from the first, to the nearest that obey box and slew exactly."""
+    def enforced(self, commands: Array, knots: Array) -> Array:
+        """``commands`` (N+1, 2) at ``knots`` (N+1,) moved, knot by knot from the first, to the nearest that obey box
+        and slew exactly.
+        """
         out = commands.copy()
-        bring_in(out, self.low, self.high, self.change)
+        bring_in(out, knots, self.low, self.high, self.change)
         return out
 
 
 @kernel
-def bounds(start: float, knot: int, low: float, high: float, change: float) -> tuple[float, float]:
-    """Lower and upper bound of one thruster's U[knot], knot = 1 .. N, from U[0] = ``start``.
+def bounds(start: float, reach: float, low: float, high: float) -> tuple[float, float]:
+    """Lower and upper bound of one thruster's command at a knot to which it can change by ``reach`` from ``start``.
 
     A start outside the box (a limit that was just lowered) is brought in at the slew limit, so that the QP always has a
     solution. From a start inside, these are the box itself, however little of it is within reach: the slew rows hold
     the commands there already, and a box that is nowhere active costs the solver nothing.
     """
-    return min(low, start + knot * change), max(high, start - knot * change)
+    return min(low, start + reach), max(high, start - reach)
 
 
 @kernel
-def bring_in(U: Array, low: Array, high: Array, change: Array) -> None:
-    """U (N+1, 2) in place: at each knot the slew from the knot before, then the box."""
+def bring_in(U: Array, t: Array, low: Array, high: Array, change: Array) -> None:
+    """U (N+1, 2) at knots t (N+1,) in place: at each knot the slew from the knot before, then the box."""
     for k in range(1, U.shape[0]):
         for i in range(2):
-            least, most = bounds(U[0, i], k, low[i], high[i], change[i])
-            U[k, i] = min(max(U[k, i], U[k - 1, i] - change[i]), U[k - 1, i] + change[i])
+            most_change = (t[k] - t[k - 1]) * change[i]
+            least, most = bounds(U[0, i], t[k] * change[i], low[i], high[i])
+            U[k, i] = min(max(U[k, i], U[k - 1, i] - most_change), U[k - 1, i] + most_change)
             U[k, i] = min(max(U[k, i], least), most)

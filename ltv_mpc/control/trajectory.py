@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.control.constants import Constants, Objective, constants
+from ltv_mpc.control.constants import Constants, Objective, constants, length
+from ltv_mpc.control.grid import position
 from ltv_mpc.control.guess import steer
 from ltv_mpc.control.horizon import linearise_along, velocity_over_ground, views
 from ltv_mpc.control.limits import bring_in
@@ -26,19 +27,21 @@ STEPS = (1.0, 0.5, 0.25, 0.1)
 
 
 @kernel
-def cost(X: Array, U: Array, C: Array, ref: Array, o: Objective) -> float:
-    """What a trajectory X (N+1, 8), U (N+1, 2) in a current C (N+1, 2) costs against ref (N, 2): as in the QP."""
-    N = ref.shape[0]
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """What a trajectory X (N+1, 8), U (N+1, 2) in a current C (N+1, 2) costs against target (N+1, 2): as in the QP."""
+    N = U.shape[0] - 1
     total = square = 0.0
     for k in range(1, N + 1):
-        dn, de = X[k, 0] - ref[k - 1, 0], X[k, 1] - ref[k - 1, 1]
+        g = length(o, k)
+        dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
         square = dn * dn + de * de
-        total += o.position * square
+        total += o.position * g * square
         for i in range(2):
             here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
-            total += o.thrust * here * here + o.thrust_change * (here - before) * (here - before)
+            total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
     velocity, _ = velocity_over_ground(X[N], C[N])
-    total += o.terminal_position * square + o.terminal_velocity * (velocity[0] ** 2 + velocity[1] ** 2)
+    wn, we = velocity[0] - target[N, 0], velocity[1] - target[N, 1]
+    total += o.terminal_position * square + o.terminal_velocity * (wn * wn + we * we)
     return float(total)
 
 
@@ -46,45 +49,47 @@ def cost(X: Array, U: Array, C: Array, ref: Array, o: Objective) -> float:
 def roll(X: Array, U: Array, C: Array, c: Constants) -> None:
     """X[1:] from X[0]: the exact flow of every stage."""
     for k in range(U.shape[0] - 1):
-        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], c.stage_s, c.p, X[k + 1])
+        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], length(c.objective, k + 1) * c.stage_s, c.p, X[k + 1])
 
 
 @kernel
-def carry(old: Array, stages: float, U: Array) -> None:
-    """U[1:] (N+1, 2) from the commands of a plan whose knots lie so many stages earlier; its last ones are kept."""
-    N = U.shape[0] - 1
-    for k in range(1, N + 1):
-        at = min(max(k + stages, 0.0), float(N))
-        low = min(int(at), N - 1)
-        part = at - low
+def carry(old: Array, t: Array, stages: float, U: Array) -> None:
+    """U[1:] (N+1, 2) at knots t (N+1,) from the commands of a plan that began so many first stages earlier; its last
+    ones are kept.
+    """
+    low = 0
+    for k in range(1, U.shape[0]):
+        low, part = position(t, t[k] + stages, low)
         for i in range(2):
             U[k, i] = (1.0 - part) * old[low, i] + part * old[low + 1, i]
 
 
 @kernel
-def begin(numbers: Array, start: Array, ref: Array, old: Array, stages: float, flat: Array) -> int:
+def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array) -> int:
     """The trajectory to linearise along and the linearisation, into ``flat`` (``horizon.views``), whose C is given.
 
     ``numbers`` are packed constants; ``start`` (10,) the state at the first knot and the commands in force there;
-    ``old`` (N+1, 2) the previous plan's commands, ``stages`` how much earlier its knots lie, NaN where there is none.
+    ``target`` as in ``Solver``; ``old`` (N+1, 2) the previous plan's commands, ``stages`` how many first stages earlier
+    it began, NaN where there is none.
     Returns where it comes from.
     """
-    c, lin = constants(numbers), views(flat, ref.shape[0])
+    c, lin = constants(numbers), views(flat, len(target) - 1)
+    o = c.objective
     X, U = lin.X, lin.U
     X[0], U[0] = start[:STATES], start[STATES:]
     kind, least = AHEAD, np.inf
     if not np.isnan(stages):
-        carry(old, stages, U)
-        bring_in(U, c.objective.low, c.objective.high, c.objective.change)
+        carry(old, o.t, stages, U)
+        bring_in(U, o.t, o.low, o.high, o.change)
         roll(X, U, lin.C, c)
-        kind, least = CARRIED, cost(X, U, lin.C, ref, c.objective)
+        kind, least = CARRIED, cost(X, U, lin.C, target, o)
     for astern in (False, True):
-        steered_X, steered_U = steer(X[0], U[0], lin.C, ref, astern, c)
-        other = cost(steered_X, steered_U, lin.C, ref, c.objective)
+        steered_X, steered_U = steer(X[0], U[0], lin.C, target, astern, c)
+        other = cost(steered_X, steered_U, lin.C, target, o)
         if other < least or np.isinf(least):
             X[:], U[:] = steered_X, steered_U
             kind, least = ASTERN if astern else AHEAD, other
-    linearise_along(lin, c.stage_s, c.p)
+    linearise_along(lin, o.t, c.stage_s, c.p)
     return kind
 
 
@@ -93,26 +98,27 @@ def again(numbers: Array, flat: Array, N: int, X: Array, U: Array) -> None:
     """Linearise once more, along X (N+1, 8) and U (N+1, 2)."""
     c, lin = constants(numbers), views(flat, N)
     lin.X[:], lin.U[:] = X, U
-    linearise_along(lin, c.stage_s, c.p)
+    linearise_along(lin, c.objective.t, c.stage_s, c.p)
 
 
 @kernel
-def step(numbers: Array, flat: Array, ref: Array, commands: Array, X: Array, U: Array) -> float:
+def step(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array) -> float:
     """X (N+1, 8) and U (N+1, 2): from the trajectory linearised along towards ``commands``, the largest part of the
     way that is no worse. Returns that part, 0 where none is.
 
     The solver meets box and slew to its tolerance; what is returned meets them exactly.
     """
-    c, lin = constants(numbers), views(flat, ref.shape[0])
-    before = cost(lin.X, lin.U, lin.C, ref, c.objective)
+    c, lin = constants(numbers), views(flat, len(target) - 1)
+    o = c.objective
+    before = cost(lin.X, lin.U, lin.C, target, o)
     X[0] = lin.X[0]
     for part in STEPS:
         for k in range(U.shape[0]):
             for i in range(2):
                 U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
-        bring_in(U, c.objective.low, c.objective.high, c.objective.change)
+        bring_in(U, o.t, o.low, o.high, o.change)
         roll(X, U, lin.C, c)
-        if cost(X, U, lin.C, ref, c.objective) <= before:
+        if cost(X, U, lin.C, target, o) <= before:
             return part
     X[:], U[:] = lin.X, lin.U
     return 0.0
@@ -125,5 +131,6 @@ def release(numbers: Array, start: Array, C: Array, X: Array, U: Array) -> None:
     X[0] = start[:STATES]
     U[:] = 0.0
     U[0] = start[STATES:]
-    bring_in(U, c.objective.low, c.objective.high, c.objective.change)
+    o = c.objective
+    bring_in(U, o.t, o.low, o.high, o.change)
     roll(X, U, C, c)

@@ -37,26 +37,33 @@ def follow(
     constants, z_ref and w_ref (N+1,).
     """
     c = constants(numbers)
-    p, h = c.p, c.stage_s
+    p, t = c.p, c.objective.t
     low, high, slew = c.vertical[0], c.vertical[1], c.vertical[2]
     N = len(z_ref) - 1
     depth, commands = np.empty(N + 1), np.empty(N + 1)
     depth[0], commands[0] = z, command
     rate_now = 0.0
     for k in range(N):
-        e, rate = z_ref[k + 1] - z, w_ref[k + 1] - w
-        # F3 = (B - W) + (d_z + D_z |w_ref|) w_ref + M_z (w0^2 e + 2 zeta w0 e') + integral
-        feed = p.net_buoyancy + (p.linear_heave + p.quadratic_heave * abs(w_ref[k + 1])) * w_ref[k + 1]
-        pull = NATURAL_RADPS * NATURAL_RADPS * e + 2.0 * DAMPING * NATURAL_RADPS * rate
-        wanted = feed + p.mass_heave * pull + integral
-        limited = min(max(wanted, low, command - slew * h), high, command + slew * h)
-        if limited == wanted:
-            growth = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS / INTEGRAL_S * e
-            integral += growth * h
-            if k == 0:
-                rate_now = growth
-        z, w, F = advance_heave(z, w, F, command, limited, h, p)
-        command = limited
+        # The law acts every stage_s, however far the knots are apart; the plan has what it comes to at a knot.
+        acts = int(np.ceil(t[k + 1] - t[k] - 1e-9))
+        h = (t[k + 1] - t[k]) * c.stage_s / acts
+        for j in range(1, acts + 1):
+            part = j / acts
+            depth_ref = z_ref[k] + part * (z_ref[k + 1] - z_ref[k])
+            rate_ref = w_ref[k] + part * (w_ref[k + 1] - w_ref[k])
+            e, rate = depth_ref - z, rate_ref - w
+            # F3 = (B - W) + (d_z + D_z |w_ref|) w_ref + M_z (w0^2 e + 2 zeta w0 e') + integral
+            feed = p.net_buoyancy + (p.linear_heave + p.quadratic_heave * abs(rate_ref)) * rate_ref
+            pull = NATURAL_RADPS * NATURAL_RADPS * e + 2.0 * DAMPING * NATURAL_RADPS * rate
+            wanted = feed + p.mass_heave * pull + integral
+            limited = min(max(wanted, low, command - slew * h), high, command + slew * h)
+            if limited == wanted:
+                growth = p.mass_heave * NATURAL_RADPS * NATURAL_RADPS / INTEGRAL_S * e
+                integral += growth * h
+                if k == 0 and j == 1:
+                    rate_now = growth
+            z, w, F = advance_heave(z, w, F, command, limited, h, p)
+            command = limited
         depth[k + 1], commands[k + 1] = z, command
     return depth, commands, rate_now
 

@@ -201,7 +201,7 @@ class _Witness:
     """A solver that remembers what it was asked last, and what it said."""
 
     lin: Linearisation
-    reference: Array
+    target: Array
     answer: Answer
 
     def __init__(self, solver: Solver) -> None:
@@ -213,9 +213,9 @@ class _Witness:
             solver.problem,
         )
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
-        self.lin, self.reference = lin, reference
-        self._solver.build(lin, reference)
+    def build(self, lin: Linearisation, target: Array) -> None:
+        self.lin, self.target = lin, target
+        self._solver.build(lin, target)
 
     def solve(self) -> Answer:
         self.answer = self._solver.solve()
@@ -227,21 +227,21 @@ class _Exact:
 
     def __init__(self, episode: Episode) -> None:
         config = episode.config
-        self._form = SparseForm(config.stages, limits_of(episode), config.weights)
+        self._form = SparseForm(config.knots, limits_of(episode), config.weights)
         self._along: tuple[bytes, bytes, bytes] | None = None
         self._commands: Array = np.empty(0)
 
     def commands(self, asked: _Witness) -> Array:
         """(N+1, 2) of what was asked; of the problem that was asked last at no further cost."""
         lin = asked.lin
-        along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.reference).tobytes())
+        along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.target).tobytes())
         if along != self._along:
             self._along = along
-            self._commands = self._solved(lin, asked.reference)
+            self._commands = self._solved(lin, asked.target)
         return self._commands
 
-    def _solved(self, lin: Linearisation, reference: Array) -> Array:
-        qp = self._form.build(lin, reference)
+    def _solved(self, lin: Linearisation, target: Array) -> Array:
+        qp = self._form.build(lin, target)
         equal = qp.l == qp.u
         A = csc_matrix(qp.A)
         solver = piqp.SparseSolver()

@@ -49,11 +49,11 @@ def trajectory(seed: int, gap: float) -> tuple[Linearisation, Array]:
     """Along commands drawn at random, inside box and slew, in a current that turns; ``gap``: off the exact flow."""
     draw = np.random.default_rng(seed)
     C = 0.03 * np.stack([np.cos(np.linspace(0, 1, N + 1)), np.sin(np.linspace(0, 1, N + 1))], axis=1)
-    U = LIMITS.enforced(np.cumsum(draw.normal(0.0, 3.0, (N + 1, 2)), axis=0))
+    U = LIMITS.enforced(np.cumsum(draw.normal(0.0, 3.0, (N + 1, 2)), axis=0), CONFIG.knots)
     ahead = 1.0 if seed % 2 else -1.0  # to be stopped, or to be backed: both limits of each kind are met
     X = roll_out(np.array([0.15 * ahead, 0.1, 0.2 * ahead, 0.01, 0.2, 0.02, *U[0]]), U, C, np.full(N, H), P)
     X[1:] += gap * draw.normal(size=(N, 8))
-    return linearise(X, U, C, H, P), np.tile([0.02, -0.01], (N, 1))
+    return linearise(X, U, C, H, P), np.array([[0.02, -0.01]] * N + [[0.0, 0.0]])
 
 
 def along(commands: Array, lin: Linearisation) -> Linearisation:
@@ -61,23 +61,23 @@ def along(commands: Array, lin: Linearisation) -> Linearisation:
     return linearise(roll_out(lin.X[0], commands, lin.C, np.full(N, H), P), commands, lin.C, H, P)
 
 
-def optimum(lin: Linearisation, reference: Array, limits: ThrustLimits = LIMITS) -> Array:
+def optimum(lin: Linearisation, target: Array, limits: ThrustLimits = LIMITS) -> Array:
     """Commands (N+1, 2) of the QP."""
-    form = SparseForm(N, limits, CONFIG.weights)
-    return form.commands(lin, solve_qp(form.build(lin, reference), "daqp").x)
+    form = SparseForm(CONFIG.knots, limits, CONFIG.weights)
+    return form.commands(lin, solve_qp(form.build(lin, target), "daqp").x)
 
 
 @pytest.mark.parametrize("file", ["with_qpmpc", "with_cvxpy"])
 def test_peers_that_solve_the_qp_find_its_optimum(file: str) -> None:
     peer = peer_of(file)(CONFIG, LIMITS, VEHICLE)
     for seed in range(4):  # the second and later ones go through what the first has set up
-        lin, reference = trajectory(seed, gap=0.01)
-        peer.build(lin, reference)
+        lin, target = trajectory(seed, gap=0.01)
+        peer.build(lin, target)
         peer.update()
         answer = peer.solve()
         assert answer.solve.status is SolveStatus.SOLVED
         np.testing.assert_array_equal(answer.commands[0], lin.U[0])
-        np.testing.assert_allclose(answer.commands, optimum(lin, reference), atol=0.02)
+        np.testing.assert_allclose(answer.commands, optimum(lin, target), atol=0.02)
 
 
 @pytest.mark.parametrize(
@@ -93,14 +93,14 @@ def test_peers_that_solve_the_nonlinear_problem_find_what_repeated_linearisation
 ) -> None:
     peer = peer_of(file)(CONFIG, limits, VEHICLE)
     for seed in range(2):
-        lin, reference = trajectory(seed, gap=0.0)
+        lin, target = trajectory(seed, gap=0.0)
         for _ in range(40):
-            commands = optimum(lin, reference, limits)
+            commands = optimum(lin, target, limits)
             lin = along(commands, lin)
-        assert np.abs(optimum(lin, reference, limits) - lin.U).max() < 1e-3  # converged
+        assert np.abs(optimum(lin, target, limits) - lin.U).max() < 1e-3  # converged
         guess = lin.U.copy()
         guess[2:] *= 0.98
-        peer.build(along(guess, lin), reference)
+        peer.build(along(guess, lin), target)
         answer = peer.solve()
         assert answer.solve.status is SolveStatus.SOLVED
         np.testing.assert_allclose(answer.commands, lin.U, atol=within_N)

@@ -26,7 +26,7 @@ from scipy.sparse import csc_array, eye_array, vstack
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.constants import Objective, objective, pack_objective
+from ltv_mpc.control.constants import Objective, length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation, times, transposed_times, velocity_over_ground
 from ltv_mpc.control.limits import ThrustLimits, bounds
 from ltv_mpc.control.qp.problem import QP
@@ -35,27 +35,24 @@ from ltv_mpc.vehicle.flow import STATES
 
 
 class CondensedForm:
-    """The QP's numbers for N stages: minimise 1/2 z' H z + f' z subject to lower <= [z, A z] <= upper."""
+    """The QP's numbers for given knots: minimise 1/2 z' H z + f' z subject to lower <= [z, A z] <= upper."""
 
-    def __init__(self, stages: int, limits: ThrustLimits, weights: Weights) -> None:
-        """``limits`` and ``weights`` stay the same from cycle to cycle, and so does A."""
+    def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights) -> None:
+        """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` stay the same, and so does A."""
+        self.stages = stages = len(knots) - 1
         n = 2 * stages
-        self.stages = stages
         self.A = _slew_rows(stages)  # (2N-2, 2N)
         self.H = np.zeros((n, n))
         self.f = np.zeros(n)
         self.lower = np.zeros(2 * n - 2)
         self.upper = np.zeros(2 * n - 2)
-        self._numbers = pack_objective(limits, weights)
+        self._numbers = pack_objective(knots, limits, weights)
         self._scale = limits.scale
         self._S = np.zeros((2, STATES, n))
 
-    def build(self, lin: Linearisation, reference: Array) -> bool:
-        """The numbers of one cycle, and whether they are finite.
-
-        ``reference`` is (N, 2): north and east (m) wanted at the knots 1 .. N.
-        """
-        return _build(*lin[:-1], reference, self._numbers, self._S, self.H, self.f, self.lower, self.upper)
+    def build(self, lin: Linearisation, target: Array) -> bool:
+        """The numbers of one cycle, and whether they are finite; ``target`` (N+1, 2) as in ``Solver``."""
+        return _build(*lin[:-1], target, self._numbers, self._S, self.H, self.f, self.lower, self.upper)
 
     def commands(self, lin: Linearisation, z: Array) -> tuple[Array, bool]:
         """Commands (N+1, 2) at the knots of a solution z (2N,), and whether they are finite."""
@@ -82,7 +79,7 @@ def _build(
     A: Array,
     B0: Array,
     B1: Array,
-    reference: Array,
+    target: Array,
     numbers: Array,
     S: Array,
     H: Array,
@@ -92,7 +89,7 @@ def _build(
 ) -> bool:
     """H (2N, 2N), f (2N,) and the bounds (4N-2,) in place; S (2, 8, 2N) is scratch."""
     o = objective(numbers)
-    slope = gradient(X, U, C, Phi, A, B0, B1, reference, o, f)
+    slope = gradient(X, U, C, Phi, A, B0, B1, target, o, f)
     _hessian(A, B0, B1, slope, o, S, H)
     thrust_bounds(U, o, lower, upper)
     # A NaN or an infinity anywhere shows in a sum of all.
@@ -122,15 +119,16 @@ def thrust_bounds(U: Array, o: Objective, lower: Array, upper: Array) -> None:
     for k in range(1, N + 1):
         for i in range(2):
             here = 2 * k - 2 + i
-            least, most = bounds(U[0, i], k, o.low[i], o.high[i], o.change[i])
+            change = length(o, k) * o.change[i]
+            least, most = bounds(U[0, i], o.t[k] * o.change[i], o.low[i], o.high[i])
             if k == 1:
-                least = max(least, U[0, i] - o.change[i])
-                most = min(most, U[0, i] + o.change[i])
+                least = max(least, U[0, i] - change)
+                most = min(most, U[0, i] + change)
             else:
                 step = U[k, i] - U[k - 1, i]
                 slew = 2 * N + here - 2
-                lower[slew] = (-o.change[i] - step) / o.scale[i]
-                upper[slew] = (o.change[i] - step) / o.scale[i]
+                lower[slew] = (-change - step) / o.scale[i]
+                upper[slew] = (change - step) / o.scale[i]
             lower[here] = (least - U[k, i]) / o.scale[i]
             upper[here] = (most - U[k, i]) / o.scale[i]
 
@@ -144,7 +142,7 @@ def gradient(
     A: Array,
     B0: Array,
     B1: Array,
-    reference: Array,
+    target: Array,
     o: Objective,
     f: Array,
 ) -> Array:
@@ -158,15 +156,15 @@ def gradient(
         for i in range(STATES):
             x[i] = y[i] + Phi[k, i] - X[k + 1, i]
         for i in range(2):
-            mu[k + 1, i] = o.position * (X[k + 1, i] + x[i] - reference[k, i])
+            mu[k + 1, i] = o.position * length(o, k + 1) * (X[k + 1, i] + x[i] - target[k, i])
     velocity, slope = velocity_over_ground(X[N], C[N])
     for i in range(2):
-        mu[N, i] += o.terminal_position * (X[N, i] + x[i] - reference[N - 1, i])
-        end = velocity[i] + slope[i, 0] * x[2] + slope[i, 1] * x[3] + slope[i, 2] * x[4]
+        mu[N, i] += o.terminal_position * (X[N, i] + x[i] - target[N - 1, i])
+        end = velocity[i] - target[N, i] + slope[i, 0] * x[2] + slope[i, 1] * x[3] + slope[i, 2] * x[4]
         for j in range(3):
             mu[N, 2 + j] += o.terminal_velocity * slope[i, j] * end
-    r, s = o.thrust, o.thrust_change
     for k in range(N, 0, -1):
+        g = length(o, k)
         if k < N:
             transposed_times(A, k, mu[k + 1], y)
             for i in range(STATES):
@@ -175,12 +173,12 @@ def gradient(
             total = 0.0
             for i in range(STATES):
                 total += B1[k - 1, i, j] * mu[k, i]
-            slewed = U[k, j] - U[k - 1, j]
+            slewed = (U[k, j] - U[k - 1, j]) / g
             if k < N:
                 for i in range(STATES):
                     total += B0[k, i, j] * mu[k + 1, i]
-                slewed -= U[k + 1, j] - U[k, j]
-            f[2 * k - 2 + j] = total * o.scale[j] + (r * U[k, j] + s * slewed) / o.scale[j]
+                slewed -= (U[k + 1, j] - U[k, j]) / length(o, k + 1)
+            f[2 * k - 2 + j] = total * o.scale[j] + (o.thrust * g * U[k, j] + o.thrust_change * slewed) / o.scale[j]
     return slope
 
 
@@ -241,7 +239,7 @@ def _hessian(A: Array, B0: Array, B1: Array, slope: Array, o: Objective, S: Arra
                     for m in range(3):
                         both = slope[0, i] * slope[0, m] + slope[1, i] * slope[1, m]
                         g[2 + i] += o.terminal_velocity * both * B[2 + m, j]
-            weight = o.position + (o.terminal_position if k == N else 0.0)
+            weight = o.position * length(o, k) + (o.terminal_position if k == N else 0.0)
             for i in range(2):
                 # B1_i' Q B1_j + D_i' W D_j,  with D_i = A B1_i + B0_i
                 total = weight * (B[0, i] * B[0, j] + B[1, i] * B[1, j])
@@ -262,8 +260,8 @@ def _hessian(A: Array, B0: Array, B1: Array, slope: Array, o: Objective, S: Arra
             for i in range(3):
                 for j in range(3):
                     W[2 + i, 2 + j] = o.terminal_velocity * (slope[0, i] * slope[0, j] + slope[1, i] * slope[1, j])
-        W[0, 0] += o.position
-        W[1, 1] += o.position
+        W[0, 0] += o.position * length(o, k)
+        W[1, 1] += o.position * length(o, k)
 
     # Forwards: the sensitivities, and from them the rest of H
     for k in range(1, N + 1):
@@ -326,11 +324,13 @@ def _row(G: Array, i: int, scale: float, S: Array, columns: int, out: Array) -> 
 
 @kernel
 def thrust_terms(o: Objective, H: Array) -> None:
-    """The second derivatives of r |z_k|^2 / 2 + s |z_k - z_(k-1)|^2 / 2 on top of H (2N, 2N)."""
+    """The second derivatives of g_k r |z_k|^2 / 2 + s / g_k |z_k - z_(k-1)|^2 / 2 on top of H (2N, 2N)."""
     n = H.shape[0]
-    r, s = o.thrust, o.thrust_change
     for i in range(n):
-        H[i, i] += r + (2.0 * s if i < n - 2 else s)
+        g = length(o, i // 2 + 1)
+        H[i, i] += o.thrust * g + o.thrust_change / g
         if i < n - 2:
+            s = o.thrust_change / length(o, i // 2 + 2)
+            H[i, i] += s
             H[i, i + 2] -= s
             H[i + 2, i] -= s

@@ -3,7 +3,7 @@
 Within a block from knot s to knot e the sparse QP's states (sparse.py) are eliminated as in condensed.py:
 
     x_k = T_k [x_s, z_s, .., z_k],   T_s = [I, 0],   T_(k+1) = A_k T_k + B0_k at z_k + B1_k at z_(k+1)
-    cost of the knots between   1/2 sum over s < k < e of w |p(x_k)|^2 = 1/2 [..]' w sum T_p,k' T_p,k [..]
+    cost of the knots between   1/2 sum over s < k < e of w_k |p(x_k)|^2 = 1/2 [..]' sum w_k T_p,k' T_p,k [..]
     x_e = T_e [x_s, z_s, .., z_e]
 
 with its own cost at x_e. Two changes of the origin, which leave the optimum where it is, make the rest short:
@@ -25,7 +25,7 @@ from scipy.sparse import coo_array, csc_array, diags_array
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.constants import objective, pack_objective
+from ltv_mpc.control.constants import Objective, length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.condensed import commands, gradient, thrust_bounds, thrust_terms
@@ -41,17 +41,17 @@ Indices = npt.NDArray[np.int64]
 
 
 class PartialForm:
-    """The layout for N stages, and the numbers of the cycle built last."""
+    """The layout for given knots, and the numbers of the cycle built last."""
 
-    def __init__(self, stages: int, limits: ThrustLimits, weights: Weights, block: int = BLOCK) -> None:
-        """``limits`` and ``weights`` stay the same from cycle to cycle; ``block``: stages a block, about."""
-        N = self.stages = stages
+    def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights, block: int = BLOCK) -> None:
+        """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` stay the same; ``block``: stages in one."""
+        N = self.stages = stages = len(knots) - 1
         blocks = max(1, round(stages / block))
         self.ends: Indices = np.round(np.linspace(0, stages, blocks + 1)).astype(np.int64)
         self.states = STATES * blocks  # unknowns x, and rows of the dynamics
         self.variables = self.states + 2 * N
         self.rows = self.states + 4 * N - 2
-        self._numbers = pack_objective(limits, weights)
+        self._numbers = pack_objective(knots, limits, weights)
         self.thrust_scale = limits.scale
         self._scale = np.concatenate([STATE_SCALE, limits.scale])
         width = STATES + 2 * (int(np.diff(self.ends).max()) + 1)
@@ -139,14 +139,11 @@ class PartialForm:
 
     # --- the numbers of a cycle ---
 
-    def build(self, lin: Linearisation, reference: Array) -> bool:
-        """The numbers of one cycle, and whether they are finite.
-
-        ``reference`` is (N, 2): north and east (m) wanted at the knots 1 .. N.
-        """
+    def build(self, lin: Linearisation, target: Array) -> bool:
+        """The numbers of one cycle, and whether they are finite; ``target`` (N+1, 2) as in ``Solver``."""
         return _build(
             *lin[:-1],
-            reference,
+            target,
             self._numbers,
             self._scale,
             self.ends,
@@ -200,7 +197,7 @@ def _build(
     A: Array,
     B0: Array,
     B1: Array,
-    reference: Array,
+    target: Array,
     numbers: Array,
     scale: Array,
     ends: Indices,
@@ -217,15 +214,16 @@ def _build(
 ) -> bool:
     """The blocks' matrices, P, f (2N,) and the bounds (4N-2,) in place; T (2, 8, width) is scratch."""
     o = objective(numbers)
-    slope = gradient(X, U, C, Phi, A, B0, B1, reference, o, f)
+    slope = gradient(X, U, C, Phi, A, B0, B1, target, o, f)
     thrust_bounds(U, o, lower, upper)
     last = ends.shape[0] - 2
     total = f.sum() + lower.sum() + upper.sum()
     for b in range(last + 1):
-        _condense_block(A, B0, B1, ends[b], ends[b + 1], o.position, scale, T, cost[b], motion[b])
+        _condense_block(A, B0, B1, ends[b], ends[b + 1], o, scale, T, cost[b], motion[b])
+        weight = o.position * length(o, ends[b + 1])
         end[b] = 0.0
         for i in range(2):
-            end[b, i, i] = (o.position + (o.terminal_position if b == last else 0.0)) * scale[i] ** 2
+            end[b, i, i] = (weight + (o.terminal_position if b == last else 0.0)) * scale[i] ** 2
         total += motion[b].sum() + cost[b].sum()
     for i in range(3):
         for j in range(3):
@@ -242,7 +240,7 @@ def _condense_block(
     B1: Array,
     s: int,
     e: int,
-    weight: float,
+    o: Objective,
     scale: Array,
     T: Array,
     cost: Array,
@@ -274,7 +272,7 @@ def _condense_block(
                 new[i, known - 2 + j] += B0[k, i, j] * scale[6 + j]
                 new[i, known + j] = B1[k, i, j] * scale[6 + j]
         if k + 1 < e:
-            north, east = new[0], new[1]
+            north, east, weight = new[0], new[1], o.position * length(o, k + 1)
             for i in range(known + 2):
                 wn, we, row = weight * north[i], weight * east[i], cost[i]
                 for j in range(i, known + 2):

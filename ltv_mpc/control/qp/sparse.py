@@ -1,17 +1,18 @@
 """The sparse QP of the LTV-MPC, in deviations from the trajectory that it was linearised along.
 
-    minimise   sum over k = 1..N of   w |p_k - ref_k|^2 + r |U_k / F|^2 + s |(U_k - U_(k-1)) / F|^2
-               + w_N |p_N - ref_N|^2 + m |p'_N|^2
+    minimise   sum over k = 1..N of   g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2
+               + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
     subject to dX_(k+1) = A_k dX_k + B0_k dU_k + B1_k dU_(k+1) + Phi_k - Xbar_(k+1),   dX_0 = 0, dU_0 = 0
                p'_N = V dX_N + p'bar_N
-               min <= Ubar_k + dU_k <= max,   |U_k - U_(k-1)| <= slew h
+               min <= Ubar_k + dU_k <= max,   |U_k - U_(k-1)| <= slew h_k
 
-p = [n, e], p' its velocity over ground; F the thrusters' largest thrust; dX = X - Xbar. The terminal velocity is what
-tells a vehicle that stops on its point from one that passes, or orbits, it: within a short horizon both are as near.
-The sparsity pattern is fixed by N: only numbers change from cycle to cycle.
+g_k = h_k / 0.3 s: the length of the stage that ends at knot k (grid.py). p = [n, e], p' its velocity over ground; F the
+thrusters' largest thrust; dX = X - Xbar. The terminal velocity is what tells a vehicle that stops on its point from one
+that passes, or orbits, it: within a short horizon both are as near. The sparsity pattern is fixed by N: only numbers
+change from cycle to cycle.
 
-Variables are scaled to be of order one, z_k = [dX_k / STATE_SCALE, dU_k / F] and p'_N at the end; the rows of the
-dynamics are divided by the same scales. What else a solver wants of its rows is the solver's own business.
+Variables are scaled to be of order one, z_k = [dX_k / STATE_SCALE, dU_k / F] and p'_N - ref'_N at the end; the rows of
+the dynamics are divided by the same scales. What else a solver wants of its rows is the solver's own business.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.constants import objective, pack_objective
+from ltv_mpc.control.constants import length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
 from ltv_mpc.control.limits import ThrustLimits, bounds
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.signals import Array
+from ltv_mpc.signals import Array, Pair
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -68,23 +69,25 @@ def map_of(flat: Places, entries: int) -> Map:
 
 
 class SparseForm:
-    """The layout for N stages: where each number of a cycle goes.
+    """The layout for given knots: where each number of a cycle goes.
 
     Columns: 10 a stage (the state at its end, both commands there), then the terminal velocity. Rows: 8 of dynamics a
     stage, 2 of the terminal velocity (these are the ``equalities``), then 2 of slew a stage, then 2 of box a stage.
     """
 
-    def __init__(self, stages: int, limits: ThrustLimits, weights: Weights) -> None:
-        """``limits`` and ``weights`` fix P; only q, A's numbers, l and u change from cycle to cycle."""
-        self.stages = stages
+    def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights) -> None:
+        """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` fix P; A, q, l and u change every cycle."""
+        self.stages = stages = len(knots) - 1
+        self._lengths = np.diff(knots)
         self.limits = limits
         self.weights = weights
-        position = np.full(stages, weights.position_per_m2)
+        position = weights.position_per_m2 * self._lengths
         position[-1] += weights.terminal_position_per_m2
         self.variables = stages * WIDTH + 2
         self.equalities = stages * STATES + 2
         self.rows = self.equalities + 4 * stages
         self._position = position
+        self.numbers = pack_objective(knots, limits, weights)
         self.state_scale = np.concatenate([STATE_SCALE, limits.scale])
         self.P = self._cost()
         self._make_pattern()
@@ -92,14 +95,15 @@ class SparseForm:
     # --- the cost ---
 
     def _cost(self) -> csc_array:
-        N, r, s = self.stages, self.weights.thrust, self.weights.thrust_change
+        N, r = self.stages, self.weights.thrust * self._lengths[:, None]
+        s = self.weights.thrust_change / self._lengths[:, None]
         diagonal = np.zeros((N, WIDTH))
         diagonal[:, :2] = self._position[:, None] * STATE_SCALE[:2] ** 2
-        # r |U_k|^2 + s |U_k - U_(k-1)|^2 + s |U_(k+1) - U_k|^2, the last one without a successor
-        diagonal[:, STATES:] = r + 2.0 * s
-        diagonal[-1, STATES:] = r + s
+        # r_k |U_k|^2 + s_k |U_k - U_(k-1)|^2 + s_(k+1) |U_(k+1) - U_k|^2, the last one without a successor
+        diagonal[:, STATES:] = r + s
+        diagonal[:-1, STATES:] += s[1:]
         between = np.zeros((N - 1, WIDTH))
-        between[:, STATES:] = -s
+        between[:, STATES:] = -s[1:]
         at = np.arange(N * WIDTH, dtype=np.int32)
         last = N * WIDTH + np.arange(2, dtype=np.int32)
         rows = np.concatenate([at, at[:-WIDTH], at[WIDTH:], last])
@@ -159,21 +163,20 @@ class SparseForm:
             np.int64
         )
         self.factor = np.array([entry[3] for entry in taken])
-        self.numbers = pack_objective(self.limits, self.weights)
 
     def template(self) -> Array:
         """Room for A's numbers (nnz,), with those in it that never change."""
         return self._template.copy()
 
-    def fill(self, lin: Linearisation, reference: Array, A_data: Array, q: Array, l: Array, u: Array) -> None:  # noqa: E741
+    def fill(self, lin: Linearisation, target: Array, A_data: Array, q: Array, l: Array, u: Array) -> None:  # noqa: E741
         """One cycle's numbers into A_data (nnz,), made by ``template``, q (n,), l and u (m,)."""
-        fill(self.numbers, lin.flat, reference, self.map, self.factor, A_data, q, l, u)
+        fill(self.numbers, lin.flat, target, self.map, self.factor, A_data, q, l, u)
 
-    def build(self, lin: Linearisation, reference: Array) -> QP:
-        """The QP of one cycle; ``reference`` is (N, 2): north and east (m) wanted at the knots 1 .. N."""
+    def build(self, lin: Linearisation, target: Array) -> QP:
+        """The QP of one cycle; ``target`` (N+1, 2) as in ``Solver``."""
         A_data, q = self.template(), np.empty(self.variables)
         lower, upper = np.empty(self.rows), np.empty(self.rows)
-        self.fill(lin, np.ascontiguousarray(reference), A_data, q, lower, upper)
+        self.fill(lin, np.ascontiguousarray(target), A_data, q, lower, upper)
         return self.assembled(A_data, q, lower, upper)
 
     def assembled(self, A_data: Array, q: Array, l: Array, u: Array) -> QP:  # noqa: E741
@@ -192,7 +195,7 @@ class SparseForm:
 def fill(
     numbers: Array,
     flat: Array,
-    reference: Array,
+    target: Array,
     places: Places,
     factor: Array,
     data: Array,
@@ -201,9 +204,9 @@ def fill(
     u: Array,
 ) -> None:
     """What ``SparseForm.fill`` does."""
-    N = reference.shape[0]
+    N = len(target) - 1
     lin, c = views(flat, N), objective(numbers)
-    X, U, F, r, s = lin.X, lin.U, c.scale, c.thrust, c.thrust_change
+    X, U, F = lin.X, lin.U, c.scale
     to = map_of(places, len(data))
     for i in range(len(to.place)):
         data[to.place[i]] = flat[to.source[i]] * factor[i]
@@ -211,41 +214,53 @@ def fill(
     E = N * STATES + 2
     for k in range(N):
         row, column = k * STATES, k * WIDTH
+        g = length(c, k + 1)
+        r, s = c.thrust * g, c.thrust_change / g
         for i in range(STATES):
             # -dX_(k+1) + A dX_k + B0 dU_k + B1 dU_(k+1) = Xbar_(k+1) - Phi_k
             scale = STATE_SCALE[i] if i < 6 else F[i - 6]
             l[row + i] = u[row + i] = (X[k + 1, i] - lin.Phi[k, i]) / scale
             q[column + i] = 0.0
-        weight = c.position + (c.terminal_position if k == N - 1 else 0.0)
+        weight = c.position * g + (c.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             # w_k (p_k - ref_k)
-            q[column + i] = weight * (X[k + 1, i] - reference[k, i]) * STATE_SCALE[i]
+            q[column + i] = weight * (X[k + 1, i] - target[k, i]) * STATE_SCALE[i]
             # r U_k + s (U_k - U_(k-1)) - s (U_(k+1) - U_k)
             step = (U[k + 1, i] - U[k, i]) / F[i]
             q[column + STATES + i] = r * U[k + 1, i] / F[i] + s * step
             if k > 0:
                 q[column - WIDTH + STATES + i] -= s * step
             slew, box = E + 2 * k + i, E + 2 * (N + k) + i
-            low, high = bounds(U[0, i], k + 1, c.low[i], c.high[i], c.change[i])
-            l[slew], u[slew] = -c.change[i] / F[i] - step, c.change[i] / F[i] - step
+            low, high = bounds(U[0, i], c.t[k + 1] * c.change[i], c.low[i], c.high[i])
+            change = g * c.change[i]
+            l[slew], u[slew] = -change / F[i] - step, change / F[i] - step
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
     for i in range(2):
-        # -p'_N + V dX_N = -p'bar_N
-        l[N * STATES + i] = u[N * STATES + i] = -velocity[i]
+        # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
+        l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
         q[N * WIDTH + i] = 0.0
         for j in range(3):
             data[to.velocity[3 * i + j]] = slope[i, j] * STATE_SCALE[2 + j]
 
 
 def build_qp(
-    vehicle: Vehicle, X: Array, U: Array, current: Array, reference: Array, weights: Weights | None = None
+    vehicle: Vehicle,
+    X: Array,
+    U: Array,
+    current: Array,
+    reference: Array,
+    weights: Weights | None = None,
+    *,
+    end_velocity_mps: Pair = (0.0, 0.0),
 ) -> QP:
     """The QP of one cycle, linearised along a trajectory.
 
     ``X`` (N+1, 8) states n, e, u, v, psi, r and delivered port and starboard thrust; ``U`` (N+1, 2) their commands;
     ``current`` (N+1, 2) north and east (m/s), all at knots 0.3 s apart; ``reference`` (N, 2) north and east (m) wanted
-    at the knots 1 .. N. Its unknowns are scaled deviations from X and U in the order of the stages: this file's head.
+    at the knots 1 .. N, and ``end_velocity_mps`` over ground at the last. Its unknowns are scaled deviations from X and
+    U in the order of the stages: this file's head.
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    return SparseForm(len(U) - 1, ThrustLimits.of(vehicle, stage_s), weights or Weights()).build(lin, reference)
+    form = SparseForm(np.arange(float(len(U))), ThrustLimits.of(vehicle, stage_s), weights or Weights())
+    return form.build(lin, np.vstack([reference, end_velocity_mps]))

@@ -29,7 +29,7 @@ class ByName:
     def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
         """``config`` names the backend."""
         self._name = config.solver
-        self._form = SparseForm(config.stages, limits, config.weights)
+        self._form = SparseForm(config.knots, limits, config.weights)
         self._lin: Linearisation | None = None
         self._qp: QP | None = None
 
@@ -39,9 +39,9 @@ class ByName:
     def forget(self) -> None:
         """As in ``Solver``; it has no warm start."""
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
+    def build(self, lin: Linearisation, target: Array) -> None:
         """As in ``Solver``."""
-        self._lin, self._qp = lin, self._form.build(lin, reference)
+        self._lin, self._qp = lin, self._form.build(lin, target)
 
     def update(self) -> None:
         """As in ``Solver``; the backend takes the whole problem at once."""

@@ -48,7 +48,7 @@ class CondensedDaqp:
 
     def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
         """``config`` says how many stages, and the weights."""
-        self._form = CondensedForm(config.stages, limits, config.weights)
+        self._form = CondensedForm(config.knots, limits, config.weights)
         self._cold = np.zeros(len(self._form.lower), dtype=np.int32)  # no bound in the working set
         self._model: Model | None = None
         self._warm = False
@@ -62,11 +62,11 @@ class CondensedDaqp:
         """The next solve begins with an empty working set."""
         self._warm = False
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
-        """H, f and the bounds of one cycle; ``reference`` is (N, 2)."""
-        finite = self._form.build(lin, reference)
+    def build(self, lin: Linearisation, target: Array) -> None:
+        """H, f and the bounds of one cycle; ``target`` (N+1, 2) as in ``Solver``."""
+        finite = self._form.build(lin, target)
         self._lin = lin
-        self._why = "" if finite else not_finite(lin, reference)
+        self._why = "" if finite else not_finite(lin, target)
 
     def update(self) -> None:
         """Into DAQP, which factorises H and transforms the slew rows."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import Linearisation, not_finite
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.condensed import commands
@@ -64,7 +65,8 @@ class PartialOsqp:
 
     def __init__(self, config: ControllerConfig, limits: ThrustLimits, *, block: int = BLOCK) -> None:
         """``config`` says how many stages, the weights, the tolerance and the most iterations."""
-        form = self._form = PartialForm(config.stages, limits, config.weights, block)
+        form = self._form = PartialForm(config.knots, limits, config.weights, block)
+        self._knots = config.knots
         self._tolerance, self._most = config.tolerance, config.max_iterations
         self._solver: Workspace | None = None
         self._dual = np.zeros(form.rows)  # of the rows as they are
@@ -78,17 +80,17 @@ class PartialOsqp:
 
     def shift(self, stages: float) -> None:
         """Duals of box and slew move with the plan, the last ones stay."""
-        _shift(self._dual, self._form.states, self._form.stages, stages)
+        _shift(self._dual, self._form.states, self._knots, stages)
 
     def forget(self) -> None:
         """The next solve begins with no active row."""
         self._dual[:] = 0.0
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
-        """The numbers of one cycle; ``reference`` is (N, 2)."""
-        finite = self._form.build(lin, reference)
+    def build(self, lin: Linearisation, target: Array) -> None:
+        """The numbers of one cycle; ``target`` (N+1, 2) as in ``Solver``."""
+        finite = self._form.build(lin, target)
         self._lin = lin
-        self._why = "" if finite else not_finite(lin, reference)
+        self._why = "" if finite else not_finite(lin, target)
 
     def update(self) -> None:
         """Into OSQP, which factorises."""
@@ -255,11 +257,12 @@ def _read(
 
 
 @kernel
-def _shift(dual: Array, states: int, N: int, stages: float) -> None:
-    """Duals (m,) for a grid that begins ``stages`` later, linear between knots, in place.
+def _shift(dual: Array, states: int, t: Array, stages: float) -> None:
+    """Duals (m,) for knots t (N+1,) that begin ``stages`` later, linear between knots, in place.
 
     The bound of z_1 is box and slew in one: its dual is that of both. The dynamics' duals become zero.
     """
+    N, near = len(t) - 1, 0
     box, slew = np.zeros((N, 2)), np.zeros((N, 2))
     for k in range(N):
         for i in range(2):
@@ -268,9 +271,8 @@ def _shift(dual: Array, states: int, N: int, stages: float) -> None:
                 slew[k, i] = dual[states + 2 * N + 2 * k - 2 + i]
     dual[:] = 0.0
     for k in range(N):
-        at = min(max(k + stages, 0.0), N - 1.0)
-        low = int(at)
-        high, part = min(low + 1, N - 1), at - low
+        near, part = position(t[1:], t[k + 1] + stages, near)
+        low, high = near, min(near + 1, N - 1)
         for i in range(2):
             of_box = (1.0 - part) * box[low, i] + part * box[high, i]
             of_slew = (1.0 - part) * slew[low, i] + part * slew[high, i]

@@ -20,15 +20,19 @@ class Solver(Protocol):
     """Keeps its workspace and its warm start from cycle to cycle; never raises for a problem it cannot solve."""
 
     def shift(self, stages: float) -> None:
-        """The next problem's knots lie so many stages after the last one's, along the same plan."""
+        """The next problem's knots begin so many first stages after the last one's, along the same plan."""
         ...
 
     def forget(self) -> None:
         """The next problem has nothing to do with the last one."""
         ...
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
-        """The problem's numbers; ``reference`` (N, 2) is the position (m) wanted at the knots 1 .. N."""
+    def build(self, lin: Linearisation, target: Array) -> None:
+        """The problem's numbers.
+
+        ``target`` (N+1, 2), north and east: the positions (m) wanted at the knots 1 .. N, then the velocity over
+        ground (m/s) wanted at the last one.
+        """
         ...
 
     def update(self) -> None:

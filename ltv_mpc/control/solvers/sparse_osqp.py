@@ -23,7 +23,8 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.constants import Objective, objective
+from ltv_mpc.control.constants import Objective, length, objective
+from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import (
     Linearisation,
     not_finite,
@@ -117,7 +118,7 @@ class SparseOsqp:
 
     def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
         """``config.tolerance`` is absolute, on the residuals of the scaled problem."""
-        self.form = form = SparseForm(config.stages, limits, config.weights)
+        self.form = form = SparseForm(config.knots, limits, config.weights)
         self._most = config.max_iterations
         self._tolerance = self._eps = config.tolerance
         entries = form.pattern.nnz
@@ -137,12 +138,12 @@ class SparseOsqp:
         """As in ``Solver``."""
         self._shift = math.nan
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
+    def build(self, lin: Linearisation, target: Array) -> None:
         """As in ``Solver``."""
         self._lin, form = lin, self.form
-        size = prepare(form.numbers, lin.flat, reference, form.map, form.factor, self._shift, self._flat)
+        size = prepare(form.numbers, lin.flat, target, form.map, form.factor, self._shift, self._flat)
         self._finite = size >= 0.0
-        self._why = "" if self._finite else not_finite(lin, reference)
+        self._why = "" if self._finite else not_finite(lin, target)
         self._eps = self._tolerance * min(size, LOOSEST)
 
     def update(self) -> None:
@@ -220,17 +221,17 @@ class SparseOsqp:
 
 @kernel
 def prepare(
-    numbers: Array, flat: Array, reference: Array, places: Places, factor: Array, shift: float, solve: Array
+    numbers: Array, flat: Array, target: Array, places: Places, factor: Array, shift: float, solve: Array
 ) -> float:
     """The problem, its first guess, and both with scaled rows, into ``solve`` (``room``).
 
     Returns how much larger than GRADIENT the cost's gradient is, as a step size goes with it; -1 if a number is not
     finite.
     """
-    N = reference.shape[0]
+    N = len(target) - 1
     at = room(solve, N)
-    fill(numbers, flat, reference, places, factor, at.A, at.q, at.l, at.u)
-    first_guess(numbers, flat, at.q, shift, at.x, at.y)
+    fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
+    first_guess(numbers, flat, target, at.q, shift, at.x, at.y)
     if rescale(places, solve, N) < 0:
         return -1.0
     return growth(at.q)
@@ -246,12 +247,12 @@ def growth(q: Array) -> float:
 
 
 @kernel
-def first_guess(numbers: Array, flat: Array, q: Array, shift: float, x: Array, y: Array) -> None:
+def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: float, x: Array, y: Array) -> None:
     """x (n,) and y (m,) to begin with, in place of those of the last solve, ``shift`` stages earlier (NaN: of none)."""
     N = (len(q) - 2) // WIDTH
     c, lin = objective(numbers), views(flat, N)
     E = N * STATES + 2
-    _shift_limits(y, E, N, shift)
+    _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     x[:] = 0.0
     # d_(k+1) = A d_k + Phi_k - Xbar_(k+1): the gaps closed, commands as they are
@@ -263,10 +264,10 @@ def first_guess(numbers: Array, flat: Array, q: Array, shift: float, x: Array, y
         last[:] = d
         for i in range(STATES):
             x[k * WIDTH + i] = d[i] / _state_scale(i, c)
-    # m p'_N = y: the terminal velocity's own column
+    # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
-        w = velocity[i]
+        w = velocity[i] - target[N, i]
         for j in range(3):
             w += V[i, j] * d[2 + j]
         x[N * WIDTH + i] = w
@@ -276,7 +277,7 @@ def first_guess(numbers: Array, flat: Array, q: Array, shift: float, x: Array, y
     # lambda_(k-1) = gradient_k + A_k' lambda_k: the columns of the states
     before = np.zeros(STATES)
     for k in range(N - 1, -1, -1):
-        weight = c.position + (c.terminal_position if k == N - 1 else 0.0)
+        weight = c.position * length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             scale = STATE_SCALE[i]
             costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
@@ -292,18 +293,18 @@ def _state_scale(i: int, c: Objective) -> float:
 
 
 @kernel
-def _shift_limits(y: Array, E: int, N: int, stages: float) -> None:
-    """The duals of slew and box on knots so many stages later: linear between stages, the last one repeated."""
+def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
+    """The duals of slew and box on knots t (N+1,) so many first stages later: linear between knots, the last kept."""
     if np.isnan(stages):
         y[E:] = 0.0
         return
     if stages == 0.0:
         return
+    N, low = len(t) - 1, 0
     old = y[E:].copy()
     for k in range(N):
-        at = min(max(k + stages, 0.0), N - 1.0)
-        low = int(at)
-        high, part = min(low + 1, N - 1), at - low
+        low, part = position(t[1:], t[k + 1] + stages, low)
+        high = min(low + 1, N - 1)
         for j in range(2):
             y[E + 2 * k + j] = (1.0 - part) * old[2 * low + j] + part * old[2 * high + j]
             y[E + 2 * (N + k) + j] = (1.0 - part) * old[2 * (N + low) + j] + part * old[2 * (N + high) + j]

@@ -33,7 +33,7 @@ class SparsePiqp:
             raise ConfigError(
                 "controller settings", "solver", "is not installed: pip install piqp", value="piqp"
             ) from None
-        self.form = form = SparseForm(config.stages, limits, config.weights)
+        self.form = form = SparseForm(config.knots, limits, config.weights)
         self._piqp = piqp
         self._tolerance = tolerance
         self._A, self._q = form.template(), np.empty(form.variables)
@@ -57,10 +57,10 @@ class SparsePiqp:
     def forget(self) -> None:
         """As in ``Solver``; it has no warm start."""
 
-    def build(self, lin: Linearisation, reference: Array) -> None:
+    def build(self, lin: Linearisation, target: Array) -> None:
         """As in ``Solver``."""
         self._lin = lin
-        self.form.fill(lin, reference, self._A, self._q, self._l, self._u)
+        self.form.fill(lin, target, self._A, self._q, self._l, self._u)
         self._finite = bool(np.isfinite(self._A.sum() + self._q.sum() + self._l.sum() + self._u.sum()))
 
     def update(self) -> None:

@@ -87,7 +87,7 @@ class Cycle:
 
     form: SparseForm
     lin: Linearisation
-    reference: Array
+    target: Array
     stages: float  # since the last problem, NaN where this one has nothing to do with it
 
 
@@ -97,10 +97,10 @@ def cycles() -> list[Cycle]:
     seen: list[Cycle] = []
     build = SparseOsqp.build
 
-    def remembered(self, lin, reference):  # type: ignore[no-untyped-def]
+    def remembered(self, lin, target):  # type: ignore[no-untyped-def]
         copied = Linearisation.of(*lin[:-1])  # the controller's own is used again
-        seen.append(Cycle(self.form, copied, np.array(reference), self._shift))
-        return build(self, lin, reference)
+        seen.append(Cycle(self.form, copied, np.array(target), self._shift))
+        return build(self, lin, target)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SparseOsqp, "build", remembered)

@@ -20,8 +20,13 @@ LOWERED = ThrustLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIM
 """A box that was just made smaller: a command can be outside of it."""
 
 
+def equidistant(stages: int) -> Array:
+    """Knots (N+1,) of so many stages."""
+    return np.arange(stages + 1.0)
+
+
 def motion(seed: int, stages: int, *, gap: float = 0.0) -> tuple[Linearisation, Array]:
-    """Linearised along a motion of the paper's vehicle whose knots are off it by ``gap``; and a reference (N, 2)."""
+    """Linearised along a motion of the paper's vehicle whose knots are off it by ``gap``; and a target (N+1, 2)."""
     rng = np.random.default_rng(seed)
     X0 = np.concatenate([rng.normal(size=2), rng.normal(size=2) * 0.2, [rng.uniform(-3, 3)], rng.normal(size=1) * 0.2])
     U = np.empty((stages + 1, 2))
@@ -32,11 +37,11 @@ def motion(seed: int, stages: int, *, gap: float = 0.0) -> tuple[Linearisation, 
     p = PAPER.coefficients()
     X = roll_out(np.concatenate([X0, U[0]]), U, C, np.full(stages, 0.3), p)
     X[1:] += gap * rng.normal(size=(stages, 8)) * [1.0, 1.0, 0.3, 0.3, 1.0, 0.3, 30.0, 30.0]
-    return linearise(X, U, C, 0.3, p), np.tile(rng.normal(size=2), (stages, 1))
+    return linearise(X, U, C, 0.3, p), np.vstack([np.tile(rng.normal(size=2), (stages, 1)), rng.normal(size=2) * 0.1])
 
 
 def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
-    """Sensitivities without structure but for the documented one, and gaps; and a reference that moves."""
+    """Sensitivities without structure but for the documented one, and gaps; and a target that moves."""
     rng = np.random.default_rng(seed)
     A, B0, B1 = (rng.normal(size=(stages, 8, k)) * 0.3 for k in (8, 2, 2))
     A[:, :, :2] = A[:, 6:, :] = 0.0
@@ -50,7 +55,7 @@ def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
     lin = Linearisation.of(
         X, U, rng.normal(size=(stages + 1, 2)), X[1:] + rng.normal(size=(stages, 8)) * 0.1, A, B0, B1
     )
-    return lin, rng.normal(size=(stages, 2))
+    return lin, rng.normal(size=(stages + 1, 2))
 
 
 def precise(qp: QP) -> Array:
@@ -64,7 +69,9 @@ def precise(qp: QP) -> Array:
     return np.array(solver.result.x)
 
 
-def optimum(lin: Linearisation, reference: Array, limits: ThrustLimits, weights: Weights) -> Array:
-    """Commands (N+1, 2) of the sparse QP's optimum."""
-    form = SparseForm(len(lin.U) - 1, limits, weights)
-    return form.commands(lin, precise(form.build(lin, reference)))
+def optimum(
+    lin: Linearisation, target: Array, limits: ThrustLimits, weights: Weights, knots: Array | None = None
+) -> Array:
+    """Commands (N+1, 2) of the sparse QP's optimum; the knots are equidistant if none are given."""
+    form = SparseForm(equidistant(len(lin.U) - 1) if knots is None else knots, limits, weights)
+    return form.commands(lin, precise(form.build(lin, target)))

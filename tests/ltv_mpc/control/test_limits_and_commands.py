@@ -33,7 +33,7 @@ def plan(start_ns: int, thrust) -> Plan:
 @given(arrays(np.float64, (6, 2), elements=st.floats(-500, 500)), arrays(np.float64, 2, elements=st.floats(-80, 80)))
 def test_enforced_commands_obey_slew_exactly_and_the_box_as_soon_as_they_can(commands, start):
     commands[0] = start
-    out = LIMITS.enforced(commands)
+    out = LIMITS.enforced(commands, np.arange(float(len(commands))))
     np.testing.assert_array_equal(out[0], start)
     assert (np.abs(np.diff(out, axis=0)) <= 30.0 + 1e-9).all()
     for k in range(1, 6):
@@ -45,7 +45,7 @@ def test_enforced_commands_obey_slew_exactly_and_the_box_as_soon_as_they_can(com
 
 @given(arrays(np.float64, (6, 2), elements=st.floats(-12, 12)))
 def test_commands_inside_the_limits_are_left_alone(commands):
-    np.testing.assert_array_equal(LIMITS.enforced(commands), commands)
+    np.testing.assert_array_equal(LIMITS.enforced(commands, np.arange(float(len(commands)))), commands)
 
 
 def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side():
@@ -61,10 +61,10 @@ def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side()
 
 def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit_and_a_start_inside_changes_nothing():
     """150 N ahead and 100 N astern, 30 N a stage; the other side stays, and so it does for a start inside."""
-    low, high = LIMITS.box(np.array([150.0, -100.0]), 4)
+    low, high = LIMITS.box(np.array([150.0, -100.0]), np.arange(5.0))
     np.testing.assert_array_equal(high.T, [[120.0, 90.0, 62.5, 62.5], [62.5] * 4])
     np.testing.assert_array_equal(low.T, [[-62.5] * 4, [-70.0, -62.5, -62.5, -62.5]])
-    low, high = LIMITS.box(np.array([-62.5, 50.0]), 4)
+    low, high = LIMITS.box(np.array([-62.5, 50.0]), np.arange(5.0))
     np.testing.assert_array_equal(low, np.full((4, 2), -62.5))
     np.testing.assert_array_equal(high, np.full((4, 2), 62.5))
 
@@ -73,7 +73,7 @@ def test_commands_too_steep_or_too_strong_end_at_the_nearest_that_are_allowed():
     """By hand: at most 30 N a knot from the knot before, then the box."""
     wanted = np.array([[0.0, 0.0], [100.0, -10.0], [100.0, -50.0], [100.0, -200.0], [-100.0, 0.0]])
     allowed = [[0.0, 0.0], [30.0, -10.0], [60.0, -40.0], [62.5, -62.5], [32.5, -32.5]]
-    np.testing.assert_allclose(LIMITS.enforced(wanted), allowed)
+    np.testing.assert_allclose(LIMITS.enforced(wanted, np.arange(float(len(wanted)))), allowed)
 
 
 def test_nothing_was_sent_so_nothing_is_in_force():

@@ -25,7 +25,7 @@ def test_the_constraints_are_the_dynamics_box_and_slew_of_the_trajectory(cycles)
     cycle = cycles[40]
     lin, form = cycle.lin, cycle.form
     N = form.stages
-    qp = form.build(lin, cycle.reference)
+    qp = form.build(lin, cycle.target)
     U = lin.U + np.vstack([np.zeros(2), rng.normal(size=(N, 2)) * 5])
     X = [lin.X[0]]
     for k in range(N):
@@ -55,7 +55,7 @@ def test_the_objective_is_the_documented_cost(cycles):
     cycle = cycles[40]
     lin, form = cycle.lin, cycle.form
     N = form.stages
-    qp = form.build(lin, cycle.reference)
+    qp = form.build(lin, cycle.target)
     scale = np.concatenate([STATE_SCALE, [62.5, 62.5]])
     velocity, _ = velocity_over_ground(lin.X[-1], lin.C[-1])
 
@@ -63,7 +63,7 @@ def test_the_objective_is_the_documented_cost(cycles):
         X, U = lin.X.copy(), lin.U.copy()
         X[1:] += z[:, :8] * scale
         U[1:] += z[:, 8:] * 62.5
-        p, w = X[1:, :2] - cycle.reference, form.weights
+        p, w = X[1:, :2] - cycle.target[:-1], form.weights
         u = U / 62.5
         direct = (
             w.position_per_m2 * (p**2).sum()
@@ -80,7 +80,7 @@ def test_the_objective_is_the_documented_cost(cycles):
         q1, d1 = both(rng.normal(size=(N, WIDTH)), rng.normal(size=2))
         assert q1 - q0 == pytest.approx(d1 - d0, rel=1e-9)
     # and the cost that the line search compares is the same one
-    assert cost(lin.X, lin.U, lin.C, cycle.reference, objective(form.numbers)) == pytest.approx(
+    assert cost(lin.X, lin.U, lin.C, cycle.target, objective(form.numbers)) == pytest.approx(
         2 * (d0 + 0.5 * form.weights.terminal_velocity_s2_per_m2 * (velocity**2).sum()), rel=1e-12
     )
 
@@ -103,7 +103,7 @@ def riccati(cycle):
         H = np.zeros((13, 13))
         for i in range(2):
             row = np.zeros(13)
-            row[i], row[12] = 1.0, lin.X[k, i] - cycle.reference[k - 1, i]
+            row[i], row[12] = 1.0, lin.X[k, i] - cycle.target[k - 1, i]
             weight = w.position_per_m2 + (w.terminal_position_per_m2 if k == N else 0.0)
             H += weight * np.outer(row, row)
             row = np.zeros(13)
@@ -146,7 +146,7 @@ def riccati(cycle):
 
 def test_the_unconstrained_problem_agrees_with_a_time_varying_riccati_recursion(cycles):
     for cycle in cycles[10::40]:
-        qp = without_limits(cycle.form, cycle.form.build(cycle.lin, cycle.reference))
+        qp = without_limits(cycle.form, cycle.form.build(cycle.lin, cycle.target))
         ours = cycle.form.commands(cycle.lin, precise(qp))[1:] - cycle.lin.U[1:]
         want = riccati(cycle)
         np.testing.assert_allclose(ours, want, rtol=0, atol=1e-6 * max(1.0, np.abs(want).max()))

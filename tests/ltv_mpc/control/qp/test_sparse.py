@@ -11,6 +11,8 @@ from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.sparse import SparseForm
 
 N = 3
+KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
+LENGTH = np.diff(KNOTS)
 FULL_N = np.array([62.5, 50.0])
 SCALE = np.array([1.0, 1.0, 0.3, 0.3, 1.0, 0.3, *FULL_N])
 LIMITS = ThrustLimits(np.array([-40.0, -50.0]), np.array([62.5, 30.0]), np.array([30.0, 20.0]))
@@ -21,7 +23,7 @@ WEIGHTS = Weights(
     thrust=0.17,
     thrust_change=0.05,
 )
-FORM = SparseForm(N, LIMITS, WEIGHTS)
+FORM = SparseForm(KNOTS, LIMITS, WEIGHTS)
 
 
 @pytest.fixture
@@ -39,12 +41,12 @@ def lin():
 
 
 @pytest.fixture
-def reference():
-    return np.random.default_rng(6).normal(size=(N, 2)) * 3
+def target():
+    return np.random.default_rng(6).normal(size=(N + 1, 2)) * 3
 
 
 def unpacked(lin, z):
-    """States and commands that a point of the QP stands for, and the terminal velocity that it carries."""
+    """States and commands that a point of the QP stands for, and the error of the terminal velocity that it carries."""
     X, U = lin.X.copy(), lin.U.copy()
     for k in range(N):
         X[k + 1] += z[10 * k : 10 * k + 8] * SCALE
@@ -52,19 +54,20 @@ def unpacked(lin, z):
     return X, U, z[-2:]
 
 
-def terms(lin, reference, z):
+def terms(lin, target, z):
     """Square roots of the cost's terms."""
     X, U, end = unpacked(lin, z)
     for k in range(1, N + 1):
-        yield np.sqrt(1.3) * (X[k, :2] - reference[k - 1])
-        yield np.sqrt(0.17) * U[k] / FULL_N
-        yield np.sqrt(0.05) * (U[k] - U[k - 1]) / FULL_N
-    yield np.sqrt(7.0) * (X[N, :2] - reference[N - 1])
+        g = LENGTH[k - 1]
+        yield np.sqrt(1.3 * g) * (X[k, :2] - target[k - 1])
+        yield np.sqrt(0.17 * g) * U[k] / FULL_N
+        yield np.sqrt(0.05 / g) * (U[k] - U[k - 1]) / FULL_N
+    yield np.sqrt(7.0) * (X[N, :2] - target[N - 1])
     yield np.sqrt(11.0) * end
 
 
-def model_errors(lin, z):
-    """What is left of each equality: model minus state at the end of a stage, then velocity minus terminal velocity."""
+def model_errors(lin, target, z):
+    """What is left of each equality: model minus state at the end of a stage, then the terminal velocity's error."""
     X, U, end = unpacked(lin, z)
     for k in range(N):
         predicted = lin.Phi[k] + lin.A[k] @ (X[k] - lin.X[k])
@@ -77,7 +80,7 @@ def model_errors(lin, z):
 
     h = 1e-6
     turned = [(over_ground(lin.X[N] + h * e) - over_ground(lin.X[N] - h * e)) / (2 * h) for e in np.eye(8)]
-    yield over_ground(lin.X[N]) + (X[N] - lin.X[N]) @ turned - end
+    yield over_ground(lin.X[N]) + (X[N] - lin.X[N]) @ turned - target[N] - end
 
 
 def affine(function):
@@ -86,38 +89,38 @@ def affine(function):
     return np.array([np.concatenate(list(function(e))) - constant for e in np.eye(10 * N + 2)]).T, constant
 
 
-def test_the_cost_is_the_sum_of_squares_that_is_documented(lin, reference):
+def test_the_cost_is_the_sum_of_squares_that_is_documented(lin, target):
     """Up to a constant, and to the factor 1/2 that a QP has."""
-    qp = FORM.build(lin, reference)
-    slope, constant = affine(lambda z: terms(lin, reference, z))
+    qp = FORM.build(lin, target)
+    slope, constant = affine(lambda z: terms(lin, target, z))
     np.testing.assert_allclose(qp.P.toarray(), slope.T @ slope, atol=1e-12)
     np.testing.assert_allclose(qp.q, slope.T @ constant, atol=1e-12)
 
 
-def test_equalities_are_the_errors_of_the_model(lin, reference):
-    qp, m = FORM.build(lin, reference), 8 * N + 2
-    slope, constant = affine(lambda z: model_errors(lin, z))
+def test_equalities_are_the_errors_of_the_model(lin, target):
+    qp, m = FORM.build(lin, target), 8 * N + 2
+    slope, constant = affine(lambda z: model_errors(lin, target, z))
     np.testing.assert_allclose(qp.A.toarray()[:m], slope, atol=1e-9)
     np.testing.assert_allclose(qp.l[:m], -constant, atol=1e-9)
     np.testing.assert_array_equal(qp.l[:m], qp.u[:m])
 
 
-def test_inequalities_are_the_distances_of_commands_from_slew_and_box(lin, reference):
-    qp, z = FORM.build(lin, reference), np.random.default_rng(7).normal(size=10 * N + 2)
+def test_inequalities_are_the_distances_of_commands_from_slew_and_box(lin, target):
+    qp, z = FORM.build(lin, target), np.random.default_rng(7).normal(size=10 * N + 2)
     _, U, _ = unpacked(lin, z)
     rows = qp.A @ z
     slew, box = slice(8 * N + 2, 10 * N + 2), slice(10 * N + 2, 12 * N + 2)
     change = np.diff(U, axis=0)
-    np.testing.assert_allclose((qp.u - rows)[slew].reshape(N, 2) * FULL_N, [30.0, 20.0] - change)
-    np.testing.assert_allclose((rows - qp.l)[slew].reshape(N, 2) * FULL_N, change - [-30.0, -20.0])
+    np.testing.assert_allclose((qp.u - rows)[slew].reshape(N, 2) * FULL_N, np.outer(LENGTH, [30.0, 20.0]) - change)
+    np.testing.assert_allclose((rows - qp.l)[slew].reshape(N, 2) * FULL_N, change + np.outer(LENGTH, [30.0, 20.0]))
     np.testing.assert_allclose((qp.u - rows)[box].reshape(N, 2) * FULL_N, [62.5, 30.0] - U[1:])
     np.testing.assert_allclose((rows - qp.l)[box].reshape(N, 2) * FULL_N, U[1:] - [-40.0, -50.0])
 
 
-def test_the_pattern_does_not_depend_on_the_numbers(lin, reference):
+def test_the_pattern_does_not_depend_on_the_numbers(lin, target):
     """A number that happens to be zero keeps its place; nothing stands where the documented model has none."""
     still = Linearisation.of(*lin[:4], 0 * lin.A, 0 * lin.B0, 0 * lin.B1)
-    moving, zero = FORM.build(lin, reference).A, FORM.build(still, reference).A
+    moving, zero = FORM.build(lin, target).A, FORM.build(still, target).A
     np.testing.assert_array_equal(moving.indices, zero.indices)
     np.testing.assert_array_equal(moving.indptr, zero.indptr)
     assert (moving.data != 0).all()
@@ -128,10 +131,10 @@ def test_commands_are_those_that_a_point_stands_for(lin):
     np.testing.assert_allclose(FORM.commands(lin, z), unpacked(lin, z)[1])
 
 
-def test_one_stage_is_a_horizon_too(lin, reference):
-    one = SparseForm(1, LIMITS, WEIGHTS)
+def test_one_stage_is_a_horizon_too(lin, target):
+    one = SparseForm(KNOTS[:2], LIMITS, WEIGHTS)
     short = Linearisation.of(lin.X[:2], lin.U[:2], lin.C[:2], *(x[:1] for x in (lin.Phi, lin.A, lin.B0, lin.B1)))
-    qp = one.build(short, reference[:1])
+    qp = one.build(short, target[:2])
     assert qp.A.shape == (14, 12)
-    whole = FORM.build(lin, reference)
+    whole = FORM.build(lin, target)
     np.testing.assert_array_equal(qp.A.toarray()[:8, :10], whole.A.toarray()[:8, :10])

@@ -15,8 +15,8 @@ from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, pre
 CONFIG = ControllerConfig()
 
 
-def answer(solver, lin, reference):
-    solver.build(lin, reference)
+def answer(solver, lin, target):
+    solver.build(lin, target)
     solver.update()
     return solver.solve()
 
@@ -27,27 +27,27 @@ def test_its_commands_are_the_sparse_qp_s_optimum_from_any_cycle_before(horizon_
     config = ControllerConfig(horizon_s=horizon_s, period_s=0.3)
     solver = CondensedDaqp(config, limits)
     for seed in range(6):  # each has nothing to do with the one before
-        lin, reference = motion(seed, config.stages, gap=0.02)
+        lin, target = motion(seed, config.stages, gap=0.02)
         solver.shift(1.0)
-        ours = answer(solver, lin, reference)
+        ours = answer(solver, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
-        np.testing.assert_allclose(ours.commands, optimum(lin, reference, limits, config.weights), atol=1e-6)
+        np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, config.weights), atol=1e-6)
 
 
 def test_a_warm_start_saves_iterations_and_forgetting_gives_them_back():
     solver = CondensedDaqp(CONFIG, LOWERED)
-    lin, reference = motion(4, CONFIG.stages)
-    cold = answer(solver, lin, reference).solve.iterations
-    warm = answer(solver, lin, reference).solve.iterations
+    lin, target = motion(4, CONFIG.stages)
+    cold = answer(solver, lin, target).solve.iterations
+    warm = answer(solver, lin, target).solve.iterations
     solver.forget()
-    assert answer(solver, lin, reference).solve.iterations == cold > warm
+    assert answer(solver, lin, target).solve.iterations == cold > warm
 
 
 def test_the_problem_is_the_one_that_was_solved():
     solver = CondensedDaqp(CONFIG, LIMITS)
-    lin, reference = motion(1, CONFIG.stages)
-    commands = answer(solver, lin, reference).commands
+    lin, target = motion(1, CONFIG.stages)
+    commands = answer(solver, lin, target).commands
     z = ((commands - lin.U)[1:] / LIMITS.scale).ravel()
     qp = solver.problem()
     np.testing.assert_allclose(z, precise(qp), atol=1e-8)
@@ -57,24 +57,24 @@ def test_the_problem_is_the_one_that_was_solved():
 @pytest.mark.parametrize("field", ["X", "A"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field):
     solver = CondensedDaqp(CONFIG, LOWERED)
-    lin, reference = motion(2, CONFIG.stages)
-    fresh = answer(solver, lin, reference)
+    lin, target = motion(2, CONFIG.stages)
+    fresh = answer(solver, lin, target)
     bad = getattr(lin, field).copy()
     bad[3] = np.nan
-    failed = answer(solver, lin._replace(**{field: bad}), reference)
+    failed = answer(solver, lin._replace(**{field: bad}), target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert failed.solve.why == f"{field} is not finite from 3 on"
     np.testing.assert_array_equal(failed.commands, lin.U)
-    again = answer(solver, lin, reference)
+    again = answer(solver, lin, target)
     assert again.solve.iterations == fresh.solve.iterations
     np.testing.assert_array_equal(again.commands, fresh.commands)
 
 
 def test_a_first_problem_that_is_not_finite_is_no_harm_either():
     solver = CondensedDaqp(CONFIG, LIMITS)
-    lin, reference = motion(2, CONFIG.stages)
-    assert answer(solver, lin, np.full_like(reference, np.inf)).solve.status is SolveStatus.NON_FINITE
-    assert answer(solver, lin, reference).solve.status is SolveStatus.SOLVED
+    lin, target = motion(2, CONFIG.stages)
+    assert answer(solver, lin, np.full_like(target, np.inf)).solve.status is SolveStatus.NON_FINITE
+    assert answer(solver, lin, target).solve.status is SolveStatus.SOLVED
 
 
 class Stubborn:
@@ -106,16 +106,16 @@ class Stubborn:
 )
 def test_a_failure_is_tried_once_from_nothing_then_reported_and_then_forgotten(flag, status, words):
     solver = CondensedDaqp(CONFIG, LOWERED)
-    lin, reference = motion(5, CONFIG.stages)
-    expected = answer(solver, lin, reference)
+    lin, target = motion(5, CONFIG.stages)
+    expected = answer(solver, lin, target)
     solver._model = Stubborn(solver._model, flag, 1)
     if flag < 0:
-        np.testing.assert_allclose(answer(solver, lin, reference).commands, expected.commands, atol=1e-9)
+        np.testing.assert_allclose(answer(solver, lin, target).commands, expected.commands, atol=1e-9)
         solver._model = Stubborn(solver._model, flag, 2)
-    failed = answer(solver, lin, reference)
+    failed = answer(solver, lin, target)
     assert failed.solve.status is status
     assert words in failed.solve.why
     np.testing.assert_array_equal(failed.commands, lin.U)
-    again = answer(solver, lin, reference)
+    again = answer(solver, lin, target)
     assert again.solve.iterations == expected.solve.iterations
     np.testing.assert_array_equal(again.commands, expected.commands)

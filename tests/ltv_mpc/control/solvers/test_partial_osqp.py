@@ -19,8 +19,8 @@ PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=20_000
 """Residuals end at 1e-7, which is rounding on rows scaled by 100."""
 
 
-def answer(solver, lin, reference):
-    solver.build(lin, reference)
+def answer(solver, lin, target):
+    solver.build(lin, target)
     solver.update()
     return solver.solve()
 
@@ -32,11 +32,11 @@ def test_its_commands_are_the_sparse_qp_s_optimum(stages, block, limits, monkeyp
     config = msgspec.structs.replace(PRECISE, horizon_s=0.3 * stages, period_s=0.3)
     solver = PartialOsqp(config, limits, block=block)
     for seed in range(3):  # each has nothing to do with the one before
-        lin, reference = motion(seed, stages, gap=0.02)
+        lin, target = motion(seed, stages, gap=0.02)
         solver.shift(1.0)
-        ours = answer(solver, lin, reference)
+        ours = answer(solver, lin, target)
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
-        np.testing.assert_allclose(ours.commands, optimum(lin, reference, limits, config.weights), atol=1e-6)
+        np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, config.weights), atol=1e-6)
 
 
 def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_closed_loop(cycles):
@@ -44,7 +44,7 @@ def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_cl
     off, iterations, unsolved = [], [], 0
     for cycle in cycles[6:]:  # without the first passes, which have no warm start
         solver.shift(1.0)
-        ours, theirs = (answer(s, cycle.lin, cycle.reference) for s in (solver, exact))
+        ours, theirs = (answer(s, cycle.lin, cycle.target) for s in (solver, exact))
         off.append(np.abs(ours.commands[1] - theirs.commands[1]).max())
         iterations.append(ours.solve.iterations)
         unsolved += ours.solve.status is not SolveStatus.SOLVED
@@ -59,7 +59,7 @@ def test_box_and_slew_are_met_to_the_tolerance_though_free_rows_are_scaled_down(
     solver = PartialOsqp(CONFIG, LIMITS)
     for cycle in cycles[::5]:
         solver.forget()
-        ours = answer(solver, cycle.lin, cycle.reference)
+        ours = answer(solver, cycle.lin, cycle.target)
         if ours.solve.status is SolveStatus.SOLVED:
             slack = 1.01 * partial_osqp.VIOLATION * LIMITS.scale
             assert (ours.commands[1:] <= LIMITS.high + slack).all()
@@ -112,18 +112,18 @@ def test_the_public_wrapper_gives_the_same_commands(monkeypatch):
 @pytest.mark.parametrize("first", [False, True])
 @pytest.mark.parametrize("field", ["X", "A"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field, first):
-    lin, reference = motion(2, CONFIG.stages)
-    expected = answer(PartialOsqp(CONFIG, LOWERED), lin, reference)
+    lin, target = motion(2, CONFIG.stages)
+    expected = answer(PartialOsqp(CONFIG, LOWERED), lin, target)
     solver = PartialOsqp(CONFIG, LOWERED)
     if not first:
-        answer(solver, lin, reference)
+        answer(solver, lin, target)
     bad = getattr(lin, field).copy()
     bad[3] = np.nan
-    failed = answer(solver, lin._replace(**{field: bad}), reference)
+    failed = answer(solver, lin._replace(**{field: bad}), target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert failed.solve.why == f"{field} is not finite from 3 on"
     np.testing.assert_array_equal(failed.commands, lin.U)
-    np.testing.assert_allclose(answer(solver, lin, reference).commands, expected.commands, atol=1e-9)
+    np.testing.assert_allclose(answer(solver, lin, target).commands, expected.commands, atol=1e-9)
 
 
 class Spoiled:
@@ -141,14 +141,14 @@ class Spoiled:
 
 
 def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt():
-    lin, reference = motion(2, CONFIG.stages)
+    lin, target = motion(2, CONFIG.stages)
     solver = PartialOsqp(CONFIG, LOWERED)
-    expected = answer(solver, lin, reference)
+    expected = answer(solver, lin, target)
     solver._solver = Spoiled(solver._solver)
-    failed = answer(solver, lin, reference)
+    failed = answer(solver, lin, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert "rebuilt" in failed.solve.why
-    again = answer(solver, lin, reference)
+    again = answer(solver, lin, target)
     np.testing.assert_array_equal(again.commands, expected.commands)
 
 

@@ -23,12 +23,12 @@ PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 """Residuals end at 1e-6, which is rounding on rows scaled by 300."""
 
 
-def answer(solver, lin, reference, stages=math.nan):
+def answer(solver, lin, target, stages=math.nan):
     if math.isnan(stages):
         solver.forget()
     else:
         solver.shift(stages)
-    solver.build(lin, reference)
+    solver.build(lin, target)
     solver.update()
     return solver.solve()
 
@@ -39,19 +39,19 @@ def test_its_commands_are_the_sparse_qp_s_optimum(stages, limits):
     config = msgspec.structs.replace(PRECISE, horizon_s=0.3 * stages, period_s=0.3)
     solver = SparseOsqp(config, limits)
     for seed in range(3):
-        lin, reference = motion(seed, stages, gap=0.02)
-        ours = answer(solver, lin, reference)
+        lin, target = motion(seed, stages, gap=0.02)
+        ours = answer(solver, lin, target)
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
-        np.testing.assert_allclose(ours.commands, optimum(lin, reference, limits, config.weights), atol=1e-3)
+        np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, config.weights), atol=1e-3)
 
 
 def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_closed_loop(cycles):
     solver, exact = SparseOsqp(CONFIG, LIMITS), CondensedDaqp(CONFIG, LIMITS)
     off, iterations = [], []
     for cycle in cycles:
-        ours = answer(solver, cycle.lin, cycle.reference, cycle.stages)
+        ours = answer(solver, cycle.lin, cycle.target, cycle.stages)
         assert ours.solve.status is SolveStatus.SOLVED
-        off.append(np.abs(ours.commands[1] - answer(exact, cycle.lin, cycle.reference).commands[1]).max())
+        off.append(np.abs(ours.commands[1] - answer(exact, cycle.lin, cycle.target).commands[1]).max())
         iterations.append(ours.solve.iterations)
     assert len(off) >= 200
     assert np.mean(np.array(off) <= 0.1) >= 0.99
@@ -62,9 +62,9 @@ def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_cl
 def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_stationary_in_every_state():
     """Gaps closed by a forward sweep, duals of the dynamics by a backward one: their residuals are zero."""
     solver = SparseOsqp(CONFIG, LIMITS)
-    lin, reference = motion(3, CONFIG.stages, gap=0.02)
+    lin, target = motion(3, CONFIG.stages, gap=0.02)
     solver.forget()
-    solver.build(lin, reference)
+    solver.build(lin, target)
     (x, y), qp = solver.point(), solver.problem()
     equal = solver.form.equalities
     np.testing.assert_allclose((qp.A @ x)[:equal], qp.l[:equal], atol=1e-9)
@@ -78,7 +78,7 @@ def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_station
 def test_duals_of_box_and_slew_move_along_with_the_plan_and_save_iterations(cycles):
     def total(stages):
         solver = SparseOsqp(CONFIG, LIMITS)
-        return sum(answer(solver, c.lin, c.reference, stages).solve.iterations for c in cycles[146:186])
+        return sum(answer(solver, c.lin, c.target, stages).solve.iterations for c in cycles[146:186])
 
     assert total(1.0) < 0.9 * total(math.nan)
 
@@ -89,7 +89,7 @@ def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
     E = 8 * N + 2
     for by in (0.0, 0.4, 1.0, 1.7, 9.0):
         y = np.concatenate([np.zeros(E), rows.ravel()])
-        sparse_osqp._shift_limits(y, E, N, by)
+        sparse_osqp._shift_limits(y, E, np.arange(N + 1.0), by)
         at = np.clip(np.arange(N) + by, 0, N - 1)
         want = [[np.interp(at, range(N), kind[:, i]) for i in range(2)] for kind in rows]
         np.testing.assert_allclose(y[E:].reshape(2, N, 2), np.array(want).transpose(0, 2, 1))
@@ -99,7 +99,7 @@ def test_the_tolerance_is_on_the_residuals(cycles):
     precise = msgspec.structs.replace(CONFIG, tolerance=1e-6, max_iterations=5000)
     solver = SparseOsqp(precise, LIMITS)
     for cycle in cycles[::20]:
-        answer(solver, cycle.lin, cycle.reference)
+        answer(solver, cycle.lin, cycle.target)
         kkt = residuals(solver.problem(), *solver.point())
         # the rows of free limits are scaled down, and with them what is seen of their violation
         assert kkt.stationarity <= 1e-6 * sparse_osqp.LOOSEST
@@ -111,18 +111,18 @@ def test_a_solve_depends_on_its_problem_and_its_first_guess_alone(cycles):
     """Replay needs the same bits whatever was solved before."""
     used, fresh = SparseOsqp(CONFIG, LIMITS), SparseOsqp(CONFIG, LIMITS)
     for cycle in cycles[150:160]:
-        answer(used, cycle.lin, cycle.reference)
+        answer(used, cycle.lin, cycle.target)
     first = cycles[20]
-    ours, theirs = (answer(s, first.lin, first.reference) for s in (used, fresh))
+    ours, theirs = (answer(s, first.lin, first.target) for s in (used, fresh))
     np.testing.assert_array_equal(ours.commands, theirs.commands)
 
 
 def test_the_public_wrapper_gives_the_same_commands(cycles, monkeypatch):
     raw = SparseOsqp(CONFIG, LIMITS)
-    ours = [answer(raw, c.lin, c.reference, c.stages) for c in cycles[::10]]
+    ours = [answer(raw, c.lin, c.target, c.stages) for c in cycles[::10]]
     monkeypatch.setattr(osqp_raw, "raw_works", lambda: False)
     public = SparseOsqp(CONFIG, LIMITS)
-    theirs = [answer(public, c.lin, c.reference, c.stages) for c in cycles[::10]]
+    theirs = [answer(public, c.lin, c.target, c.stages) for c in cycles[::10]]
     assert isinstance(public._workspace, PublicWorkspace)
     for a, b in zip(ours, theirs, strict=True):
         np.testing.assert_array_equal(a.commands, b.commands)
@@ -131,15 +131,15 @@ def test_the_public_wrapper_gives_the_same_commands(cycles, monkeypatch):
 
 @pytest.mark.parametrize("field", ["X", "Phi", "A", "B0", "B1"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(cycles, field):
-    good, reference = cycles[30].lin, cycles[30].reference
+    good, target = cycles[30].lin, cycles[30].target
     bad = type(good).of(*good[:-1])
     getattr(bad, field)[4] = np.nan
     used, fresh = SparseOsqp(CONFIG, LIMITS), SparseOsqp(CONFIG, LIMITS)
-    answer(used, good, reference)
-    failed = answer(used, bad, reference)
+    answer(used, good, target)
+    failed = answer(used, bad, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert field in failed.solve.why
-    ours, theirs = (answer(s, good, reference) for s in (used, fresh))
+    ours, theirs = (answer(s, good, target) for s in (used, fresh))
     np.testing.assert_array_equal(ours.commands, theirs.commands)
 
 
@@ -155,18 +155,18 @@ def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt(cycl
             x, y = self.real.read()
             return np.full_like(x, np.nan), y
 
-    solver, lin, reference = SparseOsqp(CONFIG, LIMITS), cycles[30].lin, cycles[30].reference
-    good = answer(solver, lin, reference)
+    solver, lin, target = SparseOsqp(CONFIG, LIMITS), cycles[30].lin, cycles[30].target
+    good = answer(solver, lin, target)
     solver._workspace = Poisoned(solver._workspace)
-    failed = answer(solver, lin, reference)
+    failed = answer(solver, lin, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert "rebuilt" in failed.solve.why
-    np.testing.assert_array_equal(answer(solver, lin, reference).commands, good.commands)
+    np.testing.assert_array_equal(answer(solver, lin, target).commands, good.commands)
 
 
 def test_the_iteration_limit_ends_a_solve_and_says_so(cycles):
     config = msgspec.structs.replace(CONFIG, tolerance=1e-14, max_iterations=20)
-    solve = answer(SparseOsqp(config, LIMITS), cycles[150].lin, cycles[150].reference).solve
+    solve = answer(SparseOsqp(config, LIMITS), cycles[150].lin, cycles[150].target).solve
     assert solve.status is SolveStatus.ITERATION_LIMIT
     assert solve.iterations <= 20 + sparse_osqp.TURN
     assert "after 2" in solve.why
