@@ -1,5 +1,21 @@
-"""Where the vehicle shall be: ``Point``, ``Hold``, and ``load`` for a file."""
+"""Where the vehicle shall be: points, paths, tracks with times, "here"; and ``load`` for a file."""
 
 from ltv_mpc.references.kinds import Hold, Point, Reference, load
+from ltv_mpc.references.places import Origin, Place
+from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
+from ltv_mpc.references.timed import Timed
 
-__all__ = ["Hold", "Point", "Reference", "load"]
+__all__ = [
+    "Circle",
+    "Hold",
+    "Lawnmower",
+    "Line",
+    "Origin",
+    "Place",
+    "Point",
+    "Reference",
+    "Spiral",
+    "Timed",
+    "Waypoints",
+    "load",
+]

@@ -1,6 +1,7 @@
 """Grades a run from its own messages, in lock step as they are published, or from a recording. Pure.
 
-With p(t) the truth, e(t) the estimate and r(t) the reference, horizontal, t = 0 the start of the descent:
+With p(t) the truth, e(t) the estimate and r(t) the reference (of a path where its target is), horizontal, t = 0 the
+start of the descent:
 
     tracking      e(t) - r(t)
     localisation  (e(t) - e(0)) - (p(t) - p(0))
@@ -46,6 +47,15 @@ class _Taken(NamedTuple):
         return max(self.plan.start_ns, self.received_ns)
 
 
+class _Target(NamedTuple):
+    """Where a plan steered to."""
+
+    since_ns: int  # start of its cycle
+    t_ns: int  # when the target is there: the plan's first knot
+    place: Pair
+    moves: bool  # along a path
+
+
 class Grader:
     """Fed with every message of a run, in order of publication; then asked."""
 
@@ -60,7 +70,7 @@ class Grader:
         self._speed = speed
         self._truth: list[tuple[int, float, float]] = []
         self._estimate: list[tuple[int, float, float]] = []
-        self._reference: list[tuple[int, Pair]] = []
+        self._reference: list[_Target] = []
         self._command: list[tuple[int, float, float, float]] = []  # t, port, starboard, slew
         self._waiting: dict[tuple[int, int], _Planned] = {}  # by epoch and sequence: not yet taken
         self._taken: list[_Taken] = []
@@ -144,12 +154,20 @@ class Grader:
         return {stage: quantiles(us) for stage, us in laps.items() if us}
 
     def _references(self, at: np.ndarray[Any, Any], start: Array) -> Array:
-        """(K, 2): that of the newest plan at each time; before the first that has one, the first."""
+        """(K, 2): that of the newest plan at each time; before the first that has one, the first.
+
+        Of a path it moves evenly from the one plan's first knot to the next one's.
+        """
         if not self._reference:
             return np.broadcast_to(start, (len(at), 2))
-        since = np.array([t for t, _ in self._reference])
+        since = np.array([target.since_ns for target in self._reference])
         newest = np.maximum(np.searchsorted(since, at, side="right") - 1, 0)
-        return np.array([place for _, place in self._reference])[newest]
+        stands: Array = np.array([target.place for target in self._reference])[newest]
+        moves = np.array([target.moves for target in self._reference])[newest]
+        if moves.any():
+            way = [target for target in self._reference if target.moves]
+            stands[moves] = _track([(target.t_ns, *target.place) for target in way], at[moves])
+        return stands
 
     def _hear_truth(self, truth: Truth, *_: int) -> None:
         self._truth.append((truth.t_ns, truth.position_m[0], truth.position_m[1]))
@@ -163,7 +181,8 @@ class Grader:
         self.plan_origin[plan.origin.value] += 1
         self._waiting[epoch, sequence] = _Planned(int(plan.t_ns[0]), plan.estimate_t_ns, t_ns)
         if plan.reference_m is not None:
-            self._reference.append((plan.cycle_t_ns, plan.reference_m))
+            moves = plan.progress is not None
+            self._reference.append(_Target(plan.cycle_t_ns, int(plan.t_ns[0]), plan.reference_m, moves))
 
     def _hear_applied(self, applied: Applied, *_: int) -> None:
         port, starboard, _vertical = applied.command_N

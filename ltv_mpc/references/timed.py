@@ -1,0 +1,214 @@
+"""A track with times of its own, from a table of comma-separated values.
+
+Columns t_s, north_m, east_m, and depth_m if wanted, in any order; or latitude_deg and longitude_deg instead of north_m
+and east_m, about the reference's [origin]. Lines that begin with # are comments. Times increase; between two rows the
+target moves evenly. A row that cannot be reached in time (top speed, curvature of the track) is reached as soon as can
+be, and all later ones later by as much.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.references.kind import Anchor, Kind
+from ltv_mpc.references.limits import limits_of
+from ltv_mpc.references.path import Path as Track
+from ltv_mpc.references.path import led_in
+from ltv_mpc.references.places import Place, local
+from ltv_mpc.references.schedule import TIME, Schedule, along
+from ltv_mpc.references.shapes import LEAD_IN_M
+from ltv_mpc.signals import Array
+from ltv_mpc.vehicle.parameters import Vehicle
+
+Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]
+
+METRES = ("north_m", "east_m")
+DEGREES = ("latitude_deg", "longitude_deg")
+MOST_ROWS = 20_000
+LONGEST_S = 1e6
+EARLY = 0.99
+"""A row that needs this much more of its time is in time."""
+
+
+class Timed(Kind, frozen=True, kw_only=True, tag="timed"):
+    """Be at each row's place at its time; ``file`` is a CSV beside the reference's file, ``rows`` the same inline.
+
+    ``rows``: t_s since the start, north_m, east_m, and depth_m in all of them or in none.
+    """
+
+    file: str = ""
+    rows: Annotated[tuple[Row, ...], Meta(max_length=MOST_ROWS)] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what contradicts itself."""
+        if bool(self.file) == bool(self.rows):
+            raise ValueError("give either file, a CSV, or rows")
+        if not self.rows:
+            return
+        if len(self.rows) < 2 or len({len(row) for row in self.rows}) > 1:
+            raise ValueError("rows: at least 2, all with the same number of columns")
+        for k, row in enumerate(self.rows):
+            _checked(dict(zip(("t_s", *METRES, "depth_m"), row, strict=False)), f"rows[{k}] ")
+        t = [row[0] for row in self.rows]
+        late = next((k for k in range(1, len(t)) if t[k] <= t[k - 1]), None)
+        if late is not None:
+            raise ValueError(f"rows[{late}] t_s = {t[late]:g}: must be later than the row before it, {t[late - 1]:g} s")
+        if self.depth_m is not None and len(self.rows[0]) == 4:
+            raise ValueError("depth_m is given for the whole track and in its rows: leave one of them out")
+
+    def schedule(self, vehicle: Vehicle, anchor: Anchor | None = None) -> Schedule:
+        """The rows in time, stretched where the vehicle cannot be so fast; led to the first from ``anchor``."""
+        table, length = self._table(vehicle)
+        if table[TIME, 0] > 0.0:  # until then the target stands at the first row
+            first = table[:, :1].copy()
+            first[TIME] = 0.0
+            table, length = np.concatenate([first, table], axis=1), np.concatenate([[0.0], length])
+        track = Track(table[2:4].T, table[4], np.zeros(len(length)), np.zeros(len(length)), np.zeros(len(length) + 1))
+        if anchor is None:
+            return Schedule(table, 0.0)
+        start = np.array([anchor.north_m, anchor.east_m])
+        moved, lead_m = led_in(track, start, LEAD_IN_M)
+        if lead_m == 0.0:
+            return Schedule(table, 0.0)
+        leg = Track(moved.points[:2], moved.depth[:2], np.zeros(1), np.zeros(1), np.zeros(2))
+        limits = limits_of(vehicle)
+        lead = along(leg, limits.cruise_mps, limits, descent_rate_mps=self.descent_rate_mps).table
+        # It comes to the first row at that row's time, or as soon after it as can be.
+        begin = max(float(table[TIME, 0]), float(lead[TIME, -1]))
+        lead[TIME] += begin - lead[TIME, -1]
+        table[TIME] += begin - table[TIME, 0]
+        table[1] += lead_m
+        lead[TIME, 0] = 0.0
+        return Schedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
+
+    def notes(self, vehicle: Vehicle) -> list[str]:
+        """What the vehicle cannot do of it, and what it does instead."""
+        table, _ = self._table(vehicle)
+        t = np.array([row[0] for row in self.rows])
+        late = table[TIME] - t
+        if late[-1] <= 1e-6:
+            return []
+        step = np.diff(late)
+        return [
+            f"{np.count_nonzero(step > 1e-6)} of {len(step)} rows ask for more than the vehicle can do "
+            f"({limits_of(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = "
+            f"{t[1:][step > 1e-6][0]:g}; the last is reached {late[-1]:.1f} s late"
+        ]
+
+    def _table(self, vehicle: Vehicle) -> tuple[Array, Array]:
+        """The schedule's table (5, M), and the lengths (M-1,) of its steps."""
+        rows = np.array(self.rows)
+        steps = np.diff(rows[:, 1:3], axis=0)
+        length = np.hypot(*steps.T)
+        limits = limits_of(vehicle)
+        needed = length / limits.speed_at(_curvature(steps, length))
+        asked = np.diff(rows[:, 0])
+        took = np.where(needed > asked / EARLY, needed, asked)
+        table = np.empty((5, len(rows)))
+        table[0] = rows[0, 0] + np.concatenate([[0.0], np.cumsum(took)])
+        table[1] = np.concatenate([[0.0], np.cumsum(length)])
+        table[2:4] = rows[:, 1:3].T
+        table[4] = rows[:, 3] if rows.shape[1] == 4 else (math.nan if self.depth_m is None else self.depth_m)
+        return table, length
+
+
+def _curvature(steps: Array, length: Array) -> Array:
+    """(M-1,) 1/m of each step: the larger of those at its ends, 2 tan(phi / 2) over the mean length of two steps."""
+    at = np.zeros(len(steps) + 1)
+    moving = length > 1e-9
+    course = np.arctan2(steps[:, 1], steps[:, 0])
+    turn = np.abs(np.remainder(np.diff(course) + np.pi, 2.0 * np.pi) - np.pi)
+    both = moving[1:] & moving[:-1]
+    mean = np.where(both, 0.5 * (length[1:] + length[:-1]), 1.0)
+    at[1:-1] = np.where(both, 2.0 * np.tan(0.5 * np.minimum(turn, 3.0)) / mean, 0.0)
+    return np.maximum(at[1:], at[:-1])
+
+
+def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
+    """The same track with the rows of its file, which is no longer named. Raises ``ConfigError``."""
+    text = config.read_text(path, what="track")
+    source = f"{source}: track {path.name}"
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    lines = [(k, line) for k, line in lines if not line.lstrip().startswith("#")]
+    header = _header(lines[0][1], source) if lines else {}
+    if len(lines) < 3:
+        raise ConfigError(source, "", "needs a header and two rows of numbers")
+    if len(lines) - 1 > MOST_ROWS:
+        raise ConfigError(source, "", f"has {len(lines) - 1} rows: at most {MOST_ROWS}")
+    rows = tuple(_row(line, f"line {k} ", header, timed, source) for k, line in lines[1:])
+    for (k, _), before, after in zip(lines[2:], rows, rows[1:], strict=False):
+        if after[0] <= before[0]:
+            problem = f"must be later than the row before it, {before[0]:g} s"
+            raise ConfigError(source, f"line {k} t_s", problem, value=after[0])
+    try:
+        return msgspec.structs.replace(timed, file="", rows=rows)
+    except ValueError as error:
+        raise ConfigError(source, "", str(error)) from None
+
+
+def _header(line: str, source: str) -> dict[str, int]:
+    names = [cell.strip() for cell in next(csv.reader([line]), [])]
+    place = DEGREES if DEGREES[0] in names else METRES
+    for name in ("t_s", *place):
+        if name not in names:
+            problem = (
+                "the header must name t_s, north_m, east_m (or latitude_deg, longitude_deg), and depth_m if wanted"
+            )
+            raise ConfigError(source, "", f"missing column {name}; {problem}")
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(source, "", f"column {name} stands there twice")
+    return {name: names.index(name) for name in ("t_s", *place, "depth_m") if name in names}
+
+
+def _row(line: str, where: str, header: dict[str, int], timed: Timed, source: str) -> tuple[float, ...]:
+    """t_s, north_m, east_m, and depth_m where there is a column of it."""
+    cells = next(csv.reader([line]), [])
+    values: dict[str, float] = {}
+    for name, position in header.items():
+        if position >= len(cells):
+            raise ConfigError(
+                source, f"{where}{name}", f"missing: column {position + 1} of a line that has {len(cells)}"
+            )
+        cell = cells[position].strip()
+        try:
+            values[name] = float(cell) if "_" not in cell else math.nan  # Python reads 1_0 as ten
+        except ValueError:
+            values[name] = math.nan
+        if not math.isfinite(values[name]):
+            raise ConfigError(source, f"{where}{name}", "must be a number", value=cell[:40])
+    try:
+        _checked(values, where)
+        if DEGREES[0] in values:
+            place = Place(latitude_deg=values[DEGREES[0]], longitude_deg=values[DEGREES[1]])
+            values["north_m"], values["east_m"] = local(place, timed.origin)
+    except ValueError as error:
+        raise ConfigError(source, "", str(error)) from None
+    return tuple(values[name] for name in ("t_s", *METRES, "depth_m") if name in values)
+
+
+_BOUNDS = {
+    "t_s": (0.0, LONGEST_S),
+    "north_m": (-1e6, 1e6),
+    "east_m": (-1e6, 1e6),
+    "latitude_deg": (-89.0, 89.0),
+    "longitude_deg": (-180.0, 180.0),
+    "depth_m": (0.0, 11_000.0),
+}
+
+
+def _checked(values: dict[str, float], where: str) -> None:
+    """Every number within its bounds. Raises ``ValueError``."""
+    for name, value in values.items():
+        low, high = _BOUNDS[name]
+        if not low <= value <= high:
+            raise ValueError(f"{where}{name} = {value:g}: must be >= {low:g} and <= {high:g}")

@@ -1,0 +1,239 @@
+"""Following: how far along, what is waited for, and what the controller makes of it in closed loop."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Controller, CurrentProfile, Estimate, Plan, Vehicle, advance, references
+from ltv_mpc.references import Hold, Line, Place, Point, Reference, Timed, Waypoints
+from ltv_mpc.references.follower import LONGEST_STEP_S, Follower
+
+PAPER = Vehicle.load("paper")
+LINE = Line(speed_mps=0.3, start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=12.0, east_m=0.0))
+S = 1_000_000_000
+STILL = (0.0, 0.0)
+
+
+def knots(t_s: float) -> np.ndarray:
+    return round(t_s * S) + np.arange(18) * 300_000_000
+
+
+def begun(reference: Reference, **start: float) -> Follower:
+    follower = Follower(reference, PAPER)
+    assert follower.begin(Estimate.at_rest(depth_m=0.0, **start))
+    return follower
+
+
+def go(follower: Follower, t_s: float, north_m: float, east_m: float, current=STILL) -> tuple[float, float]:
+    follower.advance(knots(t_s), np.array([north_m, east_m]), current)
+    assert follower.target_m is not None
+    return follower.target_m
+
+
+def test_the_target_keeps_its_schedule_while_the_vehicle_is_near():
+    follower, t_s = begun(LINE), 0.0
+    while t_s < 20.0:
+        t_s += 0.3
+        target = go(follower, t_s, *(follower.target_m or STILL))
+    table = LINE.schedule(PAPER).table
+    assert target[0] == pytest.approx(np.interp(t_s, table[0], table[2]))
+    assert follower.progress.share == pytest.approx(target[0] / 12.0)
+    assert follower.progress.remaining_m == pytest.approx(12.0 - target[0])
+
+
+def test_it_waits_for_a_vehicle_that_falls_behind_never_goes_back_and_goes_on_when_it_comes():
+    follower, t_s, way = begun(LINE), 0.0, []
+    for behind in (0.0, 0.3, 0.6, 0.7, 3.0, 3.0, 3.0, 0.0, 0.0):
+        for _ in range(10):
+            t_s += 0.3
+            north = follower.target_m[0] if follower.target_m else 0.0
+            way.append(go(follower, t_s, north - behind, 0.0)[0])
+    steps = np.diff(way)
+    assert (steps >= 0.0).all()
+    assert steps[52:70] == pytest.approx(0.0)  # three metres behind: it stands
+    assert steps[-1] == pytest.approx(0.09)  # and goes on at 0.3 m/s
+    assert 0.01 < steps[38] < 0.08  # 0.7 m behind: slowly
+
+
+def test_a_current_from_ahead_slows_the_target_down_before_the_vehicle_falls_behind():
+    follower, t_s = begun(LINE), 0.0
+    north = []
+    for _ in range(60):
+        t_s += 0.3
+        north.append(go(follower, t_s, *(follower.target_m or STILL), (-0.3, 0.0))[0])
+    # 0.447 m/s through the water, 0.3 m/s of it against the current
+    assert np.diff(north)[-20:] == pytest.approx(0.3 * (0.5 * 0.8**0.5 - 0.3), rel=1e-3)
+    target = np.empty((18, 2))
+    follower.fill(knots(t_s), target)
+    assert target[-1, 0] == pytest.approx(0.5 * 0.8**0.5 - 0.3, rel=1e-3)
+    np.testing.assert_allclose(np.diff(target[:-1, 0]), np.diff(north)[-1], rtol=1e-3)
+
+
+def test_an_estimate_that_is_no_number_stops_the_target_and_a_good_one_moves_it_again():
+    follower = begun(LINE)
+    before = go(follower, 9.0, *go(follower, 8.7, 0.0, 0.0))
+    go(follower, 9.3, math.nan, 0.0)
+    assert follower.progress.cross_track_m is None
+    assert go(follower, 9.6, math.nan, 0.0)[0] == pytest.approx(before[0] + 0.09, abs=0.02)
+    assert go(follower, 9.9, *before) == go(follower, 9.9, *before)
+    assert go(follower, 10.2, *before)[0] > before[0] + 0.1
+
+
+def test_it_does_not_begin_at_an_estimate_that_is_no_number():
+    for reference in (LINE, Hold()):
+        follower = Follower(reference, PAPER)
+        assert not follower.begin(Estimate.at_rest(north_m=math.nan))
+        assert follower.target_m is None
+        assert follower.begin(Estimate.at_rest(north_m=1.0))
+
+
+def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
+    follower = begun(LINE)
+    before = go(follower, 10.0, *go(follower, 9.7, 0.0, 0.0))
+    for t_s in (10.3, 10.6):
+        before = go(follower, t_s, *before)
+    after = go(follower, 200.0, *before)
+    assert 0.0 < after[0] - before[0] <= 0.3 * LONGEST_STEP_S + 1e-9
+
+
+def test_a_vehicle_elsewhere_is_led_to_the_first_point_and_has_made_no_progress_until_then():
+    follower, t_s, target = begun(LINE, east_m=6.0), 0.0, (0.0, 6.0)
+    for _ in range(40):
+        t_s += 0.3
+        target = go(follower, t_s, *target)
+    assert target[0] == pytest.approx(0.0)
+    assert 0.0 < target[1] < 6.0
+    assert follower.progress.share == 0.0
+    assert follower.progress.remaining_m == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(("east_m", "sign"), [(0.2, 1.0), (-0.2, -1.0)])
+def test_the_cross_track_error_is_of_the_vehicle_from_the_path(east_m, sign):
+    follower = begun(LINE)
+    go(follower, 3.0, 0.4, east_m)
+    assert follower.progress.cross_track_m == pytest.approx(sign * 0.2)
+
+
+def test_of_a_point_and_of_here_there_is_no_progress_and_the_target_stands():
+    for reference in (Point(north_m=1.0, east_m=2.0), Hold()):
+        follower = begun(reference, north_m=1.0, east_m=2.0)
+        assert go(follower, 5.0, 0.0, 0.0) == (1.0, 2.0)
+        assert follower.progress == (None, None, None)
+        target = np.full((18, 2), np.nan)
+        follower.fill(knots(5.0), target)
+        np.testing.assert_array_equal(target[:-1], np.tile([1.0, 2.0], (17, 1)))
+        np.testing.assert_array_equal(target[-1], 0.0)
+
+
+def test_depth_goes_from_where_the_vehicle_is_at_no_more_than_the_rate_and_then_with_the_path():
+    deep = Line(
+        speed_mps=0.3,
+        start=Place(north_m=0.0, east_m=0.0, depth_m=2.0),
+        end=Place(north_m=12.0, east_m=0.0, depth_m=2.6),
+        descent_rate_mps=0.1,
+    )
+    follower = begun(deep)
+    go(follower, 3.0, 0.3, 0.0)
+    depth, speed = follower.depths(knots(3.0)) or pytest.fail("no depth")
+    np.testing.assert_allclose(depth, 0.1 * knots(3.0) * 1e-9)
+    np.testing.assert_allclose(speed, 0.1)
+    go(follower, 27.0, *(follower.target_m or STILL))
+    t_s = 27.0
+    for _ in range(20):
+        t_s += 0.3
+        target = go(follower, t_s, *(follower.target_m or STILL))
+    depth, speed = follower.depths(knots(t_s)) or pytest.fail("no depth")
+    assert depth[0] == pytest.approx(2.0 + 0.05 * target[0])
+    assert speed[0] == pytest.approx(0.05 * 0.3, rel=1e-3)
+    assert follower.depth_m == pytest.approx(2.6)
+
+
+def test_a_track_with_times_is_where_it_says_when_it_says():
+    follower = begun(Timed(rows=((10.0, 0.0, 0.0), (40.0, 6.0, 0.0), (50.0, 6.0, 0.0), (90.0, 6.0, 8.0))))
+    at, t_s = {}, 0.0
+    while t_s < 89.8:
+        t_s = round(t_s + 0.5, 1)
+        at[t_s] = go(follower, t_s, *(follower.target_m or STILL))
+    assert at[8.0] == pytest.approx((0.0, 0.0))
+    assert at[25.0] == pytest.approx((3.0, 0.0))
+    assert at[45.0] == pytest.approx((6.0, 0.0))
+    assert at[70.0] == pytest.approx((6.0, 4.0))
+
+
+def test_a_track_may_stay_where_it_is():
+    follower = begun(Timed(rows=((0.0, 1.0, 0.0), (40.0, 1.0, 0.0))), north_m=1.0)
+    assert go(follower, 10.0, 1.0, 0.0) == (1.0, 0.0)
+    assert follower.progress.remaining_m == 0.0
+
+
+def follow(reference: Reference, cycles: int, current=STILL, **start: float) -> tuple[list[Estimate], list[Plan]]:
+    """The nominal vehicle in a current, from rest."""
+    controller = Controller(PAPER, reference)
+    water = CurrentProfile(
+        depth_m=np.array([0.0, 50.0]), north_mps=np.full(2, current[0]), east_mps=np.full(2, current[1])
+    )
+    estimate = msgspec.structs.replace(Estimate.at_rest(depth_m=0.0, **start), current=water)
+    estimates, plans = [], []
+    for _ in range(cycles):
+        plans.append(controller.plan(estimate))
+        estimate = advance(PAPER, estimate, plans[-1], duration_s=0.3)
+        estimates.append(estimate)
+    return estimates, plans
+
+
+def test_a_line_is_followed_to_its_end_within_centimetres():
+    estimates, plans = follow(LINE, 230)
+    assert all(plan.origin == "solved" for plan in plans)
+    assert max(abs(plan.cross_track_m or 0.0) for plan in plans) < 0.05
+    pairs = zip(estimates[:-1], plans[1:], strict=True)
+    off = [np.hypot(e.north_m - p.reference_m[0], e.east_m - p.reference_m[1]) for e, p in pairs]
+    assert np.mean(off) < 0.1
+    assert plans[-1].progress == pytest.approx(1.0)
+    assert plans[-1].remaining_m == pytest.approx(0.0)
+    assert (estimates[-1].north_m, estimates[-1].east_m) == pytest.approx((12.0, 0.0), abs=0.05)
+
+
+@pytest.mark.parametrize("current", [(0.0, 0.0), (0.0, 0.15)])
+def test_round_a_corner_the_path_is_kept_in_still_water_and_in_a_current(current):
+    places = (Place(north_m=0.0, east_m=0.0), Place(north_m=8.0, east_m=0.0), Place(north_m=8.0, east_m=8.0))
+    _, plans = follow(Waypoints(speed_mps=0.4, waypoints=places), 320, current)
+    assert plans[-1].progress == pytest.approx(1.0)
+    assert max(abs(plan.cross_track_m or 0.0) for plan in plans[10:]) < 0.4
+    assert np.mean([abs(plan.cross_track_m or 0.0) for plan in plans[10:]]) < 0.1
+
+
+def test_references_are_replaced_live_without_a_jump_beyond_the_slew_limit():
+    controller = Controller(PAPER, Point(north_m=0.0, east_m=0.0))
+    estimate, plans = Estimate.at_rest(depth_m=0.0, heading_rad=1.0), []
+    places = (Place(north_m=5.0, east_m=5.0), Place(north_m=-5.0, east_m=5.0))
+    for reference in (LINE, Waypoints(speed_mps=1.0, waypoints=places), Hold(), references.load("circle"), Hold()):
+        controller.follow(reference)
+        for _ in range(25):
+            plan = controller.plan(estimate)
+            plans.append(plan)
+            estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+    slew = np.array([thruster.slew_N_per_s for thruster in PAPER.thrusters])
+    for before, after in pairwise(plans):
+        np.testing.assert_allclose(after.thrust_N[0], before.thrust_at(int(after.t_ns[0])), atol=1e-9)
+    for plan in plans:
+        change = np.abs(np.diff(plan.thrust_N, axis=0)) / (np.diff(plan.t_ns)[:, None] * 1e-9)
+        assert (change <= slew + 1e-6).all()
+    assert plans[-1].progress is None
+    assert {plan.origin.value for plan in plans} == {"solved"}
+
+
+def test_a_controller_that_goes_on_from_another_follows_from_where_that_one_is():
+    one, other = Controller(PAPER, LINE), Controller(PAPER, Hold())
+    estimate = Estimate.at_rest(depth_m=0.0)
+    for _ in range(30):
+        plan = one.plan(estimate)
+        estimate = advance(PAPER, estimate, plan, duration_s=0.3)
+    other.remember(one)
+    mine, theirs = one.plan(estimate), other.plan(estimate)
+    assert theirs.reference_m == mine.reference_m
+    assert theirs.progress == mine.progress

@@ -1,0 +1,158 @@
+"""The speed along a path, held against the vehicle's equations of motion."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import references
+from ltv_mpc.references import Circle, Line, Place, Waypoints
+from ltv_mpc.references.kind import Anchor
+from ltv_mpc.references.limits import CHANGING, SHARE, limits_of
+from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, against, look_ahead, off_path, where
+from ltv_mpc.vehicle.dynamics import rates
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PAPER = Vehicle.load("paper")
+LIMITS = limits_of(PAPER)
+HERE = Place(north_m=0.0, east_m=0.0)
+LINE = Line(speed_mps=0.3, start=HERE, end=Place(north_m=40.0, east_m=0.0))
+
+
+def speeds(table):
+    return np.diff(table[WAY]) / np.diff(table[TIME])
+
+
+def test_top_speed_is_where_drag_takes_the_thrust():
+    assert LIMITS.top_mps == pytest.approx(0.5)  # 2 x 62.5 = 500 x 0.5^2
+    assert LIMITS.cruise_mps == pytest.approx(0.5 * math.sqrt(SHARE))
+
+
+@pytest.mark.parametrize("radius_m", [2.0, 5.0, 20.0])
+def test_on_a_bend_the_vehicle_can_turn_steadily_at_the_speed_that_is_given_and_hardly_faster(radius_m):
+    """The equations of motion integrated with an outer thruster at its limit: they come to rest on such a circle."""
+    speed = float(LIMITS.speed_at(np.array([1.0 / radius_m]))[0])
+    assert speed < LIMITS.cruise_mps
+    p = PAPER.coefficients()
+
+    def circle(outer_N: float, inner_N: float) -> tuple[float, float]:
+        u, v, psi, r = 0.1, 0.0, 0.0, 0.0
+        for _ in range(20_000):
+            _, _, du, dv, dpsi, dr = rates(u, v, psi, r, outer_N, inner_N, 0.0, 0.0, 0.0, 0.0, p)
+            u, v, psi, r = u + 0.01 * du, v + 0.01 * dv, psi + 0.01 * dpsi, r + 0.01 * dr
+        return math.hypot(u, v), math.hypot(u, v) / r
+
+    # of the circles with the outer thruster at its share, the one of this radius
+    outer = SHARE * 62.5
+    low, high = -outer, outer  # more of the inner thruster, a wider circle
+    for _ in range(14):
+        inner = 0.5 * (low + high)
+        low, high = (inner, high) if circle(outer, inner)[1] < radius_m else (low, inner)
+    assert speed == pytest.approx(circle(outer, 0.5 * (low + high))[0], rel=0.02)
+
+
+def test_the_schedule_starts_and_ends_at_rest_and_never_asks_for_more_than_thrust_and_drag_allow():
+    table = LINE.schedule(PAPER).table
+    v = speeds(table)
+    assert v.max() == pytest.approx(0.3, rel=1e-6)
+    assert v[0] < 0.1
+    assert v[-1] < 0.1
+    middle = 0.5 * (v[1:] + v[:-1])
+    a = np.diff(v) / (0.5 * (np.diff(table[TIME])[1:] + np.diff(table[TIME])[:-1]))
+    assert (500.0 * a <= np.minimum(CHANGING * 125.0, SHARE * 125.0 - 500.0 * middle**2) * 1.1 + 1.0).all()
+    assert (500.0 * a >= -(CHANGING * 125.0 + 500.0 * middle**2) * 1.1 - 1.0).all()
+
+
+def test_a_schedule_without_corners_takes_as_long_as_its_speed_and_one_start_and_stop():
+    """Against the closed form without drag: length / speed + v / 2 a at either end."""
+    slow = Line(speed_mps=0.05, start=HERE, end=Place(north_m=40.0, east_m=0.0))
+    a = CHANGING * 125.0 / 500.0
+    assert slow.schedule(PAPER).duration_s == pytest.approx(40.0 / 0.05 + 0.05 / a, abs=0.5)
+
+
+def test_at_a_corner_that_may_not_be_cut_it_stands_for_as_long_as_a_turn_takes():
+    places = (HERE, Place(north_m=20.0, east_m=0.0), Place(north_m=20.0, east_m=20.0))
+    table = Waypoints(speed_mps=0.4, waypoints=places, corner_m=0.0).schedule(PAPER).table
+    standing = np.diff(table[TIME])[np.diff(table[WAY]) == 0.0]
+    assert standing.sum() == pytest.approx(float(LIMITS.turning_s(np.array(math.pi / 2))))
+    # the equations of motion with F1 = -F2 at their share, there and back to rest, take about as long
+    p, r, psi, t = PAPER.coefficients(), 0.0, 0.0, 0.0
+    while psi < math.pi / 2:
+        push = SHARE * 62.5 if math.pi / 2 - psi > 0.5 * r * r / LIMITS.yaw_radps2 else -SHARE * 62.5
+        r += 0.01 * rates(0.0, 0.0, psi, r, push, -push, 0.0, 0.0, 0.0, 0.0, p)[5]
+        psi, t = psi + 0.01 * r, t + 0.01
+        assert t < 60.0
+    assert t == pytest.approx(standing.sum(), rel=0.1)
+
+
+def test_going_down_a_slope_is_no_faster_than_the_descent_rate():
+    deep = Place(north_m=10.0, east_m=0.0, depth_m=10.0)
+    line = Line(speed_mps=0.4, start=Place(north_m=0.0, east_m=0.0, depth_m=0.0), end=deep, descent_rate_mps=0.1)
+    table = line.schedule(PAPER).table
+    assert np.max(np.diff(table[DEPTH]) / np.diff(table[TIME])) <= 0.1 + 1e-9
+    assert any("descent_rate_mps" in note for note in line.notes(PAPER))
+
+
+ONE_WAY = msgspec.convert(
+    msgspec.to_builtins(PAPER)
+    | {
+        "thruster": {
+            name: msgspec.to_builtins(thruster) | ({} if name == "vertical" else {"min_N": 0.0})
+            for name, thruster in zip(("port", "starboard", "vertical"), PAPER.thrusters, strict=True)
+        }
+    },
+    Vehicle,
+)
+"""The paper's vehicle, if its thrusters could not push astern."""
+
+
+@pytest.mark.parametrize("vehicle", [PAPER, ONE_WAY], ids=["paper", "one way"])
+@pytest.mark.parametrize("name", ["line", "square", "lawnmower", "circle", "spiral"])
+@pytest.mark.parametrize("corner_m", [0.0, 0.4])
+def test_every_schedule_goes_on_and_comes_to_its_end(vehicle, name, corner_m):
+    reference = msgspec.structs.replace(references.load(name), corner_m=corner_m)
+    table = reference.schedule(vehicle, Anchor(0, 30.0, -7.0, 0.0, 2.0, (0.3, 0.1))).table
+    assert np.isfinite(table[:DEPTH]).all()
+    assert (np.diff(table[TIME]) > 0.0).all()
+    assert (np.diff(table[WAY]) >= 0.0).all()
+    assert table[TIME, -1] < 20.0 * table[WAY, -1]
+    np.testing.assert_allclose(table[[NORTH, EAST], 0], [30.0, -7.0])
+    np.testing.assert_allclose(table[[NORTH, EAST], -1], reference.path().points[-1])
+    np.testing.assert_allclose(np.hypot(*np.diff(table[[NORTH, EAST]])), np.diff(table[WAY]), atol=1e-9)
+
+
+def test_what_is_looked_up_is_what_the_table_says_at_any_knots():
+    circle = Circle(speed_mps=0.3, centre=HERE, radius_m=10.0)
+    table = circle.schedule(PAPER).table
+    knots = np.array([0, 0.3, 0.6, 1.5, 4.0, 11.0]) * 1e9
+    target = np.empty((6, 2))
+    look_ahead(table, 20.0, 0.5, knots.astype(np.int64), target)
+    at = 20.0 + 0.5 * knots[1:] * 1e-9
+    for column, row in ((0, NORTH), (1, EAST)):
+        np.testing.assert_allclose(target[:-1, column], np.interp(at, table[TIME], table[row]), atol=1e-9)
+    # half the speed, since half a second of the schedule passes in a second; the course is that of the circle
+    assert math.hypot(*target[-1]) == pytest.approx(0.15, rel=0.01)
+    assert abs(np.dot(target[-1], target[-2])) < 0.1 * 0.15 * 10.0
+    look_ahead(table, 1e6, 1.0, knots.astype(np.int64), target)
+    np.testing.assert_allclose(target[-1], 0.0)
+    np.testing.assert_allclose(target[:-1], np.tile(table[[NORTH, EAST], -1], (5, 1)), atol=1e-12)
+    assert where(table, 1e6)[0] == pytest.approx(table[WAY, -1])
+
+
+@pytest.mark.parametrize(("east_m", "sign"), [(0.4, 1.0), (-0.4, -1.0)])
+def test_cross_track_is_positive_to_starboard(east_m, sign):
+    table = LINE.schedule(PAPER).table  # northwards
+    assert off_path(table, 10.0, 10.3, east_m, 2.0) == pytest.approx(sign * 0.4)
+
+
+def test_a_current_takes_from_the_speed_over_ground_what_it_takes():
+    table = LINE.schedule(PAPER).table  # 0.3 m/s northwards
+    cruise = 0.4
+    assert against(table, 60.0, 5.0, 0.0, 0.0, cruise) == 1.0
+    assert against(table, 60.0, 5.0, 0.2, 0.0, cruise) == 1.0  # from astern
+    assert against(table, 60.0, 5.0, -0.2, 0.0, cruise) == pytest.approx(0.2 / 0.3)
+    assert against(table, 60.0, 5.0, 0.0, 0.3, cruise) == pytest.approx(math.sqrt(0.16 - 0.09) / 0.3)
+    assert against(table, 60.0, 5.0, -0.5, 0.0, cruise) == 1.0  # nothing can be foretold
