@@ -19,9 +19,19 @@ STAGE_NS = 300_000_000
 """Time between the first two knots."""
 
 
-class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The cost: see ``qp/sparse.py``. Found on seeds from 100 up, but for the last
-    halving of the thrust weights, which looked at seeds 0 to 3 of the 20 that are reported.
+class GivenWeights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[controller.weights]: those that a file names. The others follow from the vehicle: ``scales.py``."""
+
+    position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] | None = None
+    terminal_position_per_m2: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e9)] | None = None
+    thrust: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+    thrust_change: Annotated[float, Meta(ge=0, le=1e6)] | None = None
+
+
+class Weights(GivenWeights, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The cost, all of it: see ``qp/sparse.py``. The defaults are those of the paper's vehicle, found on seeds from 100
+    up, but for the last halving of the thrust weights, which looked at seeds 0 to 3 of the 20 that are reported.
 
     A sum over stages of position |p - ref|^2 + thrust |F / max|^2 + change |dF / max|^2, and at the end of the horizon
     terminal position |p - ref|^2 + terminal velocity |p'|^2, p' over ground. The paper's cost is the first term alone.
@@ -29,15 +39,19 @@ class Weights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] = 1.0
     terminal_position_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 40.0
-    terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e6)] = 600.0
+    terminal_velocity_s2_per_m2: Annotated[float, Meta(ge=0, le=1e9)] = 600.0
     thrust: Annotated[float, Meta(ge=0, le=1e6)] = 3e-3
     thrust_change: Annotated[float, Meta(ge=0, le=1e6)] = 1.5e-3
 
 
 class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the current does that its profile does not say: ``disturbance.py``. Off where ``sd_mps`` is 0."""
+    """What the current does that its profile does not say: ``disturbance.py``.
 
-    sd_mps: Annotated[float, Meta(ge=0, le=2)] = 0.0  # before anything was seen; 0.1 where no profile is known
+    ``sd_mps`` is the standard deviation of each component before anything was seen. Left out, it is 0.1 for estimates
+    without a current profile, and nothing is estimated for those that have one; 0: never; else: always.
+    """
+
+    sd_mps: Annotated[float, Meta(ge=0, le=2)] | None = None
     walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.01  # 4 cm/s over 8 m at 0.2 m/s: 9 mm/s per sqrt(s)
     noise_mps: Annotated[float, Meta(gt=0, le=1)] = 1e-3  # of the velocity over ground from estimate to estimate
     most_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # the bias stays within, each way
@@ -47,9 +61,9 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the controller."""
 
     horizon_s: Annotated[float, Meta(ge=0.3, le=120)] = 5.0
-    most_stages: Annotated[int, Meta(ge=2, le=400)] = 400  # a longer horizon is reached by stages that grow: grid.py
+    most_stages: Annotated[int, Meta(ge=2, le=400)] = 34  # a longer horizon is reached by stages that grow: grid.py
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
-    weights: Weights = Weights()
+    weights: GivenWeights = GivenWeights()  # what is left out follows from the vehicle
     disturbance: Disturbance = Disturbance()
     lateral: bool = True  # false: the lateral thrusters stay at zero: what happens without control
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
@@ -76,6 +90,11 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         return grid.knots(self.stages, float(self._reach))
 
     @property
+    def reach_s(self) -> float:
+        """What the horizon comes to in whole stages."""
+        return self._reach * STAGE_NS / 1e9
+
+    @property
     def _reach(self) -> int:
         return max(1, round(self.horizon_s * 1e9 / STAGE_NS))
 
@@ -83,6 +102,12 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     def period_ns(self) -> int:
         """Time between the starts of two cycles, at least."""
         return round(self.period_s * 1e9)
+
+
+class SettledConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings for one vehicle, with every weight in its place: made by ``scales.settled`` alone."""
+
+    weights: Weights = Weights()
 
 
 def checked(settings: ControllerConfig, *, source: str, table: tuple[str, ...] = ()) -> ControllerConfig:

@@ -42,11 +42,17 @@ class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Port and starboard push ahead at ``arm_m`` left and right of the centre line; vertical pushes down."""
+    """Port and starboard push ahead at ``arm_m`` left and right of the centre line; vertical, if any, pushes down."""
 
     port: Thruster
     starboard: Thruster
-    vertical: Thruster
+    vertical: Thruster | None = None
+
+
+NO_THRUSTER = Thruster(
+    arm_m=0.0, min_N=0.0, max_N=0.0, slew_N_per_s=1.0, lag_s=0.0, propeller_diameter_m=1.0, max_rps=1.0
+)
+"""The place of the vertical thruster in every thrust array, of a vehicle that has none: its box is zero."""
 
 
 class Coefficients(NamedTuple):
@@ -74,23 +80,35 @@ class Coefficients(NamedTuple):
 
 
 class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An underactuated vehicle with two stern thrusters and a vertical one."""
+    """An underactuated vehicle with two stern thrusters, and a vertical one if it dives.
+
+    A surface craft leaves [thruster.vertical] and [heave] out, and floats: its vertical thrust is zero always.
+    """
 
     name: str
     description: str
     dry_mass_kg: PositiveMass
-    net_buoyancy_N: Annotated[float, Meta(ge=-1e6, le=1e6)]  # buoyancy minus weight, positive: it rises
+    net_buoyancy_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # buoyancy minus weight, positive: it rises
     water_density_kgpm3: Annotated[float, Meta(ge=900, le=1100)]
-    failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)]
+    failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0
     surge: Translation
     sway: Translation
-    heave: Translation
+    heave: Translation | None = None
     yaw: Rotation
     thruster: Thrusters
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""
-        vertical = self.thruster.vertical
+        if (self.thruster.vertical is None) != (self.heave is None):
+            there, missing = ("[heave]", "[thruster.vertical]")[:: 1 if self.heave else -1]
+            raise ValueError(
+                f"{missing} is missing beside {there}: a vehicle that dives has both, a surface craft none"
+            )
+        if self.heave is None and self.net_buoyancy_N != 0.0:
+            raise ValueError(
+                f"net_buoyancy_N = {self.net_buoyancy_N}: must be 0 or left out without [heave]: a surface craft floats"
+            )
+        vertical = self.thrusters[2]
         if not vertical.min_N <= self.failsafe_vertical_N <= vertical.max_N:
             raise ValueError(
                 f"failsafe_vertical_N = {self.failsafe_vertical_N}: must be within the vertical thruster's "
@@ -106,23 +124,29 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @property
     def thrusters(self) -> tuple[Thruster, Thruster, Thruster]:
-        """Port, starboard, vertical: the order of every thrust array."""
-        return self.thruster.port, self.thruster.starboard, self.thruster.vertical
+        """Port, starboard, vertical: the order of every thrust array; ``NO_THRUSTER`` for a vertical not there."""
+        return self.thruster.port, self.thruster.starboard, self.thruster.vertical or NO_THRUSTER
+
+    @property
+    def dives(self) -> bool:
+        """Whether it has a vertical thruster; else it is a surface craft."""
+        return self.heave is not None
 
     def coefficients(self) -> Coefficients:
-        """For compiled code."""
+        """For compiled code. A surface craft neither sinks nor rises: no thrust, no net buoyancy, its own mass."""
+        heave = self.heave or Translation(mass_kg=self.dry_mass_kg, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0)
         return Coefficients(
             mass_surge=self.surge.mass_kg,
             mass_sway=self.sway.mass_kg,
-            mass_heave=self.heave.mass_kg,
+            mass_heave=heave.mass_kg,
             inertia_yaw=self.yaw.inertia_kgm2,
             linear_surge=self.surge.linear_damping_kgps,
             linear_sway=self.sway.linear_damping_kgps,
-            linear_heave=self.heave.linear_damping_kgps,
+            linear_heave=heave.linear_damping_kgps,
             linear_yaw=self.yaw.linear_damping_Nms,
             quadratic_surge=self.surge.quadratic_damping_kgpm,
             quadratic_sway=self.sway.quadratic_damping_kgpm,
-            quadratic_heave=self.heave.quadratic_damping_kgpm,
+            quadratic_heave=heave.quadratic_damping_kgpm,
             quadratic_yaw=self.yaw.quadratic_damping_kgm2,
             dry_mass=self.dry_mass_kg,
             net_buoyancy=self.net_buoyancy_N,
@@ -130,5 +154,5 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             arm_starboard=self.thruster.starboard.arm_m,
             lag_port=self.thruster.port.lag_s,
             lag_starboard=self.thruster.starboard.lag_s,
-            lag_vertical=self.thruster.vertical.lag_s,
+            lag_vertical=self.thrusters[2].lag_s,
         )

@@ -216,10 +216,29 @@ def test_without_lag_a_thruster_delivers_its_command():
     np.testing.assert_allclose(end[:6], want, rtol=0, atol=1e-5)
 
 
-@pytest.mark.parametrize(("seconds", "steps"), [(0.3, 2), (0.31, 3), (0.45, 3), (0.15, 1), (0.02, 1)])
+@pytest.mark.parametrize(
+    ("seconds", "steps"), [(0.3, 2), (0.31, 3), (0.45, 3), (0.15, 1), (0.02, 1), (0.7, 4), (1.5, 5)]
+)
 def test_a_stage_is_cut_into_no_more_steps_than_its_length_needs(seconds, steps):
     """0.45 / 0.15 is not 3 in binary."""
     assert substeps(seconds) == steps
+
+
+@pytest.mark.parametrize("h", [0.7, 1.5, 3.0])
+def test_a_long_stage_agrees_with_a_tight_independent_integrator_as_well_as_is_needed_far_ahead(h):
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        X = rng.uniform(-1, 1, 8) * [1.0, 1.0, 0.5, 0.3, 3.0, 0.4, 60.0, 60.0]
+        u0, uh = rng.uniform(-60, 60, (2, 2))
+
+        def rhs(t, y, u0=u0, uh=uh):
+            u = u0 + (uh - u0) * t / h
+            return np.concatenate([slope(y[:6], y[6:]), (u - y[6:]) / [P.lag_port, P.lag_starboard]])
+
+        out = np.empty(8)
+        advance_stage(X, u0, uh, ZERO, ZERO, h, P, out)
+        want = solve_ivp(rhs, (0, h), X, method="DOP853", rtol=1e-9, atol=1e-11).y[:, -1]
+        np.testing.assert_allclose(out, want, rtol=0, atol=3e-4)
 
 
 @settings(max_examples=25)

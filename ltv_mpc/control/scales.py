@@ -1,0 +1,109 @@
+"""Weights from the vehicle: what was found for the paper's vehicle, carried to any other by its scales.
+
+A vehicle has a speed V, a time T and a length L = V T:
+
+    V = top speed ahead               F = d V + D V^2,           F the sum of what both thrusters push ahead
+    T = M_x V / F + sqrt(1 / r^2 + 2 I_z / N) + lag              surge, a turn by 1 rad, thruster
+    r = turning rate on the spot      N = d_psi r + D_psi r^2,   N the weaker of both couples
+
+M_x V / F is the time constant in which a full push reaches V; a turn by 1 rad takes 1 / r where drag rules and
+sqrt(2 I_z / N) where inertia does. In units of T and L, with f = F / max, the cost of stages of length h is
+
+    (T / h) w L^2 integral |p|^2 + (T / h) r_F integral |f|^2 + (h / T) s integral |f'|^2
+    + w_N L^2 |p_N|^2 + m V^2 |p'_N|^2
+
+Two vehicles that differ by scale alone behave alike, each in its own T and L, where the ratios between the terms are
+the same:
+
+    w = a / L^2,   w_N = b w T / h,   m = c w T^3 / h,   r_F = d,   s = e (T / h)^2
+
+a .. e are such that the paper's vehicle has the weights that were found for it (``config.Weights``). With r_F the same
+for all, and not w, the QP's costs are of the same size for all, which the fixed step sizes of OSQP want.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import msgspec
+
+from ltv_mpc.control.config import ControllerConfig, SettledConfig, Weights
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+
+
+class Scales(NamedTuple):
+    """Of one vehicle: top speed V (m/s) and time T (s)."""
+
+    speed_mps: float
+    time_s: float
+
+    @property
+    def length_m(self) -> float:
+        """L = V T."""
+        return self.speed_mps * self.time_s
+
+
+PAPER = Scales(speed_mps=0.5, time_s=7.22042)
+"""Of the vehicle that the weights were found for: ``scales_of`` gives it, and a test holds that."""
+
+FASTEST_MPS, FASTEST_RADPS = 5.0, 5.0
+"""Where nothing brakes, the speed that counts."""
+
+
+def scales_of(vehicle: Vehicle) -> Scales:
+    """V and T of a vehicle: this file's head."""
+    p = vehicle.coefficients()
+    port, starboard = vehicle.thrusters[:2]
+    push = port.max_N + starboard.max_N
+    speed = min(steady(push, p.linear_surge, p.quadratic_surge), FASTEST_MPS)
+    couple = weaker_couple(vehicle, p)
+    rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), FASTEST_RADPS)
+    turn = math.sqrt(1.0 / rate**2 + 2.0 * p.inertia_yaw / couple)
+    return Scales(speed, p.mass_surge * speed / push + turn + max(p.lag_port, p.lag_starboard))
+
+
+def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
+    """N (N m): one thruster full ahead, the other full astern, to the side on which that turns less.
+
+    Of a vehicle that turns to one side only, a twentieth of what turns it there.
+    """
+    port, starboard = vehicle.thrusters[:2]
+    to_starboard = port.max_N * p.arm_port - starboard.min_N * p.arm_starboard
+    to_port = starboard.max_N * p.arm_starboard - port.min_N * p.arm_port
+    return max(min(to_starboard, to_port), 0.05 * max(to_starboard, to_port))
+
+
+def steady(push: float, linear: float, quadratic: float) -> float:
+    """The speed s >= 0 at which push = linear s + quadratic s^2; infinite where nothing brakes."""
+    # the root that loses no digits where one of both is small
+    root = linear + math.sqrt(linear**2 + 4.0 * quadratic * push)
+    return 2.0 * push / root if root > 0.0 else math.inf
+
+
+def weights_of(vehicle: Vehicle) -> Weights:
+    """The weights of a vehicle: those of the paper's, scaled; to three digits: more would pretend."""
+    found, of = Weights(), scales_of(vehicle)
+    length, time = of.length_m / PAPER.length_m, of.time_s / PAPER.time_s
+    # h is the same for all: T / h goes as T
+    return Weights(
+        position_per_m2=_rounded(found.position_per_m2 / length**2),
+        terminal_position_per_m2=_rounded(found.terminal_position_per_m2 * time / length**2),
+        terminal_velocity_s2_per_m2=_rounded(found.terminal_velocity_s2_per_m2 * time**3 / length**2),
+        thrust=found.thrust,
+        thrust_change=_rounded(found.thrust_change * time**2),
+    )
+
+
+def settled(config: ControllerConfig, vehicle: Vehicle) -> SettledConfig:
+    """``config`` with every weight: those that it names, the others of the vehicle. What is settled already stays."""
+    if isinstance(config, SettledConfig):
+        return config
+    given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
+    weights = msgspec.structs.replace(weights_of(vehicle), **given)
+    rest = {field: getattr(config, field) for field in config.__struct_fields__ if field != "weights"}
+    return SettledConfig(**rest, weights=weights)
+
+
+def _rounded(weight: float) -> float:
+    return float(f"{weight:.3g}")

@@ -1,0 +1,118 @@
+"""Your vehicle: ``vehicle``, its file: ``new``, ``check``, ``identify``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Json
+
+vehicle = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+
+Overwrite = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
+
+
+class Known(StrEnum):
+    """What of surge and sway the file has right."""
+
+    THRUST = "thrust"
+    MASS = "mass"
+
+
+class KnownYaw(StrEnum):
+    """What of yaw the file has right."""
+
+    ARM = "arm"
+    INERTIA = "inertia"
+
+
+@vehicle.callback()
+def _about() -> None:
+    """A vehicle's file: new, check, identify."""
+
+
+@vehicle.command()
+def new(
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="Where to.")] = Path("vehicle.toml"),
+    force: Overwrite = False,
+) -> None:
+    """A commented vehicle file to fill in. It loads as it is."""
+    from importlib import resources
+
+    text = (resources.files("ltv_mpc.vehicle") / "template.toml").read_text(encoding="utf-8")
+    _write(file, text, force=force)
+    typer.echo(f"ltv-mpc vehicle check {file}")
+
+
+@vehicle.command()
+def check(
+    file: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped name or a TOML file.")],
+    as_json: Json = False,
+) -> None:
+    """What the vehicle would do, horizon and weights that fit it, and what looks wrong; exit code 0 all the same."""
+    from ltv_mpc.vehicle.parameters import Vehicle
+
+    loaded = Vehicle.load(file)
+    from services.measure import vehicle_check
+
+    result = vehicle_check.check(loaded)
+    typer.echo(_json(result) if as_json else vehicle_check.table(result))
+
+
+@vehicle.command()
+def identify(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, or its run.mcap.")],
+    name: Annotated[
+        str | None,
+        typer.Option("--vehicle", metavar="NAME|FILE", help="What is believed of the vehicle. Default: the run's own."),
+    ] = None,
+    known: Annotated[Known, typer.Option("--known", help="Mass and thrust tell nothing apart: one is right.")] = (
+        Known.THRUST
+    ),
+    known_yaw: Annotated[KnownYaw, typer.Option("--known-yaw", help="Of inertia and arms likewise.")] = KnownYaw.ARM,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the vehicle found.")] = None,
+    force: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
+    from services.measure import vehicle_identify
+
+    held = vehicle_identify.opened(run)
+    believed = vehicle_identify.vehicle_of(held, name)
+    if out is not None:
+        _free(out, force=force)
+    result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)
+    typer.echo(_json(result) if as_json else vehicle_identify.table(result))
+    if out is not None:
+        from ltv_mpc.vehicle.identification import improved
+
+        _write(out, vehicle_identify.toml(result, improved(believed, found.found)), force=force, quiet=as_json)
+
+
+def _json(result: object) -> str:
+    import msgspec
+
+    return msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
+
+
+def _free(file: Path, *, force: bool) -> None:
+    from ltv_mpc.errors import ConfigError
+
+    if file.exists() and not force:
+        raise ConfigError("vehicle file", "", "is there already: name another, or add --force", value=str(file))
+
+
+def _write(file: Path, text: str, *, force: bool, quiet: bool = False) -> None:
+    """The file, whose name is the last line said."""
+    from ltv_mpc.errors import ConfigError
+
+    _free(file, force=force)
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        problem = f"a place that can be written is needed ({error.strerror})"
+        raise ConfigError("vehicle file", "", problem, value=str(file)) from None
+    typer.echo(str(file), err=quiet)

@@ -1,0 +1,218 @@
+"""A vehicle from a recorded run: what the estimates and the actuators' reports say of its coefficients.
+
+Of the recording it reads what an outsider has: ``estimate``, ``applied``, and, where nobody reported what was applied,
+``plan``. The truth of a simulated run is not looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+import msgspec
+import numpy as np
+
+from ltv_mpc import config
+from ltv_mpc.control.prediction import current_in, profile_of
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import Applied, Array, Estimate, Plan, Signal
+from ltv_mpc.vehicle.identification import Found, Identified, Known, KnownYaw, Motion, NotEnoughMotion, identify
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.wire import WireError
+from services.recording.reader import Recording
+from services.run import folder
+from services.run.folder import RunFolder
+
+SD = np.array([0.01, 0.01, 0.005])
+"""Of u, v (m/s) and r (rad/s) where the estimates have no covariance; what comes out has them scaled to the run."""
+Timed = TypeVar("Timed", Estimate, Applied)
+
+SMALLEST_SD = 1e-5
+VELOCITY, YAW_RATE = (2, 3), 5
+"""Places in an estimate's covariance."""
+
+
+class Result(msgspec.Struct, frozen=True, kw_only=True):
+    """``vehicle identify --json``."""
+
+    run: str
+    vehicle: str
+    seconds: float
+    estimates: int
+    pieces: int
+    input: str  # "applied" or "plan": where the thrusts come from
+    known: tuple[Known, KnownYaw]  # what was taken from the file
+    residual_sd: tuple[float, float, float]  # of u, v (m/s), r (rad/s)
+    found: list[Found]
+    not_told: list[str]  # coefficients that the run does not excite
+
+
+class _Heard(NamedTuple):
+    """What of a recording is read."""
+
+    estimates: list[Estimate]
+    applied: list[Applied]
+    plans: list[tuple[int, Plan]]  # with the time of publication
+
+
+def opened(run: str) -> RunFolder:
+    """The run (its folder, its run.mcap or ``latest``). Raises ``ConfigError``."""
+    path = folder.ROOT / folder.LATEST if run == folder.LATEST else Path(run)
+    held = RunFolder(path.parent if path.name == "run.mcap" else path)
+    if not held.recording.is_file():
+        problem = f"must be a run's folder, its run.mcap, or {folder.LATEST}: there is no {held.recording}"
+        raise ConfigError("argument RUN", "", problem, value=run)
+    return held
+
+
+def vehicle_of(run: RunFolder, name: str | None) -> Vehicle:
+    """The vehicle that is named, or the run's own. Raises ``ConfigError``."""
+    return Vehicle.load(str(run.config("vehicle")) if name is None else name)
+
+
+def identified(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> tuple[Result, Identified]:
+    """What the run says of the vehicle. Raises ``ConfigError`` where it says nothing."""
+    heard = _heard(run.recording)
+    try:
+        motion = motion_of(heard.estimates, heard.applied, heard.plans)
+        found = identify(vehicle, motion, known, known_yaw)
+    except NotEnoughMotion as error:
+        raise ConfigError(f"run {run.recording}", "", f"says too little of the vehicle: {error}") from None
+    u, v, r = found.sd.tolist()
+    result = Result(
+        run=str(run.path),
+        vehicle=vehicle.name,
+        seconds=found.seconds,
+        estimates=len(motion.t_s),
+        pieces=found.pieces,
+        input="plan" if motion.thrust is None else "applied",
+        known=(known, known_yaw),
+        residual_sd=(u, v, r),
+        found=found.found,
+        not_told=[one.name for one in found.found if not one.excited],
+    )
+    return result, found
+
+
+def _heard(path: Path) -> _Heard:
+    heard = _Heard([], [], [])
+    for message in Recording(path):
+        if message.kind not in (Estimate, Applied, Plan):
+            continue
+        try:
+            signal: Signal = message.typed()[0]
+        except WireError as error:
+            raise ConfigError(f"run {path}", message.key, f"cannot be read: {error}") from None
+        if isinstance(signal, Estimate):
+            heard.estimates.append(signal)
+        elif isinstance(signal, Applied):
+            heard.applied.append(signal)
+        elif isinstance(signal, Plan):
+            heard.plans.append((message.t_ns, signal))
+    return heard
+
+
+def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tuple[int, Plan]]) -> Motion:
+    """Velocities through the water and thrusts at the times of the estimates that both are known for.
+
+    Raises ``NotEnoughMotion`` where there are none.
+    """
+    estimates = _increasing(estimates)
+    reports = _increasing(applied)
+    first, last = (
+        (reports[0].t_ns, reports[-1].t_ns)
+        if reports
+        else (min(t for t, _ in plans), max(int(plan.t_ns[-1]) for _, plan in plans))
+        if plans
+        else (0, -1)
+    )
+    kept = [one for one in estimates if first <= one.t_ns <= last]
+    if len(kept) < 2:
+        raise NotEnoughMotion(f"{len(kept)} estimates with a thrust known beside them")
+    t_ns = np.array([one.t_ns for one in kept])
+    motion = Motion(
+        t_s=(t_ns - t_ns[0]) * 1e-9,
+        velocity=np.array([_through_the_water(one) for one in kept]),
+        heading=np.unwrap([one.heading_rad for one in kept]),
+        shear=np.array([_shear(one) for one in kept]),
+        command=_planned(t_ns, plans) if not reports else _between(t_ns, reports, "command_N"),
+        sd=_sd(kept),
+        thrust=_between(t_ns, reports, "thrust_N") if reports else None,
+    )
+    return motion
+
+
+def _increasing(signals: Sequence[Timed]) -> list[Timed]:
+    """In the order of their times, the newest of each time."""
+    return list({one.t_ns: one for one in sorted(signals, key=lambda one: one.t_ns)}.values())
+
+
+def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
+    """u, v, r: [u, v] = R(psi)' (velocity over ground - current)."""
+    profile = profile_of(estimate)
+    cn, ce = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
+    cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
+    north, east = estimate.velocity_north_mps - cn, estimate.velocity_east_mps - ce
+    return cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps
+
+
+def _shear(estimate: Estimate) -> tuple[float, float]:
+    """dc/dz w (m/s2), over half a metre up and down."""
+    w = estimate.velocity_down_mps or 0.0
+    if w == 0.0 or estimate.depth_m is None:
+        return 0.0, 0.0
+    profile = profile_of(estimate)
+    n0, e0 = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m - 0.5)
+    n1, e1 = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m + 0.5)
+    return (n1 - n0) * w, (e1 - e0) * w
+
+
+def _between(t_ns: Array, reports: list[Applied], field: str) -> Array:
+    """Port and starboard (M, 2) of the reports, linear in between."""
+    at = np.array([one.t_ns for one in reports])
+    values = np.array([getattr(one, field)[:2] for one in reports])
+    return np.column_stack([np.interp(t_ns, at, values[:, i]) for i in range(2)])
+
+
+def _planned(t_ns: Array, plans: list[tuple[int, Plan]]) -> Array:
+    """Port and starboard (M, 2) as the newest plan has them that was published by then."""
+    published = np.array([t for t, _ in plans])
+    newest = np.searchsorted(published, t_ns, side="right") - 1
+    return np.array([plans[max(int(k), 0)][1].thrust_at(int(t))[:2] for k, t in zip(newest, t_ns, strict=True)])
+
+
+def _sd(estimates: list[Estimate]) -> Array:
+    """Standard deviations (3,) of u, v, r, root mean square of what the estimates say of themselves."""
+    told = [one.covariance for one in estimates if one.covariance is not None]
+    if not told:
+        return SD.copy()
+    mean = np.mean([np.diag(covariance) for covariance in told], axis=0)
+    velocity = float(mean[list(VELOCITY)].mean())
+    return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), SMALLEST_SD)
+
+
+def table(of: Result) -> str:
+    """For people."""
+    u, v, r = of.residual_sd
+    lines = [
+        f"{of.vehicle}, {of.run}: {of.seconds:.0f} s, {of.estimates} estimates, thrust from {of.input}",
+        f"left over: {1e3 * u:.2f} mm/s ahead, {1e3 * v:.2f} mm/s to starboard, {1e3 * r:.2f} mrad/s",
+        f"taken from the file: {of.known[0]} and {of.known[1]}",
+        f"{'':<18}{'file':>12}{'found':>12}   95 % interval",
+    ]
+    for one in of.found:
+        said = f"{one.low:>10.4g} to {one.high:.4g} {one.unit}" if one.excited else "  not excited: the file's stays"
+        value = f"{one.value:12.4g}" if one.excited else f"{'':>12}"
+        lines.append(f"{one.name:<18}{one.file:>12.4g}{value} {said}".rstrip())
+    return "\n".join(lines)
+
+
+def toml(of: Result, vehicle: Vehicle) -> str:
+    """The vehicle with what was found as the text of a file."""
+    head = [
+        f"# {vehicle.name}, {of.known[0]} and {of.known[1]} as they were; the rest from",
+        f"# {of.seconds:.0f} s of {Path(of.run).name}."
+        + (f" Not excited: {', '.join(of.not_told)}." if of.not_told else ""),
+    ]
+    return "\n".join(head) + "\n" + config.to_toml(vehicle)

@@ -1,0 +1,141 @@
+"""What a vehicle can do, against closed forms where lag and slew are switched off, and an integrator of its own."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from ltv_mpc import Vehicle
+from ltv_mpc.vehicle.parameters import Rotation, Translation
+from ltv_mpc.vehicle.performance import couple, performance, straight, top_speed
+
+replace = msgspec.structs.replace
+PAPER = Vehicle.load("paper")
+SURFACE = Vehicle.load("surface")
+
+
+def lateral(vehicle: Vehicle, port: dict | None = None, starboard: dict | None = None) -> Vehicle:
+    """With values of its lateral thrusters changed."""
+    both = vehicle.thruster
+    return replace(
+        vehicle,
+        thruster=replace(
+            both, port=replace(both.port, **(port or {})), starboard=replace(both.starboard, **(starboard or {}))
+        ),
+    )
+
+
+INSTANT = {"lag_s": 0.0, "slew_N_per_s": 1e6}
+PROMPT = lateral(PAPER, INSTANT, INSTANT)
+
+
+def test_top_speeds_are_where_drag_is_thrust() -> None:
+    assert performance(PAPER).top_speed_ahead_mps == pytest.approx(math.sqrt(125.0 / 500.0))
+    can = performance(SURFACE)
+    assert can.top_speed_ahead_mps == pytest.approx(2 * 119.7 / 77.6)
+    assert can.top_speed_astern_mps == pytest.approx(2 * 66.7 / 77.6)
+    assert can.strongest_current_bow_mps == can.top_speed_ahead_mps
+    assert can.strongest_current_stern_mps == can.top_speed_astern_mps
+
+
+def test_both_dampings_count() -> None:
+    both = replace(PAPER, surge=Translation(mass_kg=500.0, linear_damping_kgps=100.0, quadratic_damping_kgpm=500.0))
+    # 500 V^2 + 100 V = 125
+    assert performance(both).top_speed_ahead_mps == pytest.approx((-100.0 + math.sqrt(1e4 + 2.5e5)) / 1000.0)
+
+
+def test_unequal_arms_push_straight_with_what_leaves_no_moment() -> None:
+    uneven = lateral(PAPER, {"arm_m": 0.1}, {"arm_m": 0.2})
+    F = straight(uneven, ahead=True)
+    np.testing.assert_allclose(F, [62.5, 31.25])
+    assert top_speed(uneven, F) == pytest.approx(math.sqrt(93.75 / 500.0))
+    middle = lateral(PAPER, {"arm_m": 0.0})
+    assert straight(middle, ahead=False) == pytest.approx([-62.5, 0.0])
+
+
+def test_turning_rates_are_where_drag_is_the_couple() -> None:
+    """Equal masses and thrusts: turning on the spot, without surge or sway. 200 r^2 + 15 r = 25."""
+    rate = (-15.0 + math.sqrt(15.0**2 + 4 * 200 * 25.0)) / 400.0
+    can = performance(PAPER)
+    assert can.turning_rate_starboard_radps == pytest.approx(rate, rel=1e-6)
+    assert can.turning_rate_port_radps == pytest.approx(-rate, rel=1e-6)
+
+
+def test_a_turn_with_weak_reverse_thrust_settles_where_the_equations_say() -> None:
+    """It goes ahead as it turns, and drifts outwards: held against an integrator and equations of this test's own."""
+    weak = Vehicle.load("weak-reverse")
+    assert couple(weak, starboard=True) == pytest.approx([62.5, -15.6])
+
+    def rates(_t: float, y: np.ndarray) -> list[float]:
+        u, v, r = y
+        return [
+            (62.5 - 15.6 - 500 * u * abs(u) + 500 * v * r) / 500,
+            (-800 * v * abs(v) - 500 * u * r) / 500,
+            (0.2 * (62.5 + 15.6) - 15 * r - 200 * r * abs(r)) / 179.049,
+        ]
+
+    settled = solve_ivp(rates, (0.0, 400.0), [0.0, 0.0, 0.0], rtol=1e-9, atol=1e-9).y[:, -1]
+    assert abs(settled[0]) > 0.05
+    assert performance(weak).turning_rate_starboard_radps == pytest.approx(settled[2], rel=1e-5)
+
+
+def test_stopping_without_lag_is_the_closed_form() -> None:
+    """u' = -(F + D u^2) / M from V with F = D V^2: s = M / (2 D) ln 2 to standstill, 0.02 V of it left out.
+
+    The commands are linear over a step of 50 ms: half of that later than at once.
+    """
+    can = performance(PROMPT)
+    assert can.stopping_distance_m == pytest.approx(500 / (2 * 500) * math.log(2 / (1 + 0.02**2)), rel=0.05)
+    assert can.stopping_time_s == pytest.approx(2.0 * (math.pi / 4 - math.atan(0.02)) + 0.025, abs=0.051)
+
+
+def test_stopping_has_lag_and_slew_in_it() -> None:
+    """62.5 N to -62.5 N at 100 N/s, then 0.3 s of lag: an integrator of its own."""
+
+    def rates(t: float, y: np.ndarray) -> list[float]:
+        _, u, F = y
+        return [u, (2 * F - 500 * u * abs(u)) / 500, (max(62.5 - 100 * t, -62.5) - F) / 0.3]
+
+    def slow(_t: float, y: np.ndarray) -> float:
+        return y[1] - 0.01
+
+    slow.terminal = True
+    end = solve_ivp(rates, (0.0, 20.0), [0.0, 0.5, 62.5], events=slow, rtol=1e-9, atol=1e-9, max_step=0.02)
+    can = performance(PAPER)
+    assert can.stopping_time_s == pytest.approx(end.t[-1], abs=0.06)
+    assert can.stopping_distance_m == pytest.approx(end.y[0, -1], rel=0.01)
+    assert can.stopping_distance_m > 2.0 * performance(PROMPT).stopping_distance_m
+
+
+def test_surge_follows_tanh_and_sway_falls_as_quadratic_drag_has_it() -> None:
+    can = performance(PROMPT)
+    # u = V tanh(t / 2 s);  1/v = 1/v0 + D t / M
+    assert can.surge_s == pytest.approx(2.0 * math.atanh(1 - math.exp(-1)) + 0.025, abs=0.051)
+    assert can.sway_s == pytest.approx((math.e - 1) * 500 / (800 * 0.05), abs=0.06)
+    assert can.thruster_s == pytest.approx(0.05)
+    assert performance(PAPER).surge_s > can.surge_s + 0.3
+
+
+def test_a_quarter_turn_without_drag_is_half_a_turn_of_push_and_half_of_pull() -> None:
+    """theta = N t^2 / (4 I), to where it stands still."""
+    free = replace(PROMPT, yaw=Rotation(inertia_kgm2=179.049, linear_damping_Nms=1e-3, quadratic_damping_kgm2=0.0))
+    assert performance(free).turn_90deg_s == pytest.approx(math.sqrt(4 * 179.049 * math.pi / 2 / 25.0), rel=0.03)
+    assert performance(PAPER).turn_90deg_s > performance(PROMPT).turn_90deg_s + 0.3
+
+
+def test_what_there_is_not_is_none() -> None:
+    bare = replace(
+        PAPER,
+        surge=Translation(mass_kg=500.0, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0),
+        yaw=Rotation(inertia_kgm2=179.0, linear_damping_Nms=0.0, quadratic_damping_kgm2=0.0),
+    )
+    can = performance(bare)
+    assert can.top_speed_ahead_mps is None
+    assert can.turning_rate_port_radps is None
+    assert can.stopping_distance_m is None
+    one_way = lateral(PAPER, {"min_N": 0.0}, {"min_N": 0.0})
+    assert performance(one_way).top_speed_astern_mps == 0.0

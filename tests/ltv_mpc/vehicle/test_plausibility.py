@@ -1,0 +1,112 @@
+"""A file with a unit mistaken is doubted in a sentence that names the field; sound vehicles are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.vehicles import drawn
+from ltv_mpc import Vehicle
+from ltv_mpc.vehicle import parameters
+from ltv_mpc.vehicle.performance import performance
+from ltv_mpc.vehicle.plausibility import doubts
+
+FOLDER = Path(parameters.__file__).parent
+PAPER = (FOLDER / "files" / "paper.toml").read_text()
+
+
+def lines(first: str, count: int) -> str:
+    """So many lines of the paper's file from the one that holds ``first`` on."""
+    rows = PAPER.splitlines(keepends=True)
+    at = next(i for i, row in enumerate(rows) if first in row)
+    return "".join(rows[at : at + count])
+
+
+SURGE = lines("[surge]", 2)
+SWAY = lines("quadratic_damping_kgpm = 800.0", 1)
+"""In the paper's file sway has quadratic damping alone."""
+
+
+def doubted(vehicle: Vehicle) -> list[str]:
+    return doubts(vehicle, performance(vehicle))
+
+
+@pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", str(FOLDER / "template.toml")])
+def test_shipped_vehicles_and_the_template_are_not_doubted(name: str) -> None:
+    assert doubted(Vehicle.load(name)) == []
+
+
+def test_vehicles_from_30_kg_to_3_t_are_not_doubted() -> None:
+    vehicles = [drawn(seed) for seed in range(12)]
+    assert min(v.dry_mass_kg for v in vehicles) < 60 < 2000 < max(v.dry_mass_kg for v in vehicles)
+    assert {v.name: doubted(v) for v in vehicles} == {v.name: [] for v in vehicles}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ("dry_mass_kg = 200.0", "dry_mass_kg = 200000.0", "dry_mass_kg = 200000: 5 to 50000 kg are usual; is it in g"),
+        ("dry_mass_kg = 200.0", "dry_mass_kg = 0.2", "dry_mass_kg = 0.2: 5 to 50000 kg are usual"),
+        (
+            SURGE,
+            "[surge]\nmass_kg = 150.0\n",
+            r"[surge] mass_kg = 150: 0.75 x dry_mass_kg",
+        ),
+        (
+            "inertia_kgm2 = 179.049",
+            "inertia_kgm2 = 0.179",
+            "[yaw] inertia_kgm2 = 0.179: a radius of gyration of 0.019 m",
+        ),
+        ("inertia_kgm2 = 179.049", "inertia_kgm2 = 179049.0", "[yaw] inertia_kgm2 = 179049: a radius of gyration"),
+        ("arm_m = 0.2 ", "arm_m = 0.0002 ", "[thruster.port] arm_m = 0.0002: 0.012 to 2.9 m fit 200 kg; is it in m?"),
+        ("arm_m = 0.2 ", "arm_m = 20.0 ", "[thruster.starboard] arm_m = 20: 0.012 to 2.9 m fit 200 kg"),
+        (
+            "arm_m = 0.2                    # m left",
+            "arm_m = 0.0 # m left",
+            "[thruster.port] arm_m = 0: this thruster turns nothing",
+        ),
+        ("max_N = 62.5 ", "max_N = 0.0625 ", "is the thrust in kN or gf"),
+        ("max_N = 62.5 ", "max_N = 62500.0 ", "is the thrust in kN or gf"),
+        (
+            "min_N = -62.5                  # N; paper",
+            "min_N = 0.0 # N; paper",
+            "[thruster.port] min_N = 0: it cannot push astern",
+        ),
+        ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
+        (
+            SWAY,
+            "quadratic_damping_kgpm = 0.0\n",
+            "[sway] both dampings are 0: a drift sideways lasts",
+        ),
+        (
+            "max_rps = 7.2",
+            "max_rps = 5.0",
+            "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of 0.25 m gives",
+        ),
+        ("net_buoyancy_N = 30.5", "net_buoyancy_N = 100.0", "it cannot dive"),
+        ("net_buoyancy_N = 30.5", "net_buoyancy_N = -100.0", "it cannot rise"),
+        ("net_buoyancy_N = 30.5", "net_buoyancy_N = -5.0", "without a plan the vehicle sinks"),
+        ("quadratic_damping_kgpm = 500.0", "quadratic_damping_kgpm = 500000.0", "top speed ahead 0.0158 m/s"),
+        ("quadratic_damping_kgm2 = 200.0", "quadratic_damping_kgm2 = 200000.0", "a turn by 90 deg takes"),
+    ],
+)
+def test_what_is_mistaken_is_named(before: str, after: str, says: str, tmp_path: Path) -> None:
+    assert before in PAPER
+    (tmp_path / "mine.toml").write_text(PAPER.replace(before, after, 1 if before == SWAY else -1))
+    sentences = doubted(Vehicle.load(str(tmp_path / "mine.toml")))
+    assert any(says in sentence for sentence in sentences), sentences
+
+
+def test_a_thruster_without_any_delay_is_doubted(tmp_path: Path) -> None:
+    text = PAPER.replace("lag_s = 0.3 ", "lag_s = 0.0 ").replace("slew_N_per_s = 100.0", "slew_N_per_s = 100000.0")
+    (tmp_path / "mine.toml").write_text(text)
+    assert any("full thrust in 0.62 ms" in sentence for sentence in doubted(Vehicle.load(str(tmp_path / "mine.toml"))))
+
+
+def test_drag_that_is_quicker_than_a_stage_is_doubted(tmp_path: Path) -> None:
+    text = PAPER.replace("linear_damping_Nms = 15.0", "linear_damping_Nms = 3000.0")
+    (tmp_path / "mine.toml").write_text(text)
+    assert any(
+        "drag changes the motion within 0.06 s" in one for one in doubted(Vehicle.load(str(tmp_path / "mine.toml")))
+    )

@@ -1,0 +1,111 @@
+"""``vehicle new``, ``check`` and ``identify`` as a user has them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc import Vehicle
+from ltv_mpc.vehicle import parameters
+from services.cli.app import run
+
+PAPER = (Path(parameters.__file__).parent / "files" / "paper.toml").read_text()
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_new_file_loads_and_nothing_is_wrong_with_it(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["vehicle", "new", "mine.toml"]) == 0
+    assert "ltv-mpc vehicle check mine.toml" in capsys.readouterr().out
+    assert Vehicle.load(str(here / "mine.toml")).name == "mine"
+    assert run(["vehicle", "check", "mine.toml"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("mine (dives)")
+    assert out.rstrip().endswith("nothing looks wrong")
+
+
+def test_a_file_that_is_there_is_not_replaced_unless_asked(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "mine.toml").write_text("precious")
+    assert run(["vehicle", "new", "mine.toml"]) == 2
+    assert "is there already: name another, or add --force" in capsys.readouterr().err
+    assert (here / "mine.toml").read_text() == "precious"
+    assert run(["vehicle", "new", "mine.toml", "--force"]) == 0
+    assert (here / "mine.toml").read_text() != "precious"
+
+
+def test_a_place_that_cannot_be_written_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["vehicle", "new", "none/mine.toml"]) == 2
+    assert "a place that can be written is needed" in capsys.readouterr().err
+
+
+def test_a_check_says_what_the_vehicle_would_do(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["vehicle", "check", "paper", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["performance"]["top_speed_ahead_mps"] == pytest.approx(0.5)
+    assert said["weights"]["terminal_velocity_s2_per_m2"] == 600.0
+    can = said["performance"]
+    assert said["horizon_s"] == pytest.approx(can["turn_90deg_s"] + can["stopping_time_s"], abs=0.31)
+    assert said["warnings"] == []
+
+
+def test_what_looks_wrong_is_a_warning_and_exit_code_0(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "gram.toml").write_text(PAPER.replace("dry_mass_kg = 200.0", "dry_mass_kg = 200000.0"))
+    assert run(["vehicle", "check", "gram.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "warning: dry_mass_kg = 200000" in out
+    assert "nothing looks wrong" not in out
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            ("arm_m", "arm_meters"),
+            'vehicle bad.toml: unknown key "arm_meters" in [thruster.port]; did you mean "arm_m"?',
+        ),
+        (("max_N = 62.5 ", "max_N = -1.0 "), "vehicle bad.toml: [thruster.port] max_N = -1.0: must be > 0"),
+        (("[heave]", "[heavy]"), 'vehicle bad.toml: unknown key "heavy"; did you mean "heave"?'),
+    ],
+)
+def test_a_bad_file_is_bad_input(
+    change: tuple[str, str], says: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "bad.toml").write_text(PAPER.replace(*change))
+    assert run(["vehicle", "check", "bad.toml"]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_run_says_how_its_vehicle_differs_from_the_file(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A vehicle of 1.2 times the mass and 0.8 times the drag, held in a current for a minute."""
+    keys = (
+        *("run.duration_s=60", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
+        *("plant.mismatch.mass=1.2", "plant.mismatch.drag=0.8"),
+    )
+    options = [word for key in keys for word in ("--set", key)]
+    assert run(["sim", "hover", "--lockstep", "--perfect-state", "--out", "run", *options]) in (0, 1)
+    capsys.readouterr()
+    assert run(["vehicle", "identify", "run", "--out", "found.toml", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["input"] == "applied"
+    found = {one["name"]: one["value"] for one in said["found"]}
+    assert found["mass_surge"] == pytest.approx(600.0, rel=0.05)
+    assert found["inertia_yaw"] == pytest.approx(1.2 * 179.049, rel=0.02)
+    assert found["linear_yaw"] == pytest.approx(12.0, rel=0.1)
+    better = Vehicle.load(str(here / "found.toml"))
+    assert better.surge.mass_kg == pytest.approx(found["mass_surge"])
+    assert better.thruster.port.max_N == 62.5
+    # a file that is there is kept, before the run is read
+    assert run(["vehicle", "identify", "run", "--out", "found.toml"]) == 2
+    assert run(["vehicle", "identify", str(here / "run" / "run.mcap")]) == 0
+    assert "mass_surge" in capsys.readouterr().out
+
+
+def test_what_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["vehicle", "identify", "nowhere"]) == 2
+    assert "must be a run's folder, its run.mcap, or latest" in capsys.readouterr().err
