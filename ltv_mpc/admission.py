@@ -17,6 +17,8 @@ from ltv_mpc.signals import (
     AdcpPing,
     Array,
     BottomTrack,
+    Command,
+    ControllerStatus,
     CurrentProfile,
     CycleTiming,
     Estimate,
@@ -135,6 +137,16 @@ def _plan(s: Plan) -> Reason:
     return refusal(s.solve)
 
 
+LONGEST_REFERENCE = 65_536
+"""Characters of a reference that travels: it is parsed within a cycle."""
+
+
+def _command(s: Command) -> Reason:
+    if len(s.reference_toml) > LONGEST_REFERENCE:
+        return f"reference_toml: {len(s.reference_toml)} characters, at most {LONGEST_REFERENCE}"
+    return None
+
+
 def _timing(s: CycleTiming) -> Reason:
     low, high, unit = MICROSECONDS
     if all(low <= x <= high for x in s.stage_us.values()):
@@ -145,6 +157,11 @@ def _timing(s: CycleTiming) -> Reason:
 def _sensor_report(s: SensorReport) -> Reason:
     low, high, unit = COUNT
     return None if all(low <= n <= high for n in s.refused.values()) else f"refused: must be {unit}"
+
+
+def _controller_status(s: ControllerStatus) -> Reason:
+    low, high, unit = COUNT
+    return None if all(low <= n <= high for n in s.rejected.values()) else f"rejected: must be {unit}"
 
 
 def _localisation_report(s: LocalisationReport) -> Reason:
@@ -164,6 +181,8 @@ CONSISTENCY: Mapping[type, Callable[[Any], Reason]] = {
     CurrentProfile: _profile,
     Estimate: _estimate,
     Plan: _plan,
+    Command: _command,
+    ControllerStatus: _controller_status,
     CycleTiming: _timing,
     Restore: lambda s: None if s.plan is None else refusal(s.plan),
     StepRecord: _record,

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from ltv_mpc.signals import (
+    Acknowledged,
     AdcpPing,
     Applied,
     BottomTrack,
     Clock,
+    Command,
     CompassHeading,
+    ControllerStatus,
     CurrentProfile,
     CycleTiming,
     Estimate,
@@ -19,6 +22,7 @@ from ltv_mpc.signals import (
     InboxEntry,
     LblRange,
     LocalisationReport,
+    Manual,
     NodeStatus,
     Plan,
     PressureDepth,
@@ -43,7 +47,7 @@ class Range(NamedTuple):
 
 
 EXACT = 2**53 - 1  # larger integers are not exact in JavaScript
-TIME = Range(-EXACT, EXACT, "ns, 104 days either way")
+TIME = Range(-(4 * 10**18), 4 * 10**18, "ns, 126 years either way: Unix time too")
 DURATION = Range(0, EXACT, "ns")
 INTERVAL = Range(1, EXACT, "ns")
 COUNT = Range(0, EXACT, "a count or a hash below 2^53")
@@ -51,12 +55,15 @@ POSITIVE = Range(1, EXACT, "an integer")
 MICROSECONDS = Range(0, 1e12, "us")
 POSITION = Range(-1e6, 1e6, "m")
 DEPTH = Range(-100, 12_000, "m")
+LENGTH = Range(0, 1e9, "m")
+PART = Range(0, 1, "a share")
 SLANT_RANGE = Range(0, 10_000, "m")
 SPEED = Range(-100, 100, "m/s")
 CURRENT = Range(-20, 20, "m/s")
 SD = Range(0, 1e6, "m/s")
 WALK = Range(0, 1e6, "m/s per sqrt(s)")
 TRAVEL_TIME = Range(0, 60, "s")
+SHARE = Range(0, 1, "a share")
 FACTOR = Range(0, 1e12, "a factor")
 ANGLE = Range(-1e4, 1e4, "rad; headings may be unwrapped")
 ANGULAR_RATE = Range(-100, 100, "rad/s")
@@ -135,7 +142,13 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "expected_delay_ns": DURATION,
         "reference_m": POSITION,
         "reference_depth_m": DEPTH,
+        "progress": PART,
+        "cross_track_m": POSITION,
+        "remaining_m": LENGTH,
     },
+    Command: {"command_id": COUNT},
+    Manual: {"thrust_N": THRUST},
+    Acknowledged: {"t_ns": TIME, "command_id": COUNT},
     CycleTiming: {"t_ns": TIME, "compute_ns": DURATION, "compute_wall_ns": DURATION, "estimate_age_ns": TIME},
     Rejected: {"t_ns": TIME, "crc": COUNT},
     Restore: {"t_ns": TIME},
@@ -157,6 +170,18 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "dropped": COUNT,
         "rejected": COUNT,
         "step_us": MICROSECONDS,
+    },
+    ControllerStatus: {
+        "t_ns": TIME,
+        "estimate_age_ns": TIME,
+        "applied_age_ns": TIME,
+        "cycle_median_us": MICROSECONDS,
+        "cycle_p99_us": MICROSECONDS,
+        "received": COUNT,
+        "dropped": COUNT,
+        "clock_error_ns": DURATION,
+        "error_m": POSITION,
+        "progress": SHARE,
     },
     RunEvent: {"t_ns": TIME},
 }

@@ -240,6 +240,7 @@ class PlanOrigin(enum.StrEnum):
     SHIFTED = "shifted"  # the previous plan, brought to the new grid
     DAMPING = "damping"  # stops the vehicle
     ZERO = "zero"  # lateral thrusts to zero at the slew limit
+    MANUAL = "manual"  # by hand: what the pilot's messages ask for, met at the slew limit
 
 
 class SolveStatus(enum.StrEnum):
@@ -260,6 +261,18 @@ class Authority(enum.StrEnum):
     CONTROLLER = "controller"
     MANUAL = "manual"
     STOPPED = "stopped"
+
+
+class Action(enum.StrEnum):
+    """What an operator may ask of the controller."""
+
+    ARM = "arm"  # the controller takes the thrusters; its reference begins anew
+    DISARM = "disarm"  # thrusts to zero, until armed
+    STOP = "stop"  # thrusts to zero from wherever it is, until armed
+    MANUAL = "manual"  # the pilot takes the thrusters: they follow the ``manual`` messages
+    RELEASE = "release"  # the pilot hands them back to the controller
+    FOLLOW = "follow"  # another reference
+    HOLD = "hold"  # the reference "here"
 
 
 class Health(enum.StrEnum):
@@ -299,8 +312,11 @@ class Plan(Signal, frozen=True, kw_only=True, eq=False):
     health: Health = Health.NOMINAL
     estimate_t_ns: int = 0  # validity time of the estimate it is built on
     expected_delay_ns: int = 0
-    reference_m: Pair | None = None  # north, east that it steers to; None before the start
-    reference_depth_m: float | None = None
+    reference_m: Pair | None = None  # north, east of the target at the first knot; None before the start
+    reference_depth_m: float | None = None  # that it ends at
+    progress: float | None = None  # of a path: the share that the target has behind it, 0 .. 1
+    cross_track_m: float | None = None  # of the vehicle at the first knot, from the path, positive to starboard of it
+    remaining_m: float | None = None  # of the path, before the target
 
     def thrust_at(self, t_ns: int) -> Array:
         """Commanded thrust (3,) at ``t_ns``, linear between knots, constant beyond both ends."""
@@ -309,6 +325,33 @@ class Plan(Signal, frozen=True, kw_only=True, eq=False):
         s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0)
         thrust: Array = self.thrust_N[i] + s * (self.thrust_N[i + 1] - self.thrust_N[i])
         return thrust
+
+
+# --- who is in charge -------------------------------------------------------------------------------------------------
+
+
+class Command(Signal, frozen=True, kw_only=True, eq=False):
+    """What an operator asks: answered by an ``Acknowledged`` of the same ``command_id``."""
+
+    command_id: int  # the sender's choice; 48 random bits are told apart from every other's
+    action: Action
+    reference_toml: str = ""  # of "follow": what a reference file holds, as TOML
+
+
+class Manual(Signal, frozen=True, kw_only=True, eq=False):
+    """Thrusts that a pilot asks for. They count for a second from their arrival, then the thrusters go to zero."""
+
+    thrust_N: Triple
+
+
+class Acknowledged(Signal, frozen=True, kw_only=True, eq=False):
+    """The controller's answer to a ``Command``."""
+
+    t_ns: int
+    command_id: int
+    accepted: bool
+    authority: Authority  # after it
+    why: str  # it was refused; empty where it was accepted
 
 
 # --- how the run itself goes: times, records, faults -----------------------------------------------------------------
@@ -393,6 +436,14 @@ class Clock(Signal, frozen=True, kw_only=True, eq=False):
     state: ClockState
 
 
+class ClockMode(enum.StrEnum):
+    """By what a process knows the time."""
+
+    SHARED = "shared"  # the ``clock`` topic, or a clock of its own that nobody else's stamps are held against
+    TWO_WAY = "two-way"  # the other side's clock, by an exchange
+    ONE_WAY = "one-way"  # the other side's clock, by its stamps alone: behind by an unknown delay
+
+
 class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
     """One process's word about itself: that it is ready, what it counts, what it waits for."""
 
@@ -407,6 +458,25 @@ class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
     rejected: int
     step_us: float  # mean wall time of a step since the last status
     finished: bool = False  # it has done all that it was asked for
+
+
+class ControllerStatus(Signal, frozen=True, kw_only=True, eq=False):
+    """How the controller fares: its inputs, its cycles, who is in charge. Times are those of the last 10 s."""
+
+    t_ns: int
+    estimate_age_ns: int | None  # of the newest estimate; None before the first
+    applied_age_ns: int | None  # of the actuators' newest report; None: its plans are assumed to be followed
+    cycle_median_us: float | None  # from the start of a cycle to its plan, on the wall; None where there was none
+    cycle_p99_us: float | None
+    received: int  # messages let in so far
+    dropped: int  # that were sent and never came, by their sequences
+    rejected: dict[str, int]  # by reason
+    clock: ClockMode
+    clock_error_ns: int | None  # at most so far off; None: one-way, where nobody can tell
+    authority: Authority
+    health: Health
+    error_m: float | None  # horizontal, from the newest estimate to the reference; None where nothing is followed
+    progress: float | None = None  # along the reference, 0 to 1; None where it has no end
 
 
 class RunEvent(Signal, frozen=True, kw_only=True, eq=False):

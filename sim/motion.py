@@ -104,3 +104,46 @@ def _slope(
     if held or (z <= 0.0 and w <= 0.0 and ds[7] < 0.0):
         ds[6] = 0.0
         ds[7] = 0.0
+
+
+@kernel
+def drive(
+    t: Array,
+    u: Array,
+    state: Array,
+    revolutions: Array,
+    depths: Array,
+    earlier: Array,
+    later: Array,
+    share: float,
+    p: Coefficients,
+    propellers: Array,
+    rho: float,
+    factor: float,
+    F: Array,
+) -> Array:
+    """``step`` from t[k] to t[k+1] (s) under commands u (M+1, 3), in place; afloat up to t = 0.
+
+    Positions (M, 2), north and east, after each.
+    """
+    out = np.empty((len(t) - 1, 2))
+    for k in range(len(t) - 1):
+        step(
+            state,
+            revolutions,
+            u[k],
+            u[k + 1],
+            t[k + 1] <= 0.0,
+            t[k + 1] - t[k],
+            depths,
+            earlier,
+            later,
+            share,
+            p,
+            propellers,
+            rho,
+            factor,
+            F,
+        )
+        out[k] = state[:2]
+    return out

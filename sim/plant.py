@@ -1,8 +1,9 @@
 """The plant: the true vehicle in the true water, with its actuators' gate.
 
 Before t = 0 it is afloat: thrusts zero, its depth kept, drifting with the surface's water. From then on it follows the
-plans that its gate lets through. Steps of 10 ms; the command is linear over a step. It knows no sea bed: a vehicle that
-goes deeper than the water's ``bottom_m`` goes on below it, where the sensors find no bed.
+plans that its gate lets through. With its first step it arms the controller, as an operator would. Steps of 10 ms; the
+command is linear over a step. It knows no sea bed: a vehicle that goes deeper than the water's ``bottom_m`` goes on
+below it, where the sensors find no bed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from ltv_mpc import frames
 from ltv_mpc.node import Arrival, Grid, Inbox
 from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.signals import Applied, Array, Plan, Signal, Triple, Truth
+from ltv_mpc.signals import Action, Applied, Array, Command, Plan, Signal, Triple, Truth
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.attitude import Attitude
@@ -26,17 +27,24 @@ REPORT_NS = 100_000_000
 """Time between two reports of the actuators; a plan that arrives is answered at once besides."""
 
 
+ARMING = 1
+"""The number of the one command that it gives."""
+
+
 class Plant:
-    """Reads ``Plan``; writes ``Truth`` each step, ``Applied`` each 100 ms and with each plan that arrives."""
+    """Reads ``Plan``; writes ``Truth`` each step, ``Applied`` each 100 ms and with each plan that arrives, and once the
+    ``Command`` that arms, unless the scenario leaves that to someone else.
+    """
 
     name = "plant"
     schedule = Grid(PERIOD_NS)
     reads: tuple[type[Signal], ...] = (Plan,)
-    writes: tuple[type[Signal], ...] = (Truth, Applied)
+    writes: tuple[type[Signal], ...] = (Truth, Applied, Command)
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, water: WaterColumn) -> None:
         """``vehicle`` is the controller's model; the scenario's mismatch makes the true one of it."""
         start = scenario.plant
+        self._arms = scenario.run.arm
         self._water = water
         self._attitude = Attitude(start.tilt_rms_rad, start.tilt_period_s, scenario.run.seed)
         self._coefficients = mismatched(vehicle.coefficients(), start.mismatch)
@@ -66,6 +74,9 @@ class Plant:
             self._move(from_ns, t_ns)
         self._t_ns = t_ns
         signals: list[Signal] = [self._truth(t_ns)]
+        if self._arms:
+            self._arms = False
+            signals.append(Command(command_id=ARMING, action=Action.ARM))
         if t_ns % REPORT_NS == 0 or inbox:
             signals.append(self._report(t_ns))
         return signals

@@ -86,6 +86,7 @@ class Run(_Table, frozen=True, kw_only=True):
     speed: Annotated[float, Meta(ge=0.01, le=1000)] = 10.0  # times real time; lock step does not read it
     compute_delay_s: Annotated[float, Meta(ge=0, le=60)] = 0.0  # added to the controller's own
     perfect_state: bool = False  # the controller is given the truth
+    arm: bool = True  # the plant arms the controller; false: it waits, disarmed, for `ltv-mpc ctl arm`
 
 
 class Scenario(_Table, frozen=True, kw_only=True):

@@ -56,7 +56,7 @@ def pack_objective(knots: Array, limits: ThrustLimits, weights: Weights) -> Arra
 
 def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float) -> Array:
     """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s."""
-    vertical = vehicle.thruster.vertical
+    vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s)
     ours = pack_objective(knots, ThrustLimits.of(vehicle, stage_s), weights)
     return np.concatenate([ours, vehicle.coefficients(), rest])

@@ -82,6 +82,24 @@ class Prediction:
     def roll(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
         """The vehicle at ``t_ns``, not before the estimate's own time."""
         t_ns = max(t_ns, estimate.t_ns)
+        vehicle, flat, report_ns, report = self.before(estimate)
+        profile = profile_of(estimate)
+        start = roll_to(
+            vehicle,
+            flat,
+            estimate.t_ns,
+            t_ns,
+            *commands.knots,
+            report_ns,
+            report,
+            profile.depth_m,
+            profile.north_mps,
+            profile.east_mps,
+        )
+        return Start(t_ns, start[:10], *start[10:].tolist())
+
+    def before(self, estimate: Estimate) -> tuple[Array, Array, int, Array]:
+        """What ``roll_to`` starts from: vehicle (19,), estimate (8,), time of the last report, its thrust (3,)."""
         report_ns, report = NEVER, self._nothing
         for at, thrust in reversed(self._reports):
             if at <= estimate.t_ns:
@@ -99,20 +117,7 @@ class Prediction:
                 estimate.velocity_down_mps or 0.0,
             )
         )
-        profile = profile_of(estimate)
-        start = roll_to(
-            self._vehicle,
-            flat,
-            estimate.t_ns,
-            t_ns,
-            *commands.knots,
-            report_ns,
-            report,
-            profile.depth_m,
-            profile.north_mps,
-            profile.east_mps,
-        )
-        return Start(t_ns, start[:10], *start[10:].tolist())
+        return self._vehicle, flat, report_ns, report
 
 
 def profile_of(estimate: Estimate) -> CurrentProfile:

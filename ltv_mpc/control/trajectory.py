@@ -65,6 +65,17 @@ def carry(old: Array, t: Array, stages: float, U: Array) -> None:
 
 
 @kernel
+def shifted(numbers: Array, start: Array, old: Array, stages: float, C: Array, X: Array, U: Array) -> None:
+    """X (N+1, 8) and U (N+1, 2): the previous plan on the new knots, inside box and slew; arguments as in ``begin``."""
+    c = constants(numbers)
+    o = c.objective
+    X[0], U[0] = start[:STATES], start[STATES:]
+    carry(old, o.t, stages, U)
+    bring_in(U, o.t, o.low, o.high, o.change)
+    roll(X, U, C, c)
+
+
+@kernel
 def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array) -> int:
     """The trajectory to linearise along and the linearisation, into ``flat`` (``horizon.views``), whose C is given.
 
@@ -79,9 +90,7 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
     X[0], U[0] = start[:STATES], start[STATES:]
     kind, least = AHEAD, np.inf
     if not np.isnan(stages):
-        carry(old, o.t, stages, U)
-        bring_in(U, o.t, o.low, o.high, o.change)
-        roll(X, U, lin.C, c)
+        shifted(numbers, start, old, stages, lin.C, X, U)
         kind, least = CARRIED, cost(X, U, lin.C, target, o)
     for astern in (False, True):
         steered_X, steered_U = steer(X[0], U[0], lin.C, target, astern, c)
@@ -125,11 +134,13 @@ def step(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, 
 
 
 @kernel
-def release(numbers: Array, start: Array, C: Array, X: Array, U: Array) -> None:
-    """X (N+1, 8) and U (N+1, 2) where the lateral thrusters go to zero at the slew limit; ``start`` as in ``begin``."""
+def release(numbers: Array, start: Array, goal: Array, C: Array, X: Array, U: Array) -> None:
+    """X (N+1, 8) and U (N+1, 2) where the lateral thrusters go to goal (N+1, 2) at the slew limit; ``start`` as in
+    ``begin``.
+    """
     c = constants(numbers)
     X[0] = start[:STATES]
-    U[:] = 0.0
+    U[:] = goal
     U[0] = start[STATES:]
     o = c.objective
     bring_in(U, o.t, o.low, o.high, o.change)

@@ -1,7 +1,8 @@
 """A node's door: each frame is decoded, checked and held against its predecessors, then let in or refused by reason.
 
 Of one key the newest epoch counts: a restarted source takes over from its former self, whose frames are refused from
-then on. Within an epoch the sequence must grow; what it skips is counted as dropped on the way.
+then on. Within an epoch the sequence must grow; what it skips is counted as dropped on the way. On a key on which
+operators command, several may speak, and each epoch is a source of its own.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections import Counter
 
 from ltv_mpc.signals import Rejected, Signal
 from services.bus.mailbox import Frame
+from services.bus.topics import OPERATOR
 from services.bus.wire import Header, WireError, crc, decode
 
 SHOWN_BYTES = 3072  # of a refused payload; 4 KiB as base64
@@ -43,12 +45,21 @@ class Door:
             if frame.topic is None:
                 raise WireError("unknown key")
             signal, header = decode(frame.topic.signal, frame.payload)
-            self._in_order(frame.key, header)
+            shared = frame.topic.written_by == OPERATOR
+            self._in_order(f"{frame.key}@{header.epoch}" if shared else frame.key, header)
         except WireError as error:
-            self.refused[VALUES.split(str(error), maxsplit=1)[0].strip()] += 1
+            self._count(str(error))
             raise
         self.received += 1
         return signal, header
+
+    def turn_back(self, reason: str) -> None:
+        """What was let in last does not fit what its reader knows."""
+        self.received -= 1
+        self._count(reason)
+
+    def _count(self, reason: str) -> None:
+        self.refused[VALUES.split(reason, maxsplit=1)[0].strip()] += 1
 
     @property
     def rejected(self) -> int:

@@ -9,17 +9,21 @@ import enum
 import msgspec
 
 from ltv_mpc.signals import (
+    Acknowledged,
     AdcpPing,
     Applied,
     BottomTrack,
     Clock,
+    Command,
     CompassHeading,
+    ControllerStatus,
     CycleTiming,
     Estimate,
     GnssFix,
     ImuSample,
     LblRange,
     LocalisationReport,
+    Manual,
     NodeStatus,
     Plan,
     PressureDepth,
@@ -42,9 +46,13 @@ class Delivery(enum.StrEnum):
 
 EVERY, LATEST = Delivery.EVERY, Delivery.LATEST
 
+OPERATOR = "operator"
+"""`ltv-mpc ctl`, a pilot's program, and in a simulation the plant, which arms."""
+
 
 class Topic(msgspec.Struct, frozen=True):
-    """One row. ``written_by`` is the sole writer; "*" stands for every node, which then adds its name to the key.
+    """One row. ``written_by`` is the sole writer; "*" stands for every node, which then adds its name to the key, and
+    ``OPERATOR`` for whoever commands: several may on one key, each under an epoch of its own.
 
     ``period_ns`` is vehicle time between two messages, 0 where they come on events.
     """
@@ -73,6 +81,10 @@ TOPICS = (
     Topic(LocalisationReport, "localisation",         1_000_000_000, EVERY,    "estimator",  ()),
     Topic(Estimate,           "estimate",               100_000_000, LATEST,   "estimator",  ("controller",)),
     Topic(Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
+    Topic(Command,            "command",                          0, EVERY,    OPERATOR,     ("controller",)),
+    Topic(Manual,             "manual",                 100_000_000, LATEST,   OPERATOR,     ("controller",)),
+    Topic(Acknowledged,       "acknowledged",                     0, EVERY,    "controller", (OPERATOR,)),
+    Topic(ControllerStatus,   "controller/status",    1_000_000_000, LATEST,   "controller", (OPERATOR,)),
     Topic(CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
     Topic(Clock,              "clock",                            0, EVERY,    "plant",      ("*",)),
     Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("launcher",)),

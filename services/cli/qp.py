@@ -1,4 +1,4 @@
-"""Measure: ``qp``, the QP itself: ``export-c``."""
+"""Measure: ``qp``, the QP itself: ``show`` one that was not solved, ``export-c``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,30 @@ qp = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["
 
 @qp.callback()
 def _about() -> None:
-    """The controller's QP: export-c."""
+    """The controller's QP: show FILE | export-c DIR."""
+
+
+@qp.command()
+def show(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="One that a controller saved when it was not solved.")],
+    solver: Annotated[
+        str, typer.Option("--solver", metavar="NAME", help="Solve it again with this one, from nothing.")
+    ] = "piqp",
+    as_json: Json = False,
+) -> None:
+    """A QP that was not solved: what is wrong with it, and what another solver makes of it."""
+    from ltv_mpc.control.qp.failed import FailedQp
+    from ltv_mpc.control.solvers import solve_qp
+    from services.views import qp_text
+
+    failed = FailedQp.load(file)
+    shown = qp_text.figures(failed, solver, solve_qp(failed.qp, solver))
+    if as_json:
+        import msgspec
+
+        typer.echo(msgspec.json.encode(shown).decode())
+    else:
+        typer.echo(qp_text.text(shown))
 
 
 @qp.command()

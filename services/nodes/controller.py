@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 
@@ -11,11 +15,17 @@ from ltv_mpc.control.controller import OLDEST_ESTIMATE_NS
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Reference
-from ltv_mpc.signals import Estimate
+from ltv_mpc.signals import Action, Command, ControllerStatus, Estimate, Manual, Signal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import BusOptions
+from services.bus.topics import BY_SIGNAL, Topic
+from services.nodes.failed_qps import FailedQps
+from services.process import metrics as prometheus
+from services.process.report import ControllerReport, Shown
 from services.process.runner import Runner
 from services.process.serve import serve
+from services.process.status_line import StatusLine
+from services.process.stopping import FAILED, Say, StopRequest, sayer
 from services.process.stopwatch import StageTimer
 
 
@@ -26,37 +36,91 @@ def main(
     bus: BusOptions,
     *,
     compute_delay_s: float = 0.0,
-    own_clock: bool = False,
+    input_delay_s: float = 0.0,
+    metrics_port: int | None = None,
+    failed_qps: Path | None = None,
 ) -> int:
-    """A plan each cycle. ``own_clock``: nobody keeps the time; it counts seconds from its own start."""
-    rehearse(vehicle, reference, config)
-    stages = StageTimer()
-    return serve(
-        ControllerNode.name,
-        bus,
-        lambda request, say: Runner(
-            ControllerNode(vehicle, reference, config, stopwatch=stages),
-            stop=request,
-            say=say,
-            own_clock=own_clock,
-            compute_delay_ns=round(compute_delay_s * 1e9),
-            stages=stages,
-        ),
-    )
+    """A plan each cycle. ``input_delay_s``: the smallest delay of an estimate, which an exchange would measure;
+    ``metrics_port``: where on loopback the state is served; ``failed_qps``: where QPs that were not solved are kept.
+    """
+    metrics = prometheus.Metrics()
+    with contextlib.ExitStack() as stack:
+        if metrics_port is not None:
+            try:
+                stack.enter_context(prometheus.serving(metrics, metrics_port))
+            except OSError as error:
+                sayer(ControllerNode.name)(f"--metrics {metrics_port}: {error.strerror}")
+                return FAILED
+        rehearse(vehicle, reference, config)
+        node_stages = StageTimer()
+        node = ControllerNode(vehicle, reference, config, stopwatch=node_stages)
+        line = StatusLine(node.name, key_in(bus, BY_SIGNAL[Estimate]), sys.stderr)
+        stack.callback(line.close)
+
+        def make(request: StopRequest, say: Say) -> Runner:
+            say = line.saying(say)
+            for text in (*announcement(bus, config), *reference.notes(vehicle)):
+                say(text)
+            shown: list[Shown] = [line.show, metrics.show]
+            if failed_qps is not None:
+                shown.append(FailedQps(node.controller, failed_qps, say).show)
+            return Runner(
+                node,
+                stop=request,
+                say=say,
+                foreign=True,
+                input_delay_ns=round(input_delay_s * 1e9),
+                compute_delay_ns=round(compute_delay_s * 1e9),
+                stages=node_stages,
+                report=ControllerReport(node, shown),
+            )
+
+        return serve(node.name, bus, make)
+
+
+def key_in(bus: BusOptions, topic: Topic) -> str:
+    """The key as others see it."""
+    return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
+
+
+def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
+    """The keys that it reads and writes, with rates; each number's unit is in its field's name."""
+    yield "SI units and radians, north-east-down; each number's unit is in its name; `ltv-mpc topics KEY` says more"
+    inputs = [kind for kind in ControllerNode.reads if BY_SIGNAL[kind].written_by != ControllerNode.name]
+    outputs: list[type[Signal]] = [*ControllerNode.writes, ControllerStatus]
+    for verb, kinds in (("reads ", inputs), ("writes", outputs)):
+        for kind in kinds:
+            topic = BY_SIGNAL[kind]
+            period_ns = config.period_ns if topic.period_ns and topic.key == "plan" else topic.period_ns
+            rate = f"{1e9 / period_ns:.3g} /s" if period_ns else "on events"
+            yield f"{verb} {key_in(bus, topic):<24} {rate:<9}  {_fields(kind)}"
+
+
+def _fields(kind: type[Signal]) -> str:
+    """Those that a message needs, then in brackets those that it may have."""
+    fields = msgspec.structs.fields(kind)
+    needed = ", ".join(field.name for field in fields if field.required)
+    optional = ", ".join(field.name for field in fields if not field.required)
+    return f"{needed} [{optional}]" if optional else needed
 
 
 def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
     """Have all compiled code and the solver loaded: some cycles of a controller that is thrown away.
 
     At the line; far off it, where the solver takes more than one turn and the step more than one try; with an estimate
-    that is no number, and with one that is too old, where the thrusters are let go.
+    that is no number; with a pilot at the thrusters; and with an estimate that is too old, where they are let go.
     """
     node = ControllerNode(vehicle, reference, config)
     begun = 0 if reference.start_s is None else max(0, round(reference.start_s * 1e9))
     here = Estimate.at_rest(depth_m=0.0, heading_rad=1.0)
     off = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)
     broken = Estimate.at_rest(depth_m=0.0, heading_rad=math.nan)
-    for k, estimate in enumerate((here, here, off, off, broken)):
+    words: dict[int, tuple[Signal, ...]] = {
+        0: (Command(command_id=0, action=Action.ARM),),
+        5: (Command(command_id=1, action=Action.MANUAL), Manual(thrust_N=(1.0, 1.0, 0.0))),
+    }
+    for k, estimate in enumerate((here, here, off, off, broken, here)):
         t_ns = begun + k * config.period_ns
-        node.step(t_ns, [Arrival(msgspec.structs.replace(estimate, t_ns=t_ns), 1, k, t_ns)])
+        signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
+        node.step(t_ns, [Arrival(signal, 1, k, t_ns) for signal in signals])
     node.step(t_ns + 2 * OLDEST_ESTIMATE_NS, [])

@@ -92,12 +92,13 @@ class VehicleClock:
         self._last_ns: int | None = None
         self._held_ns = EARLIEST_NS  # what the lines before the first one came to
 
-    @classmethod
-    def own(cls, now_us: int) -> VehicleClock:
-        """A clock of one's own, from 0 at speed 1: aboard a real vehicle there is nobody to follow."""
-        clock = cls()
-        clock._lines = [Line(now_us, 0, 1, 1, ClockState.RUNNING)]
-        return clock
+    def go_by(self, line: Line) -> None:
+        """Go by this line from its instant on: nobody announces one, and it was found out."""
+        self._lines = [line]
+
+    def start_anew(self) -> None:
+        """Forget what was read: the next reading may be before it."""
+        self._lines, self._last_ns = [], None
 
     def hear(self, message: Clock) -> bool:
         """Take an announcement; whether it is news. Raises ``ClockError`` for a clock that cannot be followed."""

@@ -121,7 +121,7 @@ class RecordingLoop:
             signal, _ = typed(kind, message)
             self._heed(signal, header)
         # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.
-        t_ns = self._clock.at(min(header.sent_monotonic_us, frame.received_monotonic_us))
+        t_ns = self._clock.at(min(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us))
         self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns)
         self.received += 1
         self._losses.saw(frame.key, header.epoch, header.sequence)

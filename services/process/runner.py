@@ -7,18 +7,21 @@ the step's outputs. Records of steps without outputs wait for the next step that
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 from ltv_mpc.node import Node, OnMessage
-from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Plan, Rejected, Signal, StepRecord
+from ltv_mpc.signals import Clock, Command, CycleTiming, NodeStatus, Plan, Rejected, Signal, StepRecord
 from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import OPERATOR
 from services.bus.wire import WireError, crc
 from services.process import ports
 from services.process.clock import VehicleClock, monotonic_us
+from services.process.foreign_clock import Reading
+from services.process.foreign_time import OF_ALL, ForeignTime
 from services.process.inbox import PendingInbox
 from services.process.schedule import Timetable
 from services.process.status import StatusReport
@@ -30,16 +33,40 @@ INPUTS_ARRIVE_US = 6_000
 """What is measured at an instant arrives so much later: a cycle that started at that instant would miss it by a hair,
 and plan on an estimate that is a whole period old."""
 
+LONGEST_TAKING_US = 20_000
+"""So long a step that is due waits, at most, for what has arrived to be taken: a flood must not keep it from acting."""
+
 LAST_FRAMES_US = 300_000
 """At most so long a process that is told to stop takes what has arrived before."""
+
+
+class Report(Protocol):
+    """What a process says of itself at its own times; ``due_us`` is the next one."""
+
+    due_us: int
+
+    @property
+    def writes(self) -> tuple[type[Signal], ...]: ...
+    def heard(self, signal: Signal) -> None:
+        """An input was let in."""
+        ...
+
+    def stepped(self, outputs: Sequence[Signal], took_us: int, now_us: int) -> None:
+        """A step is done and published."""
+        ...
+
+    def status(self, now_us: int, t_ns: int, door: Door, clock: Reading) -> Signal:
+        """What is due."""
+        ...
 
 
 class Runner:
     """Runs ``node`` until ``stop`` is asked for, or until the last step of a grid that ends.
 
-    ``keeps_time`` makes it the time-keeper; ``own_clock`` frees it from any (a real vehicle); ``speed`` is what it was
-    told to expect of the time-keeper. ``stages`` is the stopwatch that the node was given; ``compute_delay_ns`` is
-    added between a plan and its publication.
+    ``keeps_time`` makes it the time-keeper; ``foreign`` lets it go by the other side's stamps where nobody keeps the
+    time for all, ``input_delay_ns`` being the smallest delay of what comes from there; ``speed`` is what it was told to
+    expect of the time-keeper. ``stages`` is the stopwatch that the node was given; ``compute_delay_ns`` is added
+    between a plan and its publication. ``report`` is what it says of itself besides its status.
     """
 
     def __init__(
@@ -49,18 +76,21 @@ class Runner:
         stop: StopRequest,
         say: Say,
         keeps_time: KeepsTime | None = None,
-        own_clock: bool = False,
+        foreign: bool = False,
+        input_delay_ns: int = 0,
         speed: float | None = None,
         compute_delay_ns: int = 0,
         stages: StageTimer | None = None,
+        report: Report | None = None,
     ) -> None:
         self._node = node
         self.stop = stop
         self._say = say
         self._keeps_time = keeps_time
-        self._follows = keeps_time is None and not own_clock
+        self._follows = keeps_time is None
         self._compute_delay_ns = compute_delay_ns
         self._stages = stages or StageTimer()
+        self._report = report
         self._causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
         self._timetable = Timetable(node.schedule, end_ns=keeps_time.end_ns if keeps_time else None)
         self._times_cycles = ports.times_cycles(node)
@@ -68,8 +98,10 @@ class Runner:
         stop.wakes(self.mailbox.wake)
         self.epoch = new_epoch()
         self._door = Door()
-        self._clock = VehicleClock.own(monotonic_us()) if own_clock else VehicleClock(speed=speed)
+        self._clock = VehicleClock(speed=speed)
+        self.foreign = ForeignTime(self._clock, epoch=self.epoch, input_delay_ns=input_delay_ns) if foreign else None
         self._inbox = PendingInbox()
+        self._asked = ""  # the key of a command that the next cycle must not wait for
         self._records: list[StepRecord] = []
         self._timekeeping: TimeKeeping | None = None
         self._out: Outbox
@@ -108,28 +140,39 @@ class Runner:
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
         """Take what arrives until ``due_us`` has passed and nothing more is there; False when told to stop."""
+        entered_us = monotonic_us()
         while not self.stop():
             now_us = monotonic_us()
             self._tend(now_us)
             due = due_us()
             wake_us = self._status.due_us if due is None else min(due, self._status.due_us)
+            if self._report is not None:
+                wake_us = min(wake_us, self._report.due_us)
             if self._timekeeping is not None:
                 wake_us = min(wake_us, self._timekeeping.due_us)
             frame = self.mailbox.take((wake_us - now_us) / 1e6)
             if frame is not None:
                 self._take(frame)
-            elif due is not None and monotonic_us() >= due:
+            if due is None:
+                continue
+            if monotonic_us() >= (due if frame is None else max(due, entered_us) + LONGEST_TAKING_US):
                 return True
         return False
 
     def _due_us(self) -> int | None:
+        if self._asked:
+            return monotonic_us()
         return None if self._timetable.next_ns is None else self._clock.due_us(self._timetable.next_ns)
 
     def _step_by_time(self) -> None:
-        t_ns = self._timetable.next_ns
-        assert t_ns is not None
         now_us = monotonic_us()
         self._stages.start()
+        if self._asked:  # a cycle between the others, whose times stay
+            cause, self._asked = self._asked, ""
+            self._step(self._now_ns(now_us), cause, now_us)
+            return
+        t_ns = self._timetable.next_ns
+        assert t_ns is not None
         if self._timetable.on_grid:
             if self._timekeeping is not None:
                 self._timekeeping.late(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
@@ -145,6 +188,10 @@ class Runner:
         if now_us >= self._status.due_us:
             self._flush()
             self._status.publish(now_us, others=self._timekeeping.waiting_for if self._timekeeping else "")
+        if self._report is not None and now_us >= self._report.due_us:
+            self._out.publish(
+                self._report.status(now_us, self._now_ns(now_us), self._door, self._clock_reading(now_us))
+            )
 
     # --- one step ----------------------------------------------------------------------------------------------------
 
@@ -165,9 +212,15 @@ class Runner:
         if plan is not None and self._compute_delay_ns:
             self._hold(self._compute_delay_ns)
         for signal in outputs:
-            self._out.publish(signal)
+            now_us = monotonic_us()
+            sent = self._out.publish(signal)
+            if self.foreign is not None and isinstance(signal, Plan):
+                self.foreign.sent(sent.sequence, now_us)
         if plan is not None:
             self._time_cycle(plan, t_ns, started_us)
+        if self._report is not None:
+            now_us = monotonic_us()
+            self._report.stepped(outputs, now_us - started_us, now_us)
 
     def _flush(self) -> None:
         for record in self._records:
@@ -204,7 +257,17 @@ class Runner:
             self._refuse(frame, str(error), now_ns)
             return
         kind = type(signal)
+        if frame.topic is not None and frame.topic.written_by == OPERATOR and self._clock.newest is None:
+            reason = "no time yet: what is asked for now must not be done later"
+        else:
+            reason = self._of_another_time(signal, frame.received_monotonic_us)
+        if reason:
+            self._door.turn_back(reason)
+            self._refuse(frame, reason, now_ns)
+            return
         self._status.heard(kind)
+        if self._report is not None:
+            self._report.heard(signal)
         if isinstance(signal, Clock):
             self._hear_clock(signal)
         elif isinstance(signal, NodeStatus) and self._timekeeping is not None:
@@ -219,9 +282,27 @@ class Runner:
             crc=crc(frame.payload),
             received_t_ns=now_ns,
         )
+        if kind is Command and self._timetable.next_ns is not None:
+            self._asked = frame.key
         if kind in self._causes:
             validity: Any = signal  # a type that causes steps has its validity time
             self._step(validity.t_ns, frame.key, monotonic_us())
+
+    def _of_another_time(self, signal: Signal, received_us: int) -> str:
+        """Why a signal does not fit the time that the process goes by; empty where it does."""
+        foreign = self.foreign
+        if foreign is None:
+            return ""
+        if isinstance(signal, Clock):
+            return "a clock, and the time is taken from the estimates since before it" if foreign.in_force else ""
+        times_set, begun = foreign.times_set, foreign.in_force
+        reason = foreign.heard(signal, received_us)
+        if foreign.times_set > times_set:
+            self._timetable.forget()
+            self._say("the other side has set its clock")
+        if foreign.in_force and (not begun or foreign.times_set > times_set):
+            self._begin()
+        return reason
 
     def _refuse(self, frame: Frame, reason: str, now_ns: int) -> None:
         rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
@@ -246,6 +327,7 @@ class Runner:
     def _connect(self, session: Session) -> None:
         node, keeps_time = self._node, self._keeps_time
         kinds = ports.outputs(node, keeps_time=keeps_time is not None)
+        kinds += self._report.writes if self._report is not None else ()
         self._out = Outbox(session, node=node.name, epoch=self.epoch, kinds=kinds)
         self._status = StatusReport(
             node.name,
@@ -255,6 +337,7 @@ class Runner:
             clock=self._clock,
             reads=ports.inputs(node),
             say=self._say,
+            foreign=self.foreign is not None,
         )
         for_itself: list[type[Signal]] = [Clock] if self._follows else [] if keeps_time is None else [NodeStatus]
         ports.subscribe(session, [*ports.inputs(node), *for_itself], self.mailbox)
@@ -271,6 +354,9 @@ class Runner:
             reading = self._clock.read(monotonic_us())
             phase_ns = INPUTS_ARRIVE_US * 1000 * newest.num // newest.den
             self._timetable.begin(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
+
+    def _clock_reading(self, now_us: int) -> Reading:
+        return OF_ALL if self.foreign is None else self.foreign.reading(now_us)
 
     def _now_ns(self, now_us: int) -> int:
         reading = self._clock.read(now_us)

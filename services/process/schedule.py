@@ -26,6 +26,10 @@ class Timetable:
             if self._may_shift:
                 self.next_ns += min(phase_ns, self._period_ns // 2)
 
+    def forget(self) -> None:
+        """The clock was set: the next step is not known until it is heard again."""
+        self.next_ns = None
+
     def stepped(self, ended_ns: int) -> None:
         """The step that was due is done, its outputs are out; the clock reads ``ended_ns``."""
         if self.next_ns is None:

@@ -8,7 +8,7 @@ from typing import Protocol
 from ltv_mpc.signals import ClockState, NodeStatus, Signal
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_SIGNAL, OPERATOR
 from services.process.clock import VehicleClock
 from services.process.stopping import Say
 
@@ -41,15 +41,18 @@ class StatusReport:
         clock: VehicleClock,
         reads: Iterable[type[Signal]],
         say: Say,
+        foreign: bool = False,
     ) -> None:
+        """``foreign``: without a clock it goes by the stamps of its inputs."""
         self._node = node
+        self._no_time = "an estimate, or a clock" if foreign else "the clock, which `ltv-mpc plant` keeps"
         self._outbox = outbox
         self._counts = counts
         self._mailbox = mailbox
         self._clock = clock
         self._say = say
         self._said = ""
-        self._never_heard = dict.fromkeys(reads)
+        self._never_heard = dict.fromkeys(kind for kind in reads if BY_SIGNAL[kind].written_by != OPERATOR)
         self._clock_heard_us: int | None = None
         self._busy_us, self._busy_steps = 0, 0
         self.steps = 0
@@ -99,7 +102,7 @@ class StatusReport:
     def _waiting_for(self, now_us: int) -> str:
         newest = self._clock.newest
         if newest is None:
-            return "the clock, which `ltv-mpc plant` keeps"
+            return self._no_time
         if newest.state is ClockState.WAITING:
             return "the start"
         if newest.state is ClockState.PAUSED:

@@ -69,4 +69,4 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     restarts: int
     messages: Messages
     stages: int  # N of the horizon
-    horizon_s: float  # N stages of 0.3 s
+    horizon_s: float  # what they reach

@@ -21,6 +21,8 @@ z_k - z_(k-1), k = 2 .. N; that from knot 0, where the command is given, to knot
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse import csc_array, eye_array, vstack
 
@@ -29,7 +31,9 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.constants import Objective, length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation, times, transposed_times, velocity_over_ground
 from ltv_mpc.control.limits import ThrustLimits, bounds
+from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
 
@@ -58,10 +62,16 @@ class CondensedForm:
         """Commands (N+1, 2) at the knots of a solution z (2N,), and whether they are finite."""
         return commands(lin.U, z, self._scale)
 
+    @cached_property
+    def row_names(self) -> tuple[Row, ...]:
+        """What each row is."""
+        stages = range(1, self.stages + 1)
+        return (*rows.box(stages, self._scale), *rows.slew(stages[1:], self._scale))
+
     def problem(self) -> QP:
         """The QP last built: rows of z first, then the slew rows."""
-        rows = vstack([eye_array(2 * self.stages), csc_array(self.A)], format="csc")
-        return QP(csc_array(self.H), self.f.copy(), csc_array(rows), self.lower.copy(), self.upper.copy())
+        A = vstack([eye_array(2 * self.stages), csc_array(self.A)], format="csc")
+        return QP(csc_array(self.H), self.f.copy(), csc_array(A), self.lower.copy(), self.upper.copy())
 
 
 def _slew_rows(stages: int) -> Array:

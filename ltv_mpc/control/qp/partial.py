@@ -19,6 +19,8 @@ then z = [dU_1 / F, .., dU_N / F]. Rows: dynamics of each block, bounds of z, sl
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array, diags_array
@@ -28,8 +30,10 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.constants import Objective, length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.condensed import commands, gradient, thrust_bounds, thrust_terms
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import STATE_SCALE
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -177,15 +181,25 @@ class PartialForm:
         """Commands (N+1, 2) at the knots of a solution x (n,), and whether they are finite."""
         return commands(lin.U, x[self.states :], self.thrust_scale)
 
+    @cached_property
+    def row_names(self) -> tuple[Row, ...]:
+        """What each row is."""
+        stages, thrusts = range(1, self.stages + 1), self.thrust_scale
+        return (
+            *rows.dynamics(self.ends[1:].tolist(), self._scale),
+            *rows.box(stages, thrusts),
+            *rows.slew(stages[1:], thrusts),
+        )
+
     def problem(self) -> QP:
         """The QP last built, its rows not scaled."""
         A = np.empty(self.entries)
         self.scaled_rows(np.ones(self.rows), A)
-        upper, rows = self.matrices(A)
+        upper, whole_A = self.matrices(A)
         whole = csc_array(upper + upper.T - diags_array(upper.diagonal()))
         dynamics = np.zeros(self.states)
         lower, upper_bound = (np.concatenate([dynamics, bound]) for bound in (self.lower, self.upper))
-        return QP(whole, self.q.copy(), rows, lower, upper_bound)
+        return QP(whole, self.q.copy(), whole_A, lower, upper_bound)
 
 
 @kernel

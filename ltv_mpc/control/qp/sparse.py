@@ -17,6 +17,7 @@ the dynamics are divided by the same scales. What else a solver wants of its row
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,10 @@ from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.constants import length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
 from ltv_mpc.control.limits import ThrustLimits, bounds
+from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
+from ltv_mpc.control.scales import weights_of
 from ltv_mpc.signals import Array, Pair
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -164,6 +168,17 @@ class SparseForm:
         )
         self.factor = np.array([entry[3] for entry in taken])
 
+    @cached_property
+    def row_names(self) -> tuple[Row, ...]:
+        """What each row is."""
+        stages, thrusts = range(1, self.stages + 1), self.limits.scale
+        return (
+            *rows.dynamics(stages, self.state_scale),
+            *rows.terminal_velocity(),
+            *rows.slew(stages, thrusts),
+            *rows.box(stages, thrusts),
+        )
+
     def template(self) -> Array:
         """Room for A's numbers (nnz,), with those in it that never change."""
         return self._template.copy()
@@ -262,5 +277,5 @@ def build_qp(
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    form = SparseForm(np.arange(float(len(U))), ThrustLimits.of(vehicle, stage_s), weights or Weights())
+    form = SparseForm(np.arange(float(len(U))), ThrustLimits.of(vehicle, stage_s), weights or weights_of(vehicle))
     return form.build(lin, np.vstack([reference, end_velocity_mps]))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation, SettledConfig
 from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.by_name import ByName, known_solvers, solve_qp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.partial_osqp import PartialOsqp
@@ -15,7 +16,7 @@ from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
-NATIVE: dict[tuple[str, Formulation], Callable[[ControllerConfig, ThrustLimits], Solver]] = {
+NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, ThrustLimits], Solver]] = {
     ("osqp", "sparse"): SparseOsqp,
     ("osqp", "partial"): PartialOsqp,
     ("daqp", "condensed"): CondensedDaqp,
@@ -26,7 +27,7 @@ NATIVE: dict[tuple[str, Formulation], Callable[[ControllerConfig, ThrustLimits],
 
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """The solver that ``config`` names. Raises ``ConfigError`` for one that is not there or has no such formulation."""
-    limits = ThrustLimits.of(vehicle, STAGE_NS * 1e-9)
+    config, limits = settled(config, vehicle), ThrustLimits.of(vehicle, STAGE_NS * 1e-9)
     formulation = chosen(config)
     native = NATIVE.get((config.solver, formulation))
     if native is not None:

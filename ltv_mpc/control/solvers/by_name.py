@@ -8,10 +8,11 @@ import numpy as np
 import qpsolvers
 from scipy.sparse import csc_matrix, vstack
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.problem import QP, Solution
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.errors import ConfigError
@@ -26,7 +27,7 @@ def known_solvers() -> list[str]:
 class ByName:
     """One of qpsolvers' backends on the sparse QP, from nothing in each cycle."""
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
+    def __init__(self, config: SettledConfig, limits: ThrustLimits) -> None:
         """``config`` names the backend."""
         self._name = config.solver
         self._form = SparseForm(config.knots, limits, config.weights)
@@ -51,6 +52,10 @@ class ByName:
         assert self._lin is not None  # built
         solution = solve_qp(self.problem(), self._name)
         return Answer(self._form.commands(self._lin, solution.x), solution.solve)
+
+    def rows(self) -> tuple[Row, ...]:
+        """As in ``Solver``."""
+        return self._form.row_names
 
     def problem(self) -> QP:
         """As in ``Solver``."""

@@ -12,11 +12,12 @@ from __future__ import annotations
 import numpy as np
 from daqp import Model
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation, not_finite
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.condensed import CondensedForm
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
 
@@ -46,7 +47,7 @@ _WORDS = {
 class CondensedDaqp:
     """The problem with its states eliminated, and DAQP's workspace for it."""
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
+    def __init__(self, config: SettledConfig, limits: ThrustLimits) -> None:
         """``config`` says how many stages, and the weights."""
         self._form = CondensedForm(config.knots, limits, config.weights)
         self._cold = np.zeros(len(self._form.lower), dtype=np.int32)  # no bound in the working set
@@ -108,6 +109,10 @@ class CondensedDaqp:
             return self._nothing(SolveStatus.NON_FINITE, "DAQP returned a value that is not finite; rebuilt")
         self._warm = True
         return Answer(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))
+
+    def rows(self) -> tuple[Row, ...]:
+        """As in ``Solver``."""
+        return self._form.row_names
 
     def problem(self) -> QP:
         """The condensed QP last built: bounds of the commands first, then the slew rows."""

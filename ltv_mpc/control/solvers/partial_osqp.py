@@ -15,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import Linearisation, not_finite
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.condensed import commands
 from ltv_mpc.control.qp.partial import BLOCK, Indices, PartialForm, fill_A
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Account, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
@@ -63,7 +64,7 @@ RELAXATION = 1.0
 class PartialOsqp:
     """One OSQP workspace for the partially condensed problem."""
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits, *, block: int = BLOCK) -> None:
+    def __init__(self, config: SettledConfig, limits: ThrustLimits, *, block: int = BLOCK) -> None:
         """``config`` says how many stages, the weights, the tolerance and the most iterations."""
         form = self._form = PartialForm(config.knots, limits, config.weights, block)
         self._knots = config.knots
@@ -166,6 +167,10 @@ class PartialOsqp:
             form.A_row,
             self._A,
         )
+
+    def rows(self) -> tuple[Row, ...]:
+        """As in ``Solver``."""
+        return self._form.row_names
 
     def problem(self) -> QP:
         """The partially condensed QP last built, its rows not scaled."""

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.signals import Array, Solve
 
 
@@ -45,4 +46,8 @@ class Solver(Protocol):
 
     def problem(self) -> QP:
         """The problem that was built last, in the solver's own variables."""
+        ...
+
+    def rows(self) -> tuple[Row, ...]:
+        """What each row of ``problem`` is."""
         ...

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.constants import Objective, length, objective
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import (
@@ -34,7 +34,9 @@ from ltv_mpc.control.horizon import (
     views,
 )
 from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.qp.failed import worst
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH, Places, SparseForm, fill, map_of
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Settings, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
@@ -116,7 +118,7 @@ def room(flat: Array, N: int) -> Room:
 class SparseOsqp:
     """The default solver."""
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits) -> None:
+    def __init__(self, config: SettledConfig, limits: ThrustLimits) -> None:
         """``config.tolerance`` is absolute, on the residuals of the scaled problem."""
         self.form = form = SparseForm(config.knots, limits, config.weights)
         self._most = config.max_iterations
@@ -190,6 +192,8 @@ class SparseOsqp:
         if status is not SolveStatus.SOLVED:
             residuals = f"primal residual {account.primal_residual:.1e}, dual {account.dual_residual:.1e}"
             why = f"OSQP: {status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
+            violated = worst(self.problem(), self._room.x, self.rows())
+            why += f"; {violated}" if violated else ""
         solve = Solve(
             status=status,
             iterations=iterations,
@@ -198,6 +202,10 @@ class SparseOsqp:
             why=why,
         )
         return Answer(commands, solve)
+
+    def rows(self) -> tuple[Row, ...]:
+        """As in ``Solver``."""
+        return self.form.row_names
 
     def problem(self) -> QP:
         """As in ``Solver``: without the scales of its rows."""

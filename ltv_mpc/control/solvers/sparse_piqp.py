@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.errors import ConfigError
@@ -25,7 +26,7 @@ from ltv_mpc.vehicle.flow import STATES
 class SparsePiqp:
     """One PIQP workspace for problems of one pattern."""
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits, tolerance: float | None = None) -> None:
+    def __init__(self, config: SettledConfig, limits: ThrustLimits, tolerance: float | None = None) -> None:
         """With PIQP's own tolerance unless one is given. Raises ``ConfigError`` where it is not installed."""
         try:
             import piqp
@@ -119,6 +120,10 @@ class SparsePiqp:
             why="" if known is SolveStatus.SOLVED else f"PIQP: {status}",
         )
         return Answer(self.form.commands(lin, np.array(x)), solve)
+
+    def rows(self) -> tuple[Row, ...]:
+        """As in ``Solver``."""
+        return self.form.row_names
 
     def problem(self) -> QP:
         """As in ``Solver``."""

@@ -221,6 +221,14 @@ def test_on_a_ramp_that_is_too_fast_the_thruster_is_at_its_maximum_and_the_integ
     assert plan.integral_rate_N_per_s == 0.0
 
 
+def test_who_says_no_depth_gets_no_vertical_thrust():
+    """The depth that is wanted cannot be held blindly: the thruster would push to its limit and stay there."""
+    controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0, depth_m=30.0))
+    for k in range(20):
+        plan = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=0.5), t_ns=k * 300_000_000))
+        assert not plan.thrust_N[:, 2].any()
+
+
 @pytest.mark.parametrize("period_s", [0.1, 0.3, 0.7])
 def test_the_integral_grows_with_time_not_with_the_number_of_cycles(period_s):
     """M_z w0^2 / T_i e = 225 x 0.09 / 20 x 0.05 = 0.0506 N/s at an error of 5 cm."""

@@ -15,6 +15,8 @@ from ltv_mpc.control.prediction import Prediction
 
 PAPER = Vehicle.load("paper")
 ON = Disturbance(sd_mps=0.1)
+OFF = Disturbance(sd_mps=0.0)
+BY_ITSELF = Disturbance()
 WATER = np.array([0.03, -0.025])
 
 
@@ -46,13 +48,35 @@ def held(disturbance: Disturbance, told: CurrentProfile | None, cycles: int = 20
 
 def test_an_unknown_current_is_found_and_then_costs_no_more_than_a_known_one():
     bias, force, off = held(ON, None)
-    _, blind_force, blind_off = held(Disturbance(), None)
-    _, known_force, known_off = held(Disturbance(), flat(WATER))
+    _, blind_force, blind_off = held(OFF, None)
+    _, known_force, known_off = held(OFF, flat(WATER))
     np.testing.assert_allclose(bias.bias_mps, WATER, atol=0.005)
     assert off < 0.6 * blind_off
     assert off < known_off + 0.005
     assert force < 0.6 * blind_force
     assert force < known_force + 1.0
+
+
+def test_by_itself_it_works_where_no_profile_is_told_and_rests_where_one_is():
+    bias, _, off = held(BY_ITSELF, None)
+    np.testing.assert_allclose(bias.bias_mps, WATER, atol=0.005)
+    told, _, told_off = held(BY_ITSELF, flat(WATER + 0.01))
+    np.testing.assert_array_equal(told.bias_mps, 0.0)
+    assert off < told_off  # a profile that is 1 cm/s wrong is believed
+
+
+def test_a_profile_that_comes_and_goes_is_no_step_of_the_bias():
+    """What was learned without it is there again when it goes, and nothing is learned across it."""
+    bias, commands, vehicle = CurrentBias(BY_ITSELF), SentCommands(PAPER), Prediction(PAPER)
+    estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
+    for i in range(50):
+        bias.corrected(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+    learned = bias.bias_mps.copy()
+    assert learned[0] > 0.05
+    told = msgspec.structs.replace(estimate, t_ns=50 * 300_000_000, current=flat(WATER))
+    assert bias.corrected(told, vehicle, commands) is told
+    again = bias.corrected(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
+    assert again.current.north_mps[0] == learned[0]
 
 
 def test_it_comes_on_top_of_the_profile_that_is_known():

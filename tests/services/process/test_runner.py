@@ -9,12 +9,15 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
 from ltv_mpc.signals import (
+    Action,
     Applied,
+    Command,
     CompassHeading,
     CycleTiming,
     Estimate,
@@ -35,6 +38,7 @@ from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import Header, crc, decode
+from services.process.clock import monotonic_us
 from services.process.runner import Runner
 from services.process.stopping import StopRequest
 from services.process.timekeeping import KeepsTime
@@ -98,6 +102,10 @@ class Controller:
                 solve=Solve(status=SolveStatus.SOLVED),
             )
         ]
+
+
+class Commanded(Controller):
+    reads: tuple[type[Signal], ...] = (*Controller.reads, Command)
 
 
 class Listener:
@@ -271,7 +279,7 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
 
 def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> None:
     node = Listener()
-    runner = Runner(node, stop=StopRequest(), say=print, own_clock=True)
+    runner = Runner(node, stop=StopRequest(), say=print)
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
         out = Outbox(session, node="test", epoch=5, kinds=node.reads)
@@ -289,7 +297,7 @@ def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> N
 
 def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
     node = Listener()
-    runner = Runner(node, stop=StopRequest(), say=print, own_clock=True)
+    runner = Runner(node, stop=StopRequest(), say=print)
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
@@ -312,7 +320,7 @@ def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus: BusOptions) -> None:
     """So that a replay can raise it again."""
-    runner = Runner(Listener(ArithmeticError("made up")), stop=StopRequest(), say=print, own_clock=True)
+    runner = Runner(Listener(ArithmeticError("made up")), stop=StopRequest(), say=print)
     frames: list[Frame] = []
     with ExitStack() as stack:
         session, box = stack.enter_context(listening(bus))
@@ -352,7 +360,138 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
         time.sleep(0.02)  # past the next cycle's time
 
     node = Slow(burst)
-    runner = Runner(node, stop=StopRequest(), say=print, own_clock=True)
+    keeps_time = KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=())
+    runner = Runner(node, stop=StopRequest(), say=print, keeps_time=keeps_time)
     with listening(bus) as (session, _), running(bus, runner):
         until(lambda: len(node.inboxes) > 2)
     assert node.inboxes[:3] == [[], list(range(50)), []]
+
+
+class Flooded:
+    """Notes when its cycles begin."""
+
+    name = "estimator"
+    schedule = Cycle(100_000_000)
+    reads: tuple[type[Signal], ...] = (PressureDepth,)
+    writes: tuple[type[Signal], ...] = ()
+
+    def __init__(self) -> None:
+        self.times_ns: list[int] = []
+
+    def step(self, t_ns: int, _inbox: Inbox) -> list[Signal]:
+        self.times_ns.append(t_ns)
+        return []
+
+
+def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
+    """Rubbish on an input: each frame is refused, and the next one is there already."""
+    node, topic = Flooded(), BY_SIGNAL[PressureDepth]
+    runner = Runner(
+        node, stop=StopRequest(), say=print, keeps_time=KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=())
+    )
+    take = runner.mailbox.take
+
+    def never_empty(_timeout_s: float) -> Frame | None:
+        return take(0.0) or Frame(topic, topic.key, b"rubbish", monotonic_us())
+
+    runner.mailbox.take = never_empty  # type: ignore[method-assign]
+    with running(bus, runner):
+        until(lambda: len(node.times_ns) > 5)
+
+
+def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_before_it_is_refused(
+    bus: BusOptions,
+) -> None:
+    """Stamped in Unix time by a side that answers each plan, as its own clock has it."""
+    offset_ns = 1_763_740_800_000_000_000
+    runner = Runner(Commanded(), stop=StopRequest(), say=print, foreign=True)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Estimate, Applied, Command))
+        out.publish(Command(command_id=1, action=Action.ARM))
+        until(lambda: any(isinstance(s, Rejected) for _, s, _ in read(drained(box, frames))))
+
+        def said(answers: bool) -> bool:
+            now_ns = offset_ns + time.monotonic_ns()
+            out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns))
+            plans = [(h, s) for _, s, h in read(drained(box, frames)) if isinstance(s, Plan)]
+            if plans and answers:
+                header, plan = plans[-1]
+                out.publish(answer(header, plan, now_ns))
+            time.sleep(0.05)
+            mode = None if runner.foreign is None else runner.foreign.reading(monotonic_us()).mode
+            return mode == ("two-way" if answers else "one-way") and len(plans) >= 2
+
+        until(lambda: said(answers=False))
+        until(lambda: said(answers=True))
+        assert runner.foreign is not None
+        reading = runner.foreign.reading(monotonic_us())
+        assert reading.error_ns is not None
+        assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
+    (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, Rejected))
+    assert rejected.key == "command"
+    assert "no time yet" in rejected.reason
+    for _, plan, header in read(frames):
+        if isinstance(plan, Plan):
+            assert -1e9 < plan.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= 0
+
+
+def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
+    return Applied(
+        t_ns=t_ns,
+        thrust_N=ZERO,
+        command_N=ZERO,
+        command_slew_N_per_s=ZERO,
+        plan_epoch=header.epoch,
+        plan_sequence=header.sequence,
+        plan_cycle_t_ns=plan.cycle_t_ns,
+        plan_received_t_ns=t_ns,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    )
+
+
+def test_an_estimate_stamped_an_hour_off_is_refused_and_the_node_never_sees_it(bus: BusOptions) -> None:
+    controller = Controller()
+    runner = Runner(controller, stop=StopRequest(), say=print, foreign=True)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Estimate,))
+
+        def spoken(ahead_ns: int = 0) -> None:
+            stamp = time.monotonic_ns() + ahead_ns
+            out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=stamp))
+            time.sleep(0.05)
+
+        def planned() -> int:
+            return sum(isinstance(s, Plan) for _, s, _ in read(drained(box, frames)))
+
+        until(lambda: not spoken() and planned() >= 1)
+        spoken(3_600_000_000_000)
+        until(lambda: not spoken() and planned() >= 3)
+    assert [s.key for _, s, _ in read(frames) if isinstance(s, Rejected)] == ["estimate"]
+    stamps = [s.t_ns for inbox in controller.inboxes for s in inbox if isinstance(s, Estimate)]
+    assert max(stamps) - min(stamps) < 600_000_000_000
+
+
+class Rare(Commanded):
+    schedule = Cycle(3_600_000_000_000)
+
+
+def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:
+    keeps_time = KeepsTime(start_ns=1, end_ns=10**15, speed=1.0, expects=())
+    controller = Rare()
+    runner = Runner(controller, stop=StopRequest(), say=print, keeps_time=keeps_time)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) and s.t_ns > 1 for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Command,))
+        out.publish(Command(command_id=1, action=Action.STOP))
+        until(lambda: any(isinstance(s, Plan) for _, s, _ in read(drained(box, frames))))
+    (record,) = (s for _, s, _ in read(frames) if isinstance(s, StepRecord))
+    assert record.cause == "command"
+    assert [entry.key for entry in record.inbox] == ["command"]
+    assert len(controller.inboxes) == 1

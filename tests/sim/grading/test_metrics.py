@@ -152,6 +152,18 @@ def test_the_reference_is_that_of_the_newest_plan_and_before_the_first_that_one(
     assert tracking.mean == pytest.approx((1 + 1 + 1 + 5 + 5) / 5)
 
 
+def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knots(grader: Grader) -> None:
+    for t_s, north in ((0, 0.0), (2, 4.0), (4, 8.0)):
+        path = plan(t_s * S, start_ns=t_s * S + S, reference_m=(north, 0.0))
+        feed(grader, msgspec.structs.replace(path, progress=north / 10.0))
+    feed(grader, truth(0, 0.0, 0.0), estimate(0, 0.0, 0.0))
+    for t_s, north in ((2, 2.0), (3, 4.0), (4, 6.5)):
+        feed(grader, truth(t_s * S, north, 0.0), estimate(t_s * S, north, 0.0))
+    tracking = grader.errors()[0]
+    assert tracking.max == pytest.approx(0.5)
+    assert tracking.mean == pytest.approx(0.5 / 3)
+
+
 def test_without_any_reference_the_line_passes_through_the_estimate_at_zero(grader: Grader) -> None:
     for t_s in range(3):
         feed(grader, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 7.0 + t_s, 0.0))

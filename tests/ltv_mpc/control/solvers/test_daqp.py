@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.solvers import daqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.signals import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, precise
 
-CONFIG = ControllerConfig()
+CONFIG = SettledConfig()
 
 
 def answer(solver, lin, target):
@@ -24,7 +24,7 @@ def answer(solver, lin, target):
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
 @pytest.mark.parametrize("horizon_s", [0.3, 5.1, 10.2])
 def test_its_commands_are_the_sparse_qp_s_optimum_from_any_cycle_before(horizon_s, limits):
-    config = ControllerConfig(horizon_s=horizon_s, period_s=0.3)
+    config = SettledConfig(horizon_s=horizon_s, period_s=0.3)
     solver = CondensedDaqp(config, limits)
     for seed in range(6):  # each has nothing to do with the one before
         lin, target = motion(seed, config.stages, gap=0.02)

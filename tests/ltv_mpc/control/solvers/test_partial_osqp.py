@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.solvers import partial_osqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
@@ -14,7 +14,7 @@ from ltv_mpc.control.solvers.partial_osqp import PartialOsqp
 from ltv_mpc.signals import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum
 
-CONFIG = ControllerConfig()
+CONFIG = SettledConfig()
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=20_000)
 """Residuals end at 1e-7, which is rounding on rows scaled by 100."""
 

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH
 from ltv_mpc.control.solvers import osqp_raw, sparse_osqp
@@ -18,7 +18,7 @@ from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.signals import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum
 
-CONFIG = ControllerConfig()
+CONFIG = SettledConfig()
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 """Residuals end at 1e-6, which is rounding on rows scaled by 300."""
 

@@ -1,0 +1,109 @@
+"""A QP that was not solved: what is wrong with it in words, and as a file (``ltv-mpc qp show FILE``)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import msgspec
+import numpy as np
+from scipy.sparse import csc_array
+
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import Array, Solve
+
+FORMAT = "ltv-mpc qp 1"
+FILE = "QP file"
+
+
+@dataclass(frozen=True)
+class FailedQp:
+    """The problem as it was handed to the solver, what its rows are, and the solver's account."""
+
+    qp: QP
+    rows: tuple[Row, ...]
+    solve: Solve
+
+    def save(self, path: Path) -> None:
+        """Into one file, numpy's npz."""
+        qp = self.qp
+        parts: dict[str, Any] = {"format": FORMAT, "q": qp.q, "l": qp.l, "u": qp.u}
+        for name, matrix in (("P", qp.P), ("A", qp.A)):
+            parts |= {f"{name}_data": matrix.data, f"{name}_indices": matrix.indices, f"{name}_indptr": matrix.indptr}
+        parts |= {
+            "row_of": np.array([row.of for row in self.rows]),
+            "row_scale": np.array([row.scale for row in self.rows]),
+            "row_unit": np.array([row.unit for row in self.rows]),
+            "solve": msgspec.json.encode(self.solve).decode(),
+        }
+        np.savez_compressed(path, **parts)
+
+    @classmethod
+    def load(cls, path: Path) -> FailedQp:
+        """Raises ``ConfigError`` for a file that is none."""
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
+                parts = {name: held[name] for name in held.files}
+        except FileNotFoundError:
+            raise ConfigError(f"{FILE} {path}", "", "there is none") from None
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {error}") from None
+        try:
+            return cls._of(parts)
+        except (KeyError, ValueError, IndexError, msgspec.DecodeError) as error:
+            raise ConfigError(f"{FILE} {path}", "", f"is no QP that this program saved: {error}") from None
+
+    @classmethod
+    def _of(cls, parts: dict[str, Any]) -> FailedQp:
+        if str(parts["format"]) != FORMAT:
+            raise ValueError(f"format {parts['format']}, must be {FORMAT}")
+        n, m = len(parts["q"]), len(parts["l"])
+
+        def matrix(name: str, rows: int) -> csc_array:
+            data, indices, indptr = (parts[f"{name}_{part}"] for part in ("data", "indices", "indptr"))
+            made = csc_array((data, indices, indptr), shape=(rows, n))
+            made.check_format()
+            return made
+
+        rows = tuple(
+            Row(str(of), float(scale), str(unit))
+            for of, scale, unit in zip(parts["row_of"], parts["row_scale"], parts["row_unit"], strict=True)
+        )
+        if not len(rows) == len(parts["u"]) == m:
+            raise ValueError(f"{m} lower bounds, {len(parts['u'])} upper, {len(rows)} rows: must be as many of each")
+        qp = QP(matrix("P", n), parts["q"], matrix("A", m), parts["l"], parts["u"])
+        return cls(qp, rows, msgspec.json.decode(str(parts["solve"]), type=Solve))
+
+    def faults(self) -> list[str]:
+        """What is wrong with the problem itself: numbers that are not finite, bounds that exclude each other."""
+        qp = self.qp
+        found = []
+        for name, values in (("P", qp.P.data), ("q", qp.q), ("A", qp.A.data)):
+            bad = int((~np.isfinite(values)).sum())
+            if bad:
+                found.append(f"{name}: {bad} of {len(values)} numbers are not finite")
+        for name, bound in (("l", qp.l), ("u", qp.u)):
+            found += [f"{name} of {self.rows[i].of} is not a number" for i in np.flatnonzero(np.isnan(bound))]
+        for i in np.flatnonzero(qp.l > qp.u):
+            row = self.rows[i]
+            found.append(
+                f"{row.of}: lower bound above the upper one by {(qp.l[i] - qp.u[i]) * row.scale:.3g} {row.unit}"
+            )
+        return found
+
+
+def worst(qp: QP, x: Array, rows: tuple[Row, ...]) -> str:
+    """Which row a point x (n,) violates most, by how much, in words; empty where it violates none.
+
+    Violations are compared as the QP has them, where rows are of order one.
+    """
+    Ax = qp.A @ x
+    over = np.maximum(qp.l - Ax, Ax - qp.u)
+    if not np.isfinite(over).all() or over.max() <= 0.0:
+        return ""
+    i = int(np.argmax(over))
+    return f"{rows[i].of} violated by {over[i] * rows[i].scale:.3g} {rows[i].unit}"

@@ -1,0 +1,51 @@
+"""``ctl``: who has the thrusters, and what the controller follows."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Certs, Connect, Listen, Mode, Namespace, ZenohConfig, bus
+
+
+def ctl(
+    action: Annotated[
+        str, typer.Argument(metavar="ACTION", help="arm, disarm, stop, manual, release, follow or hold.")
+    ],
+    file: Annotated[
+        str | None, typer.Argument(metavar="[NAME|FILE]", help="Of follow: a shipped reference or a TOML file.")
+    ] = None,
+    connect: Connect = None,
+    listen: Listen = None,
+    mode: Mode = None,
+    config: ZenohConfig = None,
+    namespace: Namespace = "",
+    certs: Certs = None,
+) -> int:
+    """Arm, disarm, stop, manual, release, follow FILE, or hold.
+
+    Puts a running controller in charge or out of it.
+
+    Waits for its answer, at most 3 s; exit 1 with the reason where it refuses.
+    """
+    from ltv_mpc import references
+    from ltv_mpc.config import to_toml
+    from ltv_mpc.errors import ConfigError, shown
+    from ltv_mpc.fields import similar
+    from ltv_mpc.signals import Action
+
+    known = [one.value for one in Action]
+    if action not in known:
+        meant = similar(action, known)
+        near = f"; did you mean {shown(meant)}?" if meant else ""
+        raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
+    wanted = Action(action)
+    if (file is not None) != (wanted is Action.FOLLOW):
+        problem = "must be followed by a reference, NAME or FILE" if file is None else "takes no file: follow does"
+        raise ConfigError("argument ACTION", "", problem, value=action)
+    toml = "" if file is None else to_toml(references.load(file))
+    options = bus(connect, listen, mode, config, namespace, certs, role="operator")
+    from services.nodes import operator as node
+
+    return node.main(wanted, toml, options)

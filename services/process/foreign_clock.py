@@ -1,0 +1,132 @@
+"""The time of the other side, whose clock has another origin and another rate than ours.
+
+    its time = m + theta,   theta changes by at most rho = 1e-4 of the time that passes
+
+m is our monotonic clock, its time whatever it stamps its messages with: Unix time, time since its boot. Nothing is
+known of the delays on the way but that they are not negative; that bounds theta from both sides:
+
+    a message that it stamped T when it sent it came to us at m      theta >= T - m    (by the delay towards us)
+    a plan that we sent at m came to it at T, by its own report      theta <= T - m    (by the delay towards it)
+
+Of either kind the tightest of each second is kept, for 30 s (``WINDOW_US``), and loosened by rho for its age. With both
+
+    theta = (upper + lower) / 2,   error at most (upper - lower) / 2
+
+which is half the smallest round trip of that time, or less where the smallest delays of both ways fell into different
+exchanges, and what drift may have added since: NTP's clock filter (RFC 5905, section 10) with bounds in the place of
+averages. Delays that jump, messages out of order, doubled or lost only leave the bounds wider. Without reports of plans
+
+    theta = lower + d
+
+with d the smallest delay towards us, as it was told, else 0: the reading is then behind by that delay less d, and
+nothing that is sent one way only can tell by how much.
+
+A stamp that contradicts the bounds, or differs from them by more than any message is late, is not believed; the third
+in a row is: its clock was set, what was heard before is forgotten, and that is counted.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ltv_mpc.signals import ClockMode
+
+WINDOW_US = 30_000_000
+BUCKET_US = 1_000_000
+DRIFT_US_PER_S = 100
+"""rho: two crystals of 50 ppm each. A clock that is slewed by more than that is soon taken for one that was set."""
+
+LATEST_NS = 10_000_000_000
+"""No message is later than this."""
+
+BELIEVED_AT = 3
+"""So many stamps in a row that contradict the bounds are right, and the bounds are wrong."""
+
+
+class Reading(NamedTuple):
+    """What is known of theta at one instant."""
+
+    mode: ClockMode
+    offset_ns: int
+    error_ns: int | None  # at most so far off; None: nobody can tell
+
+
+class Bounds:
+    """The tightest bound of each second, from one side. ``sign`` 1: from below, -1: from above."""
+
+    def __init__(self, sign: int) -> None:
+        self._sign = sign
+        self._by_second: dict[int, tuple[int, int]] = {}  # sign x bound, and when it was had
+
+    def keep(self, bound_ns: int, m_us: int) -> None:
+        """One more."""
+        new, second = (self._sign * bound_ns, m_us), m_us // BUCKET_US
+        self._by_second[second] = max(self._by_second.get(second, new), new)
+
+    def drop(self, before_us: int) -> None:
+        """Forget what is older."""
+        for second in [key for key, (_, at) in self._by_second.items() if at < before_us]:
+            del self._by_second[second]
+
+    def tightest(self, now_us: int) -> int | None:
+        """At ``now_us``, each loosened by what drift can have come to; None where there is none."""
+        loosened = (bound - drift_ns(now_us - at) for bound, at in self._by_second.values())
+        best = max(loosened, default=None)
+        return None if best is None else self._sign * best
+
+
+class ForeignClock:
+    """Bounds of theta. Pure: all times are handed in, ours in microseconds, theirs in nanoseconds."""
+
+    def __init__(self, *, input_delay_ns: int = 0) -> None:
+        """``input_delay_ns``: the smallest delay of what comes from there, counted in one-way mode."""
+        self._input_delay_ns = input_delay_ns
+        self._lower, self._upper = Bounds(1), Bounds(-1)
+        self._newest_us: int | None = None
+        self._doubted = 0  # stamps in a row
+        self.times_set = 0
+
+    def stamped(self, t_ns: int, m_us: int) -> bool:
+        """A message that it stamped ``t_ns``, when it sent it or earlier, has come at ``m_us``: may it be believed?"""
+        bound = t_ns - m_us * 1000
+        low, high = self._lower.tightest(m_us), self._upper.tightest(m_us)
+        above = low is not None and bound > (low + LATEST_NS if high is None else high)
+        below = low is not None and bound < low - LATEST_NS
+        if above or below:
+            self._doubted += 1
+            if self._doubted < BELIEVED_AT:
+                return False
+            self._lower, self._upper = Bounds(1), Bounds(-1)
+            self.times_set += 1
+        self._doubted = 0
+        self._lower.keep(bound, m_us)
+        self._age(m_us)
+        return True
+
+    def received(self, t_ns: int, m_us: int) -> None:
+        """What we sent at ``m_us``, or later, came to it at ``t_ns``, as it says."""
+        bound = t_ns - m_us * 1000
+        low = self._lower.tightest(m_us)
+        if low is not None and low <= bound <= low + 2 * LATEST_NS:
+            self._upper.keep(bound, m_us)
+            self._age(m_us)
+
+    def read(self, now_us: int) -> Reading | None:
+        """theta at ``now_us``; None before the first message."""
+        low, high = self._lower.tightest(now_us), self._upper.tightest(now_us)
+        if low is None:
+            return None
+        if high is None:
+            return Reading(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
+        return Reading(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
+
+    def _age(self, m_us: int) -> None:
+        """Old bounds go when newer ones come, so that after a silence there are still some."""
+        self._newest_us = m_us if self._newest_us is None else max(m_us, self._newest_us)
+        for bounds in (self._lower, self._upper):
+            bounds.drop(self._newest_us - WINDOW_US)
+
+
+def drift_ns(age_us: int) -> int:
+    """What drift can come to in so long."""
+    return -(-abs(age_us) * DRIFT_US_PER_S // 1000)

@@ -1,0 +1,143 @@
+"""A QP that was not solved: the words for it, and its file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array
+
+from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, references
+from ltv_mpc.control.qp.failed import FailedQp, worst
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.solvers import NATIVE, make
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import Solve
+from tests.ltv_mpc.control.problems import motion
+
+PAPER = Vehicle.load("paper")
+FORMS = [*NATIVE, ("daqp", "sparse")]
+
+
+def built(solver="osqp", formulation="sparse", stages=5):
+    made = make(PAPER, ControllerConfig(horizon_s=0.3 * stages, solver=solver, formulation=formulation))
+    made.build(*motion(3, stages))
+    return made
+
+
+@pytest.mark.parametrize(("solver", "formulation"), FORMS)
+def test_every_row_of_every_form_has_words_and_a_scale(solver, formulation):
+    """A step of one command shows in the rows of that thruster and that stage, by its size in N."""
+    made = built(solver, formulation)
+    qp, rows = made.problem(), made.rows()
+    assert len(rows) == len(qp.l)
+    commands = 10 if formulation == "sparse" else 2
+    first = 8 if formulation == "sparse" else len(qp.q) - 10
+    for k in range(5):
+        for i, side in enumerate(("port", "starboard")):
+            step = np.zeros(len(qp.q))
+            step[first + commands * k + i] = 1.0 / 62.5  # 1 N
+            moved = {
+                row.of: change * row.scale
+                for row, change in zip(rows, qp.A @ step, strict=True)
+                if change and "motion" not in row.of
+            }
+            want = {f"limit of {side} at the end of stage {k + 1}": 1.0, f"slew of {side} in stage {k + 1}": 1.0}
+            if k < 4:
+                want[f"slew of {side} in stage {k + 2}"] = -1.0
+            if k == 0 and formulation != "sparse":
+                del want[f"slew of {side} in stage 1"]  # is a bound of the first command there
+            assert moved == pytest.approx(want)
+
+
+def test_rows_of_the_motion_are_in_the_states_units():
+    made = built()
+    qp, rows = made.problem(), made.rows()
+    step = np.zeros(len(qp.q))
+    step[2 * 10 + 2] = 0.1 / 0.3  # surge at the end of stage 3, 0.1 m/s
+    change = dict(zip((row.of for row in rows), (qp.A @ step) * [row.scale for row in rows], strict=True))
+    assert change["the motion (surge) up to the end of stage 3"] == pytest.approx(-0.1)
+
+
+def test_the_worst_row_is_named_with_its_violation_in_newtons():
+    made = built()
+    qp, rows = made.problem(), made.rows()
+    x = np.zeros(len(qp.q))
+    i = next(i for i, row in enumerate(rows) if row.of == "slew of starboard in stage 4")
+    qp.l[:], qp.u[:] = -1e3, 1e3
+    qp.u[i] = -0.04
+    assert worst(qp, x, rows) == "slew of starboard in stage 4 violated by 2.5 N"
+    qp.u[i] = 0.0
+    assert worst(qp, x, rows) == ""
+
+
+def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
+    made = built()
+    qp = made.problem()
+    row = next(i for i, row in enumerate(made.rows()) if row.of == "limit of port at the end of stage 2")
+    qp.l[row] = qp.u[row] + 0.1
+    qp.q[3] = np.nan
+    qp.u[0] = np.nan
+    said = FailedQp(qp, made.rows(), Solve(status=SolveStatus.FAILED)).faults()
+    assert said == [
+        f"q: 1 of {len(qp.q)} numbers are not finite",
+        "u of the motion (north) up to the end of stage 1 is not a number",
+        "limit of port at the end of stage 2: lower bound above the upper one by 6.25 N",
+    ]
+
+
+def test_a_saved_problem_comes_back_as_it_was(tmp_path):
+    made = built()
+    made.problem().q[0] = np.nan
+    kept = FailedQp(made.problem(), made.rows(), Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
+    kept.save(tmp_path / "one.npz")
+    back = FailedQp.load(tmp_path / "one.npz")
+    for name in ("q", "l", "u"):
+        np.testing.assert_array_equal(getattr(back.qp, name), getattr(kept.qp, name))
+    for name in ("P", "A"):
+        np.testing.assert_array_equal(getattr(back.qp, name).toarray(), getattr(kept.qp, name).toarray())
+    assert back.rows == kept.rows
+    assert (back.solve.status, back.solve.iterations, back.solve.why) == (SolveStatus.ITERATION_LIMIT, 400, "so")
+
+
+def broken(tmp_path, name):
+    path = tmp_path / "bad.npz"
+    qp = QP(csc_array(np.eye(2)), np.zeros(2), csc_array(np.eye(2)), np.zeros(2), np.ones(2))
+    rows = built().rows()[:2]
+    if name == "absent":
+        return tmp_path / "none.npz"
+    if name == "text":
+        path.write_text("no archive")
+    elif name == "another":
+        np.savez(path, q=np.zeros(2))
+    elif name == "rows":
+        FailedQp(qp, rows[:1], Solve(status=SolveStatus.FAILED)).save(path)
+    elif name == "cut":
+        FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
+        path.write_bytes(path.read_bytes()[:200])
+    elif name == "indices":
+        qp.A.indices[:] = 7
+        FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
+    return path
+
+
+@pytest.mark.parametrize("name", ["absent", "text", "another", "rows", "cut", "indices"])
+def test_a_file_that_holds_none_is_refused_by_name(tmp_path, name):
+    with pytest.raises(ConfigError, match=r"QP file .*\.npz: "):
+        FailedQp.load(broken(tmp_path, name))
+
+
+def test_a_cycle_that_is_not_solved_says_which_row_is_violated_and_keeps_its_problem():
+    """Two iterations are not enough 2 m off with the heading wrong; what they came to is inside box and slew."""
+    controller = Controller(
+        PAPER, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(max_iterations=1, tolerance=1e-9)
+    )
+    assert controller.failed is None
+    plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
+    assert plan.origin is PlanOrigin.SOLVED
+    failed = controller.failed
+    assert failed is not None
+    assert failed.solve is plan.solve
+    assert plan.solve.status is SolveStatus.ITERATION_LIMIT
+    assert " violated by " in plan.solve.why
+    assert (np.abs(np.diff(plan.thrust_N[:, :2], axis=0)) <= 30.0 + 1e-9).all()
+    assert failed.faults() == []

@@ -1,0 +1,94 @@
+"""``ltv-mpc controller``: its options, and what it says before the first message."""
+
+from __future__ import annotations
+
+import socket
+from typing import Any
+
+import pytest
+
+from ltv_mpc import ControllerConfig, Vehicle, references
+from services.bus.session import BusOptions
+from services.cli.app import run
+from services.nodes import controller
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
+    calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+
+    def main(*args: Any, **options: Any) -> int:
+        calls.append((args, options))
+        return 0
+
+    monkeypatch.setattr(controller, "main", main)
+    return calls
+
+
+def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_path, started) -> None:
+    settings = tmp_path / "settings.toml"
+    settings.write_text("horizon_s = 3.0\nmax_iterations = 77\n")
+    words = [
+        "controller",
+        "--settings",
+        str(settings),
+        "--rate-hz",
+        "5",
+        "--metrics",
+        "9464",
+        "--input-delay-s",
+        "0.05",
+    ]
+    assert run(words) == 0
+    assert run([*words, "--horizon-s", "6"]) == 0
+    ((_, _, first, _), options), ((_, _, second, _), _) = started
+    assert (first.period_ns, first.horizon_s, first.max_iterations) == (200_000_000, 3.0, 77)
+    assert (second.period_ns, second.horizon_s, second.max_iterations) == (200_000_000, 6.0, 77)
+    assert (options["metrics_port"], options["input_delay_s"]) == (9464, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--rate-hz 0", "rate-hz"),
+        ("--rate-hz 51", "rate-hz"),
+        ("--rate-hz nan", "rate-hz"),
+        ("--horizon-s 0.1", "horizon-s"),
+        ("--rate-hz 0.1 --horizon-s 5", "period_s = 10.0: must be <= horizon_s = 5"),
+        ("--metrics 0", "metrics"),
+        ("--metrics 65536", "metrics"),
+        ("--input-delay-s -1", "input-delay-s"),
+        ("--own-clock", "--own-clock"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_starts(words, said, started, capsys) -> None:
+    assert run(["controller", *words.split()]) == 2
+    assert said in capsys.readouterr().err
+    assert not started
+
+
+def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch) -> None:
+    monkeypatch.setattr(controller, "rehearse", lambda *_: pytest.fail("started"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        parts = Vehicle.load("paper"), references.load("hover"), ControllerConfig()
+        assert controller.main(*parts, BusOptions(), metrics_port=port) == 1
+    assert f"--metrics {port}: Address already in use" in capsys.readouterr().err
+
+
+def test_it_names_every_key_in_its_namespace_with_rate_and_fields() -> None:
+    lines = list(controller.announcement(BusOptions(namespace="auv/7"), ControllerConfig(period_s=0.2)))
+    told = {line.split()[1]: line for line in lines if line.startswith(("reads", "writes"))}
+    assert set(told) == {
+        f"auv/7/{key}"
+        for key in ("estimate", "applied", "command", "manual", "plan", "acknowledged", "controller/status")
+    }
+    estimate = told["auv/7/estimate"]
+    assert estimate.startswith("reads")
+    assert " 10 /s " in estimate
+    needed, optional = estimate.split("[")
+    assert needed.endswith("t_ns, north_m, east_m, heading_rad, yaw_rate_radps, velocity_north_mps, velocity_east_mps ")
+    assert optional == "depth_m, velocity_down_mps, covariance, current]"
+    assert told["auv/7/plan"].startswith("writes")
+    assert " 5 /s " in told["auv/7/plan"]
+    assert " on events " in told["auv/7/command"]

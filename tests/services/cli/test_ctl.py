@@ -1,0 +1,167 @@
+"""``ltv-mpc ctl`` against a controller that runs alone, on estimates stamped in Unix time."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import pytest
+
+from ltv_mpc import config, references
+from ltv_mpc.signals import Authority, Estimate, Plan
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import decode
+from services.cli.app import run
+from services.launch import loopback
+from services.launch.watch import Newest
+from services.process.stopping import StopRequest
+
+PATIENCE_S = 240.0  # a controller that has to compile first, on a machine that is busy
+FILES = Path(references.__file__).parent / "files"
+
+
+class Alone(NamedTuple):
+    """A controller at a router, and the newest of its plans."""
+
+    endpoint: str
+    newest: Newest
+
+    def ctl(self, *words: str) -> int:
+        return run(["ctl", *words, "--connect", self.endpoint, "--namespace", "boat"])
+
+    def plan(self) -> Plan | None:
+        found = self.newest.get(BY_SIGNAL[Plan].key)
+        return None if found is None else decode(Plan, found[1])[0]
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it never came to that"
+        time.sleep(0.02)
+
+
+@contextmanager
+def controller(endpoint: str, log: Path) -> Iterator[None]:
+    words = [sys.executable, "-P", "-m", "services.cli", "controller", "--reference", "hover"]
+    with log.open("wb") as sink:
+        process = subprocess.Popen([*words, "--connect", endpoint, "--namespace", "boat"], stderr=sink)
+    try:
+        until(lambda: b"waiting for" in log.read_bytes())
+        yield
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 0
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
+    endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
+    log = tmp_path_factory.mktemp("controller") / "stderr"
+    newest, ended = Newest(), threading.Event()
+    options = BusOptions(connect=(endpoint,), namespace="boat")
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
+        controller(endpoint, log),
+        open_session(options, stop=StopRequest(), say=print) as session,
+    ):
+        session.subscribe(BY_SIGNAL[Plan].key, BY_SIGNAL[Plan], newest)
+        out = Outbox(session, node="navigation", epoch=1, kinds=(Estimate,))
+
+        def speak() -> None:
+            while not ended.wait(0.1):
+                out.publish(msgspec.structs.replace(Estimate.at_rest(north_m=1.0, depth_m=0.0), t_ns=time.time_ns()))
+
+        speaker = threading.Thread(target=speak)
+        speaker.start()
+        try:
+            here = Alone(endpoint, newest)
+            until(lambda: here.plan() is not None)
+            yield here
+        finally:
+            ended.set()
+            speaker.join()
+
+
+def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
+    alone: Alone, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert alone.plan().authority is Authority.DISARMED
+    point = tmp_path / "there.toml"
+    point.write_text('kind = "point"\nnorth_m = 2.5\neast_m = -1.0\n')
+    watch = [
+        (("manual",), 1, "arm first", "disarmed"),
+        (("arm",), 0, "in charge: controller", "controller"),
+        (("follow", str(point)), 0, "accepted", "controller"),
+        (("manual",), 0, "in charge: manual", "manual"),
+        (("release",), 0, "in charge: controller", "controller"),
+        (("hold",), 0, "accepted", "controller"),
+        (("stop",), 0, "in charge: stopped", "stopped"),
+        (("release",), 1, "no pilot", "stopped"),
+        (("arm",), 0, "in charge: controller", "controller"),
+        (("disarm",), 0, "in charge: disarmed", "disarmed"),
+    ]
+    wanted = {"follow": (2.5, -1.0), "hold": pytest.approx((1.0, 0.0), abs=0.01)}
+    for words, code, said, authority in watch:
+        assert alone.ctl(*words) == code, words
+        shown = capsys.readouterr()
+        assert said in (shown.err if code else shown.out)
+        until(lambda authority=authority: alone.plan().authority == authority)
+        if words[0] in wanted:
+            until(lambda there=wanted[words[0]]: alone.plan().reference_m == there)
+    now_ns = time.time_ns()
+    assert abs(alone.plan().cycle_t_ns - now_ns) < 10_000_000_000  # its knots are in the other side's time
+
+
+def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["ctl", "arm", "--connect", alone.endpoint, "--namespace", "nobody"]) == 1
+    assert "no controller answered within 3 s" in capsys.readouterr().err
+    assert run(["ctl", "arm", "--connect", f"tcp/127.0.0.1:{loopback.free_port()}"]) == 1
+    assert "no router within 3 s" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("go", 'argument ACTION: "go": must be one of arm, disarm'),
+        ("arme", 'did you mean "arm"?'),
+        ("follow", "must be followed by a reference"),
+        ("arm hover", "takes no file"),
+        ("follow nowhere.toml", "reference nowhere.toml: no such file"),
+        ("arm --connect 127.0.0.1:1", "must be PROTOCOL/ADDRESS"),
+    ],
+)
+def test_bad_words_are_refused_before_anything_is_sent(
+    words: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["ctl", *words.split()]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in FILES.glob("*.toml")))
+def test_a_reference_that_travels_is_the_one_that_was_loaded(name: str) -> None:
+    loaded = references.load(name)
+    assert config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference") == loaded
+
+
+def test_a_track_in_a_csv_travels_with_its_rows(tmp_path: Path) -> None:
+    (tmp_path / "track.csv").write_text("t_s,north_m,east_m\n0,0,0\n10,1,2.5\n")
+    (tmp_path / "track.toml").write_text('kind = "timed"\nfile = "track.csv"\n')
+    loaded = references.load(str(tmp_path / "track.toml"))
+    sent = config.parse(tomllib.loads(config.to_toml(loaded)), references.Reference, source="reference")
+    assert sent == loaded
+    assert sent.rows == ((0.0, 0.0, 0.0), (10.0, 1.0, 2.5))
