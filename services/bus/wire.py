@@ -8,13 +8,15 @@ bytes are, ``decode`` returns a signal that is fit for a node or raises ``WireEr
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import msgpack
 import msgspec
+import numpy as np
 
 from ltv_mpc.admission import refusal
+from ltv_mpc.ranges import Range
 from ltv_mpc.signals import Signal, from_wire, to_wire
 
 S = TypeVar("S", bound=Signal)
@@ -26,6 +28,12 @@ MAX_PAYLOAD_BYTES = 1 << 20
 MAX_EPOCH = 2**48 - 1
 MAX_COUNT = 2**53 - 1  # beyond it JavaScript's numbers are not exact
 
+HEADER_RANGES: Mapping[str, Range] = {
+    "epoch": Range(0, MAX_EPOCH, "48 bits"),
+    "sequence": Range(0, MAX_COUNT, "a count"),
+    "sent_monotonic_us": Range(0, MAX_COUNT, "us"),
+}
+
 RUBBISH = (ValueError, TypeError, ArithmeticError, LookupError, RecursionError, msgpack.UnpackException)
 """What msgpack, msgspec and numpy raise on hostile bytes; UnicodeDecodeError and ValidationError are ValueErrors."""
 
@@ -35,7 +43,7 @@ class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     epoch: int  # 48 random bits for each start of a process
     sequence: int  # of this key and epoch, from 0 without a gap
-    sent_monotonic_us: int  # the host's CLOCK_MONOTONIC at publication; 0 in lock step
+    sent_monotonic_us: int = 0  # the host's CLOCK_MONOTONIC at publication; 0: not said, as in lock step
 
 
 class WireError(ValueError):
@@ -70,7 +78,8 @@ def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     """The same of a plain map: what ``unpack`` gives, or a recording's JSON. Raises ``WireError``, and nothing else."""
     header = header_of(message)
     signal = _checked(_signal, kind, message)
-    reason = _checked(refusal, signal)
+    with np.errstate(all="ignore"):  # infinity over infinity in a hostile covariance is refused, and no news
+        reason = _checked(refusal, signal)
     if reason is not None:
         raise WireError(reason)
     return signal, header
@@ -107,14 +116,12 @@ HEADER_FIELDS = tuple(Header.__struct_fields__)
 
 
 def _header(message: dict[str, Any]) -> Header:
-    epoch, sequence, sent = (message.get(name) for name in HEADER_FIELDS)
-    if not (type(epoch) is int and 0 <= epoch <= MAX_EPOCH):
-        raise ValueError("epoch: an integer of 48 bits is required")
-    if not (type(sequence) is int and 0 <= sequence <= MAX_COUNT):
-        raise ValueError("sequence: an integer from 0 to 2^53 - 1 is required")
-    if not (type(sent) is int and 0 <= sent <= MAX_COUNT):
-        raise ValueError("sent_monotonic_us: an integer from 0 to 2^53 - 1 is required")
-    return Header(epoch=epoch, sequence=sequence, sent_monotonic_us=sent)
+    values: tuple[Any, ...] = (message.get("epoch"), message.get("sequence"), message.get("sent_monotonic_us", 0))
+    for value, (name, (low, high, _)) in zip(values, HEADER_RANGES.items(), strict=True):
+        if not (type(value) is int and low <= value <= high):
+            raise ValueError(f"{name}: an integer from {low} to {high} is required")
+    epoch, sequence, sent_monotonic_us = values
+    return Header(epoch=epoch, sequence=sequence, sent_monotonic_us=sent_monotonic_us)
 
 
 def _signal(kind: type[S], message: dict[str, Any]) -> S:

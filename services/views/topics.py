@@ -1,4 +1,4 @@
-"""The topics table for people, and the fields of one message."""
+"""The topics table for people, the fields of one message, and the schemas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 from ltv_mpc.errors import ConfigError, shown
 from ltv_mpc.fields import nearest
 from ltv_mpc.signals import Signal
-from services.bus.schema import Schema, schema
+from services.bus.protocol import unit, words
+from services.bus.schema import message, schema
 from services.bus.topics import TOPICS, Topic
 
 
@@ -18,14 +19,25 @@ def text(key: str | None, *, as_json: bool) -> str:
     if key is None:
         rows = [_row(topic) for topic in TOPICS]
         return json.dumps(rows, indent=2) + "\n" if as_json else _table(rows)
+    found = _at(key)
+    if as_json:
+        fields = {name: words(field.value) for name, field in message(found.signal).items()}
+        return json.dumps(_row(found) | {"fields": fields}, indent=2) + "\n"
+    about = cleandoc(found.signal.__doc__ or "").replace("``", "")
+    return "\n".join([f"{key}: {found.signal.__name__}", about, "", *_columns(_fields(found.signal))]) + "\n"
+
+
+def schemas(key: str | None) -> str:
+    """The JSON Schema of what travels on ``key``, or of every topic by key. Raises ``ConfigError``."""
+    found = {topic.key: schema(topic.signal) for topic in TOPICS} if key is None else schema(_at(key).signal)
+    return json.dumps(found, indent=2) + "\n"
+
+
+def _at(key: str) -> Topic:
     found = next((topic for topic in TOPICS if topic.key == key), None)
     if found is None:
         raise ConfigError(f"topic {shown(key)}", "", f"does not travel{nearest(key, [t.key for t in TOPICS])}")
-    fields = _fields(found.signal)
-    if as_json:
-        return json.dumps(_row(found) | {"fields": fields}, indent=2) + "\n"
-    about = cleandoc(found.signal.__doc__ or "").replace("``", "")
-    return "\n".join([f"{key}: {found.signal.__name__}", about, "", *_columns(list(fields.items()))]) + "\n"
+    return found
 
 
 def _row(topic: Topic) -> dict[str, Any]:
@@ -59,28 +71,12 @@ def _period(period_ns: int) -> str:
     return f"{period_ns / 1e6:.4g} ms" if period_ns else "on events"
 
 
-def _fields(signal: type[Signal]) -> dict[str, str]:
-    """Name (with its unit) -> what it is as it travels; the header's fields come first."""
-    described = schema(signal)
-    simple, others = described["properties"], described["patternProperties"]
-    return {name: _words(simple.get(name) or others[f"^{name}$"]) for name in described["required"]}
-
-
-def _words(value: Schema) -> str:
-    """``3 numbers``, ``list of lists of numbers or null``."""
-    if "anyOf" in value:
-        return " or ".join(_words(x) for x in value["anyOf"])
-    if "enum" in value:
-        return " | ".join(value["enum"])
-    kind = value["type"]
-    if isinstance(kind, list):
-        return " or ".join(kind)
-    if kind == "array":
-        many = f"{value['minItems']} x" if "minItems" in value else "list of"
-        return f"{many} {_words(value['items'])}"
-    if kind == "object":
-        return f"map of {', '.join(value['required'])}" if value.get("required") else "map"
-    return str(kind)
+def _fields(signal: type[Signal]) -> list[tuple[str, ...]]:
+    """Name (with its unit), what it is as it travels, and whether it may be left out; the header's fields first."""
+    return [
+        (name, words(field.value), "" if field.required else "may be left out", unit(field))
+        for name, field in message(signal).items()
+    ]
 
 
 def _columns(rows: list[tuple[str, ...]]) -> list[str]:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import Any
 
+import msgpack
 import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc.signals import (
     AdcpPing,
+    BottomTrack,
     CurrentProfile,
     CycleTiming,
     Estimate,
@@ -43,6 +46,7 @@ FULL_ESTIMATE = msgspec.structs.replace(
     covariance=np.eye(6),
     current=CurrentProfile(depth_m=np.arange(3.0), north_mps=np.ones(3), east_mps=np.zeros(3), sd_mps=None),
 )
+BEAMS = BottomTrack(t_ns=1, range_m=np.array([1.0, np.nan, 3.0, 4.0]), beam_velocity_mps=np.array([0.1, np.nan, 0, 0]))
 PING = AdcpPing(t_ns=1, range_m=np.array([1.0, 2.0]), beam_velocity_mps=np.array([[0.1, np.nan]] * 4))
 TIMING = CycleTiming(t_ns=0, compute_ns=1, compute_wall_ns=2, estimate_age_ns=3, stage_us={"solve": 1.5})
 RECORD = StepRecord(
@@ -74,6 +78,8 @@ def problems(value: Any, schema: dict[str, Any], at: str = "$") -> list[str]:
         return [f"{at}: {value!r} is no {allowed}"]
     if "enum" in schema and value not in schema["enum"]:
         return [f"{at}: {value!r} not in {schema['enum']}"]
+    if is_type["number"] and not schema.get("minimum", value) <= value <= schema.get("maximum", value):
+        return [f"{at}: {value!r} is out of bounds"]
     if isinstance(value, list):
         if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
             return [f"{at}: {len(value)} items"]
@@ -96,7 +102,7 @@ def problems_of_field(name: str, value: Any, schema: dict[str, Any], at: str) ->
 
 
 @pytest.mark.parametrize(
-    "signal", [PLAN, ESTIMATE, FULL_ESTIMATE, PING, TIMING, RECORD], ids=lambda signal: type(signal).__name__
+    "signal", [PLAN, ESTIMATE, FULL_ESTIMATE, PING, BEAMS, TIMING, RECORD], ids=lambda signal: type(signal).__name__
 )
 def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Signal) -> None:
     recorded = msgspec.json.decode(msgspec.json.encode(wire.plain(signal, HEADER)))
@@ -108,6 +114,8 @@ def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Signal) -> None:
     [
         ({"origin": "guessed"}, "not in"),
         ({"t_ns": [0.5, 1]}, "t_ns[0]"),
+        ({"states": [[None] * 6] * 2}, "states[0][0]"),
+        ({"thrust_N": [[1e7, 0, 0]] * 2}, "thrust_N[0][0]"),
         ({"thrust_N": [1.0, 2.0]}, "thrust_N[0]"),
         ({"reference_m": [1.0]}, "1 items"),
         ({"cycle_t_ns": None}, "cycle_t_ns"),
@@ -122,11 +130,50 @@ def test_a_message_that_is_not_what_it_should_be_breaks_its_schema(change: dict[
     assert problem in found[0]
 
 
-def test_a_field_that_is_left_out_breaks_the_schema() -> None:
-    message = wire.plain(PLAN, HEADER)
+@pytest.mark.parametrize("signal", [PLAN, FULL_ESTIMATE, RECORD], ids=lambda signal: type(signal).__name__)
+def test_a_field_may_be_left_out_by_the_schema_exactly_where_the_decoder_does_without(signal: Signal) -> None:
+    kind = type(signal)
+    message = wire.unpack(wire.encode(signal, HEADER))
     for name in list(message):
         rest = {k: v for k, v in message.items() if k != name}
-        assert problems(rest, schema.schema(Plan)) == [f"$.{name} is missing"]
+        try:
+            wire.typed(kind, rest)
+        except wire.WireError:
+            assert problems(rest, schema.schema(kind)) == [f"$.{name} is missing"]
+        else:
+            assert problems(rest, schema.schema(kind)) == []
+
+
+def test_an_estimate_needs_time_position_heading_yaw_rate_and_velocity_alone() -> None:
+    least = ("t_ns", "north_m", "east_m", "heading_rad", "yaw_rate_radps", "velocity_north_mps", "velocity_east_mps")
+    assert schema.schema(Estimate)["required"] == ["epoch", "sequence", *least]
+    message = {"epoch": 1, "sequence": 0, **dict.fromkeys(least, 0)}
+    decoded, _ = wire.decode(Estimate, msgpack.packb(message))
+    assert (decoded.depth_m, decoded.velocity_down_mps, decoded.covariance, decoded.current) == (None,) * 4
+
+
+def numbers_at_their_bounds(kind: type[Signal]) -> Iterator[tuple[str, str, Any]]:
+    """Field, which bound, and the bound, of every number that stands alone."""
+    for name, field in schema.message(kind).items():
+        for bound in ("minimum", "maximum"):
+            if bound in field.value:
+                yield name, bound, field.value[bound]
+
+
+@pytest.mark.parametrize("signal", [PLAN, ESTIMATE], ids=lambda signal: type(signal).__name__)
+def test_the_bounds_of_the_schema_are_those_of_the_door(signal: Signal) -> None:
+    kind = type(signal)
+    message = wire.unpack(wire.encode(signal, HEADER))
+    seen = 0
+    for name, bound, value in numbers_at_their_bounds(kind):
+        beyond = value + (1 if bound == "maximum" else -1) * max(1, abs(value) // 1000)
+        assert problems(message | {name: value}, schema.schema(kind)) == []
+        assert problems(message | {name: beyond}, schema.schema(kind)) != []
+        wire.typed(kind, message | {name: value})
+        with pytest.raises(wire.WireError, match=name):
+            wire.typed(kind, message | {name: beyond})
+        seen += 1
+    assert seen >= 12
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
@@ -149,4 +196,23 @@ def test_foxgloves_reader_takes_every_schema(kind: type[Signal]) -> None:
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_a_schema_names_every_field_of_header_and_signal_in_their_order(kind: type[Signal]) -> None:
     fields = list(dict.fromkeys(wire.Header.__struct_fields__ + kind.__struct_fields__))
-    assert schema.schema(kind)["required"] == fields
+    assert list(schema.message(kind)) == fields
+    described = schema.schema(kind)
+    names = {*described["properties"], *(pattern.strip("^$") for pattern in described["patternProperties"])}
+    assert names == set(fields)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_every_field_has_its_meaning_in_words(kind: type[Signal]) -> None:
+    """Also of the structs inside: a field that is added without is found here, with its name."""
+    assert list(_without_words(schema.schema(kind))) == []
+
+
+def _without_words(described: dict[str, Any]) -> Iterator[str]:
+    for name, value in (described["properties"] | described["patternProperties"]).items():
+        if not value.get("description"):
+            yield name
+        inner = [value, value.get("items", {}), *value.get("anyOf", ())]
+        for part in inner:
+            if part.get("required"):
+                yield from _without_words(part)

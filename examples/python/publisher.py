@@ -1,0 +1,74 @@
+"""A vehicle of one's own behind the controller, by docs/protocol.md: publishes `estimate`, follows `plan`.
+
+    ltv-mpc router
+    ltv-mpc controller --vehicle paper --reference REFERENCE.toml
+    python publisher.py [tcp/127.0.0.1:7447]
+    ltv-mpc ctl arm
+
+Zenoh and msgpack, nothing else. In place of `move` and `estimate` stand your thrusters and your navigation.
+"""
+
+import json
+import math
+import secrets
+import sys
+import time
+
+import msgpack
+import zenoh
+
+PERIOD_S, SLEW_N_PER_S = 0.1, 100.0
+
+
+def target(plans, now):
+    """Port and starboard (N): the newest plan that has begun, linear between its knots, zero after the last one."""
+    plan = next((plan for plan in reversed(plans) if plan["t_ns"][0] <= now < plan["t_ns"][-1]), None)
+    if plan is None:
+        return 0.0, 0.0
+    i = max(k for k, knot in enumerate(plan["t_ns"]) if knot <= now)
+    part = (now - plan["t_ns"][i]) / (plan["t_ns"][i + 1] - plan["t_ns"][i])
+    before, after = plan["thrust_N"][i], plan["thrust_N"][i + 1]
+    return tuple(a + part * (b - a) for a, b in zip(before[:2], after[:2], strict=True))
+
+
+def move(x, thrust):
+    """A vehicle in still water that cannot drift sideways: north, east, heading, speed, yaw rate, one period on."""
+    port, starboard = thrust
+    x["speed"] += PERIOD_S * (port + starboard - 500.0 * x["speed"] * abs(x["speed"])) / 500.0
+    x["turn"] += PERIOD_S * (0.2 * (port - starboard) - (15.0 + 200.0 * abs(x["turn"])) * x["turn"]) / 180.0
+    x["heading"] += PERIOD_S * x["turn"]
+    x["north"] += PERIOD_S * x["speed"] * math.cos(x["heading"])
+    x["east"] += PERIOD_S * x["speed"] * math.sin(x["heading"])
+
+
+def estimate(x, now):
+    """What the controller needs to know."""
+    return {
+        "t_ns": now, "north_m": x["north"], "east_m": x["east"], "heading_rad": x["heading"],
+        "yaw_rate_radps": x["turn"], "velocity_north_mps": x["speed"] * math.cos(x["heading"]),
+        "velocity_east_mps": x["speed"] * math.sin(x["heading"]),
+    }  # fmt: skip
+
+
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", json.dumps(sys.argv[1:] or ["tcp/127.0.0.1:7447"]))
+with zenoh.open(config) as session:
+    publisher = session.declare_publisher("estimate", congestion_control=zenoh.CongestionControl.DROP)
+    subscriber = session.declare_subscriber("plan", zenoh.handlers.FifoChannel(256))
+    epoch, sequence, plans, thrust = secrets.randbits(48), 0, [], (0.0, 0.0)
+    x = {"north": 3.0, "east": 0.0, "heading": 2.0, "speed": 0.0, "turn": 0.0}
+    while True:
+        now = time.time_ns()
+        while sample := subscriber.try_recv():
+            plans = [*plans[-5:], msgpack.unpackb(sample.payload.to_bytes())]
+        most = SLEW_N_PER_S * PERIOD_S
+        pairs = zip(thrust, target(plans, now), strict=True)
+        thrust = tuple(y + min(max(wanted - y, -most), most) for y, wanted in pairs)
+        move(x, thrust)
+        publisher.put(msgpack.packb({"epoch": epoch, "sequence": sequence, **estimate(x, now)}))
+        sequence += 1
+        if sequence % 10 == 0:
+            authority = plans[-1]["authority"] if plans else "no plan yet"
+            print(f"{x['north']:.2f} m north, {x['east']:.2f} m east, {authority}", flush=True)  # noqa: T201
+        time.sleep(max(0.0, PERIOD_S - (time.time_ns() - now) * 1e-9))

@@ -1,0 +1,49 @@
+"""``topics``: what travels, for people, for validators, and as the protocol's pages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Json
+
+
+def topics(
+    topic: Annotated[str | None, typer.Argument(metavar="[TOPIC]", help="A key: its fields and their types.")] = None,
+    as_json: Json = False,
+    schema: Annotated[bool, typer.Option("--schema", help="JSON Schema of the topic, or of all by key.")] = False,
+    write: Annotated[
+        Path | None, typer.Option("--write", metavar="DIR", help="Write protocol.md and schemas/ into this folder.")
+    ] = None,
+) -> int:
+    """What travels; of one topic its fields.
+
+    All topics: key, signal, period, delivery, sole writer, readers.
+    """
+    from ltv_mpc.errors import ConfigError
+
+    if write is not None and (topic is not None or schema or as_json):
+        raise ConfigError(
+            "option --write", "", "cannot act together with TOPIC, --schema or --json: it writes every topic"
+        )
+    if schema and as_json:
+        raise ConfigError("option --schema", "", "is JSON already: cannot act together with --json")
+    if write is not None:
+        return _write(write)
+    from services.views import topics as view
+
+    typer.echo(view.schemas(topic) if schema else view.text(topic, as_json=as_json), nl=False)
+    return 0
+
+
+def _write(folder: Path) -> int:
+    from services.bus import protocol
+
+    for name, text in protocol.files().items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    typer.echo(str(folder / protocol.PAGE))
+    return 0

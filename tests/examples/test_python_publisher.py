@@ -1,0 +1,44 @@
+"""The example of a publisher brings its vehicle to the point, once somebody arms."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from services.launch import loopback
+from tests.system.alone import CLI, controller, started
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "publisher.py"
+
+
+def test_it_needs_zenoh_and_msgpack_alone() -> None:
+    imported = {
+        alias.name
+        for node in ast.walk(ast.parse(EXAMPLE.read_text()))
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    }
+    assert imported - set(sys.stdlib_module_names) == {"msgpack", "zenoh"}
+
+
+@pytest.mark.timeout(400)
+def test_it_comes_to_its_point_once_armed(tmp_path: Path) -> None:
+    (tmp_path / "point.toml").write_text('kind = "point"\nnorth_m = 0.0\neast_m = 0.0\n')
+
+    def has_come(line: str) -> bool:
+        found = re.match(r"(-?[\d.]+) m north, (-?[\d.]+) m east, controller", line)
+        return found is not None and abs(float(found[1])) < 0.3 and abs(float(found[2])) < 0.3
+
+    with (
+        controller(loopback.free_port(), ("--reference", str(tmp_path / "point.toml"))) as (endpoint, _),
+        started(sys.executable, "-P", str(EXAMPLE), endpoint) as (_, vehicle),
+    ):
+        assert "3.00 m north" in vehicle.until(lambda line: "disarmed" in line)  # nothing moves before
+        armed = subprocess.run([*CLI, "ctl", "arm", "--connect", endpoint], capture_output=True, text=True, check=False)
+        assert armed.returncode == 0, armed.stderr
+        vehicle.until(has_come, within_s=180.0)
