@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim test figures bench mutants clean
+.PHONY: help setup sim sim-secure test figures bench protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -12,6 +12,9 @@ DURATION =
 OUT =
 FILES =
 
+SIM_OPTIONS = $(if $(SCENARIO),'$(SCENARIO)') $(if $(SPEED),--speed '$(SPEED)') $(if $(SEED),--seed '$(SEED)') \
+	$(if $(DURATION),--duration-s '$(DURATION)') $(if $(OUT),--out '$(OUT)')
+
 BIN := .venv/bin
 # `ensurepip` is left out of Python by some distributions: a venv without it has no pip.
 FITS := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
@@ -19,14 +22,17 @@ CANDIDATES := python3 python3.11 python3.12 python3.13 python
 KERNELS := $(shell grep -rl --include=*.py '@kernel' ltv_mpc sim)
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo "  make sim takes SCENARIO= SPEED= SEED= DURATION= OUT=, as in: make sim SPEED=1 SEED=7"
 
 setup: .venv/compiled  ## make .venv with everything in it; quick when nothing changed
 
 sim: setup  ## run the paper's descent as processes over Zenoh
-	@$(BIN)/ltv-mpc sim $(if $(SCENARIO),'$(SCENARIO)') $(if $(SPEED),--speed '$(SPEED)') $(if $(SEED),--seed '$(SEED)') \
-		$(if $(DURATION),--duration-s '$(DURATION)') $(if $(OUT),--out '$(OUT)')
+	@$(BIN)/ltv-mpc sim $(SIM_OPTIONS)
+
+sim-secure: setup  ## the same under mTLS and access control, with certificates made for this run
+	@certs=$$(mktemp -d) && trap 'rm -rf "$$certs"' EXIT INT TERM && $(BIN)/ltv-mpc certs new "$$certs" >/dev/null \
+		&& $(BIN)/ltv-mpc sim $(SIM_OPTIONS) --certs "$$certs"
 
 test: setup  ## lint, types, import contracts, all tests
 	$(BIN)/ruff check .
@@ -47,6 +53,12 @@ bench: setup .venv/peers  ## tables of the README: errors over 20 seeds, latency
 	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
 	$(BIN)/python -m benchmarks.peers
+
+protocol: setup  ## docs/protocol.md and docs/schemas/, from the table of what travels
+	$(BIN)/ltv-mpc topics --write docs
+
+link: setup  ## a descent with the controller behind a long, lossy link between two network namespaces; as root
+	$(BIN)/python -m benchmarks.link
 
 mutants: setup .venv/mutation  ## flip the sign of every term, one at a time: a test must fail for each; FILES= for some
 	@$(BIN)/python -m tests.mutation.run $(FILES)

@@ -14,11 +14,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Plan, Times
-from ltv_mpc.vehicle.parameters import Coefficients
 from services.run.situation import Override, Situation, resolve
 from sim import motion
 from sim.plant import level_to_ned, mismatched
@@ -119,7 +117,7 @@ class _Vehicle:
     def go(self, t_ns: Times, u: Array) -> Array:
         """On under commands u (M+1, 3) at t_ns (M+1,); positions (M, 2) after each step."""
         earlier, later, share = self._water.between(int(t_ns[0] + t_ns[-1]) // 2)
-        return _drive(
+        return motion.drive(
             t_ns * 1e-9,
             u * self._share,
             self.state,
@@ -134,46 +132,6 @@ class _Vehicle:
             self._factor,
             self.thrust,
         )
-
-
-@kernel
-def _drive(
-    t: Array,
-    u: Array,
-    state: Array,
-    revolutions: Array,
-    depths: Array,
-    earlier: Array,
-    later: Array,
-    share: float,
-    p: Coefficients,
-    propellers: Array,
-    rho: float,
-    factor: float,
-    F: Array,
-) -> Array:
-    """``motion.step`` from t[k] to t[k+1], ``state`` (8,), ``revolutions`` and ``F`` (3,) in place; afloat to t = 0."""
-    out = np.empty((len(t) - 1, 2))
-    for k in range(len(t) - 1):
-        motion.step(
-            state,
-            revolutions,
-            u[k],
-            u[k + 1],
-            t[k + 1] <= 0.0,
-            t[k + 1] - t[k],
-            depths,
-            earlier,
-            later,
-            share,
-            p,
-            propellers,
-            rho,
-            factor,
-            F,
-        )
-        out[k] = state[:2]
-    return out
 
 
 def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], delay_ns: int) -> Applied:

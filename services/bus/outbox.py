@@ -29,10 +29,13 @@ class Sent(NamedTuple):
 class Outbox:
     """The ways out of one process. ``published`` counts every message, whichever its key."""
 
-    def __init__(self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Signal]]) -> None:
+    def __init__(
+        self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Signal]], under: str = ""
+    ) -> None:
+        """``under`` is put before every key, where one session serves several vehicles."""
         self.epoch = epoch
         self.published = 0
-        self._keys = {kind: key_of(kind, node) for kind in kinds}
+        self._keys = {kind: f"{under}/{key_of(kind, node)}" if under else key_of(kind, node) for kind in kinds}
         self._publishers: dict[str, Publisher] = {key: session.publisher(key) for key in self._keys.values()}
         self._sequence = dict.fromkeys(self._publishers, 0)
 

@@ -7,6 +7,9 @@
 - Subscribers run on Zenoh's receiving thread and only append to one ``Mailbox``: arrival across keys has one order, and
   no FIFO between can fill and hold up the other keys, as the default callback's does.
 - Shared memory is off: by default it applies from 3 kB and can lose a chunk on busy cores.
+- No session takes in a message of more than ``MAX_MESSAGE_BYTES``. Zenoh drops what is larger and says nothing, so this
+  cap is above the door's own, which counts.
+- With certificates every link is mTLS, and whoever listens denies what no role allows.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Protocol, TypeAlias
@@ -24,10 +27,15 @@ import msgspec
 import zenoh
 
 from ltv_mpc.errors import ConfigError
+from services.bus import roles, security
 from services.bus.topics import Topic, topic_at
+from services.bus.wire import MAX_PAYLOAD_BYTES
 
-ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
+ROUTER_PLACE = "127.0.0.1:7447"
 """Where a node that is told nothing looks for a router, and where a router that is told nothing listens."""
+
+SECURE = "tls"
+MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
 
 HOST_AND_PORT = ("tcp", "udp", "tls", "quic", "ws")
 PROTOCOLS = (*HOST_AND_PORT, "unixsock-stream")
@@ -39,13 +47,15 @@ Mode: TypeAlias = Literal["client", "peer", "router"]
 
 
 class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """-e, -l, -m, -c, --namespace: how a process reaches the others, in the words of Zenoh's users."""
+    """-e, -l, -m, -c, --namespace, --certs: how a process reaches the others, in the words of Zenoh's users."""
 
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     mode: Mode | None = None  # default: router where it listens, client where it does not
     config: Path | None = None  # a Zenoh configuration; default: $ZENOH_CONFIG, if that is set
     namespace: str = ""  # put before every key: one per vehicle or run
+    certs: Path | None = None  # the folder of certificates; every link is mTLS then
+    role: str = ""  # as whom this process shows itself with them
 
     @property
     def acts_as(self) -> Mode:
@@ -55,7 +65,12 @@ class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def connects_to(self) -> tuple[str, ...]:
         """The endpoints in force: the usual router's where a client is told nothing."""
-        return self.connect or ((ROUTER_ENDPOINT,) if self.acts_as == "client" and not self._has_file else ())
+        return self.connect or ((self.usual_endpoint,) if self.acts_as == "client" and not self._has_file else ())
+
+    @property
+    def usual_endpoint(self) -> str:
+        """The usual router's."""
+        return f"{SECURE if self.certs else 'tcp'}/{ROUTER_PLACE}"
 
     @property
     def _has_file(self) -> bool:
@@ -83,6 +98,12 @@ class BusError(RuntimeError):
 
 class Stopped(Exception):
     """The process was told to stop while it waited."""
+
+
+def log_to_stdout(levels: str) -> None:
+    """Have Zenoh log what ``levels``, in the words of RUST_LOG, asks for; before the first session opens."""
+    os.environ["RUST_LOG"] = levels
+    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
 
 
 def configuration(options: BusOptions) -> zenoh.Config:
@@ -115,6 +136,11 @@ def configuration(options: BusOptions) -> zenoh.Config:
             _insert(config, "namespace", options.namespace)
         _insert(config, "transport/shared_memory/enabled", False)
         _insert(config, "transport/link/tx/queue/size/data", 16)
+        _insert(config, "transport/link/rx/max_message_size", MAX_MESSAGE_BYTES)
+        if options.certs is not None:
+            _insert(config, "transport/link/tls", security.tls(security.credentials(options.certs, options.role)))
+            if options.acts_as == "router" or options.listen:
+                _insert(config, "access_control", roles.access_control(options.namespace))
     except zenoh.ZError as error:
         raise _refusal(options, error) from None
     return config
@@ -215,7 +241,7 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
     thread.start()
     thread.join(1.0)
     if thread.is_alive():
-        say(waiting_for_router(options.connects_to))
+        say(waiting_for_router(options))
     while thread.is_alive():
         if stop():
             raise Stopped
@@ -226,7 +252,9 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
     return Session(opened)
 
 
-def waiting_for_router(endpoints: Iterable[str]) -> str:
+def waiting_for_router(options: BusOptions) -> str:
     """What a person reads while nobody answers."""
-    where = ", ".join(endpoints) or "the configured endpoints"
-    return f"waiting for a router at {where}; `ltv-mpc router` starts one at {ROUTER_ENDPOINT}"
+    where = ", ".join(options.connects_to) or "the configured endpoints"
+    command = "`ltv-mpc router`" if options.certs is None else "`ltv-mpc router --certs`"
+    refused = "" if options.certs is None else "; one that refuses this certificate says so itself"
+    return f"waiting for a router at {where}; {command} starts one at {options.usual_endpoint}{refused}"

@@ -9,6 +9,9 @@ from collections.abc import Sequence
 import typer
 
 from services.cli import measure, processes, start, vehicle
+from services.cli.certs import certs
+from services.cli.ctl import ctl
+from services.cli.ros2 import ros2
 
 NOT_COMPLETED = 1
 BAD_INPUT = 2
@@ -22,6 +25,9 @@ app = typer.Typer(
 )
 start.register(app, "Start here")
 vehicle.register(app, "Your vehicle")
+app.command(rich_help_panel="Your vehicle")(ctl)
+app.command(rich_help_panel="Your vehicle")(ros2)
+app.add_typer(certs, name="certs", rich_help_panel="Your vehicle")
 measure.register(app, "Measure")
 processes.register(app, "One process each")
 

@@ -1,4 +1,4 @@
-"""Measure: ``profile``; ``localisation-check`` and ``qp`` have files of their own."""
+"""Measure: ``profile``; ``localisation-check``, ``fleet`` and ``qp`` have files of their own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from services.cli.fleet import fleet
 from services.cli.localisation_check import localisation_check
 from services.cli.options import Force, Json
 from services.cli.qp import qp
@@ -16,6 +17,7 @@ def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(profile)
     app.command(rich_help_panel=panel)(localisation_check)
+    app.command(rich_help_panel=panel)(fleet)
     app.add_typer(qp, name="qp", rich_help_panel=panel)
 
 

@@ -53,6 +53,15 @@ Namespace: TypeAlias = Annotated[
     str,
     typer.Option("--namespace", metavar="NAME", help="Put before every key: one per vehicle.", rich_help_panel=BUS),
 ]
+Certs: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--certs",
+        metavar="DIR",
+        help="mTLS with the certificates in this folder, which `ltv-mpc certs new DIR` makes.",
+        rich_help_panel=BUS,
+    ),
+]
 
 VehicleFile: TypeAlias = Annotated[
     str, typer.Option("--vehicle", metavar="NAME|FILE", help="The vehicle: a shipped name or a TOML file.")
@@ -79,19 +88,28 @@ def short(name: str, key: str, metavar: str, help_: str) -> Any:
 
 
 def bus(
-    connect: list[str] | None, listen: list[str] | None, mode: str | None, config: Path | None, namespace: str
+    connect: list[str] | None,
+    listen: list[str] | None,
+    mode: str | None,
+    config: Path | None,
+    namespace: str,
+    certs: Path | None = None,
+    *,
+    role: str = "",
 ) -> BusOptions:
-    """The five bus options as one, checked. Raises ``ConfigError``."""
+    """The bus options as one, checked. ``role`` is whose certificate is shown with --certs. Raises ``ConfigError``."""
     from msgspec import structs
 
     from ltv_mpc.config import parse, read_text
     from ltv_mpc.errors import ConfigError
-    from services.bus.session import BusOptions, configuration, fault_of
+    from services.bus.session import SECURE, BusOptions, configuration, fault_of
 
     for name, endpoints in (("--connect", connect), ("--listen", listen)):
         for endpoint in endpoints or ():
             if problem := fault_of(endpoint):
                 raise ConfigError(f"option {name}", "", problem, value=endpoint)
+            if certs is not None and not endpoint.startswith(f"{SECURE}/"):
+                raise ConfigError(f"option {name}", "", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)
     if config is not None:
         read_text(config, what="Zenoh configuration")
     if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
@@ -99,6 +117,7 @@ def bus(
             "option --namespace", "", "must be names joined by /, without * $ # ? or spaces", value=namespace
         )
     table = {"connect": connect or (), "listen": listen or (), "mode": mode, "namespace": namespace}
-    options = structs.replace(parse(table, BusOptions, source="option --mode"), config=config)
+    parsed = parse(table, BusOptions, source="option --mode")
+    options = structs.replace(parsed, config=config, certs=certs, role=role)
     configuration(options)  # Zenoh's own word, before anything is made or started
     return options

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from services.cli.options import (
+    Certs,
     Connect,
     Force,
     Listen,
@@ -34,12 +35,13 @@ def router(
     mode: Mode = None,
     config: ZenohConfig = None,
     namespace: Namespace = "",
+    certs: Certs = None,
 ) -> int:
     """The router that all others connect to.
 
     Without --listen it listens at tcp/127.0.0.1:7447.
     """
-    options = bus(connect, listen, mode, config, namespace)
+    options = bus(connect, listen, mode, config, namespace, certs, role="router")
     from services.nodes import router as node
 
     return node.main(options)
@@ -56,6 +58,7 @@ def plant(
     mode: Mode = None,
     config: ZenohConfig = None,
     namespace: Namespace = "",
+    certs: Certs = None,
 ) -> int:
     """The simulated vehicle, which keeps vehicle time.
 
@@ -64,7 +67,7 @@ def plant(
     from services.run.situation import resolve
 
     situation = resolve(scenario)
-    options = bus(connect, listen, mode, config, namespace)
+    options = bus(connect, listen, mode, config, namespace, certs, role="plant")
     from services.nodes import plant as node
 
     return node.main(situation, options, expects=tuple(expect or ()))
@@ -77,6 +80,7 @@ def sensors(
     mode: Mode = None,
     config: ZenohConfig = None,
     namespace: Namespace = "",
+    certs: Certs = None,
 ) -> int:
     """The simulated sensors.
 
@@ -85,7 +89,7 @@ def sensors(
     from services.run.situation import resolve
 
     situation = resolve(scenario)
-    options = bus(connect, listen, mode, config, namespace)
+    options = bus(connect, listen, mode, config, namespace, certs, role="sensors")
     from services.nodes import sensors as node
 
     return node.main(situation, options)
@@ -102,6 +106,7 @@ def estimator(
     mode: Mode = None,
     config: ZenohConfig = None,
     namespace: Namespace = "",
+    certs: Certs = None,
 ) -> int:
     """The localisation filter.
 
@@ -116,7 +121,7 @@ def estimator(
     suite = Suite.load(sensors)
     table = EstimatorConfig() if settings is None else beside(settings.parent, EstimatorConfig.load(str(settings)))
     prior = told(table)
-    options = bus(connect, listen, mode, config, namespace)
+    options = bus(connect, listen, mode, config, namespace, certs, role="estimator")
     from services.nodes import estimator as node
 
     return node.main(suite, table, options, prior=prior)
@@ -131,6 +136,7 @@ def recorder(
     mode: Mode = None,
     config: ZenohConfig = None,
     namespace: Namespace = "",
+    certs: Certs = None,
 ) -> int:
     """Records every message into one folder.
 
@@ -140,7 +146,7 @@ def recorder(
     from services.run.situation import resolve
 
     situation = resolve(scenario)
-    options = bus(connect, listen, mode, config, namespace)
+    options = bus(connect, listen, mode, config, namespace, certs, role="recorder")
     run_folder = None if out is None else folder.made_for(Path(scenario), out)
     if run_folder is None:
         run_folder = folder.make(situation.name, situation.files, out=out, force=force)

@@ -6,11 +6,12 @@ import json
 import shlex
 import shutil
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Force, Json, Out, ScenarioName, short
+from services.cli.options import Certs, Force, Json, Out, ScenarioName, short
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
@@ -91,6 +92,7 @@ def sim(
             rich_help_panel="Scenario keys",
         ),
     ] = False,
+    certs: Certs = None,
     as_json: Json = False,
     force: Force = False,
     out: Out = None,
@@ -124,11 +126,13 @@ def sim(
     if perfect_state and water_prior is not None:
         raise ConfigError("option --water-prior", "", "cannot act together with --perfect-state: nothing is estimated")
     situation = resolve(scenario, overrides)
+    if certs is not None:
+        _check_certs(certs, situation, lockstep=lockstep)
     space.check(out or folder.ROOT, situation.scenario.run)
     run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     for note in situation.notes:
         typer.echo(note, err=True)
-    return (_locked if lockstep else _processes)(situation, run_folder, as_json)
+    return _locked(situation, run_folder, as_json) if lockstep else _processes(situation, run_folder, as_json, certs)
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
@@ -153,6 +157,22 @@ def _refuse_speed(overrides: Sequence[Override]) -> None:
             raise ConfigError(source, KEYS["--speed"] if source == "option --set" else "", problem)
 
 
+def _check_certs(certs: Path, situation: Situation, *, lockstep: bool) -> None:
+    """A certificate for every process; none of them can be another's."""
+    from ltv_mpc.errors import ConfigError
+    from services.bus.roles import LAUNCHER
+    from services.bus.security import credentials
+    from services.launch import table
+
+    if lockstep:
+        raise ConfigError("option --certs", "", "cannot act together with --lockstep, where nothing travels")
+    if situation.scenario.run.perfect_state:
+        problem = "cannot act together with run.perfect_state, where the sensors write the estimator's key"
+        raise ConfigError("option --certs", "", problem)
+    for role in (LAUNCHER, *(row.name for row in table.processes(situation.scenario))):
+        credentials(certs, role)
+
+
 def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
     from services.process.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.run import locked
@@ -169,12 +189,12 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
     return INTERRUPTED if request.interrupted else FAILED
 
 
-def _processes(situation: Situation, folder: RunFolder, as_json: bool) -> int:
+def _processes(situation: Situation, folder: RunFolder, as_json: bool, certs: Path | None) -> int:
     from services.launch import supervisor
     from services.views.terminal import screen_for
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
-    outcome = supervisor.run(situation, folder, screen_for(situation.scenario.title, limits))
+    outcome = supervisor.run(situation, folder, screen_for(situation.scenario.title, limits), certs=certs)
     if outcome.summary is None:
         typer.echo(str(folder.path), err=True)
     else:

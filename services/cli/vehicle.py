@@ -1,4 +1,4 @@
-"""Your vehicle: ``controller``, ``topics``; ``localise`` has a file of its own."""
+"""Your vehicle: ``controller``; ``localise`` and ``topics`` have files of their own."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 
 from services.cli.localise import localise
-from services.cli.options import Connect, Json, Listen, Mode, Namespace, ReferenceFile, VehicleFile, ZenohConfig, bus
+from services.cli.options import Certs, Connect, Listen, Mode, Namespace, ReferenceFile, VehicleFile, ZenohConfig, bus
+from services.cli.topics import topics
+from services.cli.vehicle_file import vehicle as vehicle_file
 
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
     app.command(rich_help_panel=panel)(controller)
+    app.add_typer(vehicle_file, name="vehicle", rich_help_panel=panel)
     app.command(rich_help_panel=panel)(localise)
     app.command(rich_help_panel=panel)(topics)
 
@@ -27,43 +30,65 @@ def controller(
     compute_delay_s: Annotated[
         float, typer.Option("--compute-delay-s", metavar="D", help="Be slower by this much.", min=0, max=60)
     ] = 0.0,
-    own_clock: Annotated[
-        bool, typer.Option("--own-clock", help="Nobody publishes clock: count seconds from the start of this process.")
-    ] = False,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option("--rate-hz", metavar="R", help="Cycles a second. Default 3.33.", min=1 / 60, max=50),
+    ] = None,
+    horizon_s: Annotated[
+        float | None, typer.Option("--horizon-s", metavar="H", help="How far a plan looks ahead.", min=0.3, max=120)
+    ] = None,
+    metrics: Annotated[
+        int | None,
+        typer.Option("--metrics", metavar="PORT", help="Serve /metrics for Prometheus on 127.0.0.1.", min=1, max=65535),
+    ] = None,
+    input_delay_s: Annotated[
+        float,
+        typer.Option(
+            "--input-delay-s",
+            metavar="D",
+            help="The smallest delay of an estimate, where nobody publishes clock or reports plans in applied.",
+            min=0,
+            max=10,
+        ),
+    ] = 0.0,
+    failed_qps: Annotated[
+        Path | None,
+        typer.Option("--failed-qps", metavar="DIR", help="Keep QPs that were not solved here, for `ltv-mpc qp show`."),
+    ] = None,
     connect: Connect = None,
     listen: Listen = None,
     mode: Mode = None,
     config: ZenohConfig = None,
     namespace: Namespace = "",
+    certs: Certs = None,
 ) -> int:
     """The controller alone, against your publishers.
 
-    Reads estimate and applied; writes plan.
+    Reads estimate, applied, command and manual; writes plan, acknowledged and controller/status. It starts disarmed:
+    `ltv-mpc ctl arm`. Without a clock topic it goes by the stamps of the estimates, whatever their origin.
     """
+    from msgspec.structs import replace
+
     from ltv_mpc import references
-    from ltv_mpc.control.config import ControllerConfig
+    from ltv_mpc.control.config import ControllerConfig, checked
     from ltv_mpc.vehicle.parameters import Vehicle
 
-    loaded = (
-        Vehicle.load(vehicle),
-        references.load(reference),
-        ControllerConfig() if settings is None else ControllerConfig.load(str(settings)),
-    )
-    options = bus(connect, listen, mode, config, namespace)
+    loaded = Vehicle.load(vehicle), references.load(reference)
+    control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
+    if rate_hz is not None:
+        control = replace(control, period_s=1.0 / rate_hz)
+    if horizon_s is not None:
+        control = replace(control, horizon_s=horizon_s)
+    control = checked(control, source="options --rate-hz, --horizon-s")
+    options = bus(connect, listen, mode, config, namespace, certs, role="controller")
     from services.nodes import controller as node
 
-    return node.main(*loaded, options, compute_delay_s=compute_delay_s, own_clock=own_clock)
-
-
-def topics(
-    topic: Annotated[str | None, typer.Argument(metavar="[TOPIC]", help="A key: its fields and their types.")] = None,
-    as_json: Json = False,
-) -> int:
-    """What travels; of one topic its fields.
-
-    All topics: key, signal, period, delivery, sole writer, readers.
-    """
-    from services.views import topics as view
-
-    typer.echo(view.text(topic, as_json=as_json), nl=False)
-    return 0
+    return node.main(
+        *loaded,
+        control,
+        options,
+        compute_delay_s=compute_delay_s,
+        input_delay_s=input_delay_s,
+        metrics_port=metrics,
+        failed_qps=failed_qps,
+    )

@@ -14,8 +14,8 @@ def free_port() -> int:
 
 
 def answers(endpoint: str) -> bool:
-    """Whether somebody listens at ``tcp/HOST:PORT``."""
-    host, _, port = endpoint.removeprefix("tcp/").rpartition(":")
+    """Whether somebody listens at ``PROTOCOL/HOST:PORT``."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
     try:
         socket.create_connection((host, int(port)), timeout=0.2).close()
     except OSError:

@@ -12,9 +12,11 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from ltv_mpc.signals import Clock, ClockState, NodeStatus
-from services.bus.session import BusOptions, Stopped, open_session
+from services.bus.roles import LAUNCHER
+from services.bus.session import SECURE, BusOptions, Stopped, open_session
 from services.launch import ending, loopback, table, warm
 from services.launch.children import Child, how_it_ended, last_lines
 from services.launch.live import view_of
@@ -53,9 +55,12 @@ class _Failed(Exception):
         self.last_lines = last_lines
 
 
-def run(situation: Situation, folder: RunFolder, screen: Screen) -> Outcome:
-    """Run it into ``folder``. To be called from the main thread: signals come to it, and children live with it."""
-    supervisor = Supervisor(situation, folder, screen)
+def run(situation: Situation, folder: RunFolder, screen: Screen, *, certs: Path | None = None) -> Outcome:
+    """Run it into ``folder``. To be called from the main thread: signals come to it, and children live with it.
+
+    ``certs`` is a folder of certificates, checked: with one all links are mTLS, and every process has its role.
+    """
+    supervisor = Supervisor(situation, folder, screen, certs)
     try:
         outcome = supervisor.run()
         for line in (outcome.why, *(f"    {text}" for text in outcome.last_lines)):
@@ -69,8 +74,9 @@ def run(situation: Situation, folder: RunFolder, screen: Screen) -> Outcome:
 class Supervisor:
     """One run. ``children`` are by name, in the order of their start."""
 
-    def __init__(self, situation: Situation, folder: RunFolder, screen: Screen) -> None:
+    def __init__(self, situation: Situation, folder: RunFolder, screen: Screen, certs: Path | None = None) -> None:
         self._situation = situation
+        self._certs = certs
         self._folder = folder
         self._logs = folder.path / "logs"
         self._logs.mkdir(exist_ok=True)
@@ -143,7 +149,7 @@ class Supervisor:
             self._guard.release(process.pid)
 
     def _start(self, sessions: ExitStack) -> None:
-        endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
+        endpoint = f"{SECURE if self._certs else 'tcp'}/127.0.0.1:{loopback.free_port()}"
         namespace = f"auv/{secrets.token_hex(4)}"
         places = {
             "router": endpoint,
@@ -151,11 +157,13 @@ class Supervisor:
             "run": str(self._folder.path.absolute()),
             "compute_delay_s": repr(self._situation.scenario.run.compute_delay_s),
         }
+        if self._certs is not None:
+            places["certs"] = str(self._certs.absolute())
         rows = table.processes(self._situation.scenario)
         for row in (row for row in rows if not row.needs):
             self._spawn(row, places)
         self._await(lambda: loopback.answers(endpoint), "router", "does not answer")
-        options = BusOptions(connect=(endpoint,), namespace=namespace)
+        options = BusOptions(connect=(endpoint,), namespace=namespace, certs=self._certs, role=LAUNCHER)
         session = open_session(options, stop=self._request, say=self._screen.say)
         sessions.enter_context(session)
         watch = self._watch = Watch(session, [row.name for row in rows])

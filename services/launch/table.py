@@ -26,7 +26,7 @@ BUS = ("--connect", "{router}", "--namespace", "{namespace}")
 SCENARIO = "{run}/scenario.toml"
 
 PROCESSES = (
-    Process("router", ("--listen", "{router}"), True, ()),
+    Process("router", ("--listen", "{router}", "--namespace", "{namespace}"), True, ()),
     Process("recorder", (SCENARIO, "--out", "{run}", *BUS), True, ()),
     Process("plant", (SCENARIO, "--expect", "recorder", *BUS), False, ("recorder",)),
     Process("sensors", (SCENARIO, *BUS), False, ("recorder",)),
@@ -43,7 +43,8 @@ PROCESSES = (
         "controller",
         (
             *("--vehicle", "{run}/config/vehicle.toml", "--reference", "{run}/config/reference.toml"),
-            *("--settings", "{run}/config/controller.toml", "--compute-delay-s", "{compute_delay_s}", *BUS),
+            *("--settings", "{run}/config/controller.toml", "--compute-delay-s", "{compute_delay_s}"),
+            *("--failed-qps", "{run}/failed-qps", *BUS),
         ),
         True,
         ("recorder",),
@@ -57,5 +58,6 @@ def processes(scenario: Scenario) -> tuple[Process, ...]:
 
 
 def command(row: Process, places: Mapping[str, str]) -> list[str]:
-    """The command line of a row, its places filled in."""
-    return [row.name, *(word.format_map(places) for word in row.command)]
+    """The command line of a row, its places filled in; with certificates where ``places`` has a folder of them."""
+    secured = ("--certs", "{certs}") if "certs" in places else ()
+    return [row.name, *(word.format_map(places) for word in (*row.command, *secured))]

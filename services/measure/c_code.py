@@ -54,7 +54,8 @@ LAYOUT = """/* What the numbers of the QP are: minimise 1/2 x'Px + q'x subject t
       stage, then 2 of box a stage, multiplied by MPC_ROW_LIMIT, where a limit is expected to be active by
       MPC_ROW_ACTIVE. */
 #define MPC_STAGES {stages}
-#define MPC_STAGE_S {stage_s!r}
+/* times of the knots after the plan's start (s), MPC_STAGES + 1 of them */
+#define MPC_KNOTS_S {knots}
 #define MPC_VARIABLES {variables}
 #define MPC_ROWS {rows}
 #define MPC_ROW_DYNAMICS {dynamics!r}
@@ -91,9 +92,7 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Arra
         raise ConfigError("controller settings", "solver", problem, value=f"{config.solver}, {config.formulation}")
     controller.plan(Estimate.at_rest(north_m=0.1))
     # A cycle later, not where that plan led: the solution is not where it was linearised.
-    controller.plan(
-        msgspec.structs.replace(Estimate.at_rest(north_m=0.05, east_m=0.02, heading_rad=0.1), t_ns=STAGE_NS)
-    )
+    controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=-0.2, east_m=0.1, heading_rad=0.3), t_ns=STAGE_NS))
     return solver, controller._lin.U[1]
 
 
@@ -115,7 +114,7 @@ def export(folder: Path, solver: SparseOsqp, before: Array, config: ControllerCo
             scales=", ".join(f"{s:g}" for s in (*STATE_SCALE, *scale, *scale)),
             states=STATES,
             stages=form.stages,
-            stage_s=STAGE_NS * 1e-9,
+            knots="{" + ", ".join(f"{t:.9g}" for t in config.knots * STAGE_NS * 1e-9) + "}",
             variables=form.variables,
             rows=form.rows,
             dynamics=sparse_osqp.EQUALITY_ROW,

@@ -25,6 +25,7 @@ from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
 from ltv_mpc.node import Stopwatch, no_stopwatch
@@ -58,7 +59,7 @@ class Pair(NamedTuple):
         config = msgspec.structs.replace(episode.config, solver=self.solver, formulation=self.formulation)
         controller = Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
         if self.tolerance is not None:
-            solved_by(controller, lambda _own: SparsePiqp(config, limits_of(episode), self.tolerance))
+            solved_by(controller, lambda _own: SparsePiqp(controller.config, limits_of(episode), self.tolerance))
         return controller
 
 
@@ -206,12 +207,8 @@ class _Witness:
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
-        self.shift, self.forget, self.update, self.problem = (
-            solver.shift,
-            solver.forget,
-            solver.update,
-            solver.problem,
-        )
+        self.shift, self.forget, self.update = solver.shift, solver.forget, solver.update
+        self.problem, self.rows = solver.problem, solver.rows
 
     def build(self, lin: Linearisation, target: Array) -> None:
         self.lin, self.target = lin, target
@@ -227,7 +224,7 @@ class _Exact:
 
     def __init__(self, episode: Episode) -> None:
         config = episode.config
-        self._form = SparseForm(config.knots, limits_of(episode), config.weights)
+        self._form = SparseForm(config.knots, limits_of(episode), settled(config, episode.vehicle).weights)
         self._along: tuple[bytes, bytes, bytes] | None = None
         self._commands: Array = np.empty(0)
 

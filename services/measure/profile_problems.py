@@ -82,7 +82,7 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
             kind=held.path.resolve().name,
             vehicle=Vehicle.load(str(held.config("vehicle"))),
             reference=references.load(str(held.config("reference"))),
-            config=msgspec.structs.replace(config, horizon_s=seconds(stages)),
+            config=msgspec.structs.replace(config, horizon_s=seconds(stages), most_stages=max(stages, 2)),
             cycles=cycles,
             feed=lambda node, enough: _replay(held.recording, node, enough),
         )
@@ -121,7 +121,8 @@ def _hard(stages: int, cycles: int, seed: int) -> Episode:
 
 
 def _situation(stages: int, seed: int, *settings: str) -> Situation:
-    common = ("run.perfect_state=true", f"controller.horizon_s={seconds(stages)!r}")
+    horizon = (f"controller.horizon_s={seconds(stages)!r}", f"controller.most_stages={max(stages, 2)}")
+    common = ("run.perfect_state=true", *horizon)
     return resolve(
         "descent", [Override("option --seed", [f"run.seed={seed}"]), Override("profile", [*common, *settings])]
     )

@@ -1,26 +1,151 @@
-"""The router process: passes messages between all others, and knows nothing of them."""
+"""The router process: passes messages between all others, and knows nothing of them.
+
+With certificates it also denies what no role allows, and says on the bus how much that was.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import threading
+from collections.abc import Iterator
+
 import msgspec
 
-from services.bus.session import ROUTER_ENDPOINT, BusError, BusOptions, Stopped, open_session
-from services.process.stopping import FAILED, sayer, stop_on_signals
+from ltv_mpc.signals import Clock, NodeStatus, RunEvent
+from services.bus.denials import LOG_FILTER, Denials
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.roles import ROUTER
+from services.bus.session import BusError, BusOptions, Session, Stopped, log_to_stdout, open_session
+from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.wire import WireError, decode
+from services.process.clock import ClockError, VehicleClock, monotonic_us
+from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+
+STATUS_S = 0.5
+STDOUT = 1
+PAUSE_S = 0.05
+"""Between two looks at Zenoh's log: it comes in lines, some thousand a second, and is read in blocks."""
+
+LOG_BYTES = 1 << 20
+"""Of the pipe between: what Zenoh logs while nobody looks. Once full it would hold up the messages."""
 
 
 def main(bus: BusOptions) -> int:
     """Route until told to stop; by default at the place where the others look."""
-    say = sayer("router")
-    endpoints = bus.listen or (ROUTER_ENDPOINT,)
-    options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace="")
+    say = sayer(ROUTER)
+    endpoints = bus.listen or (bus.usual_endpoint,)
+    secure = bus.certs is not None
+    namespace = bus.namespace if secure else ""  # in which the rights hold, and where it says what it has denied
+    options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
     with stop_on_signals() as request:
         try:
-            with open_session(options, stop=request, say=say):
-                say(f"ready at {', '.join(endpoints)}")
-                request.wait()
+            if secure:
+                _guard(options, request, say)
+            else:
+                with open_session(options, stop=request, say=say):
+                    say(f"ready at {', '.join(endpoints)}")
+                    request.wait()
         except Stopped:
             pass
         except BusError as error:
             say(str(error))
             return FAILED
         return request.exit_code
+
+
+def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
+    """Route for those who have a role, and tell of the others."""
+    denials = Denials()
+    with _zenoh_log(denials), open_session(options, stop=request, say=say) as session:
+        report = _Report(session, denials, say)
+        say(f"ready at {', '.join(options.listen)}")
+        while not request.wait(STATUS_S):
+            report.publish()
+        report.publish(finished=True)
+
+
+class _Report:
+    """The router's word: a heartbeat with the number of denied attempts, and an event when there were more of them.
+
+    On the bus it waits for the first word of another, so that nothing is said before a recorder listens.
+    """
+
+    def __init__(self, session: Session, denials: Denials, say: Say) -> None:
+        self._denials = denials
+        self._say = say
+        self._said = 0
+        self._heard = False
+        self._clock = VehicleClock()
+        self._out = Outbox(session, node=ROUTER, epoch=new_epoch(), kinds=(NodeStatus, RunEvent))
+        session.subscribe(f"{BY_SIGNAL[NodeStatus].key}/*", BY_SIGNAL[NodeStatus], self)
+        session.subscribe(BY_SIGNAL[Clock].key, BY_SIGNAL[Clock], self)
+
+    def offer(self, topic: Topic | None, _key: str, payload: bytes) -> None:
+        """Hear another's status, or the clock; called on Zenoh's thread."""
+        self._heard = True
+        if topic is BY_SIGNAL[Clock]:
+            with contextlib.suppress(WireError, ClockError):  # its followers say so
+                self._clock.hear(decode(Clock, payload)[0])
+
+    def publish(self, *, finished: bool = False) -> None:
+        """Say it now."""
+        if not self._heard:
+            return
+        t_ns = self._clock.read(monotonic_us()) or 0
+        total = self._denials.total
+        if total > self._said:
+            text = f"denied {total} attempts so far: {self._denials}"
+            self._say(text)
+            self._out.publish(RunEvent(t_ns=t_ns, node=ROUTER, kind="denied", text=text))
+            self._said = total
+        self._out.publish(
+            NodeStatus(
+                node=ROUTER,
+                t_ns=t_ns,
+                ready=True,
+                waiting_for="",
+                steps=0,
+                published=self._out.published + 1,  # this one included
+                received=0,
+                dropped=0,
+                rejected=total,
+                step_us=0.0,
+                finished=finished,
+            )
+        )
+
+
+@contextlib.contextmanager
+def _zenoh_log(denials: Denials) -> Iterator[None]:
+    """What Zenoh logs, which it can to standard output only, goes to ``denials`` while this lasts."""
+    log, into = os.pipe()
+    _widen(into)
+    before = os.dup(STDOUT)
+    os.dup2(into, STDOUT)
+    os.close(into)
+    ended = threading.Event()
+
+    def read() -> None:
+        while block := os.read(log, LOG_BYTES):
+            denials.read(block)
+            ended.wait(PAUSE_S)
+
+    reader = threading.Thread(target=read, name="log", daemon=True)
+    reader.start()
+    log_to_stdout(LOG_FILTER)
+    try:
+        yield
+    finally:
+        os.dup2(before, STDOUT)  # the last way into the pipe: the reader finds its end
+        os.close(before)
+        ended.set()
+        reader.join()
+        os.close(log)
+
+
+def _widen(pipe: int) -> None:
+    import fcntl
+
+    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, LOG_BYTES)

@@ -12,6 +12,7 @@ import msgspec
 
 from ltv_mpc import config, references
 from ltv_mpc.control import solvers
+from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.currents import WaterPrior, read_profile
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.references import Reference
@@ -73,7 +74,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
         water=water.make(scenario.water, scenario.run.seed),
         prior=prior,
         files=_files(scenario, suite, called),
-        notes=_notes(scenario, prior),
+        notes=(*_notes(scenario, prior), *reference.notes(vehicle)),
     )
 
 
@@ -97,6 +98,9 @@ def _files(scenario: Scenario, suite: Suite, called: str) -> dict[str, str]:
             ("reference", scenario.reference, "ltv_mpc.references.files"),
         )
     }
+    reference = references.load(scenario.reference)
+    if isinstance(reference, references.Timed):
+        files["config/reference.toml"] = config.to_toml(reference)  # with the rows of the file that it names
     if "base" in tomllib.loads(files["config/sensors.toml"]):
         files["config/sensors.toml"] = config.to_toml(suite)
     measured, prior = scenario.water.file, scenario.estimator.water_prior
@@ -122,8 +126,10 @@ def _files(scenario: Scenario, suite: Suite, called: str) -> dict[str, str]:
 
 
 def _notes(scenario: Scenario, prior: WaterPrior | None) -> tuple[str, ...]:
-    stages = scenario.controller.stages
-    notes = [f"horizon {scenario.controller.horizon_s:g} s: {stages} stages, {stages * 0.3:.1f} s"]
+    settings = scenario.controller
+    before, end = settings.knots[-2:]
+    growing = f", the last of {(end - before) * STAGE_NS / 1e9:.1f} s" if end - before > 1.0 else ""
+    notes = [f"horizon {settings.horizon_s:g} s: {settings.stages} stages, {settings.reach_s:.1f} s{growing}"]
     if scenario.water.file:
         profile = read_profile(scenario.water.file)
         first, last = float(profile.depth_m[0]), float(profile.depth_m[-1])

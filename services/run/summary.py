@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.signals import Estimate, NodeStatus, Rejected
 from services.bus import topics
@@ -55,7 +54,7 @@ def summarise(situation: Situation, grader: Grader, *, mode: str, messages: Mess
         restarts=restarts,
         messages=messages,
         stages=stages,
-        horizon_s=stages * STAGE_NS / 1e9,
+        horizon_s=scenario.controller.reach_s,
     )
 
 

@@ -48,7 +48,7 @@ def read(folder: Path) -> Series:
         match signal:
             case Plan():
                 reference = reference or signal.reference_m
-                horizon_s, lateral = 0.3 * (len(signal.t_ns) - 1), lateral or signal.origin == "solved"
+                horizon_s, lateral = (signal.t_ns[-1] - signal.t_ns[0]) * 1e-9, lateral or signal.origin == "solved"
             case Truth() if signal.t_ns >= 0 and signal.t_ns % 100_000_000 == 0:
                 truth.append((signal.t_ns * 1e-9, *signal.position_m[:2]))
             case Estimate() if signal.t_ns >= 0:

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig
+from ltv_mpc.control.config import STAGE_NS, SettledConfig
 from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.sparse import SparseForm
@@ -27,7 +27,7 @@ from services.measure.profile_measuring import Pair
 H = STAGE_NS * 1e-9
 N = 8
 VEHICLE = Vehicle.load("paper")
-CONFIG = ControllerConfig(horizon_s=N * H)
+CONFIG = SettledConfig(horizon_s=N * H)
 LIMITS = ThrustLimits.of(VEHICLE, H)
 NO_SLEW = ThrustLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3))
 P = VEHICLE.coefficients()

@@ -7,7 +7,7 @@ import base64
 import msgpack
 import pytest
 
-from ltv_mpc.signals import PressureDepth
+from ltv_mpc.signals import Manual, PressureDepth
 from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.topics import BY_SIGNAL
@@ -93,3 +93,26 @@ def test_a_mailbox_gives_back_in_order_of_arrival_and_drops_beyond_its_capacity(
     assert box.overflowed == 2
     box.wake()
     assert box.take(60.0) is None  # at once
+
+
+def test_on_a_key_on_which_operators_command_each_is_a_source_of_its_own() -> None:
+    topic = BY_SIGNAL[Manual]
+
+    def by_hand(sequence: int, epoch: int) -> Frame:
+        payload = encode(Manual(thrust_N=(0.0, 0.0, 0.0)), Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0))
+        return Frame(topic, topic.key, payload, 0)
+
+    door = Door()
+    for sequence, epoch in ((0, 1), (7, 2), (1, 1), (8, 2)):
+        door.admit(by_hand(sequence, epoch))
+    for sequence, epoch in ((1, 1), (8, 2)):
+        with pytest.raises(WireError, match="out of order"):
+            door.admit(by_hand(sequence, epoch))
+    assert (door.received, door.dropped, door.rejected) == (4, 0, 2)
+
+
+def test_what_is_turned_back_after_it_was_let_in_is_counted_as_refused() -> None:
+    door = Door()
+    door.admit(frame(0))
+    door.turn_back("no time yet: it would be late")
+    assert (door.received, door.rejected, dict(door.refused)) == (0, 1, {"no time yet": 1})

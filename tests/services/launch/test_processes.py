@@ -143,6 +143,7 @@ def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process
     assert {view.phase for view in screen.views} >= {"starting", "diving"}
     assert isinstance(screen.views[-1].truth, Truth)
     assert isinstance(screen.views[-1].plan, Plan)
+    assert screen.views[-1].plan.authority == "controller"  # the plant has armed it
 
 
 def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_learned(tmp_path: Path) -> None:

@@ -320,6 +320,8 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
     plans: list[Plan] = []
 
     class Kept(Probe):
+        reads = ControllerNode.reads  # the command to arm too
+
         def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
             plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
             return []

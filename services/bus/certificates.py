@@ -1,0 +1,130 @@
+"""Certificates for mTLS: an authority of one's own, and of each role one key and certificate that it has signed.
+
+Elliptic keys (P-256). A certificate's common name is its role (``roles.py``); it serves for both ends of a connection,
+as Zenoh's links do, and names the hosts where a router may listen with it. The authority's key signs once and is then
+forgotten: nobody can make a further role out of a folder that was copied, and a new vehicle gets new certificates.
+"""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from services.bus.security import AUTHORITY
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+BACKDATED = datetime.timedelta(days=1)
+"""Valid from yesterday on: the clock of a vehicle that has just been switched on may be behind."""
+
+
+def make(folder: Path, roles: Iterable[str], *, hosts: Iterable[str] = (), days: int) -> list[Path]:
+    """Write ``ca.pem``, and ``<role>.pem`` and ``<role>.key`` of each role, into ``folder``; the files, in that order.
+
+    The folder is for its owner alone (0700), and so is each file (0600). ``hosts`` are names or addresses besides
+    loopback's by which a router is reached. What is there of the same name is replaced.
+    """
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    folder.chmod(0o700)
+    names = [_general_name(host) for host in dict.fromkeys((*LOOPBACK, *hosts))]
+    authority_key = ec.generate_private_key(ec.SECP256R1())
+    authority = _authority(authority_key, days)
+    files = [folder / AUTHORITY]
+    _write(files[0], authority.public_bytes(serialization.Encoding.PEM))
+    for role in roles:
+        key = ec.generate_private_key(ec.SECP256R1())
+        certificate = _of_role(role, key, names, authority, authority_key)
+        files += [folder / f"{role}.pem", folder / f"{role}.key"]
+        _write(files[-2], certificate.public_bytes(serialization.Encoding.PEM))
+        _write(
+            files[-1],
+            key.private_bytes(
+                serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+            ),
+        )
+    return files
+
+
+def _authority(key: ec.EllipticCurvePrivateKey, days: int) -> x509.Certificate:
+    now = datetime.datetime.now(datetime.UTC)
+    name = _common_name("ltv-mpc certificates")
+    return (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - BACKDATED)
+        .not_valid_after(now + datetime.timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_key_usage(signs=True), critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+
+
+def _of_role(
+    role: str,
+    key: ec.EllipticCurvePrivateKey,
+    names: list[x509.GeneralName],
+    authority: x509.Certificate,
+    authority_key: ec.EllipticCurvePrivateKey,
+) -> x509.Certificate:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(_common_name(role))
+        .issuer_name(authority.subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(authority.not_valid_before_utc)
+        .not_valid_after(authority.not_valid_after_utc)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(_key_usage(signs=False), critical=True)
+        .add_extension(
+            x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]), critical=False
+        )
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority_key.public_key()), critical=False)
+        .sign(authority_key, hashes.SHA256())
+    )
+
+
+def _key_usage(*, signs: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not signs,
+        key_cert_sign=signs,
+        crl_sign=signs,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
+
+
+def _common_name(text: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)])
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Never, not even for a moment, somebody else's to read; nor half of it under its name."""
+    fresh = path.with_name(f".{path.name}.new")
+    fresh.unlink(missing_ok=True)
+    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+        file.write(content)
+    fresh.replace(path)

@@ -1,0 +1,62 @@
+"""mTLS on the bus: which files of a folder of certificates a process uses, and Zenoh's settings for them.
+
+The folder holds ``ca.pem`` and, of each role that runs on this host, ``<role>.pem`` and ``<role>.key``; what is not
+there cannot be played here. ``ltv-mpc certs new`` makes it.
+"""
+
+from __future__ import annotations
+
+import ssl
+import stat
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ltv_mpc.errors import ConfigError
+
+AUTHORITY = "ca.pem"
+OPTION = "option --certs"
+
+
+class Credentials(NamedTuple):
+    """One role's files."""
+
+    authority: Path
+    certificate: Path
+    key: Path
+
+
+def credentials(folder: Path, role: str) -> Credentials:
+    """The files of ``role``, checked: present, one for the other, and the key nobody else's to read.
+
+    Raises ``ConfigError``.
+    """
+    files = Credentials(folder / AUTHORITY, folder / f"{role}.pem", folder / f"{role}.key")
+    for file in files:
+        if not file.is_file():
+            problem = f"no such file; `ltv-mpc certs new {folder}` makes certificates for every role"
+            raise ConfigError(f"{OPTION} {file}", "", problem)
+    if stat.S_IMODE(files.key.stat().st_mode) & (stat.S_IRWXG | stat.S_IRWXO):
+        raise ConfigError(f"{OPTION} {files.key}", "", "others may read this key: chmod 600")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(files.authority)
+    except (ssl.SSLError, OSError) as error:
+        raise ConfigError(f"{OPTION} {files.authority}", "", f"no certificate in PEM: {error}") from None
+    try:
+        context.load_cert_chain(files.certificate, files.key)
+    except (ssl.SSLError, OSError) as error:
+        raise ConfigError(f"{OPTION} {files.certificate}", "", f"no pair with {files.key.name}: {error}") from None
+    return files
+
+
+def tls(files: Credentials) -> dict[str, Any]:
+    """Zenoh's ``transport/link/tls``: both sides show a certificate of one authority, and the host is checked."""
+    return {
+        "root_ca_certificate": str(files.authority),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "connect_certificate": str(files.certificate),
+        "connect_private_key": str(files.key),
+        "listen_certificate": str(files.certificate),
+        "listen_private_key": str(files.key),
+    }

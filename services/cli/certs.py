@@ -1,0 +1,60 @@
+"""``certs``: keys and certificates for mTLS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Force
+
+certs = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+
+
+@certs.callback()
+def _about() -> None:
+    """Keys and certificates for mTLS: new."""
+
+
+@certs.command()
+def new(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")],
+    host: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--host",
+            metavar="NAME",
+            help="A name or address of a router besides loopback's; repeatable.",
+        ),
+    ] = None,
+    days: Annotated[int, typer.Option("--days", metavar="N", help="How long they are valid.", min=1, max=36_500)] = 365,
+    force: Force = False,
+) -> int:
+    """An authority, and a key and certificate for every role.
+
+    Copy to each host ca.pem and the two files of each role that runs there, and nothing else.
+    """
+    import re
+
+    from ltv_mpc.errors import ConfigError
+    from services.bus.roles import ROLES
+
+    for name in host or ():
+        if not re.fullmatch(r"[A-Za-z0-9.:-]{1,253}", name):
+            raise ConfigError("option --host", "", "must be a host's name or address", value=name)
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"folder {folder}", "", "is a file")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise ConfigError(f"folder {folder}", "", "is not empty; --force replaces the certificates in it")
+    try:
+        from services.bus import certificates
+    except ModuleNotFoundError as error:
+        if error.name != "cryptography":
+            raise
+        problem = "needs the package cryptography, the extra `secure`: pip install cryptography"
+        raise ConfigError("ltv-mpc certs new", "", problem) from None
+    certificates.make(folder, ROLES, hosts=host or (), days=days)
+    typer.echo(f"certificates of {len(ROLES)} roles, valid for {days} days: {', '.join(ROLES)}", err=True)
+    typer.echo(str(folder))
+    return 0

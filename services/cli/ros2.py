@@ -1,0 +1,57 @@
+"""``ros2``: the edge to ROS 2."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Connect, Listen, Mode, Namespace, ZenohConfig, bus
+
+
+def ros2(
+    odometry: Annotated[
+        str, typer.Option("--odometry", metavar="TOPIC", help="nav_msgs/Odometry, ENU and FLU.")
+    ] = "/odometry",
+    thrusts: Annotated[
+        str,
+        typer.Option("--thrusts", metavar="PORT,STARBOARD,VERTICAL", help="Of each thruster, std_msgs/Float64 in N."),
+    ] = "/thrusters/port/thrust,/thrusters/starboard/thrust,/thrusters/vertical/thrust",
+    ros_namespace: Annotated[
+        str, typer.Option("--ros-namespace", metavar="NAME", help="The bridge's own, before its keys.")
+    ] = "",
+    rate_hz: Annotated[float, typer.Option("--rate-hz", metavar="R", help="Of the forces.", min=1.0, max=200.0)] = 20.0,
+    connect: Connect = None,
+    listen: Listen = None,
+    mode: Mode = None,
+    config: ZenohConfig = None,
+    namespace: Namespace = "",
+) -> int:
+    """The edge to ROS 2: odometry in, thrusts out.
+
+    Over zenoh-bridge-ros2dds.
+
+    Reads plan and the odometry topic; writes estimate and the thrusters' topics. The estimator is not started then.
+    """
+    import re
+
+    from ltv_mpc.errors import ConfigError
+
+    names = tuple(thrusts.split(","))
+    if len(names) != 3 or len({*names, odometry}) != 4:
+        raise ConfigError("option --thrusts", "", "must be three topics, PORT,STARBOARD,VERTICAL", value=thrusts)
+    for option, name in (("--odometry", odometry), *(("--thrusts", name) for name in names)):
+        if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", name):
+            raise ConfigError(f"option {option}", "", "must be a topic's full name, as /auv/odometry", value=name)
+    options = bus(connect, listen, mode, config, namespace)
+    bus(None, None, None, None, ros_namespace)
+    try:
+        from services.nodes import ros2 as node
+    except ModuleNotFoundError as error:
+        if error.name is None or not error.name.startswith("rosbags"):
+            raise
+        problem = "needs the package rosbags, the extra `ros2`: pip install rosbags"
+        raise ConfigError("ltv-mpc ros2", "", problem) from None
+    port, starboard, vertical = names
+    topics = node.Topics(odometry=odometry, thrusts=(port, starboard, vertical))
+    return node.main(topics, options, ros_namespace=ros_namespace, rate_hz=rate_hz)

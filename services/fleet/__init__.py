@@ -1,0 +1,1 @@
+"""Many vehicles on one machine: what each costs, and what gives way first."""

@@ -1,0 +1,117 @@
+"""nav_msgs/Odometry to an ``Estimate``: from ENU and FLU (REP 103) to NED and FRD.
+
+In    position p and attitude R (body to world, from the quaternion) in ``header.frame_id``, ENU: x east, y north, z up
+      velocity v and angular velocity w in ``child_frame_id``, FLU: x forward, y to port, z up
+Out   north = p_y, east = p_x, depth = -p_z            z = 0 of the frame is the water's surface
+      [east, north, up]' = R v                         the twist is the body's, the estimate's velocity is not
+      heading = pi/2 - yaw,   yaw = atan2(R_yx, R_xx)  from north clockwise, instead of from east counter-clockwise
+      yaw rate = -(R w)_z                              about the world's vertical
+
+A small error of attitude turns the world's axes, R -> (1 + [d]) R, so that it is in the velocity too:
+
+    d(R v) = -[R v] d + R dv,    d(R w)_z = (-[R w] d + R dw)_z
+
+and the covariance of the estimate is J P J^T with P = diag(pose.covariance, twist.covariance), whose axes are those of
+``header.frame_id`` and of ``child_frame_id``. Zeros all over mean that it is not known.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ltv_mpc.frames import wrap_angle
+from ltv_mpc.signals import Array, Estimate
+
+OTHER_CONVENTIONS = ("ned", "frd")
+"""REP 103 names frames that are not ENU or FLU by such a suffix, as in ``odom_ned``."""
+
+LARGEST = 1e9
+
+UNIT = 1e-3
+"""By how much a quaternion's length may differ from 1."""
+
+
+class OdometryError(ValueError):
+    """A message that says nothing that can be used; the text is the reason."""
+
+
+def estimate_of(message: Any) -> Estimate:
+    """The estimate that an odometry message holds, at its own stamp. Raises ``OdometryError``."""
+    for name in (message.header.frame_id, message.child_frame_id):
+        if name.lower().rpartition("_")[2] in OTHER_CONVENTIONS:
+            raise OdometryError(f"frame {name}: must be ENU, its child FLU (REP 103)")
+    pose, twist = message.pose, message.twist
+    R = rotation(pose.pose.orientation)
+    position = _vector("position", pose.pose.position)
+    velocity, rate = R @ _vector("linear", twist.twist.linear), R @ _vector("angular", twist.twist.angular)
+    return Estimate(
+        t_ns=int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec),
+        north_m=float(position[1]),
+        east_m=float(position[0]),
+        depth_m=float(-position[2]),
+        heading_rad=wrap_angle(math.pi / 2.0 - math.atan2(R[1, 0], R[0, 0])),
+        yaw_rate_radps=float(-rate[2]),
+        velocity_north_mps=float(velocity[1]),
+        velocity_east_mps=float(velocity[0]),
+        velocity_down_mps=float(-velocity[2]),
+        covariance=_covariance(R, velocity, rate, _matrix("pose", pose.covariance), _matrix("twist", twist.covariance)),
+    )
+
+
+def rotation(quaternion: Any) -> Array:
+    """R of a quaternion (x, y, z, w), body to world, shape (3, 3). Raises ``OdometryError`` where it is no attitude."""
+    x, y, z, w = (float(value) for value in (quaternion.x, quaternion.y, quaternion.z, quaternion.w))
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(length - 1.0) <= UNIT:  # not so for NaN either
+        raise OdometryError(f"orientation: a quaternion of length {length:.3g}, not 1")
+    x, y, z, w = x / length, y / length, z / length, w / length
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _vector(name: str, message: Any) -> Array:
+    return _bounded(name, np.array([message.x, message.y, message.z], dtype=np.float64))
+
+
+def _matrix(name: str, covariance: Any) -> Array:
+    return _bounded(f"{name}.covariance", np.asarray(covariance, dtype=np.float64)).reshape(6, 6)
+
+
+def _bounded(name: str, values: Array) -> Array:
+    """Numbers that can be reckoned with; what a vehicle can have is for the door to say."""
+    if not np.abs(values).max() <= LARGEST:  # not so for NaN either
+        raise OdometryError(f"{name}: a value that is no number, or beyond {LARGEST:g}")
+    return values
+
+
+def _covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array | None:
+    """(6, 6) over north, east, velocity north, east, heading, yaw rate; None where nothing is known of it.
+
+    ``pose`` and ``twist`` are (6, 6) over x, y, z and the rotations about them; ``velocity`` and ``rate`` ENU.
+    """
+    if not pose.any() and not twist.any():
+        return None
+    P = np.zeros((12, 12))
+    P[:6, :6], P[6:, 6:] = pose, twist
+    velocity_by_turn, rate_by_turn = -_cross(velocity), -_cross(rate)
+    J = np.zeros((6, 12))
+    J[0, 1] = J[1, 0] = 1.0
+    for row, axis in ((2, 1), (3, 0)):
+        J[row, 3:6], J[row, 6:9] = velocity_by_turn[axis], R[axis]
+    J[4, 5] = -1.0
+    J[5, 3:6], J[5, 9:12] = -rate_by_turn[2], -R[2]
+    covariance: Array = J @ P @ J.T
+    return (covariance + covariance.T) / 2.0
+
+
+def _cross(v: Array) -> Array:
+    """[v], with [v] a = v x a."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -1,0 +1,254 @@
+"""Certificates are whole and private, rights follow the topics table, and without asking nobody outside is reached."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from ltv_mpc.errors import ConfigError
+from services.bus import certificates
+from services.bus.roles import ROLES, access_control, reads, writes
+from services.bus.security import credentials
+from services.bus.session import BusOptions, configuration
+from services.bus.topics import TOPICS
+from services.cli.app import run
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("certs") / "made"
+    certificates.make(path, ROLES, hosts=("otter.local", "192.168.2.10"), days=30)
+    return path
+
+
+def certificate(path: Path) -> x509.Certificate:
+    return x509.load_pem_x509_certificate(path.read_bytes())
+
+
+# --- certificates ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_each_role_has_a_certificate_of_its_own_key_signed_by_the_authority(folder: Path, role: str) -> None:
+    of_role, authority = certificate(folder / f"{role}.pem"), certificate(folder / "ca.pem")
+    of_role.verify_directly_issued_by(authority)
+    key = load_pem_private_key((folder / f"{role}.key").read_bytes(), password=None)
+    assert key.public_key() == of_role.public_key()
+    (name,) = of_role.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    assert name.value == role
+    usage = of_role.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert set(usage) == {ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH}
+    hosts = of_role.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert hosts.get_values_for_type(x509.DNSName) == ["localhost", "otter.local"]
+    assert ipaddress.ip_address("192.168.2.10") in hosts.get_values_for_type(x509.IPAddress)
+    assert ipaddress.ip_address("127.0.0.1") in hosts.get_values_for_type(x509.IPAddress)
+    assert not of_role.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+
+
+def test_no_file_is_anybody_elses_to_read_and_the_authoritys_key_is_not_kept(folder: Path) -> None:
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert {stat.S_IMODE(file.stat().st_mode) for file in folder.iterdir()} == {0o600}
+    assert {file.name for file in folder.iterdir()} == {
+        "ca.pem",
+        *(f"{role}.{kind}" for role in ROLES for kind in ("pem", "key")),
+    }
+
+
+def test_certificates_made_twice_do_not_know_each_other(folder: Path, tmp_path: Path) -> None:
+    certificates.make(tmp_path, ("plant",), days=30)
+    with pytest.raises(InvalidSignature):
+        certificate(tmp_path / "plant.pem").verify_directly_issued_by(certificate(folder / "ca.pem"))
+
+
+def test_a_missing_open_or_foreign_key_is_refused_by_name(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "certs"
+    shutil.copytree(folder, copy)
+    assert credentials(copy, "plant").key == copy / "plant.key"
+    (copy / "plant.key").chmod(0o640)
+    with pytest.raises(ConfigError, match=r"plant\.key: others may read this key: chmod 600"):
+        credentials(copy, "plant")
+    shutil.copy(copy / "sensors.key", copy / "plant.key")
+    with pytest.raises(ConfigError, match=r"plant\.pem: no pair with plant\.key"):
+        credentials(copy, "plant")
+    (copy / "plant.key").unlink()
+    with pytest.raises(ConfigError, match=r"plant\.key: no such file; `ltv-mpc certs new"):
+        credentials(copy, "plant")
+    (copy / "ca.pem").write_text("nothing")
+    with pytest.raises(ConfigError, match=r"ca\.pem: no certificate in PEM"):
+        credentials(copy, "sensors")
+
+
+def test_the_command_makes_them_once_and_again_only_by_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "certs"
+    assert run(["certs", "new", str(out), "--host", "otter.local", "--days", "10"]) == 0
+    assert capsys.readouterr().out == f"{out}\n"
+    lifetime = certificate(out / "plant.pem").not_valid_after_utc - certificate(out / "plant.pem").not_valid_before_utc
+    assert lifetime.days == 11
+    before = (out / "plant.key").read_bytes()
+    assert run(["certs", "new", str(out)]) == 2
+    assert "is not empty" in capsys.readouterr().err
+    assert (out / "plant.key").read_bytes() == before
+    assert run(["certs", "new", str(out), "--force"]) == 0
+    assert (out / "plant.key").read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("certs new DIR --host a/b", 'option --host: "a/b": must be a host'),
+        ("certs new FILE", "is a file"),
+        ("router --certs none", "option --certs none/ca.pem: no such file"),
+        ("plant --certs CERTS --connect tcp/127.0.0.1:7447", "option --connect"),
+        ("router --certs CERTS --listen unixsock-stream/x", "must be tls/HOST:PORT with --certs"),
+        ("sim --certs CERTS --lockstep", "option --certs: cannot act together with --lockstep"),
+        ("sim --certs CERTS --perfect-state", "option --certs: cannot act together with run.perfect_state"),
+        ("sim --certs none", "option --certs none/ca.pem: no such file"),
+    ],
+)
+def test_bad_options_are_refused_before_anything_starts(
+    line: str,
+    says: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "FILE").write_text("")
+    assert run(line.replace("CERTS", str(folder)).split()) == 2
+    assert says in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["FILE"]
+
+
+# --- rights ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_sole_writer_of_a_topic_is_the_only_role_that_may_put_on_it() -> None:
+    for topic in TOPICS:
+        if topic.written_by == "*":
+            assert {f"{topic.key}/{role}" for role in ROLES} == {
+                key for role in ROLES for key in writes(role) if key.startswith(f"{topic.key}/")
+            }
+            continue
+        may = {role for role in ROLES if topic.key in writes(role)}
+        armed_by_the_simulation = {"plant"} if topic.written_by == "operator" else set()
+        assert may == {topic.written_by} | armed_by_the_simulation, topic.key
+
+
+def test_the_truth_is_for_the_sensors_and_those_who_watch() -> None:
+    assert {role for role in ROLES if "world/truth" in reads(role) or reads(role) == ("**",)} == {
+        "sensors",
+        "launcher",
+        "recorder",
+        "display",
+        "operator",
+    }
+    assert set(reads("controller")) >= {"estimate", "applied", "clock"}
+    assert "**" not in reads("controller")
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_role_speaks_for_itself_alone(role: str) -> None:
+    assert not [key for key in writes(role) if key.startswith("status/") and key != f"status/{role}"]
+
+
+def test_a_router_denies_by_default_and_grants_within_its_namespace() -> None:
+    control = access_control("auv/7")
+    assert control["enabled"]
+    assert control["default_permission"] == "deny"
+    granted = {
+        (rule["id"].split()[0], message, flow, key)
+        for rule in control["rules"]
+        for message in rule["messages"]
+        for flow in rule["flows"]
+        for key in rule["key_exprs"]
+    }
+    assert ("controller", "put", "ingress", "auv/7/plan") in granted
+    assert ("plant", "declare_subscriber", "ingress", "auv/7/plan") in granted
+    assert ("plant", "put", "egress", "auv/7/plan") in granted
+    assert {
+        role for role, message, flow, key in granted if (message, flow, key) == ("put", "ingress", "auv/7/plan")
+    } == {"controller"}
+    assert all(key.startswith("auv/7/") for _, _, _, key in granted)
+    assert {message for _, message, _, _ in granted} == {"put", "declare_subscriber"}
+    everywhere = access_control("")
+    assert ["**/plan" in rule["key_exprs"] for rule in everywhere["rules"]].count(True) == 3
+    assert [subject["cert_common_names"] for subject in control["subjects"]] == [[role] for role in ROLES[1:]]
+
+
+def test_who_listens_with_certificates_denies_by_default_and_asks_for_one(folder: Path) -> None:
+    options = BusOptions(listen=("tls/127.0.0.1:7447",), certs=folder, role="router")
+    config = configuration(options)
+    assert json.loads(config.get_json("access_control/default_permission")) == "deny"
+    assert json.loads(config.get_json("access_control/enabled")) is True
+    assert json.loads(config.get_json("transport/link/tls/enable_mtls")) is True
+    assert json.loads(config.get_json("transport/link/tls/verify_name_on_connect")) is True
+    client = configuration(BusOptions(certs=folder, role="plant"))
+    assert "tls/127.0.0.1:7447" in client.get_json("connect/endpoints")
+    assert client.get_json("transport/link/tls/connect_private_key") == json.dumps(str(folder / "plant.key"))
+
+
+# --- by default nobody outside is reached ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [BusOptions(), BusOptions(listen=("tcp/127.0.0.1:7447",)), BusOptions(mode="peer")])
+def test_no_session_scouts_and_none_takes_in_a_message_without_bound(
+    options: BusOptions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("ZENOH_CONFIG", raising=False)
+    config = configuration(options)
+    assert json.loads(config.get_json("scouting/multicast/enabled")) is False
+    assert json.loads(config.get_json("scouting/gossip/enabled")) is False
+    assert json.loads(config.get_json("transport/link/rx/max_message_size")) == 2 * 2**20
+    assert "0.0.0.0" not in config.get_json("listen/endpoints")
+    assert "[::]" not in config.get_json("listen/endpoints")
+
+
+@pytest.mark.skipif(not Path("/proc/self/net/tcp").exists(), reason="sockets are read off /proc")
+def test_a_router_that_is_told_nothing_has_no_socket_but_one_on_loopback(tmp_path: Path, free_port: int) -> None:
+    log = tmp_path / "router.log"
+    with log.open("wb") as output:
+        router = subprocess.Popen(
+            [sys.executable, "-P", "-m", "services.cli", "router", "--listen", f"tcp/127.0.0.1:{free_port}"],
+            stdin=subprocess.DEVNULL,
+            stderr=output,
+        )
+    try:
+        until = time.monotonic() + 60.0
+        while "ready at" not in log.read_text():
+            assert time.monotonic() < until, "it never came to that"
+            time.sleep(0.02)
+        assert sockets(router.pid) == {("tcp", "0100007F")}  # 127.0.0.1, as the kernel writes it
+    finally:
+        router.terminate()
+        router.wait(30)
+
+
+def sockets(pid: int) -> set[tuple[str, str]]:
+    """Protocol and local address of every internet socket of a process."""
+    inodes = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        target = os.readlink(descriptor)
+        if target.startswith("socket:["):
+            inodes.add(target[8:-1])
+    found = set()
+    for protocol in ("tcp", "tcp6", "udp", "udp6", "raw"):
+        table = Path(f"/proc/{pid}/net/{protocol}")
+        rows = [line.split() for line in table.read_text().splitlines()[1:]] if table.exists() else []
+        found |= {(protocol, row[1].partition(":")[0]) for row in rows if row[9] in inodes}
+    return found

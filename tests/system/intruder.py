@@ -1,0 +1,154 @@
+"""An intruder on a secured bus, written from Zenoh's manual: it imports nothing of the project.
+
+    python intruder.py tls/HOST:PORT NAMESPACE CERTS FOREIGN_CERTS
+
+CERTS is what it got hold of (of each role its certificate and key), FOREIGN_CERTS the same of another authority. It
+prints what it has sent, by way, as JSON: ``denied`` for the router to stop, ``refused`` for the reader to refuse.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zenoh
+
+ENDPOINT, NAMESPACE, CERTS, FOREIGN = sys.argv[1:]
+KEPT = zenoh.CongestionControl.BLOCK  # every frame is to get as far as it can
+WRONG_ROLE = 8000
+REPLAYED = 1500
+MALFORMED = 600
+OVERSIZED = 20
+FORGED_EPOCH = 0xBAD
+MEBIBYTE = 1 << 20
+
+
+def opened(folder: str | None, role: str, endpoint: str = ENDPOINT, patience_ms: int = 10_000) -> zenoh.Session:
+    config = zenoh.Config()
+    settings: dict[str, Any] = {
+        "mode": "client",
+        "scouting/multicast/enabled": False,
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": patience_ms,
+    }
+    if folder is not None:
+        own = {"root_ca_certificate": f"{folder}/ca.pem"}
+        if role:
+            own |= {"connect_certificate": f"{folder}/{role}.pem", "connect_private_key": f"{folder}/{role}.key"}
+        settings["transport/link/tls"] = own | {"enable_mtls": bool(role)}
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+def refused_connections() -> int:
+    """No certificate; the right role by another authority, which it does or does not believe itself; no TLS at all."""
+    both = Path(FOREIGN) / "mixed"  # believes the run's authority, shows the other's certificate
+    both.mkdir(exist_ok=True)
+    (both / "ca.pem").write_bytes((Path(CERTS) / "ca.pem").read_bytes())
+    for name in ("controller.pem", "controller.key"):
+        (both / name).write_bytes((Path(FOREIGN) / name).read_bytes())
+    ways = [
+        (CERTS, "", ENDPOINT),
+        (FOREIGN, "controller", ENDPOINT),
+        (str(both), "controller", ENDPOINT),
+        (None, "", ENDPOINT.replace("tls/", "tcp/")),
+    ]
+    for folder, role, endpoint in ways:
+        try:
+            opened(folder, role, endpoint, patience_ms=300).close()
+        except zenoh.ZError:
+            continue
+        sys.exit(f"it was let in: {folder}, {role}")
+    return len(ways)
+
+
+def overheard(keys: tuple[str, ...]) -> dict[str, list[bytes]]:
+    """Some frames of each key: whoever may see everything can keep it. A frame is used once it is old."""
+    frames: dict[str, deque[bytes]] = {key: deque(maxlen=50) for key in keys}
+    with opened(CERTS, "display") as session:
+        for key in keys:
+            session.declare_subscriber(
+                f"{NAMESPACE}/{key}", lambda sample, kept=frames[key]: kept.append(sample.payload.to_bytes())
+            )
+        while min(map(len, frames.values())) < 10:
+            time.sleep(0.05)
+    time.sleep(0.5)
+    return {key: list(kept) for key, kept in frames.items()}
+
+
+def forged(frame: bytes) -> bytes:
+    """A frame that would be believed."""
+    return msgpack.packb(msgpack.unpackb(frame) | {"epoch": FORGED_EPOCH, "sequence": random.randrange(10**6)})
+
+
+def with_wrong_role(frames: dict[str, list[bytes]]) -> int:
+    """Frames as they should be, by those who may not send them: forged ones and replayed ones, with a publisher
+    and without.
+    """
+    ways = [(role, key) for role in ("display", "recorder", "sensors", "controller") for key in frames]
+    ways = [(role, key) for role, key in ways if (role, key) != ("controller", "plan")]
+    sent = 0
+    for role, key in ways:
+        with opened(CERTS, role) as session:
+            publisher = session.declare_publisher(f"{NAMESPACE}/{key}", congestion_control=KEPT)
+            while not publisher.matching_status.matching:
+                time.sleep(0.01)
+            for i in range(WRONG_ROLE // len(ways)):
+                frame = random.choice(frames[key])
+                publisher.put(frame if i % 2 else forged(frame))
+                sent += 1
+            session.put(f"{NAMESPACE}/{key}", forged(frames[key][0]), congestion_control=KEPT)
+            session.delete(f"{NAMESPACE}/{key}", congestion_control=KEPT)
+            sent += 2
+    return sent
+
+
+def with_stolen_key(estimates: list[bytes]) -> int:
+    """The estimator's own certificate: it may send, so that the reader has to refuse what was sent before, what is
+    broken and what is too large.
+    """
+    fields = msgpack.unpackb(estimates[-1])
+    broken = [
+        b"",
+        b"\xc1",
+        random.randbytes(200),
+        msgpack.packb([1, 2, 3]),
+        msgpack.packb(fields | {"north_m": float("nan")}),
+        msgpack.packb({name: value for name, value in fields.items() if name != "heading_rad"}),
+        msgpack.packb(fields | {"admin": True}),
+        msgpack.packb(fields | {"epoch": "x"}),
+        estimates[-1][:-7],
+    ]
+    with opened(CERTS, "estimator") as session:
+        publisher = session.declare_publisher(f"{NAMESPACE}/estimate", congestion_control=KEPT)
+        while not publisher.matching_status.matching:
+            time.sleep(0.01)
+        for i in range(REPLAYED):
+            publisher.put(estimates[i % len(estimates)])
+        for i in range(MALFORMED):
+            publisher.put(broken[i % len(broken)])
+        for _ in range(OVERSIZED):
+            publisher.put(bytes(3 * MEBIBYTE // 2))  # more than a message may have
+        publisher.put(bytes(5 * MEBIBYTE))  # more than any session takes in
+        time.sleep(0.5)  # a session that closes takes along what it has not sent yet
+    return REPLAYED + MALFORMED + OVERSIZED
+
+
+def main() -> None:
+    random.seed(0)
+    frames = overheard(("plan", "estimate", "applied", "clock"))
+    connections = refused_connections()
+    denied = with_wrong_role({**frames, "command": frames["clock"]})
+    refused = with_stolen_key(frames["estimate"])
+    print(json.dumps({"connections": connections, "denied": denied, "refused": refused}))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,133 @@
+"""A run under attack: an intruder's frames are denied or refused, and seen, and the vehicle never hears of them."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.signals import NodeStatus, RunEvent, StepRecord
+from services.bus import certificates
+from services.bus.mailbox import Mailbox
+from services.bus.roles import ROLES
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import decode
+from services.process.stopping import StopRequest
+
+CLI = [sys.executable, "-P", "-m", "services.cli"]
+INTRUDER = Path(__file__).with_name("intruder.py")
+FORGED_EPOCH = 0xBAD
+ENOUGH = 50  # messages that steps were given, to say something of them
+PATIENCE_S = 90.0
+
+
+def ended_in_order(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+
+
+def router_of(run: Path, launcher: subprocess.Popen[bytes], log: Path) -> tuple[str, str]:
+    """Endpoint and namespace, off the router's command line."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        assert launcher.poll() is None, log.read_text()
+        if (run / "run.mcap").exists() and (run / "run.mcap").stat().st_size > 100_000:
+            break
+        time.sleep(0.05)
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().decode(errors="replace").split("\0")
+        except OSError:
+            continue
+        if "services.launch.child" in words and "router" in words and str(launcher.pid) in words:
+            return words[words.index("--listen") + 1], words[words.index("--namespace") + 1]
+    raise AssertionError(f"no router: {log.read_text()}")
+
+
+class Ears:
+    """What the processes say of themselves while it lasts: their steps, their counts, what the router has denied."""
+
+    def __init__(self) -> None:
+        self.box = Mailbox()
+        self.taken: list[tuple[str, int, int]] = []  # key, epoch, sequence: into steps of plant and controller
+        self.own: set[int] = set()  # epochs of the run's processes
+        self.status: dict[str, NodeStatus] = {}
+        self.denied: list[str] = []
+
+    def subscribe(self, session: Session) -> None:
+        for kind in (StepRecord, NodeStatus, RunEvent):
+            session.subscribe(f"{BY_SIGNAL[kind].key}/*", BY_SIGNAL[kind], self.box)
+
+    def hear(self, timeout_s: float) -> bool:
+        frame = self.box.take(timeout_s)
+        if frame is None or frame.topic is None:
+            return False
+        said, header = decode(frame.topic.signal, frame.payload)
+        if isinstance(said, NodeStatus):
+            self.own.add(header.epoch)
+            self.status[said.node] = said
+        elif isinstance(said, StepRecord) and said.node in ("plant", "controller"):
+            self.taken += [(entry.key, entry.epoch, entry.sequence) for entry in said.inbox]
+        elif isinstance(said, RunEvent) and said.node == "router":
+            self.denied.append(said.text)
+        return True
+
+    def rejected(self, node: str) -> int:
+        return self.status[node].rejected if node in self.status else 0
+
+
+@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="the router's place is read off /proc")
+def test_ten_thousand_frames_of_an_intruder_reach_neither_the_plant_nor_the_controller(tmp_path: Path) -> None:
+    run, certs, foreign, log = (tmp_path / name for name in ("run", "certs", "foreign", "launcher.log"))
+    certificates.make(certs, ROLES, days=1)
+    certificates.make(foreign, ROLES, days=1)
+    options = ("--duration-s", "1000", "--speed", "2", "--certs", str(certs), "--out", str(run))
+    ears = Ears()
+    with log.open("wb") as output:
+        launcher = subprocess.Popen([*CLI, "sim", *options], stdin=subprocess.DEVNULL, stdout=output, stderr=output)
+    try:
+        endpoint, namespace = router_of(run, launcher, log)
+        bus = BusOptions(connect=(endpoint,), namespace=namespace, certs=certs, role="display")
+        with open_session(bus, stop=StopRequest(), say=print) as session:
+            ears.subscribe(session)
+            attack = subprocess.run(
+                [sys.executable, str(INTRUDER), endpoint, namespace, str(certs), str(foreign)],
+                capture_output=True,
+                text=True,
+                timeout=PATIENCE_S,
+                check=False,
+            )
+            assert attack.returncode == 0, attack.stderr
+            sent = json.loads(attack.stdout)
+            until = time.monotonic() + PATIENCE_S
+            while ears.rejected("controller") < sent["refused"] or ears.rejected("router") < sent["denied"]:
+                assert time.monotonic() < until, f"never turned away: {sent}, {ears.status}"
+                assert launcher.poll() is None, log.read_text()
+                ears.hear(0.1)
+            while ears.hear(0.5) and time.monotonic() < until and len(ears.taken) < ENOUGH:
+                pass
+        launcher.send_signal(signal.SIGINT)
+        assert launcher.wait(PATIENCE_S) == 130
+    finally:
+        ended_in_order(launcher)
+    assert sent["denied"] + sent["refused"] + sent["connections"] > 10_000
+
+    # What the plant's and the controller's steps were given, each frame once, comes from the run's own processes.
+    assert len(ears.taken) >= ENOUGH
+    assert len(set(ears.taken)) == len(ears.taken)
+    assert FORGED_EPOCH not in {epoch for _, epoch, _ in ears.taken}
+    assert {epoch for _, epoch, _ in ears.taken} <= ears.own
+
+    # The reader counts what it has refused, and the router what it has denied.
+    assert ears.rejected("controller") == sent["refused"]
+    assert ears.rejected("plant") == 0
+    assert any(re.search(r"display may not put on \S+/plan", text) for text in ears.denied)
+    assert "denied" in log.read_text()
