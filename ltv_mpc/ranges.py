@@ -170,6 +170,7 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "dropped": COUNT,
         "rejected": COUNT,
         "step_us": MICROSECONDS,
+        "behind_us": MICROSECONDS,
     },
     ControllerStatus: {
         "t_ns": TIME,

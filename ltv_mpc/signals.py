@@ -457,6 +457,7 @@ class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
     dropped: int
     rejected: int
     step_us: float  # mean wall time of a step since the last status
+    behind_us: int = 0  # wall time that the message taken last had waited
     finished: bool = False  # it has done all that it was asked for
 
 

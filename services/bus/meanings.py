@@ -199,6 +199,7 @@ OF: Mapping[str, Mapping[str, str]] = {
         "dropped": "messages that never came so far, by gaps in the sequences",
         "rejected": "messages refused so far",
         "step_us": "mean wall time of a step since the last status",
+        "behind_us": "wall time that the message taken last had waited; the clock is slowed for who is far behind",
         "finished": "its last word",
     },
     "RunEvent": {"t_ns": "when it happened", "kind": "one word"},

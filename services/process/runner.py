@@ -152,6 +152,7 @@ class Runner:
                 wake_us = min(wake_us, self._timekeeping.due_us)
             frame = self.mailbox.take((wake_us - now_us) / 1e6)
             if frame is not None:
+                self._status.behind_us = max(0, monotonic_us() - frame.received_monotonic_us)
                 self._take(frame)
             if due is None:
                 continue
@@ -271,7 +272,7 @@ class Runner:
         if isinstance(signal, Clock):
             self._hear_clock(signal)
         elif isinstance(signal, NodeStatus) and self._timekeeping is not None:
-            self._timekeeping.heard(signal)
+            self._timekeeping.heard(signal, monotonic_us(), self._node.name)
         if kind not in self._node.reads:
             return
         self._inbox.add(

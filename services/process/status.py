@@ -56,6 +56,7 @@ class StatusReport:
         self._clock_heard_us: int | None = None
         self._busy_us, self._busy_steps = 0, 0
         self.steps = 0
+        self.behind_us = 0  # how long the message taken last had waited
         self.due_us = 0
 
     def heard(self, kind: type[Signal]) -> None:
@@ -94,6 +95,7 @@ class StatusReport:
                 dropped=max(self._counts.dropped, self._mailbox.overflowed),
                 rejected=self._counts.rejected,
                 step_us=self._busy_us / self._busy_steps if self._busy_steps else 0.0,
+                behind_us=self.behind_us,
                 finished=finished,
             )
         )

@@ -13,6 +13,8 @@ REPEAT_US = 100_000
 TELL_US = 1_000_000  # at most so often it is said that the clock was slowed; it is counted always
 MOST_CATCH_UP_US = 100_000
 """By how much wall time the grid may be behind; what is beyond that the clock gives up."""
+MOST_BEHIND_US = 20_000
+"""The same of what waits at another process: estimates come through two of them before a plan is made of them."""
 
 
 class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
@@ -49,10 +51,12 @@ class TimeKeeping:
         """The nodes that are not ready."""
         return ", ".join(self._missing)
 
-    def heard(self, status: NodeStatus) -> None:
-        """Another process's word."""
+    def heard(self, status: NodeStatus, now_us: int, node: str) -> None:
+        """Another process's word. Who cannot keep up is waited for, as this process itself is."""
         if status.ready and not status.finished:
             self._missing.pop(status.node, None)
+        if self._keeper.message.state is ClockState.RUNNING:
+            self._give_up(status.behind_us - MOST_BEHIND_US, now_us, node)
 
     def tend(self, now_us: int) -> None:
         """What is due by the wall: the start, the repetition."""
@@ -63,7 +67,10 @@ class TimeKeeping:
 
     def late(self, now_us: int, due_us: int, node: str) -> None:
         """A step of the grid that was due at ``due_us`` starts only now."""
-        beyond_us = now_us - due_us - MOST_CATCH_UP_US
+        self._give_up(now_us - due_us - MOST_CATCH_UP_US, now_us, node)
+
+    def _give_up(self, beyond_us: int, now_us: int, node: str) -> None:
+        """So much of wall time that nobody catches up with."""
         if beyond_us <= 0 or self._keeper.message.at_monotonic_us > now_us:  # a change is on its way already
             return
         self._change(self._keeper.slow(now_us, beyond_us), now_us)

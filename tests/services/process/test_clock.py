@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.signals import ClockState, NodeStatus
 from services.process.clock import LEAD_US, ClockError, Line, TimeKeeper, VehicleClock
-from services.process.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
+from services.process.timekeeping import MOST_BEHIND_US, MOST_CATCH_UP_US, KeepsTime, TimeKeeping
 
 START_NS = -1_000_000_000
 T0_US = 50_000_000
@@ -216,11 +216,11 @@ def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:
     clock = VehicleClock()
     keeping = keeping_time(clock, sent, "sensors", "controller")
     keeping.tend(T0_US)
-    keeping.heard(status("controller"))
+    keeping.heard(status("controller"), T0_US, "plant")
     keeping.tend(T0_US + 1)
     assert keeping.waiting_for == "sensors"
     assert clock.due_us(START_NS) is None
-    keeping.heard(status("sensors"))
+    keeping.heard(status("sensors"), T0_US, "plant")
     keeping.tend(T0_US + 2)
     assert clock.due_us(START_NS) == T0_US + 2 + LEAD_US
 
@@ -241,9 +241,30 @@ def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_c
     assert len(sent) == 4
 
 
-def status(node: str) -> NodeStatus:
+def test_who_cannot_keep_up_is_waited_for() -> None:
+    """An estimator whose inputs wait longer and longer: the clock stands still for what is beyond the bound."""
+    sent: list[object] = []
+    clock = VehicleClock()
+    keeping = keeping_time(clock, sent, "estimator")
+    keeping.heard(status("estimator", behind_us=10**9), T0_US, "plant")
+    keeping.tend(T0_US)
+    begun = len(sent)
+    now_us = T0_US + 5_000_000
+    keeping.heard(status("estimator", behind_us=MOST_BEHIND_US), now_us, "plant")
+    assert len(sent) == begun
+    before = clock.at(now_us + 10 * LEAD_US)
+    keeping.heard(status("estimator", behind_us=MOST_BEHIND_US + 30_000), now_us, "plant")
+    assert len(sent) == begun + 2  # the clock, and an event that counts
+    after = clock.at(now_us + 10 * LEAD_US)
+    assert before is not None
+    assert after is not None
+    assert before - after == 300_000_000  # 30 ms of wall time at speed 10
+
+
+def status(node: str, behind_us: int = 0) -> NodeStatus:
     return NodeStatus(
         node=node,
+        behind_us=behind_us,
         t_ns=0,
         ready=True,
         waiting_for="",
