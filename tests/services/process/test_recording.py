@@ -42,8 +42,11 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
         deadline = time.monotonic() + 20
         while not loop.received and time.monotonic() < deadline:  # its own first word
             time.sleep(0.01)
+        before = loop.received
         say(out, session.publisher(KEY).put)
-        time.sleep(0.2)
+        while loop.received == before and time.monotonic() < deadline:
+            time.sleep(0.01)
+        time.sleep(0.2)  # the others come right behind the first
         stop.ask()
         thread.join(20)
         assert not thread.is_alive()
