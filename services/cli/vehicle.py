@@ -1,4 +1,4 @@
-"""Your vehicle: ``controller``; ``localise`` and ``topics`` have files of their own."""
+"""Your vehicle: ``controller``; the panel's other commands have files of their own."""
 
 from __future__ import annotations
 
