@@ -17,7 +17,6 @@ from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon import velocity_over_ground
 from ltv_mpc.control.limits import ThrustLimits
-from ltv_mpc.control.qp.sparse import STATE_SCALE
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -35,7 +34,7 @@ class CvxpyOsqp(Peer):
     def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w = self.stages, self.weights
-        self._scale = np.concatenate([STATE_SCALE, limits.scale])
+        self._scale = np.concatenate([limits.state_scale, limits.scale])
         self._rows, self._columns = _dynamics_pattern(N)
         z, du, velocity = cp.Variable(STATES * N), cp.Variable(2 * N), cp.Variable(2)
         self._du = du
@@ -79,7 +78,7 @@ class CvxpyOsqp(Peer):
         self._plan.value, self._first.value = lin.U[1:] / F, lin.U[:1] / F
         self._low.value, self._high.value = low / F, high / F
         self._wanted.value = self.reference - lin.X[1:, :2]
-        self._slope.value, self._velocity.value = slope * STATE_SCALE[2:5], velocity
+        self._slope.value, self._velocity.value = slope * self._scale[2:5], velocity
         try:
             with warnings.catch_warnings():  # that cvxpy itself reads the sparse parameter's dense value
                 warnings.simplefilter("ignore", RuntimeWarning)

@@ -14,6 +14,7 @@ import numpy as np
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.scales import slowness
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
@@ -30,6 +31,7 @@ class Objective(NamedTuple):
     high: Array
     change: Array  # N over the first stage
     scale: Array  # N: a thrust of 1 in the cost
+    state_scale: Array  # (6,) a state of 1 in the QP
     t: Array  # (N+1,) knots in first stages: grid.py
 
 
@@ -40,6 +42,7 @@ class Constants(NamedTuple):
     p: Coefficients
     vertical: Array  # (3,) least and most thrust (N) and slew (N/s) of the vertical thruster
     stage_s: float  # of the first stage
+    slowness: float  # the vehicle's time by that of the paper's: scales.py
 
 
 def pack_objective(knots: Array, limits: ThrustLimits, weights: Weights) -> Array:
@@ -51,13 +54,14 @@ def pack_objective(knots: Array, limits: ThrustLimits, weights: Weights) -> Arra
         weights.thrust,
         weights.thrust_change,
     )
-    return np.concatenate([cost, limits.low, limits.high, limits.change, limits.scale, [len(knots)], knots])
+    bounds = (limits.low, limits.high, limits.change, limits.scale)
+    return np.concatenate([cost, *bounds, limits.state_scale, [len(knots)], knots])
 
 
 def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float) -> Array:
     """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s."""
     vertical = vehicle.thrusters[2]
-    rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s)
+    rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, slowness(vehicle))
     ours = pack_objective(knots, ThrustLimits.of(vehicle, stage_s), weights)
     return np.concatenate([ours, vehicle.coefficients(), rest])
 
@@ -65,16 +69,23 @@ def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float) -> Ar
 @kernel
 def objective(flat: Array) -> Objective:
     """The inverse of ``pack_objective``; the beginning of what ``pack`` makes serves as well."""
-    end = 14 + int(flat[13])
+    end = 20 + int(flat[19])
     return Objective(
-        flat[0], flat[1], flat[2], flat[3], flat[4], flat[5:7], flat[7:9], flat[9:11], flat[11:13], flat[14:end]
-    )
+        flat[0], flat[1], flat[2], flat[3], flat[4],
+        flat[5:7], flat[7:9], flat[9:11], flat[11:13], flat[13:19], flat[20:end],
+    )  # fmt: skip
 
 
 @kernel
 def length(o: Objective, k: int) -> float:
     """Of the stage that ends at knot k = 1 .. N, in first stages."""
     return float(o.t[k] - o.t[k - 1])
+
+
+@kernel
+def state_scale(i: int, o: Objective) -> float:
+    """What state i = 0 .. 7 of 1 means in the QP: a delivered thrust is scaled as its command."""
+    return float(o.state_scale[i] if i < 6 else o.scale[i - 6])
 
 
 @kernel
@@ -89,5 +100,5 @@ def coefficients(flat: Array) -> Coefficients:
 @kernel
 def constants(flat: Array) -> Constants:
     """The inverse of ``pack``."""
-    rest = flat[14 + int(flat[13]) :]
-    return Constants(objective(flat), coefficients(rest[:19]), rest[19:22], rest[22])
+    rest = flat[20 + int(flat[19]) :]
+    return Constants(objective(flat), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])

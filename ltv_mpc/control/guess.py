@@ -25,7 +25,9 @@ from ltv_mpc.vehicle.flow import STATES, advance_stage
 from ltv_mpc.vehicle.parameters import Coefficients
 
 APPROACH_S = 4.0
-"""T_p: an error is to be gone in about the length of a horizon."""
+"""T_p: an error is to be gone in about the length of a horizon. Like the other two of the paper's vehicle: another's
+go with its own time, ``Constants.slowness``.
+"""
 SURGE_S = 1.0
 """T_u: the surge's own time constant at half speed."""
 TURN_RADPS = 0.5
@@ -71,18 +73,18 @@ def steer(X0: Array, U0: Array, C: Array, target: Array, astern: bool, c: Consta
         h = g * c.stage_s
         # w = (ref - p) / T_p + ref' - c, limited
         vn, ve = _wanted_velocity(target, k, o, c.stage_s)
-        wn = (target[k, 0] - vn * h - x[0]) / APPROACH_S + vn - C[k, 0]
-        we = (target[k, 1] - ve * h - x[1]) / APPROACH_S + ve - C[k, 1]
+        wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * c.slowness) + vn - C[k, 0]
+        we = (target[k, 1] - ve * h - x[1]) / (APPROACH_S * c.slowness) + ve - C[k, 1]
         size = np.sqrt(wn * wn + we * we)
         if size > fastest:
             wn, we = wn * fastest / size, we * fastest / size
         turn = np.arctan2(sign * we, sign * wn) - x[4]
         turn -= 2.0 * np.pi * np.round(turn / (2.0 * np.pi))
         wanted = wn * np.cos(x[4]) + we * np.sin(x[4])
-        w0 = min(TURN_RADPS, TURN_A_STAGE / h)
+        w0 = min(TURN_RADPS / c.slowness, TURN_A_STAGE / h)
         yaw = p.inertia_yaw * (w0 * w0 * turn - 2.0 * w0 * x[5])
         surge = (
-            p.mass_surge * (wanted - x[2]) / max(SURGE_S, h)
+            p.mass_surge * (wanted - x[2]) / max(SURGE_S * c.slowness, h)
             + (p.linear_surge + p.quadratic_surge * abs(wanted)) * wanted
         )
         # F1 + F2 = X, F1 a1 - F2 a2 = N

@@ -11,17 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltv_mpc.compiled import kernel
+from ltv_mpc.control.scales import state_scale
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 
 @dataclass(frozen=True, slots=True)
 class ThrustLimits:
-    """Box (2,) each and the largest change over the first stage (2,), in N."""
+    """Box (2,) each and the largest change over the first stage (2,), in N; and what is of order one besides them."""
 
     low: Array
     high: Array
     change: Array
+    state_scale: Array
+    """(6,) a state of 1 in the QP: n, e (m), u, v (m/s), psi (rad), r (rad/s)."""
 
     @classmethod
     def of(cls, vehicle: Vehicle, stage_s: float) -> ThrustLimits:
@@ -31,6 +34,7 @@ class ThrustLimits:
             np.array([t.min_N for t in lateral]),
             np.array([t.max_N for t in lateral]),
             np.array([t.slew_N_per_s for t in lateral]) * stage_s,
+            state_scale(vehicle),
         )
 
     @property

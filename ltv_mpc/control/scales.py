@@ -27,8 +27,10 @@ import math
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from ltv_mpc.control.config import ControllerConfig, SettledConfig, Weights
+from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 
@@ -61,6 +63,22 @@ def scales_of(vehicle: Vehicle) -> Scales:
     rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), FASTEST_RADPS)
     turn = math.sqrt(1.0 / rate**2 + 2.0 * p.inertia_yaw / couple)
     return Scales(speed, p.mass_surge * speed / push + turn + max(p.lag_port, p.lag_starboard))
+
+
+def slowness(vehicle: Vehicle) -> float:
+    """T by that of the paper's vehicle."""
+    return _rounded(scales_of(vehicle).time_s / PAPER.time_s)
+
+
+def state_scale(vehicle: Vehicle) -> Array:
+    """What a state of 1 means in the QP (6,): n, e (m), u, v (m/s), psi (rad), r (rad/s).
+
+    1 m, 0.3 m/s, 1 rad and 0.3 rad/s for the paper's vehicle; lengths go with L, velocities with V, rates with 1 / T.
+    """
+    of = scales_of(vehicle)
+    length, speed = of.length_m / PAPER.length_m, of.speed_mps / PAPER.speed_mps
+    scale = (length, length, 0.3 * speed, 0.3 * speed, 1.0, 0.3 * PAPER.time_s / of.time_s)
+    return np.array([_rounded(s) for s in scale])
 
 
 def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:

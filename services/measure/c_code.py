@@ -17,7 +17,7 @@ from scipy.sparse import csc_matrix, triu
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH
+from ltv_mpc.control.qp.sparse import WIDTH
 from ltv_mpc.control.solvers import sparse_osqp
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.errors import ConfigError
@@ -111,7 +111,7 @@ def export(folder: Path, solver: SparseOsqp, before: Array, config: ControllerCo
     (folder / "mpc_layout.h").write_text(
         LAYOUT.format(
             width=WIDTH,
-            scales=", ".join(f"{s:g}" for s in (*STATE_SCALE, *scale, *scale)),
+            scales=", ".join(f"{s:g}" for s in (*form.state_scale, *scale)),
             states=STATES,
             stages=form.stages,
             knots="{" + ", ".join(f"{t:.9g}" for t in config.knots * STAGE_NS * 1e-9) + "}",

@@ -29,7 +29,7 @@ N = 8
 VEHICLE = Vehicle.load("paper")
 CONFIG = SettledConfig(horizon_s=N * H)
 LIMITS = ThrustLimits.of(VEHICLE, H)
-NO_SLEW = ThrustLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3))
+NO_SLEW = ThrustLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3), LIMITS.state_scale)
 P = VEHICLE.coefficients()
 
 # What the peers' own packages warn of is theirs.

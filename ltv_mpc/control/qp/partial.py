@@ -34,7 +34,6 @@ from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.condensed import commands, gradient, thrust_bounds, thrust_terms
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.control.qp.sparse import STATE_SCALE
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
 
@@ -57,7 +56,7 @@ class PartialForm:
         self.rows = self.states + 4 * N - 2
         self._numbers = pack_objective(knots, limits, weights)
         self.thrust_scale = limits.scale
-        self._scale = np.concatenate([STATE_SCALE, limits.scale])
+        self._scale = np.concatenate([limits.state_scale, limits.scale])
         width = STATES + 2 * (int(np.diff(self.ends).max()) + 1)
         self._cost = np.zeros((blocks, width, width))  # of the knots inside a block, and of its end
         self._end = np.zeros((blocks, STATES, STATES))

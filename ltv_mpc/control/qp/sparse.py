@@ -11,8 +11,9 @@ thrusters' largest thrust; dX = X - Xbar. The terminal velocity is what tells a 
 that passes, or orbits, it: within a short horizon both are as near. The sparsity pattern is fixed by N: only numbers
 change from cycle to cycle.
 
-Variables are scaled to be of order one, z_k = [dX_k / STATE_SCALE, dU_k / F] and p'_N - ref'_N at the end; the rows of
-the dynamics are divided by the same scales. What else a solver wants of its rows is the solver's own business.
+Variables are scaled to be of order one, z_k = [dX_k / S, dU_k / F] and p'_N - ref'_N at the end; the rows of the
+dynamics are divided by the same scales. S comes from the vehicle (scales.py), its last two are F. What else a solver
+wants of its rows is the solver's own business.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.constants import length, objective, pack_objective
+from ltv_mpc.control.constants import length, objective, pack_objective, state_scale
 from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
 from ltv_mpc.control.limits import ThrustLimits, bounds
 from ltv_mpc.control.qp import rows
@@ -41,9 +42,6 @@ Places = npt.NDArray[np.int64]
 
 WIDTH = STATES + 2
 """Variables a stage: the state at its end and both commands there."""
-
-STATE_SCALE = np.array([1.0, 1.0, 0.3, 0.3, 1.0, 0.3])
-"""n, e (m), u, v (m/s), psi (rad), r (rad/s); the two thrusts are scaled by their limits."""
 
 STATE_PATTERN = np.ones((STATES, STATES), dtype=bool)
 """Which entries of A can be other than zero: positions carry over and depend on the rest; thrust on itself."""
@@ -92,7 +90,7 @@ class SparseForm:
         self.rows = self.equalities + 4 * stages
         self._position = position
         self.numbers = pack_objective(knots, limits, weights)
-        self.state_scale = np.concatenate([STATE_SCALE, limits.scale])
+        self.state_scale = np.concatenate([limits.state_scale, limits.scale])
         self.P = self._cost()
         self._make_pattern()
 
@@ -102,7 +100,7 @@ class SparseForm:
         N, r = self.stages, self.weights.thrust * self._lengths[:, None]
         s = self.weights.thrust_change / self._lengths[:, None]
         diagonal = np.zeros((N, WIDTH))
-        diagonal[:, :2] = self._position[:, None] * STATE_SCALE[:2] ** 2
+        diagonal[:, :2] = self._position[:, None] * self.limits.state_scale[:2] ** 2
         # r_k |U_k|^2 + s_k |U_k - U_(k-1)|^2 + s_(k+1) |U_(k+1) - U_k|^2, the last one without a successor
         diagonal[:, STATES:] = r + s
         diagonal[:-1, STATES:] += s[1:]
@@ -233,13 +231,13 @@ def fill(
         r, s = c.thrust * g, c.thrust_change / g
         for i in range(STATES):
             # -dX_(k+1) + A dX_k + B0 dU_k + B1 dU_(k+1) = Xbar_(k+1) - Phi_k
-            scale = STATE_SCALE[i] if i < 6 else F[i - 6]
+            scale = state_scale(i, c)
             l[row + i] = u[row + i] = (X[k + 1, i] - lin.Phi[k, i]) / scale
             q[column + i] = 0.0
         weight = c.position * g + (c.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             # w_k (p_k - ref_k)
-            q[column + i] = weight * (X[k + 1, i] - target[k, i]) * STATE_SCALE[i]
+            q[column + i] = weight * (X[k + 1, i] - target[k, i]) * c.state_scale[i]
             # r U_k + s (U_k - U_(k-1)) - s (U_(k+1) - U_k)
             step = (U[k + 1, i] - U[k, i]) / F[i]
             q[column + STATES + i] = r * U[k + 1, i] / F[i] + s * step
@@ -255,7 +253,7 @@ def fill(
         l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
         q[N * WIDTH + i] = 0.0
         for j in range(3):
-            data[to.velocity[3 * i + j]] = slope[i, j] * STATE_SCALE[2 + j]
+            data[to.velocity[3 * i + j]] = slope[i, j] * c.state_scale[2 + j]
 
 
 def build_qp(

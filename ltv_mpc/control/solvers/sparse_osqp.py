@@ -23,7 +23,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import SettledConfig
-from ltv_mpc.control.constants import Objective, length, objective
+from ltv_mpc.control.constants import length, objective, state_scale
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import (
     Linearisation,
@@ -37,7 +37,7 @@ from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.qp.failed import worst
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH, Places, SparseForm, fill, map_of
+from ltv_mpc.control.qp.sparse import WIDTH, Places, SparseForm, fill, map_of
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Settings, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
@@ -271,7 +271,7 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
             d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
         last[:] = d
         for i in range(STATES):
-            x[k * WIDTH + i] = d[i] / _state_scale(i, c)
+            x[k * WIDTH + i] = d[i] / state_scale(i, c)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
@@ -287,17 +287,12 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
     for k in range(N - 1, -1, -1):
         weight = c.position * length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
-            scale = STATE_SCALE[i]
+            scale = c.state_scale[i]
             costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
         for i in range(STATES):
-            y[k * STATES + i] = costate[i] * _state_scale(i, c)
+            y[k * STATES + i] = costate[i] * state_scale(i, c)
         transposed_times(lin.A, k, costate, before)
         costate[:] = before
-
-
-@kernel
-def _state_scale(i: int, c: Objective) -> float:
-    return float(STATE_SCALE[i] if i < 6 else c.scale[i - 6])
 
 
 @kernel

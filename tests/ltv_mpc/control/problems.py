@@ -16,7 +16,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
 LIMITS = ThrustLimits.of(PAPER, 0.3)
-LOWERED = ThrustLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.change)
+LOWERED = ThrustLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.change, LIMITS.state_scale)
 """A box that was just made smaller: a command can be outside of it."""
 
 

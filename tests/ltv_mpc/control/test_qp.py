@@ -10,10 +10,10 @@ from ltv_mpc.control.constants import objective
 from ltv_mpc.control.horizon import roll_out, velocity_over_ground
 from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH
+from ltv_mpc.control.qp.sparse import WIDTH
 from ltv_mpc.control.trajectory import cost
 from ltv_mpc.vehicle.parameters import Vehicle
-from tests.ltv_mpc.control.problems import precise
+from tests.ltv_mpc.control.problems import LIMITS, precise
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
@@ -32,7 +32,7 @@ def test_the_constraints_are_the_dynamics_box_and_slew_of_the_trajectory(cycles)
         step = lin.Phi[k] + lin.A[k] @ (X[k] - lin.X[k])
         X.append(step + lin.B0[k] @ (U[k] - lin.U[k]) + lin.B1[k] @ (U[k + 1] - lin.U[k + 1]))
     X = np.array(X)
-    scale = np.concatenate([STATE_SCALE, [62.5, 62.5]])
+    scale = np.concatenate([LIMITS.state_scale, [62.5, 62.5]])
     z = np.concatenate([(X[1:] - lin.X[1:]) / scale, (U[1:] - lin.U[1:]) / 62.5], axis=1)
     velocity, slope = velocity_over_ground(lin.X[-1], lin.C[-1])
     end = velocity + slope @ (X[-1] - lin.X[-1])[2:5]
@@ -56,7 +56,7 @@ def test_the_objective_is_the_documented_cost(cycles):
     lin, form = cycle.lin, cycle.form
     N = form.stages
     qp = form.build(lin, cycle.target)
-    scale = np.concatenate([STATE_SCALE, [62.5, 62.5]])
+    scale = np.concatenate([LIMITS.state_scale, [62.5, 62.5]])
     velocity, _ = velocity_over_ground(lin.X[-1], lin.C[-1])
 
     def both(z, end):

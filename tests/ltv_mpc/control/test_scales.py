@@ -9,7 +9,7 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import GivenWeights, SettledConfig, Weights
 from ltv_mpc.control.scales import PAPER as FOUND_FOR
-from ltv_mpc.control.scales import scales_of, settled, weaker_couple, weights_of
+from ltv_mpc.control.scales import scales_of, settled, slowness, state_scale, weaker_couple, weights_of
 from ltv_mpc.errors import ConfigError
 
 PAPER = Vehicle.load("paper")
@@ -44,6 +44,8 @@ def scaled(vehicle: Vehicle, length: float, time: float, mass: float) -> Vehicle
 def test_the_papers_vehicle_has_exactly_the_weights_that_were_found_for_it() -> None:
     assert weights_of(PAPER) == Weights()
     assert scales_of(PAPER) == pytest.approx(FOUND_FOR, rel=1e-5)
+    assert state_scale(PAPER).tolist() == [1.0, 1.0, 0.3, 0.3, 1.0, 0.3]
+    assert slowness(PAPER) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -54,6 +56,12 @@ def test_scales_are_a_speed_and_a_time_whatever_the_units(length: float, time: f
     of = scales_of(scaled(PAPER, length, time, mass))
     assert of.speed_mps == pytest.approx(0.5 * length / time)
     assert of.time_s == pytest.approx(FOUND_FOR.time_s * time, rel=1e-5)
+    speed, rounding = length / time, 6e-3  # three digits
+    units = [length, length, speed, speed, 1.0, 1.0 / time]
+    np.testing.assert_allclose(
+        state_scale(scaled(PAPER, length, time, mass)), state_scale(PAPER) * units, rtol=rounding
+    )
+    assert slowness(scaled(PAPER, length, time, mass)) == pytest.approx(time, rel=rounding)
 
 
 def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.qp.kkt import residuals
-from ltv_mpc.control.qp.sparse import STATE_SCALE, WIDTH
+from ltv_mpc.control.qp.sparse import WIDTH
 from ltv_mpc.control.solvers import osqp_raw, sparse_osqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
@@ -72,7 +72,7 @@ def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_station
     thrusts = np.zeros(len(x), dtype=bool)
     thrusts[:-2].reshape(-1, WIDTH)[:, 8:] = True
     np.testing.assert_allclose(slope[~thrusts], 0.0, atol=1e-9 * np.abs(y).max())
-    assert np.abs(x[:-2].reshape(-1, WIDTH)[:, :6] * STATE_SCALE[:6]).max() > 1e-3  # there were gaps to close
+    assert np.abs(x[:-2].reshape(-1, WIDTH)[:, :6] * LIMITS.state_scale).max() > 1e-3  # there were gaps to close
 
 
 def test_duals_of_box_and_slew_move_along_with_the_plan_and_save_iterations(cycles):
