@@ -150,7 +150,7 @@ def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_
     """A current deeper than the profiler's range, which only the file can have told."""
     known = tmp_path / "known.csv"
     known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
-    s = resolve("descent", [Override("test", ["run.duration_s=1", f"estimator.water_prior={known}"])])
+    s = resolve("descent", [Override("test", ["run.duration_s=8", f"estimator.water_prior={known}"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
     known.unlink()
     outcome = supervisor.run(s, run, Screen())
