@@ -74,6 +74,14 @@ def no_stopwatch(stage: str) -> None:
     """Measure nothing."""
 
 
+Progress: TypeAlias = Callable[[], None]
+"""Called now and then within a step that may take long, so that whoever watches does not take it for a hang."""
+
+
+def no_progress() -> None:
+    """Tell nobody."""
+
+
 @dataclass(frozen=True, slots=True)
 class Phases:
     """A grid of a period that need not divide the truth's: t_ns = k x period_ns."""

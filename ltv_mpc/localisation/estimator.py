@@ -5,6 +5,8 @@ Order   Messages are used in order of their validity times. One that is newer th
         is used at its own time all the same (``late.py``). Older ones and late inertial samples are dropped; so is a
         second message of one sensor and time.
 Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew (``restart.py``).
+Memory  A checkpoint every 5 s, and where the vehicle goes under or comes up; given one with its first messages, a node
+        goes on from there (``resume.py``) where one that is started anew has to wait for satellites.
 Output  An estimate of t_ns = k x period holds everything measured up to and at t_ns that has come: it is published as
         soon as all that the sensors file has due at t_ns without latency is there, at the latest when time goes on.
         What comes later corrects the next one; nothing is published twice.
@@ -24,26 +26,30 @@ from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation import water_column
 from ltv_mpc.localisation.adaptation import Change
 from ltv_mpc.localisation.alignment import Alignment
+from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.health import Monitor, verdict_of
 from ltv_mpc.localisation.late import History, spacing_ns
 from ltv_mpc.localisation.measurements.compass import heading_partials
-from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite
+from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite, usable
+from ltv_mpc.localisation.resume import Resumption
 from ltv_mpc.localisation.state import ATTITUDE, CORE, GYRO_BIAS, Belief, grid
 from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
-from ltv_mpc.node import Inbox, OnMessage
+from ltv_mpc.node import Inbox, OnMessage, Progress, no_progress
 from ltv_mpc.signals import (
     AdcpPing,
     BottomTrack,
     CompassHeading,
     Estimate,
+    EstimatorCheckpoint,
     FilterStatus,
     GnssFix,
     ImuSample,
     LblRange,
     LocalisationReport,
     PressureDepth,
+    Restore,
     Signal,
     TdcpFix,
     UsblFix,
@@ -63,6 +69,10 @@ SENSORS: dict[type[Signal], str] = {
 """What is read, and the name of each in the account: its table's in the sensors file."""
 
 REPORT_NS = 1_000_000_000
+CHECKPOINT_NS = 5_000_000_000
+UNDER_M, UP_M = 1.0, 0.5
+"""Deeper than the one it has gone under, less deep than the other it has come up."""
+
 RECENT_NS = 2_500_000_000
 """What is kept for a filter that begins anew: two headings, if they come once a second."""
 
@@ -108,16 +118,26 @@ class Estimator:
 
     name = "estimator"
     schedule = OnMessage(tuple(SENSORS))
-    reads: tuple[type[Signal], ...] = tuple(SENSORS)
-    writes: tuple[type[Signal], ...] = (Estimate, LocalisationReport)
+    reads: tuple[type[Signal], ...] = (*SENSORS, Restore)
+    writes: tuple[type[Signal], ...] = (Estimate, LocalisationReport, EstimatorCheckpoint)
 
-    def __init__(self, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
+    def __init__(
+        self,
+        suite: Suite,
+        config: EstimatorConfig,
+        prior: WaterPrior | None = None,
+        *,
+        progress: Progress = no_progress,
+    ) -> None:
         """``prior``: of the water, from an earlier dive; None: that of the settings."""
         self._suite = suite
+        self._progress = progress
         self._period_ns = config.estimate_period_ns
         self._config = config
         self._depth_m = grid(config)
-        self._alignment = Alignment(suite, config, prior)
+        self._prior = prior
+        self._settings = settings_of(suite, config, prior)
+        self._alignment: Alignment | Resumption = Alignment(suite, config, prior)
         self._filter: Filter | None = None
         self._history: History | None = None  # of the filter
         self._waiting: list[Aiding] = []  # for the inertial sample that covers them, by time, then arrival
@@ -130,6 +150,9 @@ class Estimator:
         self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MOST_RECENT)
         self._anew: Alignment | None = None  # of the filter that is to take the diverged one's place
         self._report_ns = 0  # of the report to come
+        self._checkpoint_ns = 0  # of the checkpoint to come
+        self._under = False  # water
+        self._resumed_ns: int | None = None  # when it went on from a checkpoint
 
     @property
     def filter(self) -> Filter | None:
@@ -156,7 +179,21 @@ class Estimator:
         for arrival in inbox:
             if isinstance(arrival.signal, ImuSample | Aiding):
                 self._take(arrival.signal, out)
+            elif isinstance(arrival.signal, Restore):
+                self._restore(arrival.signal)
         return out
+
+    def _restore(self, restore: Restore) -> None:
+        """Go on from what another process of this node has left; not where it has begun by itself."""
+        checkpoint = restore.estimator
+        if checkpoint is None or self._filter is not None:
+            return
+        belief = belief_of(checkpoint, self._suite, self._config, self._prior)
+        if belief is None:
+            self._account["checkpoint.of_other_settings"] += 1
+            return
+        self._alignment = Resumption(self._suite, self._config, belief, restore.estimate)
+        self._restarts.count = checkpoint.restarts
 
     def _take(self, message: ImuSample | Aiding, out: list[Signal]) -> None:
         if self._history is not None:
@@ -168,6 +205,10 @@ class Estimator:
         belief, since = self._alignment.belief()
         self._next_ns = (belief.t_ns // self._period_ns + 1) * self._period_ns
         self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
+        self._under = float(belief.x[2]) > UNDER_M
+        self._checkpoint_ns = belief.t_ns
+        if isinstance(self._alignment, Resumption):
+            self._resumed_ns = belief.t_ns
         history = self._begin(belief)
         for earlier in since:
             self._use(history, earlier, out)
@@ -176,7 +217,7 @@ class Estimator:
         """A filter of its own from here on."""
         self._filter = Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
         self._filter.observers.append(self._monitor.hear)
-        self._history = History(self._filter, spacing_ns(self._suite))
+        self._history = History(self._filter, spacing_ns(self._suite), self._progress)
         return self._history
 
     def _use(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
@@ -285,6 +326,18 @@ class Estimator:
             out.append(estimate(filter_, self._depth_m))
             if filter_.belief.t_ns >= self._report_ns:
                 out.append(self._report(filter_))
+            if self._is_checkpoint_due(filter_.belief):
+                out.append(checkpoint_of(filter_, self._settings, self._restarts.count))
+
+    def _is_checkpoint_due(self, belief: Belief) -> bool:
+        """What is doubted is not worth going on from."""
+        depth_m = float(belief.x[2])
+        turned = depth_m < UP_M if self._under else depth_m > UNDER_M
+        due = (turned or belief.t_ns >= self._checkpoint_ns) and not self._restarts.doubts and usable(belief)
+        if due:
+            self._under ^= turned
+            self._checkpoint_ns = (belief.t_ns // CHECKPOINT_NS + 1) * CHECKPOINT_NS
+        return due
 
     def _report(self, filter_: Filter) -> LocalisationReport:
         """Of this second; begins a restart where the filter has diverged."""
@@ -297,7 +350,9 @@ class Estimator:
             status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
         if self._anew is None and self._restarts.watch(filter_.belief, status, broken=self._monitor.broken):
             self._anew = self._restarts.begin(t_ns, self._recent)
-        if self._restarts.recent(t_ns):
+        if self._resumed_ns is not None and t_ns - self._resumed_ns < GRACE_NS:
+            status, why = FilterStatus.RESTARTED, why or "went on from a checkpoint"
+        elif self._restarts.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
             status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"

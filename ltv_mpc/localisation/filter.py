@@ -9,6 +9,7 @@ The vehicle's dynamic model is not fused: what the thrusters do is no evidence h
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -153,6 +154,14 @@ class Filter:
         self._Phi[:] = np.eye(CORE)
         self._Q[:] = 0.0
         self._pending_ns = 0
+
+    def settled(self) -> Belief:
+        """A copy of the belief with its whole covariance at its time; the filter itself stays as it is, bit for bit."""
+        other = copy.copy(self)
+        other.belief, other.water = self.belief.copy(), self.water.copy()
+        other._Phi, other._Q = self._Phi.copy(), self._Q.copy()
+        other.settle()
+        return other.belief
 
     def core_covariance(self) -> Array:
         """Of the core at the belief's time, (15, 15), without moving the rest."""

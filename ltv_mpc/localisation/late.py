@@ -22,6 +22,7 @@ from typing import NamedTuple
 from ltv_mpc.localisation.adaptation import BACK_NS, Change
 from ltv_mpc.localisation.filter import Aiding, Filter, Snapshot
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.node import Progress, no_progress
 from ltv_mpc.signals import ImuSample, LblRange
 
 REACH_NS = 1_250_000_000
@@ -68,8 +69,10 @@ def spacing_ns(suite: Suite) -> int:
 class History:
     """Moves and corrects a filter, and can do so in the past."""
 
-    def __init__(self, filter_: Filter, spacing_ns: int) -> None:
+    def __init__(self, filter_: Filter, spacing_ns: int, progress: Progress = no_progress) -> None:
+        """``progress`` is called with every move, of which a way back may take a thousand."""
         self.filter = filter_
+        self._progress = progress
         self._spacing_ns = spacing_ns
         self._stretches = [_Stretch(filter_.snapshot(), [])]
 
@@ -82,6 +85,7 @@ class History:
             stretches.append(_Stretch(self.filter.snapshot(), []))
             while len(stretches) > 1 and stretches[1].t_ns <= now_ns - BACK_NS:
                 del stretches[0]
+        self._progress()
         self.filter.advance(t_ns, sample)
         stretches[-1].done.append(Done(t_ns, sample))
 

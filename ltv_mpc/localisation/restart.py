@@ -83,6 +83,11 @@ class Restarts:
         """A good one; only then can a filter begin anew."""
         return bool(self._places)
 
+    @property
+    def doubts(self) -> bool:
+        """The filter's innovations are out of their band."""
+        return self._bad_since_ns is not None
+
     def recent(self, t_ns: int) -> bool:
         """It has begun anew a short while ago."""
         return self._last_ns is not None and t_ns - self._last_ns < GRACE_NS

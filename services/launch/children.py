@@ -2,40 +2,107 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO
 
+from services.launch.child import PULSE, TURN
+from services.launch.heartbeat import HUNG_S, Heartbeat
 from services.launch.orphans import Guard
+from services.process.supervised import FORMAT, LAST, LENGTH, READY
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
+PIPE_BYTES = 1 << 20  # what is said to a child fits into its pipe, so that a stopped one holds nobody up
+BEATS = 4096  # bytes taken at once
+EXIT_S = 0.2  # from the end of its pipes to that of the process
 
 
 class Child:
-    """Spawn from the main thread only: a child dies with the thread that spawned it."""
+    """Spawn from the main thread only: a child dies with the thread that spawned it.
 
-    def __init__(self, name: str, command: list[str], *, log: Path, guard: Guard) -> None:
+    ``turn``: None for one that begins at once; NOW or LATER for one that waits for ``take_turn``, and until then loads
+    what it will need as fast as it can, or only while nobody else wants the processor.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        command: list[str],
+        *,
+        log: Path,
+        guard: Guard,
+        turn: str | None = None,
+        patience_s: float = HUNG_S,
+    ) -> None:
         self.name = name
+        self.ready = False  # a spare has loaded all that it will need
+        self.gone = False  # it has closed its pulse: nothing more comes from it
+        self.heartbeat = Heartbeat(patience_s)
         self._log = log
         self._guard = guard
         self._released = False
-        with log.open("wb") as output:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "services.launch.child", str(os.getpid()), *command],
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+        self.pulse, beats = os.pipe()
+        """To be watched: it can be read when the child beats, and when it is no more."""
+        os.set_blocking(self.pulse, False)
+        words = [f"{PULSE}{beats}", *([] if turn is None else [f"{TURN}{turn}"])]
+        try:
+            with log.open("wb") as output:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "services.launch.child", str(os.getpid()), *command, *words],
+                    stdin=subprocess.PIPE,
+                    stdout=output,
+                    stderr=subprocess.STDOUT,
+                    start_new_session=True,
+                    pass_fds=(beats,),
+                )
+        finally:
+            os.close(beats)
+        _widen(self._process.stdin)
         guard.watch(self.pid)
 
     @property
     def pid(self) -> int:
         """Of the process."""
         return self._process.pid
+
+    def take_turn(self, restore: bytes) -> None:
+        """It takes a dead one's place; ``restore`` is the state to go on from, as it travels, or nothing."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it is dead itself, which shows elsewhere
+            self._process.stdin.write(LENGTH.pack(len(restore)) + restore)
+            self._process.stdin.flush()
+
+    def listen(self) -> None:
+        """Take the pulses that have come; after the last one of all, wait for the exit, which is not far."""
+        with contextlib.suppress(BlockingIOError):
+            while beats := os.read(self.pulse, BEATS):
+                for (at_us,) in FORMAT.iter_unpack(beats):
+                    if at_us == READY:
+                        self.ready = True
+                    elif at_us == LAST:
+                        self.heartbeat.end()
+                    else:
+                        self.heartbeat.beat(at_us / 1e6)
+            self.gone = True
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(EXIT_S)
+
+    def starved_s(self) -> float:
+        """How long its loop has waited for a processor so far."""
+        return starved_s(self.pid)
+
+    def waits_for_the_disk(self) -> bool:
+        """Whether it is in a wait that not even SIGKILL ends, as of a write to a slow disk."""
+        try:
+            stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return False
+        return stat.rpartition(")")[2].split()[0] == "D"
 
     def exit_code(self) -> int | None:
         """None while it runs; minus the signal's number where one ended it."""
@@ -62,14 +129,39 @@ class Child:
         self.exit_code()
         return True
 
+    def kill(self) -> None:
+        """SIGKILL, which a process that is stopped or hangs obeys too."""
+        self.end(0.0)
+
     def close(self) -> None:
-        """Nothing is left to say to it."""
+        """Nothing is left to say to it, or to hear."""
+        if self.pulse >= 0:
+            os.close(self.pulse)
+            self.pulse = -1
         if self._process.stdin is not None:
-            self._process.stdin.close()
+            with contextlib.suppress(BrokenPipeError):  # what could not be said is said once more
+                self._process.stdin.close()
 
     def last_lines(self) -> tuple[str, ...]:
         """The end of what it said."""
         return last_lines(self._log)
+
+
+def _widen(pipe: IO[bytes] | None) -> None:
+    import fcntl
+
+    if pipe is not None and hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
+        with contextlib.suppress(OSError):  # beyond what this user may have
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+
+
+def starved_s(pid: int) -> float:
+    """How long a process's main thread has waited for a processor so far (s); 0 where nobody says."""
+    try:
+        _, waited_ns, _ = Path(f"/proc/{pid}/task/{pid}/schedstat").read_text(encoding="utf-8").split()
+    except (OSError, ValueError):
+        return 0.0
+    return int(waited_ns) / 1e9
 
 
 def last_lines(log: Path) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_
         end_ns=scenario.end_ns,
         speed=scenario.run.speed if clock is None else clock.speed_num / clock.speed_den,
         wall_s=wall_s,
-        phase=_phase(clock, t_ns),
+        phase=_phase(clock, t_ns, scenario.end_ns),
         truth=watch.newest(Truth),
         estimate=watch.newest(Estimate),
         plan=watch.newest(Plan),
@@ -33,9 +33,9 @@ def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_
     )
 
 
-def _phase(clock: Clock | None, t_ns: int | None) -> str:
+def _phase(clock: Clock | None, t_ns: int | None, end_ns: int) -> str:
     if clock is None or t_ns is None or clock.state is ClockState.WAITING:
         return "starting"
     if clock.state is ClockState.PAUSED:
-        return "stopping"
+        return "stopping" if t_ns >= end_ns else "paused"
     return "afloat" if t_ns < 0 else "diving"

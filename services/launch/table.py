@@ -12,8 +12,8 @@ from sim.scenario import Scenario
 class Process(msgspec.Struct, frozen=True):
     """One row. The command is what a person would type after ``ltv-mpc``, with the names of ``places`` in braces.
 
-    ``restartable``: its death need not end a run (for now every death does). ``needs`` must be ready before it starts:
-    the recorder comes first, so that nothing is said before it listens.
+    ``restartable``: its death need not end a run; of the others' the run dies. ``needs`` must be ready before it
+    starts: the recorder comes first, so that nothing is said before it listens.
     """
 
     name: str
@@ -27,7 +27,7 @@ SCENARIO = "{run}/scenario.toml"
 
 PROCESSES = (
     Process("router", ("--listen", "{router}", "--namespace", "{namespace}"), True, ()),
-    Process("recorder", (SCENARIO, "--out", "{run}", *BUS), True, ()),
+    Process("recorder", (SCENARIO, "--out", "{run}", "--continue", *BUS), True, ()),
     Process("plant", (SCENARIO, "--expect", "recorder", *BUS), False, ("recorder",)),
     Process("sensors", (SCENARIO, *BUS), False, ("recorder",)),
     Process(

@@ -3,19 +3,46 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
-from ltv_mpc.signals import Applied, Clock, CycleTiming, Estimate, NodeStatus, Plan, RunEvent, Signal, Truth
+from ltv_mpc.signals import (
+    Applied,
+    Clock,
+    ClockState,
+    ControllerCheckpoint,
+    CycleTiming,
+    Estimate,
+    EstimatorCheckpoint,
+    Kill,
+    NodeStatus,
+    Plan,
+    RunEvent,
+    Signal,
+    Truth,
+)
 from services.bus.mailbox import Mailbox
+from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_SIGNAL, Topic
-from services.bus.wire import WireError, decode
+from services.bus.wire import WireError, decode, header_of, unpack
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 
 S = TypeVar("S", bound=Signal)
+STATUS = BY_SIGNAL[NodeStatus].key
 
 SHOWN: tuple[type[Signal], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
+KEPT: tuple[type[Signal], ...] = (ControllerCheckpoint, EstimatorCheckpoint)
+PLANS = 32
+"""Of which one is in force: 10 s of them."""
+
+
+class Sign(NamedTuple):
+    """The newest thing that shows that a process does its work."""
+
+    epoch: int  # of the process
+    arrived_s: float  # monotonic
 
 
 class Newest:
@@ -23,15 +50,30 @@ class Newest:
 
     def __init__(self) -> None:
         self._frames: dict[str, tuple[Topic, bytes, float]] = {}
+        self.arrived_s = 0.0
+        """When the newest of all came."""
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
         """Replace; called on Zenoh's thread."""
         if topic is not None:
-            self._frames[key] = (topic, payload, time.monotonic())
+            self.arrived_s = time.monotonic()
+            self._frames[key] = (topic, payload, self.arrived_s)
 
     def get(self, key: str) -> tuple[Topic, bytes, float] | None:
         """Topic, payload, monotonic time of arrival (s)."""
         return self._frames.get(key)
+
+
+class _Plans(Newest):
+    """Keeps some of the last plans besides."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.payloads: deque[bytes] = deque(maxlen=PLANS)
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
+        super().offer(topic, key, payload)
+        self.payloads.append(payload)
 
 
 class Watch:
@@ -39,18 +81,21 @@ class Watch:
 
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
         self._newest = Newest()
+        self._plans = _Plans()
         self._events = Mailbox()
+        self._kills = Mailbox()
         self._clock = VehicleClock()
-        for kind in SHOWN:
-            session.subscribe(BY_SIGNAL[kind].key, BY_SIGNAL[kind], self._newest)
+        for kind in (*SHOWN, *KEPT):
+            session.subscribe(BY_SIGNAL[kind].key, BY_SIGNAL[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
-            session.subscribe(f"{BY_SIGNAL[NodeStatus].key}/{node}", BY_SIGNAL[NodeStatus], self._newest)
+            session.subscribe(f"{STATUS}/{node}", BY_SIGNAL[NodeStatus], self._newest)
         session.subscribe(f"{BY_SIGNAL[RunEvent].key}/*", BY_SIGNAL[RunEvent], self._events)
+        session.subscribe(BY_SIGNAL[Kill].key, BY_SIGNAL[Kill], self._kills)
 
     def newest(self, kind: type[S], node: str = "") -> S | None:
         """The newest signal of this kind (of this node, where every node writes it)."""
         key = BY_SIGNAL[kind].key
-        frame = self._newest.get(f"{key}/{node}" if node else key)
+        frame = (self._plans if kind is Plan else self._newest).get(f"{key}/{node}" if node else key)
         if frame is None:
             return None
         try:
@@ -58,10 +103,52 @@ class Watch:
         except WireError:  # its readers count it
             return None
 
-    def silent_s(self, node: str) -> float | None:
-        """Since when a node has not said a word (s of wall time); None before its first."""
-        frame = self._newest.get(f"{BY_SIGNAL[NodeStatus].key}/{node}")
-        return None if frame is None else time.monotonic() - frame[2]
+    def plan_in_force(self) -> Plan | None:
+        """The plan that the actuators have accepted last, if it was heard."""
+        applied = self.newest(Applied)
+        if applied is None or applied.plan_sequence < 0:
+            return None
+        for payload in reversed(tuple(self._plans.payloads)):
+            try:
+                header = header_of(unpack(payload))
+                if (header.epoch, header.sequence) == (applied.plan_epoch, applied.plan_sequence):
+                    return decode(Plan, payload)[0]
+            except WireError:
+                continue
+        return None
+
+    def running(self) -> bool:
+        """Whether vehicle time goes on."""
+        clock = self.newest(Clock)
+        return clock is not None and clock.state is ClockState.RUNNING
+
+    def sign_of(self, node: str) -> Sign | None:
+        """What shows that ``node`` works: an estimate, a plan that the actuators have taken, for others a word; of the
+        router, which says none, whatever came through it. While time stands still a word is all there is.
+        """
+        if node == ROUTER:
+            return Sign(0, self._newest.arrived_s)
+        if node == "controller" and self.running():
+            applied, frame = self.newest(Applied), self._newest.get(BY_SIGNAL[Applied].key)
+            return None if applied is None or frame is None else Sign(applied.plan_epoch, frame[2])
+        works_by = BY_SIGNAL[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
+        frame = self._newest.get(works_by)
+        if frame is None:
+            return None
+        try:
+            return Sign(header_of(unpack(frame[1])).epoch, frame[2])
+        except WireError:
+            return None
+
+    def kills(self) -> list[str]:
+        """Whose process an operator wants ended, since the last call."""
+        nodes = []
+        while (frame := self._kills.take(0.0)) is not None:
+            try:
+                nodes.append(decode(Kill, frame.payload)[0].node)
+            except WireError:
+                continue
+        return nodes
 
     def events(self) -> list[RunEvent]:
         """What has happened since the last call."""

@@ -23,8 +23,10 @@ from ltv_mpc.signals import (
     UsblFix,
 )
 from services.bus.session import BusOptions
+from services.process.clock import monotonic_us
 from services.process.runner import Runner
 from services.process.serve import serve
+from services.process.supervised import SUPERVISED
 
 
 def main(suite: Suite, config: EstimatorConfig, bus: BusOptions, *, prior: WaterPrior | None = None) -> int:
@@ -33,7 +35,9 @@ def main(suite: Suite, config: EstimatorConfig, bus: BusOptions, *, prior: Water
     return serve(
         Estimator.name,
         bus,
-        lambda request, say: Runner(Estimator(suite, config, prior), stop=request, say=say),
+        lambda request, say: Runner(
+            Estimator(suite, config, prior, progress=lambda: SUPERVISED.beat(monotonic_us())), stop=request, say=say
+        ),
     )
 
 

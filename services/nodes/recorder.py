@@ -1,4 +1,4 @@
-"""The recorder process: every message of the run into run.mcap."""
+"""The recorder process: every message of the run into run.mcap, or the next segment of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 from services.bus.session import BusError, BusOptions, Stopped
 from services.process.recording import NAME, RecordingLoop
 from services.process.stopping import FAILED, sayer, stop_on_signals
-from services.recording.writer import RunWriter
+from services.process.supervised import SUPERVISED
+from services.recording.segments import SegmentWriter
 
 
 def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str, str]) -> int:
@@ -16,7 +17,8 @@ def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str,
     say = sayer(NAME)
     with stop_on_signals() as request:
         try:
-            with RunWriter(folder / "run.mcap", start_ns=start_ns, metadata=metadata) as writer:
+            SUPERVISED.turn()
+            with SegmentWriter(folder / "run.mcap", start_ns=start_ns, metadata=metadata) as writer:
                 RecordingLoop(writer, start_ns=start_ns, stop=request, say=say).serve(bus)
         except Stopped:
             pass

@@ -21,8 +21,10 @@ from services.bus.topics import BY_SIGNAL, Topic
 from services.bus.wire import WireError, decode
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.process.supervised import PULSE_US, SUPERVISED
 
-STATUS_S = 0.5
+STATUS_US = 500_000
+PULSE_S = PULSE_US / 1e6
 STDOUT = 1
 PAUSE_S = 0.05
 """Between two looks at Zenoh's log: it comes in lines, some thousand a second, and is read in blocks."""
@@ -40,12 +42,14 @@ def main(bus: BusOptions) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
     with stop_on_signals() as request:
         try:
+            SUPERVISED.turn()
             if secure:
                 _guard(options, request, say)
             else:
                 with open_session(options, stop=request, say=say):
                     say(f"ready at {', '.join(endpoints)}")
-                    request.wait()
+                    while not request.wait(PULSE_S):
+                        SUPERVISED.beat(monotonic_us())
         except Stopped:
             pass
         except BusError as error:
@@ -60,8 +64,13 @@ def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
     with _zenoh_log(denials), open_session(options, stop=request, say=say) as session:
         report = _Report(session, denials, say)
         say(f"ready at {', '.join(options.listen)}")
-        while not request.wait(STATUS_S):
-            report.publish()
+        due_us = 0
+        while not request.wait(PULSE_S):
+            now_us = monotonic_us()
+            SUPERVISED.beat(now_us)
+            if now_us >= due_us:
+                due_us = now_us + STATUS_US
+                report.publish()
         report.publish(finished=True)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ltv_mpc.node import Cycle, Node
-from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Rejected, RunEvent, Signal, StepRecord
+from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Rejected, Restore, RunEvent, Signal, StepRecord
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
 from services.bus.topics import BY_SIGNAL
@@ -18,7 +18,8 @@ def times_cycles(node: Node) -> bool:
 
 def inputs(node: Node) -> list[type[Signal]]:
     """What comes from other processes; its own words it is handed without the bus."""
-    return [kind for kind in node.reads if BY_SIGNAL[kind].written_by != node.name and kind not in (Rejected, Clock)]
+    own = (Rejected, Clock, Restore)
+    return [kind for kind in node.reads if BY_SIGNAL[kind].written_by != node.name and kind not in own]
 
 
 def outputs(node: Node, *, keeps_time: bool) -> list[type[Signal]]:
@@ -26,6 +27,8 @@ def outputs(node: Node, *, keeps_time: bool) -> list[type[Signal]]:
     kinds: list[type[Signal]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
+    if Restore in node.reads:
+        kinds.append(Restore)
     if keeps_time:
         kinds.append(Clock)
     return kinds

@@ -11,12 +11,13 @@ from services.bus.door import rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, open_session
-from services.bus.wire import Header, WireError, header_of, typed, unpack
+from services.bus.wire import Header, WireError, crc, header_of, typed, unpack
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.process.status import StatusReport
 from services.process.stopping import Say, StopRequest
+from services.process.supervised import SUPERVISED
 from services.recording.losses import Losses
-from services.recording.writer import RunWriter
+from services.recording.segments import SegmentWriter
 
 NAME = "recorder"
 LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
@@ -24,9 +25,12 @@ SILENCE_US = 200_000  # and no longer than this after the last message
 
 
 class RecordingLoop:
-    """Writes what arrives until ``stop`` is asked for, then what is still on its way."""
+    """Writes what arrives until ``stop`` is asked for, then what is still on its way.
 
-    def __init__(self, writer: RunWriter, *, start_ns: int, stop: StopRequest, say: Say) -> None:
+    A recorder that was started anew counts from its own start; what was lost between shows when segments are joined.
+    """
+
+    def __init__(self, writer: SegmentWriter, *, start_ns: int, stop: StopRequest, say: Say) -> None:
         self._writer = writer
         self._start_ns = start_ns
         self._stop = stop
@@ -37,6 +41,7 @@ class RecordingLoop:
         self._losses = Losses()
         self._of_source: dict[int, int] = {}  # messages by epoch
         self._promised: dict[int, NodeStatus] = {}  # last words by epoch
+        self._older: set[int] = set()  # epochs that had spoken before this recorder, who was started anew
         self.received = 0
         self.rejected = 0
         self._out: Outbox
@@ -50,7 +55,11 @@ class RecordingLoop:
     @property
     def missing(self) -> dict[str, int]:
         """By process: what it says it has published, minus what is in the file; only where that is not 0."""
-        gaps = {status.node: status.published - self._of_source[epoch] for epoch, status in self._promised.items()}
+        gaps = {
+            status.node: status.published - self._of_source[epoch]
+            for epoch, status in self._promised.items()
+            if epoch not in self._older
+        }
         return {node: gap for node, gap in gaps.items() if gap}
 
     def serve(self, bus: BusOptions) -> None:
@@ -65,8 +74,12 @@ class RecordingLoop:
                 now_us = monotonic_us()
                 if now_us >= self._status.due_us:
                     self._status.publish(now_us)
-                self._take((self._status.due_us - now_us) / 1e6)
+                SUPERVISED.beat(now_us)
+                wake_us = min(self._status.due_us, SUPERVISED.due_us or self._status.due_us)
+                self._take((wake_us - now_us) / 1e6)
                 self._writer.flush_if_due()
+                self._settle()
+            SUPERVISED.last_beat()
             self._finish()
 
     def _finish(self) -> None:
@@ -79,12 +92,24 @@ class RecordingLoop:
         ):
             if self._take(0.01):
                 heard_us = monotonic_us()
+        self._writer.flush_if_due(now=True)
+        self._settle()
         if lost := self._account():
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="loss", text=lost))
         self._say(f"{self.received} messages recorded, {lost or 'none lost'}")
         self._status.publish(monotonic_us(), finished=True)
         while self._take(0.05):
             pass
+
+    def _settle(self) -> None:
+        """What the disk has refused is counted and said."""
+        for key, epoch in self._writer.refused():
+            self.received -= 1
+            self._losses.lost(key, epoch)
+            self._of_source[epoch] -= 1
+        for text in self._writer.news():
+            self._say(text)
+            self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
 
     @property
     def _unfinished(self) -> bool:
@@ -122,8 +147,12 @@ class RecordingLoop:
             self._heed(signal, header)
         # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.
         t_ns = self._clock.at(min(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us))
-        self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns)
+        self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns, crc(frame.payload))
         self.received += 1
+        if self._writer.resumes and header.epoch not in self._of_source and header.sequence:
+            self._older.add(header.epoch)
+        if header.epoch in self._older:
+            self._losses.begins(frame.key, header.epoch, header.sequence)
         self._losses.saw(frame.key, header.epoch, header.sequence)
         self._of_source[header.epoch] = self._of_source.get(header.epoch, 0) + 1
 

@@ -60,6 +60,7 @@ class ControllerReport:
         refused = Counter(door.refused)
         if node.helm.manual_refused:
             refused["manual outside the box"] = node.helm.manual_refused
+        refused.update({f"estimate: {why}": count for why, count in node.controller.guard.refused.items()})
         status = ControllerStatus(
             t_ns=t_ns,
             estimate_age_ns=None if estimate is None else t_ns - estimate.t_ns,
@@ -72,9 +73,10 @@ class ControllerReport:
             clock=clock.mode,
             clock_error_ns=clock.error_ns,
             authority=node.helm.authority,
-            health=node.health(t_ns),
+            health=node.health(t_ns) if self._plan is None else self._plan.health,
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,
+            inputs=node.inputs(),
         )
         for show in self._shown:
             show(status, now_us)

@@ -11,7 +11,18 @@ from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from ltv_mpc.node import Node, OnMessage
-from ltv_mpc.signals import Clock, Command, CycleTiming, NodeStatus, Plan, Rejected, Signal, StepRecord
+from ltv_mpc.signals import (
+    Clock,
+    ClockCommand,
+    Command,
+    CycleTiming,
+    NodeStatus,
+    Plan,
+    Rejected,
+    Restore,
+    Signal,
+    StepRecord,
+)
 from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
@@ -27,6 +38,7 @@ from services.process.schedule import Timetable
 from services.process.status import StatusReport
 from services.process.stopping import Say, StopRequest
 from services.process.stopwatch import StageTimer
+from services.process.supervised import SUPERVISED
 from services.process.timekeeping import KeepsTime, TimeKeeping
 
 INPUTS_ARRIVE_US = 6_000
@@ -112,15 +124,17 @@ class Runner:
         """Whether every step that was asked for is done."""
         return self._timetable.finished
 
-    def serve(self, bus: BusOptions) -> None:
-        """Open, say "ready", run, say the last word, close.
+    def serve(self, bus: BusOptions, restore: Restore | None = None) -> None:
+        """Open, say "ready", run, say the last word, close. ``restore`` is what the node's first step is given first.
 
         Raises ``BusError``, ``ClockError``, ``Stopped`` (told to before it was connected), or what the node raised.
         """
+        gc.collect()
+        gc.freeze()  # what lives until the end is not looked at again by any collection
         with open_session(bus, stop=self.stop, say=self._say) as session:
             self._connect(session)
-            gc.collect()
-            gc.freeze()  # what lives until the end is not looked at again by any collection
+            if restore is not None and Restore in self._node.reads:
+                self._hand_own(restore, restore.t_ns)
             try:
                 self._run()
             finally:
@@ -132,6 +146,7 @@ class Runner:
     def _run(self) -> None:
         while not self.finished and self._wait(self._due_us):
             self._step_by_time()
+        SUPERVISED.last_beat()
         if self._timekeeping is not None:
             self._timekeeping.stop(monotonic_us())
         until_us = monotonic_us() + LAST_FRAMES_US
@@ -143,9 +158,12 @@ class Runner:
         entered_us = monotonic_us()
         while not self.stop():
             now_us = monotonic_us()
+            SUPERVISED.beat(now_us)
             self._tend(now_us)
             due = due_us()
             wake_us = self._status.due_us if due is None else min(due, self._status.due_us)
+            if SUPERVISED.due_us is not None:
+                wake_us = min(wake_us, SUPERVISED.due_us)
             if self._report is not None:
                 wake_us = min(wake_us, self._report.due_us)
             if self._timekeeping is not None:
@@ -273,6 +291,8 @@ class Runner:
             self._hear_clock(signal)
         elif isinstance(signal, NodeStatus) and self._timekeeping is not None:
             self._timekeeping.heard(signal, monotonic_us(), self._node.name)
+        elif isinstance(signal, ClockCommand) and self._timekeeping is not None:
+            self._timekeeping.asked(signal, monotonic_us(), self._node.name)
         if kind not in self._node.reads:
             return
         self._inbox.add(
@@ -340,7 +360,8 @@ class Runner:
             say=self._say,
             foreign=self.foreign is not None,
         )
-        for_itself: list[type[Signal]] = [Clock] if self._follows else [] if keeps_time is None else [NodeStatus]
+        of_all: list[type[Signal]] = [] if keeps_time is None else [NodeStatus, ClockCommand]
+        for_itself = [Clock] if self._follows else of_all
         ports.subscribe(session, [*ports.inputs(node), *for_itself], self.mailbox)
         if keeps_time is not None:
             self._timekeeping = TimeKeeping(

@@ -8,6 +8,7 @@ from services.bus.session import BusError, BusOptions, Stopped
 from services.process.clock import ClockError
 from services.process.runner import Runner
 from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.process.supervised import SUPERVISED
 
 
 def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
@@ -15,7 +16,8 @@ def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]
     say = sayer(name)
     with stop_on_signals() as request:
         try:
-            make(request, say).serve(bus)
+            restore = SUPERVISED.turn()
+            make(request, say).serve(bus, restore)
         except Stopped:
             pass
         except (BusError, ClockError) as error:

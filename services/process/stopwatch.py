@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from services.process.supervised import SUPERVISED
+
 
 class StageTimer:
     """A ``Stopwatch``: call it with a stage's name when that stage ends. ``stage_us`` holds the newest cycle."""
@@ -26,3 +28,4 @@ class StageTimer:
         now_ns = time.monotonic_ns()
         self.stage_us[stage] = self.stage_us.get(stage, 0.0) + (now_ns - self._last_ns) / 1000
         self._last_ns = now_ns
+        SUPERVISED.beat(now_ns // 1000)  # a step that gets on is no hang

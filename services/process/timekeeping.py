@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import msgspec
 
-from ltv_mpc.signals import Clock, ClockState, NodeStatus, RunEvent
-from services.process.clock import TimeKeeper, VehicleClock
+from ltv_mpc.signals import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
+from services.process.clock import TimeKeeper, VehicleClock, fraction_of
 
 REPEAT_US = 100_000
 TELL_US = 1_000_000  # at most so often it is said that the clock was slowed; it is counted always
@@ -44,6 +44,7 @@ class TimeKeeping:
         self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
         self.due_us = 0
         self._told_us = -TELL_US
+        self._ended = False
         clock.hear(self._keeper.message)
 
     @property
@@ -57,6 +58,24 @@ class TimeKeeping:
             self._missing.pop(status.node, None)
         if self._keeper.message.state is ClockState.RUNNING:
             self._give_up(status.behind_us - MOST_BEHIND_US, now_us, node)
+
+    def asked(self, command: ClockCommand, now_us: int, node: str) -> None:
+        """An operator wants time to go on otherwise; who waits for the start keeps waiting, and an end is an end."""
+        if self._ended:
+            return
+        said = []
+        if fraction_of(command.speed) != self._keeper.speed:
+            self._change(self._keeper.set_speed(now_us, command.speed), now_us)
+            said.append(f"at {command.speed:g} x real time")
+        if command.paused and self._keeper.message.state is ClockState.RUNNING:
+            self._change(self._keeper.pause(now_us), now_us)
+            said.append("paused")
+        elif not command.paused and self._keeper.message.state is ClockState.PAUSED:
+            self._change(self._keeper.run(now_us), now_us)
+            said.append("goes on")
+        if said:
+            text = f"clock {', '.join(said)}, as asked"
+            self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="clock", text=text))
 
     def tend(self, now_us: int) -> None:
         """What is due by the wall: the start, the repetition."""
@@ -84,6 +103,7 @@ class TimeKeeping:
 
     def stop(self, now_us: int) -> None:
         """The run is complete: time stands still for whoever is left."""
+        self._ended = True
         self._change(self._keeper.pause(now_us), now_us)
 
     def _change(self, message: Clock, now_us: int) -> None:

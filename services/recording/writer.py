@@ -1,8 +1,10 @@
 """A run's recording: run.mcap, which Foxglove and every MCAP library open.
 
 One channel a key, JSON messages with a JSON schema; a message is the plain map that travels (``services/bus/wire.py``).
-MCAP knows no negative times: ``log_time`` = ``publish_time`` = vehicle time of publication minus the run's start, ns.
-What the run was made of stands in the metadata record ``run``, at the head of the file, where a cut file has it too.
+MCAP's ``sequence``, 32 bits without a meaning of their own there, is the CRC-32 of the frame as it was received: what a
+step record finds it by, however its sender spelled it (the header's own ``sequence`` is in the message). MCAP knows no
+negative times: ``log_time`` = ``publish_time`` = vehicle time of publication minus the run's start, ns. What the run
+was made of stands in the metadata record ``run``, at the head of the file, where a cut file has it too.
 
 Chunks have 64 KiB and are flushed at least every half second of wall time, so that a SIGKILL costs little. In lock
 step nothing is flushed by the wall clock: the file is a function of its messages, byte for byte.
@@ -11,6 +13,7 @@ step nothing is flushed by the wall clock: the file is a function of its message
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,7 +39,9 @@ class RunWriter:
     def __init__(
         self, path: Path, *, start_ns: int, metadata: Mapping[str, str], flush_s: float | None = FLUSH_S
     ) -> None:
+        self.path = path
         self.messages = 0
+        self._safe = 0, 0  # bytes and messages that were flushed
         self._start_ns = start_ns
         self._flush_s = flush_s
         self._flushed_at = time.monotonic()
@@ -57,17 +62,23 @@ class RunWriter:
         """A signal that node ``writer`` published at vehicle time ``t_ns``."""
         self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.plain(signal, header), t_ns)
 
-    def write_plain(self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int) -> None:
-        """A message as it travelled: ``wire.unpack`` of its payload. Raises ``WireError`` where JSON cannot hold it."""
+    def write_plain(
+        self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int | None = None
+    ) -> None:
+        """A message as it travelled: ``wire.unpack`` of its payload. Raises ``WireError`` where JSON cannot hold it.
+
+        ``crc``: of the payload; None: it is spelled as our own encoder does.
+        """
         log_time = max(0, t_ns - self._start_ns)
         try:
             data = msgspec.json.encode(message)
+            crc = wire.crc(wire.packed(message)) if crc is None else crc
         except (TypeError, ValueError, RecursionError) as error:
             raise wire.WireError(f"no plain map: {error}") from None
         channel = self._channels.get(key)
         if channel is None:
             channel = self._register(key, kind)
-        self._mcap.add_message(channel, log_time, data, log_time, message["sequence"] & 0xFFFF_FFFF)
+        self._mcap.add_message(channel, log_time, data, log_time, crc)
         self.messages += 1
         self.flush_if_due()
 
@@ -79,7 +90,20 @@ class RunWriter:
     def flush(self) -> None:
         """Everything so far to the operating system."""
         self._mcap.flush()
+        self._safe = self._file.tell(), self.messages
         self._flushed_at = time.monotonic()
+
+    @property
+    def unsafe(self) -> int:
+        """How many messages a failing disk would cost now."""
+        return self.messages - self._safe[1]
+
+    def abandon(self) -> None:
+        """After an ``OSError``: cut off what was not flushed, and close without an end."""
+        with contextlib.suppress(OSError):
+            os.truncate(self.path, self._safe[0])
+        with contextlib.suppress(OSError):
+            self._file.close()
 
     def close(self) -> None:
         """The index, and the end of the file."""

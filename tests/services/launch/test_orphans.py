@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,3 +66,45 @@ def test_the_guard_is_a_few_megabytes() -> None:
         assert pages * 4096 < 16e6
     finally:
         watch.close()
+
+
+SUPERVISOR = """
+import subprocess, sys, time
+from services.launch.orphans import Guard
+guard = Guard()
+begin = "import os, re, sys, time; from services.launch.orphans import die_with_parent, stop_at_end_of_input;"
+tasks = {
+    "stopped": "die_with_parent(int(sys.argv[1])); print(flush=True); time.sleep(600)",
+    "holds the GIL": "die_with_parent(int(sys.argv[1])); print(flush=True); re.match('(a+)+$', 'a' * 60 + 'b')",
+    "recorder that holds it": "stop_at_end_of_input(); print(flush=True); re.match('(a+)+$', 'a' * 60 + 'b')",
+}
+for task in tasks.values():
+    child = subprocess.Popen(
+        [sys.executable, "-P", "-c", begin + task, str(__import__("os").getpid())],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
+    )
+    guard.watch(child.pid)
+    child.stdout.readline()
+    print(child.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_killed_supervisor_leaves_nobody_not_even_who_is_stopped_or_holds_the_gil() -> None:
+    """What no thread of a child could do anything about: the kernel ends two of them, the guard the third."""
+    supervisor = subprocess.Popen([sys.executable, "-P", "-c", SUPERVISOR], stdout=subprocess.PIPE, text=True)
+    assert supervisor.stdout is not None
+    pids = [int(supervisor.stdout.readline()) for _ in range(3)]
+    os.kill(pids[0], signal.SIGSTOP)
+    try:
+        supervisor.kill()
+        supervisor.wait()
+        deadline = time.monotonic() + 20
+        while any(guard.start_ticks(pid) is not None for pid in pids):
+            assert time.monotonic() < deadline, [guard.start_ticks(pid) for pid in pids]
+            time.sleep(0.02)
+    finally:
+        supervisor.stdout.close()
+        for pid in pids:
+            if guard.start_ticks(pid) is not None:
+                os.kill(pid, signal.SIGKILL)

@@ -8,16 +8,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 from ltv_mpc.currents import read_prior
-from ltv_mpc.signals import NodeStatus, Plan, Truth
+from ltv_mpc.signals import NodeStatus, Plan, Restore, RunEvent, StepRecord, Truth
 from services.launch import supervisor
+from services.launch.crew import Crew
+from services.launch.table import Process
 from services.recording.losses import Losses
 from services.recording.reader import Recording
+from services.replay import replay
 from services.run import folder
 from services.run.situation import Override, Situation, resolve
 from services.views.live import LiveView
@@ -67,7 +70,8 @@ def children_of(parent: int) -> dict[int, str]:
 
 
 def pid_of(name: str, launcher: int) -> int:
-    (pid,) = (pid for pid, words in children_of(launcher).items() if f"child {launcher} {name} " in words)
+    """Of the process that is at work: a spare calls itself so."""
+    (pid,) = (pid for pid in children_of(launcher) if Path(f"/proc/{pid}/comm").read_text() == f"ltv-{name}\n")
     return pid
 
 
@@ -144,6 +148,9 @@ def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process
     assert isinstance(screen.views[-1].truth, Truth)
     assert isinstance(screen.views[-1].plan, Plan)
     assert screen.views[-1].plan.authority == "controller"  # the plant has armed it
+    verdict = replay.replay(replay.Run(run.recording))
+    assert verdict.identical, verdict.first_difference
+    assert verdict.steps_compared == verdict.steps_run > 3 * 401  # nothing was lost: every step of every process
 
 
 def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_learned(tmp_path: Path) -> None:
@@ -162,23 +169,132 @@ def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_
     assert learned.sd_mps[at] < 0.02
 
 
-def test_a_child_that_dies_fails_the_run_and_is_named_with_its_last_lines(tmp_path: Path) -> None:
+def test_the_death_of_the_world_ends_the_run_and_it_is_named_with_its_last_lines(tmp_path: Path) -> None:
     s = situation(600.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
 
-    def kill_the_estimator() -> None:
-        os.kill(pid_of("estimator", os.getpid()), signal.SIGKILL)
+    def kill_the_sensors() -> None:
+        os.kill(pid_of("sensors", os.getpid()), signal.SIGKILL)
 
-    screen = Screen(kill_the_estimator)
+    screen = Screen(kill_the_sensors)
     outcome = supervisor.run(s, run, screen)
     assert (outcome.completed, outcome.exit_code) == (False, 1)
-    assert "estimator was ended by SIGKILL" in outcome.why
-    assert any("estimator: waiting for" in line for line in outcome.last_lines)
+    assert "sensors was ended by SIGKILL" in outcome.why
+    assert any("sensors: waiting for" in line for line in outcome.last_lines)
     assert outcome.why in screen.said
     assert not children_of(os.getpid())
     recording, count, _ = recorded(run.recording)
     assert not recording.cut
     assert count["world/truth"] > 0
+
+
+class Mischief:
+    """A screen that does harm to one process after the other, as soon as the one before is back; then the plant is
+    asked to have done its last step.
+    """
+
+    def __init__(self, harm: Sequence[tuple[str, signal.Signals]]) -> None:
+        self.said: list[str] = []
+        self.supervisor: supervisor.Supervisor
+        self._harm = list(harm)
+        self._harmed = 0
+        self._ready = False
+        self._over = False
+
+    def update(self, view: LiveView) -> None:
+        """The first harm waits for a spare to be ready."""
+        spares = self.supervisor._crew._spares
+        self._ready |= any(spare.ready for spare in spares.values())
+        back = self.supervisor.restarts >= self._harmed and not self.supervisor._recovering
+        if self._harm and view.phase == "diving" and self._ready and back:
+            name, number = self._harm.pop(0)
+            self._harmed += 1
+            self.supervisor._crew._without_spare.add(name)  # one restart each: another spare would be for nothing
+            os.kill(self.supervisor._crew.children[name].pid, number)
+        elif not self._harm and back and not self.supervisor._unsaid and not self._over:
+            self._over = True
+            self.supervisor._crew.children["plant"].ask_to_stop()
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def close(self) -> None:
+        pass
+
+
+def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_completes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A spare for the controller alone, the others from nothing: both ways back in one run."""
+    monkeypatch.setattr(supervisor, "SHORT_S", 0.0)
+    s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    mischief = Mischief(
+        [
+            ("recorder", signal.SIGKILL),
+            ("router", signal.SIGKILL),
+            ("controller", signal.SIGKILL),
+            ("estimator", signal.SIGSTOP),
+        ]
+    )
+    mischief.supervisor = crewed = supervisor.Supervisor(s, run, mischief)
+    start = Crew.start
+
+    def start_with_one_spare(crew: Crew, row: Process, places: Mapping[str, str]) -> None:
+        start(crew, row, places)
+        if row.name != "controller":
+            crew._without_spare.add(row.name)
+
+    monkeypatch.setattr(Crew, "start", start_with_one_spare)
+    outcome = crewed.run()
+    assert (outcome.completed, outcome.exit_code) == (True, 0), (outcome, mischief.said)
+    assert outcome.summary is not None
+    assert outcome.summary.restarts == 4
+    assert not children_of(os.getpid())
+
+    assert [path.name for path in run.path.glob("*.mcap")] == ["run.mcap"]
+    records: dict[tuple[str, int], list[StepRecord]] = {}
+    restores: dict[int, tuple[str, Restore]] = {}
+    events: list[RunEvent] = []
+    for message in Recording(run.recording):
+        if message.kind in (StepRecord, Restore, RunEvent):
+            signal_, header = message.typed()
+            match signal_:
+                case StepRecord():
+                    records.setdefault((signal_.node, signal_.epoch), []).append(signal_)
+                case Restore():
+                    restores[header.epoch] = message.key, signal_
+                case RunEvent() if signal_.node == "launcher":
+                    events.append(signal_)
+    assert [event.text.split()[0] for event in events if event.kind == "restart"] == [
+        "recorder",
+        "router",
+        "controller",
+        "estimator",
+    ]
+    for node in ("controller", "estimator"):
+        _, second = (steps for (name, _), steps in records.items() if name == node)
+        assert second[0].step == 0
+        entry = second[0].inbox[0]
+        key, restore = restores[second[0].epoch]
+        assert (entry.key, entry.sequence) == (key, 0) == (f"restore/{node}", 0)
+        assert restore.node == node
+        assert all(not e.key.startswith("restore") for record in second for e in record.inbox[1:])
+    of_controller, of_estimator = (restore for _, restore in restores.values())
+    assert of_controller.plan is not None
+    assert of_controller.controller is not None
+    assert of_controller.controller.authority == "controller"
+    assert of_estimator.estimator is not None
+    assert outcome.summary.tracking_error_m.max is not None
+    assert outcome.summary.tracking_error_m.max < 1.0  # where it was, not where it began
+    assert outcome.summary.messages.dropped > 0  # what nobody recorded while there was no recorder
+    verdict = replay.replay(replay.Run(run.recording))
+    assert verdict.identical, verdict.first_difference
+    for node in verdict.nodes:
+        if node.node in ("controller", "estimator"):  # the second start whole, the first up to the recorder's death
+            (gap,) = node.gaps
+            assert (node.starts, node.steps_compared) == (2, node.steps_run - gap.steps)
+            assert gap.epoch == next(epoch for name, epoch in records if name == node.node)
 
 
 def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
@@ -197,7 +313,7 @@ def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
 ) -> None:
     process, out = launcher
     pids = children_of(process.pid)
-    assert len(pids) == 7  # six and the guard
+    assert len(pids) >= 7  # six and the guard, and spares by now
     began = time.monotonic()
     process.send_signal(signal.SIGINT)
     until(lambda: not any(alive(pid) for pid in pids))
@@ -213,7 +329,7 @@ def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
 def test_when_the_supervisor_is_killed_no_orphan_is_left_and_the_recorder_finishes_its_file(
     launcher: tuple[subprocess.Popen[bytes], Path],
 ) -> None:
-    """One child is stopped, so that it can do nothing about it itself."""
+    """One child is stopped, so that it can do nothing about it itself (of one that holds the GIL: test_orphans)."""
     process, out = launcher
     pids = children_of(process.pid)
     nodes = [pid_of(name, process.pid) for name in ("plant", "sensors", "estimator", "controller")]

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgpack
 import pytest
 
-from ltv_mpc.signals import Clock, ClockState, NodeStatus, PressureDepth, Rejected
+from ltv_mpc.signals import Clock, ClockState, NodeStatus, PressureDepth, Rejected, RunEvent, Signal
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_SIGNAL
@@ -19,7 +22,9 @@ from services.process.clock import boot_id, monotonic_us
 from services.process.recording import RecordingLoop
 from services.process.status import StatusReport
 from services.process.stopping import StopRequest
+from services.recording import segments
 from services.recording.reader import Recorded, Recording
+from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 
 S = 1_000_000_000
@@ -33,7 +38,7 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
     stop = StopRequest()
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
-        RunWriter(path, start_ns=-S, metadata={}) as writer,
+        SegmentWriter(path, start_ns=-S, metadata={}) as writer,
     ):
         loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
         thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
@@ -108,3 +113,39 @@ def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_p
         messages = record(tmp_path / "run.mcap", free_port, say)
     own = [message.plain for message in messages if message.key == "status/recorder"]
     assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
+
+
+def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_said(
+    tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(segments, "RETRY_S", 0.0)
+    original = RunWriter.write_plain
+    refused: list[int] = []
+
+    def write_plain(
+        writer: RunWriter, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int | None = None
+    ) -> None:
+        if key == KEY and message["sequence"] == 3 and not refused:
+            refused.append(writer.unsafe + 1)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        original(writer, key, kind, message, t_ns, crc)
+
+    monkeypatch.setattr(RunWriter, "write_plain", write_plain)
+
+    def say(_: Outbox, put: Callable[[bytes], None]) -> None:
+        for sequence in range(8):
+            put(depth(sequence, monotonic_us()))
+
+    path = tmp_path / "run.mcap"
+    before = record(path, free_port, say)
+    after = list(Recording(tmp_path / "run.2.mcap"))
+    kept = [message.plain["sequence"] for message in (*before, *after) if message.key == KEY]
+    assert kept[-4:] == [4, 5, 6, 7]
+    assert 3 not in kept
+    assert 8 - len(kept) <= refused[0]  # and words of its own, where any were not flushed yet
+    events = [message.plain["text"] for message in after if message.kind is RunEvent]
+    assert events[0] == f"not recording: {os.strerror(errno.ENOSPC)}; {refused[0]} messages not kept so far"
+    assert events[1] == "recording goes on in run.2.mcap"
+    assert events[2].startswith("lost: ")
+    status = [message.plain for message in after if message.key == "status/recorder"]
+    assert status[-1]["dropped"] == refused[0]

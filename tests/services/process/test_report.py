@@ -75,7 +75,7 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     assert (first.estimate_age_ns, first.cycle_median_us, first.error_m) == (None, None, None)
     assert (first.authority, first.health) == ("disarmed", "degraded")
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
-    node.hear(estimate)
+    node.hear(Arrival(estimate, 1, 0, estimate.t_ns))
     node.helm.steer((1e6, 0.0, 0.0), 0)
     report.heard(estimate)
     for _ in range(5):

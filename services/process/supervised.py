@@ -1,0 +1,92 @@
+"""What a process owes its supervisor, and gets from it: a pulse from its own loop, and its turn where it is a spare.
+
+Pulse   the monotonic time, written to a pipe by the loop that does the work, at least every ``PULSE_US``. A process
+        that is stopped, or whose loop does not come round, has none, however well its other threads live; and it does
+        not take the way of the messages, whose router may be what has failed.
+Turn    a spare has done all that takes time (imports, compiled code, its settings) and waits on its standard input for
+        the word to take a dead process's place, with the state to go on from.
+A process that nobody supervises owes nothing, and it is its turn at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import struct
+from collections.abc import Callable
+
+from ltv_mpc.signals import Restore
+from services.bus.wire import decode
+
+PULSE_US = 50_000
+FORMAT = struct.Struct("<q")
+LAST = -1
+"""In place of a time: the loop has come to its end, and what follows is waited for by another clock."""
+READY = -2
+"""In place of a time: a spare waits for its turn."""
+
+LENGTH = struct.Struct("<I")
+STDIN = 0
+
+
+class Supervised:
+    """The two lines to a supervisor; without one both are idle."""
+
+    def __init__(self) -> None:
+        self._pulse: int | None = None
+        self._on_turn: Callable[[], None] | None = None
+        self.due_us: int | None = None
+        """When the next pulse is due, monotonic; None where nobody listens."""
+
+    def by(self, pulse: int, *, on_turn: Callable[[], None] | None = None) -> None:
+        """A supervisor reads from the pipe ``pulse``. With ``on_turn``, which is called then, it says when to begin."""
+        os.set_blocking(pulse, False)
+        self._pulse, self._on_turn, self.due_us = pulse, on_turn, 0
+
+    def beat(self, now_us: int) -> None:
+        """The loop has come round."""
+        if self.due_us is not None and now_us >= self.due_us:
+            self.due_us = now_us + PULSE_US
+            self._write(now_us)
+
+    def last_beat(self) -> None:
+        """The loop has ended as it should."""
+        if self.due_us is not None:
+            self.due_us = None
+            self._write(LAST)
+
+    def turn(self) -> Restore | None:
+        """Wait for it; the state to go on from, if there is any. At once where this is no spare.
+
+        Raises ``SystemExit`` where the supervisor is no more.
+        """
+        if self._on_turn is None:
+            return None
+        gc.collect()
+        gc.freeze()  # now, for later every millisecond counts
+        self._write(READY)
+        (length,) = LENGTH.unpack(_read(LENGTH.size))
+        restore = decode(Restore, _read(length))[0] if length else None
+        self._on_turn()
+        self._on_turn = None
+        return restore
+
+    def _write(self, word: int) -> None:
+        assert self._pulse is not None
+        with contextlib.suppress(BlockingIOError, BrokenPipeError):  # a supervisor that is stopped, or no more
+            os.write(self._pulse, FORMAT.pack(word))
+
+
+def _read(size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = os.read(STDIN, size - len(data))
+        if not piece:
+            raise SystemExit(1)
+        data += piece
+    return data
+
+
+SUPERVISED = Supervised()
+"""This process's own."""

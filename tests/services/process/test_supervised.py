@@ -1,0 +1,111 @@
+"""What passes between a process and its supervisor: a pulse one way, the turn of a spare the other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.signals import Restore
+from services.bus.wire import Header, encode
+from services.process import stopwatch, supervised
+from services.process.supervised import FORMAT, LAST, LENGTH, PULSE_US, READY, Supervised
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, int]]:
+    """Read end, write end."""
+    ends = os.pipe()
+    os.set_blocking(ends[0], False)
+    yield ends
+    for end in ends:
+        os.close(end)
+
+
+@pytest.fixture
+def stdin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A file in the place of standard input."""
+    path = tmp_path / "stdin"
+    path.touch()
+    number = os.open(path, os.O_RDONLY)
+    monkeypatch.setattr(supervised, "STDIN", number)
+    yield path
+    os.close(number)
+
+
+def words(pipe: tuple[int, int]) -> list[int]:
+    try:
+        return [word for (word,) in FORMAT.iter_unpack(os.read(pipe[0], 1 << 16))]
+    except BlockingIOError:
+        return []
+
+
+def test_a_loop_beats_as_often_as_it_comes_round_but_not_more_often_than_is_looked_for(pipe: tuple[int, int]) -> None:
+    process = Supervised()
+    process.by(pipe[1])
+    for now_us in range(1_000_000, 1_200_001, 10_000):
+        process.beat(now_us)
+    assert words(pipe) == list(range(1_000_000, 1_200_001, PULSE_US))
+    process.last_beat()
+    process.beat(9_000_000)
+    assert words(pipe) == [LAST]
+
+
+def test_a_cycle_beats_with_each_of_its_stages(pipe: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    process = Supervised()
+    process.by(pipe[1])
+    monkeypatch.setattr(stopwatch, "SUPERVISED", process)
+    timer = stopwatch.StageTimer()
+    timer.start()
+    timer("build")
+    assert len(words(pipe)) == 1
+
+
+def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() -> None:
+    process = Supervised()
+    process.beat(1)
+    process.last_beat()
+    assert process.due_us is None
+    assert process.turn() is None
+
+
+def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]) -> None:
+    process = Supervised()
+    process.by(pipe[1])
+    for k in range(20_000):
+        process.beat(k * PULSE_US)
+    assert 0 < len(words(pipe)) <= (1 << 16) // FORMAT.size
+
+
+def test_a_spare_says_that_it_is_ready_and_begins_with_the_state_that_comes_with_its_turn(
+    pipe: tuple[int, int], stdin: Path
+) -> None:
+    restore = encode(Restore(t_ns=7, node="estimator"), Header(epoch=1, sequence=0))
+    stdin.write_bytes(LENGTH.pack(len(restore)) + restore)
+    begun: list[None] = []
+    process = Supervised()
+    process.by(pipe[1], on_turn=lambda: begun.append(None))
+    handed = process.turn()
+    assert handed is not None
+    assert (handed.t_ns, handed.node, len(begun)) == (7, "estimator", 1)
+    assert words(pipe) == [READY]
+    assert process.turn() is None  # it has had it
+
+
+def test_a_turn_may_come_without_any_state(pipe: tuple[int, int], stdin: Path) -> None:
+    stdin.write_bytes(LENGTH.pack(0))
+    process = Supervised()
+    process.by(pipe[1], on_turn=lambda: None)
+    assert process.turn() is None
+
+
+def test_a_spare_ends_with_its_supervisor_and_never_begins(pipe: tuple[int, int], stdin: Path) -> None:
+    stdin.write_bytes(LENGTH.pack(100) + b"half")
+    begun: list[None] = []
+    process = Supervised()
+    process.by(pipe[1], on_turn=lambda: begun.append(None))
+    with pytest.raises(SystemExit):
+        process.turn()
+    assert begun == []
