@@ -36,6 +36,20 @@ OF: Mapping[str, Mapping[str, str]] = {
         "current_mps": "water at the vehicle over ground: north, east",
         "thrust_N": "delivered: port, starboard, vertical",
     },
+    "Disturbance": {
+        "until_t_ns": "vehicle time at which it ends",
+        "thrust_scale": "delivered thrust over what the propellers would give: port, starboard, vertical",
+        "force_N": "on the vehicle: north, east, down",
+        "yaw_moment_Nm": "about down, positive to starboard",
+    },
+    "Injection": {
+        "key": "whose messages it concerns",
+        "harm": "what happens to them",
+        "start_t_ns": "vehicle time at which it begins; one that is past: at once",
+        "end_t_ns": "vehicle time at which it ends",
+        "size": "share of the messages; of delay seconds, of clock_jump seconds ahead of the time, of stale nothing",
+        "seed": "of what is drawn: which messages, which bits, which numbers",
+    },
     "Applied": {
         "t_ns": "when this was so, and when it was sent",
         "thrust_N": "delivered, after lag and saturation: port, starboard, vertical",
@@ -47,7 +61,12 @@ OF: Mapping[str, Mapping[str, str]] = {
         "plan_received_t_ns": "when the newest plan accepted arrived; 0 before the first",
         "plan_late": "that plan arrived after its own first knot",
         "plans_late": "so many did so far",
-        "plans_refused": "so many were not followed so far: outside box or slew limit, or out of order",
+        "plans_refused": (
+            "so many were not followed so far: outside box or slew limit, out of order, or a second commander's"
+        ),
+        "health": (
+            "how well the plans keep up: degraded once two replacements are missing, failsafe at the end of the last"
+        ),
     },
     "ImuSample": {
         "t_ns": "end of the interval",
@@ -155,6 +174,25 @@ OF: Mapping[str, Mapping[str, str]] = {
         "health": "how well the controller's inputs keep up",
         "error_m": "horizontal, from the newest estimate to the reference; null where nothing is followed",
         "progress": "along the reference; null where it has no end",
+        "inputs": "the inputs whose ages count",
+    },
+    "InputReport": {
+        "input": "its key",
+        "alive": "it was heard lately",
+        "valid": "what was heard last is of now, by its own stamp",
+        "rate": "of what came lately no more than half was missing",
+        "age_ns": "of what was heard last; null before the first",
+        "period_ns": "median spacing of its stamps; 0 before the second",
+        "refused": "so many were not used so far: out of order, or not to be believed",
+    },
+    "ModelCheck": {
+        "t_ns": "when it was said",
+        "residual_N": "force in surge, seen less foreseen, mean since the last word; below 0: less push ahead",
+        "residual_Nm": "moment in yaw, in the same way",
+        "evidence": "of a loss of thrust beyond what mismatch of the model explains: a log-likelihood ratio",
+        "thrust_loss": "the likeliest share of the thrust that is lost: port, starboard",
+        "alarm": "the vehicle does not do what its model says",
+        "why": "of the alarm",
     },
     "CycleTiming": {
         "t_ns": "start of the cycle",
@@ -162,6 +200,51 @@ OF: Mapping[str, Mapping[str, str]] = {
         "compute_wall_ns": "the same on the wall",
         "estimate_age_ns": "at the start of the cycle",
         "stage_us": "wall time by stage",
+    },
+    "ReferenceStart": {
+        "t_ns": "when the reference began",
+        "heading_rad": "true heading, clockwise from north seen from above",
+        "velocity_mps": "over ground: north, east",
+    },
+    "ControllerCheckpoint": {
+        "t_ns": "when it was said",
+        "authority": "who commands the thrusters",
+        "reference_toml": "what is followed, as a reference file holds it",
+        "began": "where the reference began; null before it is in force",
+        "schedule_s": "how far the target has come, by the reference's own schedule",
+        "schedule_rate": "of that time to the vehicle's: below 1 the target waits",
+        "progress": "along the reference; null where it has no end",
+    },
+    "DroppedNode": {
+        "node": "of the grid of depths, from 0 at the surface",
+        "velocity_mps": "of the water over ground: north, east",
+        "given": "q states at that time, to which it refers",
+        "regression": "2 x q, of its velocity on those states",
+        "covariance": "2 x 2, of what the states leave open of it",
+        "with_position": "2 x 2, covariance of that with the position",
+        "position": "2 x 2, covariance of the position given those states, at that time",
+        "walked": "variance gained by walking in time up to then, m2/s2",
+    },
+    "EstimatorCheckpoint": {
+        "settings": "CRC-32 of the sensors' and the filter's settings: it can go on from this with the same alone",
+        "x": "n states, in the filter's order",
+        "attitude": "3 x 3, body to north, east, down",
+        "mounting": "3 x 3, profiler to body",
+        "covariance": "of the states' errors: the lower triangle, row by row, n (n + 1) / 2 numbers",
+        "epoch_t_ns": "of the satellite epoch whose position is among the states",
+        "first_node": "first of the window of depths whose water is among the states",
+        "seen_nodes": "depths of the grid at which the profiler has measured",
+        "dropped": "what is known of depths that are no states any more",
+        "walked": "variance gained by walking in time, m2/s2",
+        "restarts": "of the filter, so far",
+    },
+    "Restore": {
+        "t_ns": "when it was handed over",
+        "node": "who was started anew, and says what it was handed",
+        "plan": "in force at the actuators when the node was started",
+        "estimate": "the newest one of then",
+        "controller": "the controller's newest checkpoint",
+        "estimator": "the estimator's newest checkpoint",
     },
     "Rejected": {
         "t_ns": "when it arrived",
@@ -188,6 +271,13 @@ OF: Mapping[str, Mapping[str, str]] = {
         "speed_num": "speed, numerator",
         "speed_den": "speed, denominator",
         "state": "what vehicle time does from then on",
+    },
+    "ClockCommand": {
+        "paused": "whether vehicle time shall stand still",
+        "speed": "vehicle seconds per second of the wall",
+    },
+    "Kill": {
+        "node": "whose process",
     },
     "NodeStatus": {
         "t_ns": "when it was said",

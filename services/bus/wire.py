@@ -65,7 +65,12 @@ def plain(signal: Signal, header: Header) -> dict[str, Any]:
 
 def encode(signal: Signal, header: Header) -> bytes:
     """The bytes that travel."""
-    payload: bytes = msgpack.packb(plain(signal, header))
+    return packed(plain(signal, header))
+
+
+def packed(message: Mapping[str, Any]) -> bytes:
+    """The bytes of what ``plain`` gives."""
+    payload: bytes = msgpack.packb(message)
     return payload
 
 
@@ -83,6 +88,12 @@ def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     if reason is not None:
         raise WireError(reason)
     return signal, header
+
+
+def admitted(kind: type[S], message: dict[str, Any]) -> S:
+    """The signal of a plain map that a door has let in before: only its form is judged. Raises ``WireError``."""
+    signal: S = _checked(_signal, kind, message)
+    return signal
 
 
 def unpack(payload: bytes) -> dict[str, Any]:
@@ -126,5 +137,8 @@ def _header(message: dict[str, Any]) -> Header:
 
 def _signal(kind: type[S], message: dict[str, Any]) -> S:
     # A StepRecord has an ``epoch`` of its own; it is its sender's, so one entry of the map is both.
-    own = {k: v for k, v in message.items() if k not in HEADER_FIELDS or k in kind.__struct_fields__}
+    own = message.copy()
+    for name in HEADER_FIELDS:
+        if name not in kind.__struct_fields__:
+            own.pop(name, None)
     return msgspec.convert(own, kind, dec_hook=from_wire)

@@ -6,24 +6,17 @@ at the end is not needed.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
-import zstandard
-from mcap.exceptions import InvalidMagic, McapError
 from mcap.records import Channel, Message, Metadata
-from mcap.stream_reader import CRCValidationError, StreamReader
 
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.signals import Signal
 from services.bus import topics, wire
+from services.recording.records import Record, Records, start_of
 from services.recording.writer import RUN
-
-TORN = (McapError, CRCValidationError, struct.error, zstandard.ZstdError, UnicodeDecodeError)
-"""What mcap, zstd and struct raise at the place where a file was torn."""
 
 
 class Recorded(msgspec.Struct, frozen=True):
@@ -44,6 +37,16 @@ class Recorded(msgspec.Struct, frozen=True):
         return wire.typed(self.kind, self.plain)
 
 
+class Stored(NamedTuple):
+    """One message as it stands in the file: ``data`` is its JSON, ``crc`` that of the frame as it was received."""
+
+    key: str
+    kind: type[Signal] | None
+    t_ns: int
+    crc: int
+    data: bytes
+
+
 class Recording:
     """A file that was opened; iterating reads it from the front. ``metadata`` is complete once iteration began."""
 
@@ -54,24 +57,37 @@ class Recording:
 
     def __iter__(self) -> Iterator[Recorded]:
         decode = msgspec.json.Decoder(dict[str, Any]).decode
-        channels: dict[int, tuple[str, type[Signal] | None]] = {}
-        start_ns = 0
-        with self.path.open("rb") as file:
-            for record in self._records(StreamReader(file, validate_crcs=True)):
-                if isinstance(record, Message):
-                    key, kind = channels[record.channel_id]
-                    yield Recorded(key, kind, record.log_time + start_ns, decode(record.data))
-                elif isinstance(record, Channel):
-                    topic = topics.topic_at(record.topic)
-                    channels[record.id] = (record.topic, topic.signal if topic else None)
-                elif isinstance(record, Metadata) and record.name == RUN:
-                    self.metadata = record.metadata
-                    start_ns = int(record.metadata["start_ns"])
+        for key, kind, t_ns, _, data in self.stored():
+            try:
+                plain = decode(data)
+            except (msgspec.DecodeError, ValueError, RecursionError):  # nobody that writes recordings wrote it
+                self.cut = True
+                return
+            yield Recorded(key, kind, t_ns, plain)
 
-    def _records(self, stream: StreamReader) -> Iterator[object]:
-        try:
-            yield from stream.records
-        except InvalidMagic:
-            raise ConfigError(f"recording {self.path}", "", "not an MCAP file") from None
-        except TORN:
-            self.cut = True
+    def stored(self, keys: Container[str] | None = None) -> Iterator[Stored]:
+        """The messages undecoded; ``keys`` are those that are wanted, None: all."""
+        channels: dict[int, tuple[str, type[Signal] | None] | None] = {}
+        start_ns = 0
+        for record in self._records():
+            if isinstance(record, Message):
+                channel = channels[record.channel_id]
+                if channel is not None:
+                    yield Stored(*channel, record.log_time + start_ns, record.sequence, record.data)
+            elif isinstance(record, Channel):
+                topic = topics.topic_at(record.topic)
+                wanted = keys is None or record.topic in keys
+                channels[record.id] = (record.topic, topic.signal if topic else None) if wanted else None
+            elif isinstance(record, Metadata) and record.name == RUN:
+                self.metadata = record.metadata
+                start_ns = start_of(record.metadata)
+
+    def _records(self) -> Iterator[Record]:
+        """Up to the first that is lost: what follows it would seem to follow what comes before it."""
+        records = Records(self.path)
+        self.cut = False
+        for record in records:
+            if records.losses or records.orphans:
+                break
+            yield record
+        self.cut = not records.whole

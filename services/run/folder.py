@@ -7,6 +7,7 @@ runs/20261121T054500Z-descent/
     run.mcap          every message
     summary.json      what it came to
     currents.csv      the current as it was estimated at the end, with standard deviations; not with --perfect-state
+    report.html       its plots, where plotly is installed
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ from sim.grading.summary import Summary
 
 ROOT = Path("runs")
 LATEST = "latest"
+RECORDING = "run.mcap"
+RESULTS = ("summary.json", "currents.csv", "report.html")
+"""What stands beside it once a run has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +42,7 @@ class RunFolder:
     @property
     def recording(self) -> Path:
         """run.mcap."""
-        return self.path / "run.mcap"
+        return self.path / RECORDING
 
     @property
     def summary(self) -> Path:
@@ -84,17 +88,52 @@ def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force:
     return folder
 
 
-def made_for(scenario: Path, out: Path) -> RunFolder | None:
-    """The folder ``out`` where a launcher has made it for a run of its ``scenario`` and nothing is recorded yet."""
+def find(text: str) -> Path:
+    """The recording that RUN stands for: a run's folder, its run.mcap, or ``latest``, the newest folder below runs/.
+
+    A run.mcap may have been taken out of its folder; where it was not, ``find(text).parent`` is the run's folder.
+    Raises ``ConfigError``.
+    """
+    source = f"RUN {text}"
+    path = _newest() if text == LATEST else Path(text)
+    if path is None:
+        raise ConfigError(source, "", f"no run below {ROOT.absolute()}: name its folder")
+    try:
+        if path.is_dir():
+            path = path / RECORDING
+        if path.is_file():
+            return path
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        raise ConfigError(source, "", f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if path.name == RECORDING and path.parent.is_dir():
+        raise ConfigError(source, "", f"the folder holds no {RECORDING}")
+    raise ConfigError(source, "", f"no such folder or file: a run's folder, its {RECORDING}, or {LATEST}")
+
+
+def _newest() -> Path | None:
+    """The folder below runs/ whose run was begun last: by its scenario.toml, which is written once, at the start."""
+    begun = [path for path in ROOT.glob("*/scenario.toml") if not path.parent.is_symlink()]
+    return max(begun, key=lambda path: path.stat().st_mtime_ns).parent if begun else None
+
+
+def made_for(scenario: Path, out: Path, *, goes_on: bool = False) -> RunFolder | None:
+    """The folder ``out`` where a launcher has made it for a run of its ``scenario`` and nothing is recorded yet;
+    ``goes_on``: even if something is.
+    """
     folder = RunFolder(out)
     same = folder.scenario.absolute() == scenario.absolute()
-    return folder if same and not folder.recording.exists() else None
+    return folder if same and (goes_on or not folder.recording.exists()) else None
+
+
+def fresh(name: str) -> Path:
+    """The folder ``runs/<UTC time>-<name>``, made now."""
+    stem = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
+    tries = (ROOT / (stem if count == 1 else f"{stem}-{count}") for count in itertools.count(1))
+    return next(path for path in tries if _made(path))
 
 
 def _default(name: str) -> Path:
-    stem = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
-    tries = (ROOT / (stem if count == 1 else f"{stem}-{count}") for count in itertools.count(1))
-    path = next(path for path in tries if _made(path))
+    path = fresh(name)
     with contextlib.suppress(OSError):  # the link is a convenience: not every file system has links
         draft = ROOT / f".{LATEST}-{os.getpid()}"
         draft.symlink_to(path.name)
@@ -113,15 +152,25 @@ def _made(path: Path) -> bool:
     return True
 
 
-def _given(path: Path, *, force: bool) -> Path:
+def opened(path: Path, *, force: bool) -> Path:
+    """The folder ``path``, made if it is not there. One that is not empty is refused (``ConfigError``) unless
+    ``force``, which leaves everything in it.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()) and not force:
-            raise ConfigError(
-                "option --out", "", "a folder that is not empty: name another, or add --force", value=str(path)
-            )
+            problem = "a folder that is not empty: name another, or add --force"
+            raise ConfigError("option --out", "", problem, value=str(path))
+    except OSError as error:
+        raise _refusal(path, error) from None
+    return path
+
+
+def _given(path: Path, *, force: bool) -> Path:
+    opened(path, force=force)
+    try:
         # else a run that fails would seem to have ended
-        for old in (*path.glob("run*.mcap"), path / "summary.json", path / "currents.csv"):
+        for old in (*path.glob("run*.mcap"), *(path / name for name in RESULTS)):
             old.unlink(missing_ok=True)
     except OSError as error:
         raise _refusal(path, error) from None

@@ -74,7 +74,7 @@ def _go(
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observe=log,
         latest=LATEST,
-        refused=_refused,
+        refused=refused,
     )
     for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
         if stop():
@@ -143,7 +143,7 @@ def _key(signal: Signal, reader: str) -> str:
     return topics.key_of(type(signal), reader)
 
 
-def _refused(node: str, message: Arrival, reason: str) -> Rejected:
+def refused(node: str, message: Arrival, reason: str) -> Rejected:
     """As the door of a process words it."""
     signal = message.signal
     payload = wire.encode(signal, _header(message.sequence))

@@ -1,13 +1,24 @@
-"""What made a run: versions, commit and processor, as texts. Another processor may give other last bits."""
+"""What made a run: versions, commit and processor, as texts. Another processor may give other last bits.
+
+Which bits a product or a sine has is decided by what code is chosen for the processor when it runs: by numba for
+compiled functions (``numba_cpu``, its target and a checksum of the instructions that it may use) and by OpenBLAS for
+numpy's products (``blas``, the name of its kernel).
+"""
 
 from __future__ import annotations
 
+import ctypes
 import platform
 import subprocess
+import zlib
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("numpy", "scipy", "osqp", "numba", "llvmlite", "eclipse-zenoh", "msgspec", "msgpack", "mcap")
+PACKAGES = (
+    *("numpy", "scipy", "osqp", "daqp", "piqp", "numba", "llvmlite"),
+    *("eclipse-zenoh", "msgspec", "msgpack", "mcap"),
+)
+KERNEL_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
 
 
 def made_by() -> dict[str, str]:
@@ -18,6 +29,8 @@ def made_by() -> dict[str, str]:
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
+        "numba_cpu": _numba_cpu(),
+        "blas": _blas(),
     }
     return table | {package: _version(package) for package in PACKAGES}
 
@@ -55,3 +68,23 @@ def _processor() -> str:
         return platform.processor() or "unknown"
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or "unknown"
+
+
+def _numba_cpu() -> str:
+    from llvmlite import binding
+
+    features = binding.get_host_cpu_features().flatten()
+    return f"{binding.get_host_cpu_name()}, instructions {zlib.crc32(features.encode()):08x}"
+
+
+def _blas() -> str:
+    """The kernel that numpy's OpenBLAS has chosen; it lies beside numpy where numpy came as a wheel."""
+    import numpy as np
+
+    for path in sorted(Path(np.__file__).parents[1].glob("numpy.libs/*openblas*")):
+        library = ctypes.CDLL(str(path))
+        for name in KERNEL_NAMES:
+            if function := getattr(library, name, None):
+                function.restype = ctypes.c_char_p
+                return str(function().decode())
+    return "unknown"

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.signals import Estimate, NodeStatus, Rejected
+from ltv_mpc.signals import Estimate, NodeStatus, Rejected, RunEvent
 from services.bus import topics
+from services.bus.roles import LAUNCHER
 from services.bus.wire import WireError
 from services.recording.losses import Losses
 from services.recording.reader import Recording
@@ -21,6 +22,8 @@ LOCKSTEP = "lockstep"
 
 STATUS = topics.BY_SIGNAL[NodeStatus].key + "/"
 """Every process says under it how it is: an epoch more is a start more."""
+MENDED = topics.key_of(RunEvent, LAUNCHER)
+"""The launcher says there whom it has started anew, those too that have no status."""
 
 
 def summarise(situation: Situation, grader: Grader, *, mode: str, messages: Messages, restarts: int = 0) -> Summary:
@@ -63,16 +66,22 @@ def _duration_ns(until_ns: int, end_ns: int) -> int:
     return end_ns if until_ns + PERIOD_NS > end_ns else max(0, until_ns)
 
 
-def of_recording(situation: Situation, path: Path) -> tuple[Summary, WaterPrior | None]:
-    """The summary of a run of processes and what it learned of the water, from its run.mcap, complete or cut off."""
+def of_recording(
+    situation: Situation, path: Path, *, restarts: int = 0, unrecorded: int = 0
+) -> tuple[Summary, WaterPrior | None]:
+    """The summary of a run of processes and what it learned of the water, from its run.mcap, complete or cut off.
+
+    ``restarts`` and ``unrecorded`` are what its launcher knows besides: what is not in a file cannot be told from it.
+    """
     learned = Learned()
     grader = Grader(situation.vehicle, speed=situation.scenario.run.speed)
     losses = Losses()
-    rejected = 0
+    rejected = mended = 0
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
         losses.saw(message.key, epoch, sequence)
         rejected += message.kind is Rejected
+        mended += message.key == MENDED and message.plain["kind"] == "fault"
         if message.kind in grader.hears:
             try:
                 signal, _ = message.typed()
@@ -85,7 +94,11 @@ def of_recording(situation: Situation, path: Path) -> tuple[Summary, WaterPrior 
         situation,
         grader,
         mode=SERVICES,
-        messages=Messages(published=losses.published, dropped=losses.missing, rejected=rejected),
-        restarts=sum(starts - 1 for key, starts in losses.epochs().items() if key.startswith(STATUS)),
+        messages=Messages(published=losses.published, dropped=max(losses.missing, unrecorded), rejected=rejected),
+        restarts=max(
+            restarts,
+            mended,
+            sum(starts - 1 for key, starts in losses.epochs().items() if key.startswith(STATUS)),
+        ),
     )
     return summary, learned.prior()

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 
 import msgpack
 import pytest
 
 from ltv_mpc.signals import Manual, PressureDepth
-from services.bus.door import Door, rejection
+from services.bus.door import MOST_KINDS, MOST_SOURCES, Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.topics import BY_SIGNAL
-from services.bus.wire import Header, WireError, crc, encode
+from services.bus.wire import Header, WireError, crc, encode, unpack
 
 TOPIC = BY_SIGNAL[PressureDepth]
+MANUAL = Manual(thrust_N=(0.0, 0.0, 0.0))
 
 
 def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOPIC.key) -> Frame:
@@ -47,6 +49,86 @@ def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
         door.admit(frame(101, epoch=1))
     door.admit(frame(1, epoch=2))
     assert (door.received, door.dropped, door.rejected) == (3, 0, 1)
+
+
+@pytest.mark.parametrize("damaged", [(1, 2**40), (2**40, 57)], ids=["sequence", "epoch"])
+def test_one_damaged_header_does_not_silence_the_true_source(damaged: tuple[int, int]) -> None:
+    """Of right form, but of a sequence or an epoch that nobody has sent."""
+    door = Door()
+    door.admit(frame(56))
+    epoch, sequence = damaged
+    with pytest.raises(WireError, match="far ahead"):
+        door.admit(frame(sequence, epoch=epoch))
+    for sequence in (57, 58):
+        door.admit(frame(sequence))
+    assert (door.received, door.dropped, door.rejected) == (3, 0, 1)
+
+
+@pytest.mark.parametrize(("epoch", "lost"), [(1, 20_000 - 56 - 2), (2, 0)], ids=["a long silence", "another source"])
+def test_what_two_frames_say_is_believed(epoch: int, lost: int) -> None:
+    door = Door()
+    door.admit(frame(56))
+    with pytest.raises(WireError, match="far ahead"):
+        door.admit(frame(20_000 - 1, epoch=epoch))
+    door.admit(frame(20_000, epoch=epoch))
+    door.admit(frame(20_001, epoch=epoch))
+    assert (door.received, door.dropped, door.rejected) == (3, lost, 1)
+
+
+def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
+    door = Door()
+    for sequence in range(0, 3000, 30):
+        with contextlib.suppress(WireError):
+            door.admit(frame(sequence))
+    assert (door.received, door.rejected) == (50, 50)
+    last_in = 2940
+    assert door.received + door.dropped + (door.rejected - 1) == last_in + 1
+
+
+def test_another_source_in_the_midst_of_its_count_does_not_take_over_from_one_that_speaks() -> None:
+    door = Door()
+    door.admit(frame(0))
+    for sequence in range(1, 20):
+        door.admit(frame(sequence))
+        with pytest.raises(WireError, match="far ahead"):
+            door.admit(frame(500 + sequence, epoch=9))
+    assert (door.received, door.rejected) == (20, 19)
+
+
+def test_two_damaged_headers_that_disagree_are_not_believed() -> None:
+    door = Door()
+    door.admit(frame(56))
+    for sequence in (2**40, 2**30, 2**41):
+        with pytest.raises(WireError, match="far ahead"):
+            door.admit(frame(sequence))
+    door.admit(frame(57))
+    assert door.dropped == 0
+
+
+def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
+    door = Door()
+    door.admit(frame(56))
+    for k, epoch in enumerate((2**40, 2**41, 2**42)):
+        with pytest.raises(WireError, match="far ahead"):
+            door.admit(frame(500 + k, epoch=epoch))
+    door.admit(frame(57))
+
+
+def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
+    """Epochs on one key, operators, reasons: each bounded, and who speaks all the time is not forgotten for them."""
+    door, manual = Door(), BY_SIGNAL[Manual]
+    for k in range(MOST_SOURCES + 500):
+        door.admit(frame(0, epoch=k))
+        door.admit(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
+        letters = "".join(chr(ord("a") + int(digit)) for digit in str(k))
+        with pytest.raises(WireError, match="unknown field"):
+            door.admit(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
+    assert len(door._sources) == MOST_SOURCES
+    assert len(door.refused) == MOST_KINDS + 1
+    assert door.rejected == MOST_SOURCES + 500
+    assert len(door._sources[TOPIC.key].former) == MOST_SOURCES
+    with pytest.raises(WireError, match="former epoch"):
+        door.admit(frame(1, epoch=MOST_SOURCES))
 
 
 def test_keys_are_counted_apart() -> None:

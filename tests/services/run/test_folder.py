@@ -94,3 +94,31 @@ def test_the_summary_is_json_with_nulls_the_water_a_prior_and_neither_leaves_a_d
     made.write_result(summary, water)
     assert read_prior(made.currents).sd_mps[0] == 1 / 3
     assert sorted(p.name for p in Path("here").iterdir()) == ["config", "currents.csv", "scenario.toml", "summary.json"]
+
+
+def test_a_run_is_found_by_its_folder_its_recording_or_as_the_latest() -> None:
+    made = [folder.make(name, FILES) for name in ("first", "second", "third")]
+    for run in made:
+        run.recording.write_bytes(b"")
+    Path("runs/notes").mkdir()
+    os.utime(made[1].scenario, ns=(2**62, 2**62))  # begun last, whatever it is called and wherever the link points
+    assert folder.find("latest") == made[1].recording
+    assert folder.find(str(made[0].path)) == folder.find(str(made[0].recording)) == made[0].recording
+    bare = Path("elsewhere.mcap")
+    bare.write_bytes(b"")
+    assert folder.find("elsewhere.mcap") == bare
+
+
+@pytest.mark.parametrize(
+    ("text", "wrong"),
+    [
+        ("latest", "no run below .*runs: name its folder"),
+        ("empty", r"RUN empty: the folder holds no run\.mcap"),
+        ("nowhere", "RUN nowhere: no such folder or file"),
+        ("a\0b", "cannot be read|no such folder or file"),
+    ],
+)
+def test_what_is_no_run_is_refused_with_what_would_be(text: str, wrong: str) -> None:
+    Path("empty").mkdir()
+    with pytest.raises(ConfigError, match=wrong):
+        folder.find(text)

@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import CycleTiming, Plan, StepRecord
+from ltv_mpc.signals import CycleTiming, StepRecord
 from services.bus import topics, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording
@@ -120,7 +120,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
             made[key] = sequence + 1
             was = frames.get((key, 1, sequence))
             if was is None:  # still on its way when the run ended
-                assert isinstance(signal, Plan)
+                assert record.node == "controller"  # which alone takes time in lock step
                 continue
             header = wire.Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
             assert msgspec.json.encode(wire.plain(signal, header)) == msgspec.json.encode(was.plain), (key, sequence)

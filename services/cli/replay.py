@@ -1,0 +1,50 @@
+"""A run: ``replay``, every output again, byte for byte."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Json
+
+
+def replay(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, its run.mcap, or latest.")],
+    with_: Annotated[
+        Path | None,
+        typer.Option(
+            "--with", metavar="FILE", help="What would have changed: other settings, as RUN/config/controller.toml."
+        ),
+    ] = None,
+    node: Annotated[
+        str | None,
+        typer.Option("--node", metavar="NAME", help="This node alone: plant, sensors, estimator, controller."),
+    ] = None,
+    as_json: Json = False,
+) -> int:
+    """Every output of a run again, byte for byte; or, with other settings, what would have changed.
+
+    The nodes are built from the run's own settings and fed the recorded inputs in the recorded order. Exit code 0 where
+    every step that can be compared is identical.
+    """
+    import msgspec
+
+    from services.replay import replay as nodes
+    from services.run import folder
+    from services.views import replay_text
+    from services.views.terminal import progress_for
+
+    made = nodes.Run(folder.find(run))
+    scenario = made.situation.scenario
+    with progress_for(scenario.start_ns, scenario.end_ns) as progress:
+        if with_ is not None:
+            would = nodes.what_if(made, with_, only=node, progress=progress)
+        else:
+            verdict = nodes.replay(made, only=node, progress=progress)
+    if with_ is not None:
+        typer.echo(msgspec.json.encode(would).decode() if as_json else replay_text.what_if_text(would))
+        return 0
+    typer.echo(msgspec.json.encode(verdict).decode() if as_json else replay_text.text(verdict))
+    return 0 if verdict.identical else 1

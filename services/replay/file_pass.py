@@ -1,0 +1,138 @@
+"""One pass over a recording: each message goes to the nodes that read it, wrote it, or whose step it records."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
+from typing import Generic, TypeVar
+
+import msgspec
+
+from ltv_mpc.node import Node
+from ltv_mpc.signals import NodeStatus, StepRecord
+from services.bus.topics import key_of
+from services.recording.reader import Recording, Stored
+from services.replay.epoch import REACH, Epoch, Outcome, Record
+from services.replay.frames import Frames, Header
+
+SWEEP = 10_000
+"""Messages between two looks at what is too old to be asked for."""
+
+T = TypeVar("T")
+Made = TypeVar("Made", bound=Outcome)
+
+
+class _Status(msgspec.Struct, frozen=True):
+    """Of a process's word about itself, what a replay reads."""
+
+    steps: int
+
+
+_header = msgspec.json.Decoder(Header).decode
+_record = msgspec.json.Decoder(Record).decode
+_status = msgspec.json.Decoder(_Status).decode
+
+
+def _read(decode: Callable[[bytes], T], stored: Stored) -> T | None:
+    """None where it is no such message: nobody has acted on it either."""
+    try:
+        return decode(stored.data)
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        return None
+
+
+class NodeReplay(Generic[Made]):
+    """One node's part of a recording: its epochs by number, in the order of their start."""
+
+    def __init__(self, name: str, make: Callable[[], Node], outcome: Callable[[int], Made]) -> None:
+        """``make`` builds a new node; ``outcome`` takes what becomes of an epoch."""
+        node = make()
+        self.name = name
+        self.epochs: dict[int, Epoch] = {}
+        self.outcomes: dict[int, Made] = {}
+        self.record_key, self.status_key = key_of(StepRecord, name), key_of(NodeStatus, name)
+        self.reads = frozenset(key_of(kind, name) for kind in node.reads)
+        self.writes = frozenset(key_of(kind, name) for kind in node.writes)
+        self._make = make
+        self._outcome = outcome
+        self._frames = Frames()
+        self._open: list[Epoch] = []
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """All that it needs of a file."""
+        return self.reads | self.writes | {self.record_key, self.status_key}
+
+    def take(self, stored: Stored, header: Header, at: int) -> None:
+        """A message of the file; ``at`` is its place there."""
+        if stored.key == self.record_key:
+            record = _read(_record, stored)
+            if record is not None:
+                self._epoch(header.epoch).take(record, at)
+        elif stored.key == self.status_key:
+            status = _read(_status, stored)
+            if status is not None and status.steps:
+                epoch = self._epoch(header.epoch)
+                epoch.steps_run = max(epoch.steps_run, status.steps)
+        else:
+            if stored.key in self.reads:
+                self._frames.add(stored, header, at)
+                for epoch in self._open:
+                    if epoch.waits:
+                        epoch.advance(at)
+            if stored.key in self.writes and header.epoch in self.epochs:
+                self.epochs[header.epoch].outcome.heard(stored, header)
+
+    def sweep(self, at: int) -> None:
+        """Forget what nobody asks for any more, and end the epochs that a newer one has followed."""
+        self._frames.forget(at - REACH)
+        for epoch in self._open[:-1]:
+            if epoch.last_at < at - REACH:
+                epoch.close()
+                self._open.remove(epoch)
+
+    def close(self) -> None:
+        """The file has been read."""
+        for epoch in self._open:
+            epoch.close()
+        self._open.clear()
+
+    def _epoch(self, number: int) -> Epoch:
+        epoch = self.epochs.get(number)
+        if epoch is None:
+            outcome = self.outcomes[number] = self._outcome(number)
+            epoch = self.epochs[number] = Epoch(number, self._make, self._frames, outcome)
+            self._open.append(epoch)
+        return epoch
+
+
+def feed(
+    recordings: Sequence[Recording],
+    nodes: Iterable[NodeReplay[Made]],
+    *,
+    progress: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Read the recordings, a run's segments in their order, once. ``progress`` is told the vehicle time."""
+    readers: dict[str, list[NodeReplay[Made]]] = {}
+    for node in nodes:
+        for key in node.keys:
+            readers.setdefault(key, []).append(node)
+    every = list(dict.fromkeys(node for of_key in readers.values() for node in of_key))
+    at, stored = 0, None
+    for stored in chain.from_iterable(recording.stored(readers) for recording in recordings):
+        if not at:
+            progress(stored.t_ns)
+        at += 1
+        header = _read(_header, stored)
+        if header is None:
+            continue
+        for node in readers[stored.key]:
+            node.take(stored, header, at)
+        if at % SWEEP == 0:
+            progress(stored.t_ns)
+            for node in every:
+                node.sweep(at)
+    for node in every:
+        node.close()
+    if stored is not None:
+        progress(stored.t_ns)

@@ -1,0 +1,113 @@
+"""The nodes of a run, built anew from what its recording says that it was made of.
+
+run.mcap holds every settings file of its folder, so that it needs no other file; the process of a node and lock step
+build it of the same ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from ltv_mpc import config
+from ltv_mpc.control import config as control
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.node import Node
+from services.replay.verdict import Change
+from services.run import locked
+from services.run.situation import Situation, resolve
+from services.run.water import beside, told
+
+SCENARIO = "scenario.toml"
+
+SETTINGS: Mapping[str, type[msgspec.Struct]] = {
+    ControllerNode.name: ControllerConfig,
+    Estimator.name: EstimatorConfig,
+}
+"""Whose settings another file may replace: RUN/config/<name>.toml."""
+
+
+def situation_of(metadata: Mapping[str, str], *, source: str) -> Situation:
+    """What the run was made of. ``metadata`` are the recording's. Raises ``ConfigError``."""
+    if SCENARIO not in metadata:
+        raise ConfigError(source, "", f"does not hold the run's settings ({SCENARIO}): no recording of this program")
+    with tempfile.TemporaryDirectory() as place:
+        for name, text in metadata.items():
+            path = Path(place, name)
+            if name.endswith((".toml", ".csv")) and path.resolve().is_relative_to(Path(place).resolve()):
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(text, encoding="utf-8")
+        try:
+            return resolve(str(Path(place, SCENARIO)))
+        except ConfigError as error:
+            problem = f"its settings are refused: {error.source.replace(f'{place}/', '')}"
+            raise ConfigError(source, error.field, f"{problem}: {error.problem}", value=error.value) from None
+
+
+def names(situation: Situation) -> tuple[str, ...]:
+    """Every node that can be replayed, in the order of the launch table."""
+    return tuple(node.name for node in locked.nodes(situation))
+
+
+def make(situation: Situation, name: str) -> Node:
+    """A new node, as at the start of its process."""
+    return next(node for node in locked.nodes(situation) if node.name == name)
+
+
+def settings_of(situation: Situation, name: str) -> msgspec.Struct:
+    """The table of a node whose settings may be replaced."""
+    return situation.scenario.controller if name == ControllerNode.name else situation.scenario.estimator
+
+
+def node_of(path: Path) -> str:
+    """Whose settings the file holds: by its keys, which no two tables share. Raises ``ConfigError``."""
+    table = config.read_toml(path, what="settings")
+    shared = {name: len(table.keys() & set(kind.__struct_fields__)) for name, kind in SETTINGS.items()}
+    fits = [name for name, count in shared.items() if count == max(shared.values())]
+    if len(fits) > 1:
+        files = " or ".join(f"RUN/config/{name}.toml" for name in SETTINGS)
+        raise ConfigError(f"--with {path}", "", f"must be a file like {files}: none of its keys tells which of them")
+    return fits[0]
+
+
+def replaced(situation: Situation, path: Path) -> tuple[str, Situation, tuple[Change, ...]]:
+    """The node, the situation with its settings taken from the file, and what is otherwise. Raises ``ConfigError``.
+
+    A key that is left out has its default, as for ``--settings``.
+    """
+    name = node_of(path)
+    scenario = situation.scenario
+    if name == ControllerNode.name:
+        controller = control.checked(ControllerConfig.load(str(path)), source=f"--with {path}")
+        other = dataclasses.replace(situation, scenario=msgspec.structs.replace(scenario, controller=controller))
+    else:
+        estimator = beside(path.parent, EstimatorConfig.load(str(path)))
+        changed = msgspec.structs.replace(scenario, estimator=estimator)
+        other = dataclasses.replace(situation, scenario=changed, prior=told(estimator))
+    if name not in names(other):
+        raise ConfigError(f"--with {path}", "", f"the run has no {name}: its state was given away")
+    return name, other, _changes(settings_of(situation, name), settings_of(other, name))
+
+
+def _changes(run: msgspec.Struct, here: msgspec.Struct) -> tuple[Change, ...]:
+    was, is_ = _flat(msgspec.to_builtins(run)), _flat(msgspec.to_builtins(here))
+    for table in (was, is_):  # where it stands is no setting
+        table |= {key: Path(str(table[key])).name for key in ("water_prior",) if key in table}
+    return tuple(
+        Change(key=key, run=was.get(key), here=is_.get(key)) for key in {**was, **is_} if was.get(key) != is_.get(key)
+    )
+
+
+def _flat(table: Mapping[str, object], under: str = "") -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{under}{key}.") if isinstance(value, Mapping) else {f"{under}{key}": value}
+    return flat

@@ -1,0 +1,202 @@
+"""``ltv-mpc replay RUN``: the nodes of a run fed again what they were fed, and what came of it.
+
+Nodes know nothing of one another, so each can be replayed alone: on two cores what is aboard has one for itself, and
+the simulated world the other; each is half of the work. Memory does not grow with the length of a run: the file is read
+once, and what is kept of it is bounded (``epoch.REACH``).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.estimator import Estimator
+from services.recording.reader import Recording
+from services.recording.recover import segments
+from services.replay import nodes
+from services.replay.compare import Comparison
+from services.replay.file_pass import NodeReplay, feed
+from services.replay.machine import elsewhere
+from services.replay.verdict import MOST_GAPS, NodeVerdict, Verdict, WhatIfVerdict, first
+from services.replay.what_if import WhatIf
+
+WORTH_A_PROCESS_BYTES = 2_000_000
+"""A second process takes a second to start: for a file that is read faster than that it is not worth it."""
+
+Progress = Callable[[int], None]
+"""Told the vehicle time that was reached."""
+
+
+class Run:
+    """A recording and what it says that the run was made of. Raises ``ConfigError`` where it says nothing usable."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.parts = segments(path)
+        self.metadata = metadata_of(path)
+        self.situation = nodes.situation_of(self.metadata, source=f"recording {path}")
+        self.names = nodes.names(self.situation)
+
+    def recordings(self) -> list[Recording]:
+        """The file, and the segments that restarted recorders left beside it."""
+        return [Recording(part) for part in self.parts]
+
+    def only(self, node: str | None) -> tuple[str, ...]:
+        """The nodes that are asked for; None: all. Raises ``ConfigError`` for one that the run does not have."""
+        if node is None:
+            return self.names
+        if node not in self.names:
+            raise ConfigError("option --node", "", f"must be one of {', '.join(self.names)}", value=node)
+        return (node,)
+
+
+def metadata_of(path: Path) -> Mapping[str, str]:
+    """What the head of a recording says. Raises ``ConfigError`` where it is none."""
+    recording = Recording(path)
+    next(recording.stored(), None)
+    return recording.metadata
+
+
+# --- every output again ----------------------------------------------------------------------------------------------
+
+
+def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: None) -> Verdict:
+    """Compare every step that can be. Raises ``ConfigError``."""
+    names = run.only(only)
+    began = time.monotonic()
+    apart = _apart(run, names)
+    here = tuple(name for name in names if name not in apart)
+    if not apart:
+        done = _compared(run, here, progress)
+    else:
+        # spawn: a forked child would inherit threads
+        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+            theirs: Future[_Done] = pool.submit(_compared_alone, run.path, apart)
+            mine = _compared(run, here, progress)
+            done = mine.with_(theirs.result())
+    wall_s = time.monotonic() - began
+    verdicts = tuple(sorted(done.nodes, key=lambda verdict: names.index(verdict.node)))
+    return _verdict(run, verdicts, done, wall_s)
+
+
+class _Done(msgspec.Struct, frozen=True):
+    """What one process has replayed."""
+
+    nodes: tuple[NodeVerdict, ...]
+    cut: bool
+    since_ns: int
+    until_ns: int
+
+    def with_(self, other: _Done) -> _Done:
+        """Both."""
+        since_ns, until_ns = min(self.since_ns, other.since_ns), max(self.until_ns, other.until_ns)
+        return _Done(self.nodes + other.nodes, self.cut or other.cut, since_ns, until_ns)
+
+
+def _apart(run: Run, names: Sequence[str]) -> tuple[str, ...]:
+    """Nodes that are better done by a second process at the same time."""
+    size = sum(part.stat().st_size for part in run.parts)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    worth = cores > 1 and size > WORTH_A_PROCESS_BYTES and len(names) > 1
+    aboard = tuple(name for name in names if name in (Estimator.name, ControllerNode.name))
+    return aboard if worth and aboard != tuple(names) else ()
+
+
+def _compared_alone(path: Path, names: tuple[str, ...]) -> _Done:
+    """In a process of its own: settings are read anew, they need not travel."""
+    return _compared(Run(path), names, lambda _: None)
+
+
+def _compared(run: Run, names: Sequence[str], progress: Progress) -> _Done:
+    span_ns: list[int] = []
+
+    def told(t_ns: int) -> None:
+        span_ns[:] = min((t_ns, *span_ns)), max((t_ns, *span_ns))
+        progress(t_ns)
+
+    parts = [NodeReplay(name, partial(nodes.make, run.situation, name), partial(Comparison, name)) for name in names]
+    recordings = run.recordings()
+    feed(recordings, parts, progress=told)
+    return _Done(tuple(map(_of_node, parts)), any(recording.cut for recording in recordings), *(span_ns or (0, 0)))
+
+
+def _of_node(part: NodeReplay[Comparison]) -> NodeVerdict:
+    outcomes = list(part.outcomes.values())
+    gaps = [epoch.gap for epoch in part.epochs.values() if epoch.gap is not None]
+    return NodeVerdict(
+        node=part.name,
+        starts=len(part.epochs),
+        steps_run=sum(epoch.steps_run for epoch in part.epochs.values()),
+        steps_compared=sum(outcome.steps_compared for outcome in outcomes),
+        steps_identical=sum(outcome.steps_identical for outcome in outcomes),
+        outputs_compared=sum(outcome.compared for outcome in outcomes),
+        outputs_lost=sum(outcome.lost for outcome in outcomes),
+        outputs_unpublished=sum(outcome.unpublished for outcome in outcomes),
+        gaps=tuple(gaps[:MOST_GAPS]),
+        more_gaps=max(0, len(gaps) - MOST_GAPS),
+        first_difference=first([outcome.first_difference for outcome in outcomes]),
+    )
+
+
+def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: float) -> Verdict:
+    scenario = run.situation.scenario
+    vehicle_s = (done.until_ns - done.since_ns) / 1e9
+    compared = sum(verdict.steps_compared for verdict in verdicts)
+    identical = sum(verdict.steps_identical for verdict in verdicts)
+    difference = first([verdict.first_difference for verdict in verdicts])
+    return Verdict(
+        recording=str(run.path),
+        scenario=run.situation.name,
+        mode=run.metadata.get("mode", ""),
+        cut=done.cut,
+        vehicle_s=vehicle_s,
+        wall_s=wall_s,
+        times_real_time=vehicle_s / wall_s,
+        identical=0 < compared == identical and difference is None,
+        steps_run=sum(verdict.steps_run for verdict in verdicts),
+        steps_compared=compared,
+        steps_identical=identical,
+        nodes=verdicts,
+        first_difference=difference,
+        elsewhere=elsewhere(scenario.made_by),
+    )
+
+
+# --- what another setting would have done ----------------------------------------------------------------------------
+
+
+def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Progress = lambda _: None) -> WhatIfVerdict:
+    """Replay the node whose settings the file holds. Raises ``ConfigError``."""
+    name, other, changes = nodes.replaced(run.situation, settings)
+    if only not in (None, name):
+        problem = f"cannot act together with --with {settings}, which holds settings of the {name}"
+        raise ConfigError("option --node", "", problem, value=only)
+    began = time.monotonic()
+    whole = WhatIf(name)
+    part = NodeReplay(name, partial(nodes.make, other, name), whole.of_epoch)
+    feed(run.recordings(), [part], progress=progress)
+    return WhatIfVerdict(
+        recording=str(run.path),
+        scenario=run.situation.name,
+        settings=str(settings),
+        node=name,
+        changes=changes,
+        steps_run=sum(epoch.steps_run for epoch in part.epochs.values()),
+        steps_replayed=whole.steps,
+        recorded=whole.recorded.total(),
+        replayed=whole.replayed.total(),
+        pairs=whole.pairs,
+        deviations=whole.deviations,
+        shares=whole.shares,
+        wall_s=time.monotonic() - began,
+        elsewhere=elsewhere(run.situation.scenario.made_by),
+    )

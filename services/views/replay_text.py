@@ -1,0 +1,115 @@
+"""What a replay came to, for a terminal of 80 columns and more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import msgspec
+
+from services.replay.verdict import Difference, Elsewhere, NodeVerdict, Verdict, WhatIfVerdict
+
+LONGEST_VALUE = 32
+MODES = {"lockstep": "in lock step", "services": "as processes"}
+SAME_MACHINE_NEEDED = "another processor or version may change last bits, and with them every output from there on:"
+
+
+def text(verdict: Verdict) -> str:
+    """The lines, without a line break at the end."""
+    compared, run = verdict.steps_compared, verdict.steps_run
+    lines = [
+        f"run           {verdict.scenario}, {verdict.vehicle_s:.1f} s {MODES.get(verdict.mode, verdict.mode)}",
+        *_table(verdict.nodes),
+        "",
+        f"compared      {_share(compared, run)} of {run} steps",
+        f"identical     {_share(verdict.steps_identical, compared)} of {compared} steps, byte for byte",
+        *_losses(verdict),
+        *_difference(verdict.first_difference),
+        *_elsewhere(verdict.elsewhere),
+        f"took          {verdict.wall_s:.1f} s, {verdict.times_real_time:.0f} times real time",
+        "",
+        verdict.recording,
+    ]
+    return "\n".join(lines)
+
+
+def what_if_text(verdict: WhatIfVerdict) -> str:
+    """The same of a replay with other settings."""
+    node = verdict.node
+    changes = [f"{change.key} = {_value(change.here)}, in the run {_value(change.run)}" for change in verdict.changes]
+    what = "estimates of one time" if verdict.node == "estimator" else "plans of one cycle, at the recorded one's knots"
+    lines = [
+        f"run           {verdict.scenario}, its {node} with {verdict.settings}",
+        *_labelled("changed", changes or ["nothing: the settings are the run's own"]),
+        f"replayed      {verdict.steps_replayed} of {verdict.steps_run} steps, the inputs as recorded",
+        f"compared      {verdict.pairs} {what}",
+    ]
+    if verdict.deviations:
+        lines += ["", f"{'replayed - recorded':<22}{'rms':>12}{'largest':>12}{'last':>12}"]
+        lines += [f"{d.of:<22}{d.rms:>12.4g}{d.max_abs:>12.4g}{d.final:>+12.4g} {d.unit}" for d in verdict.deviations]
+    if verdict.shares:
+        lines += ["", f"{'plans':<22}{'recorded':>12}{'replayed':>12}"]
+        lines += [
+            f"{share.origin:<22}{100 * share.recorded:>10.1f} %{100 * share.replayed:>10.1f} %"
+            for share in verdict.shares
+        ]
+    lines += ["", *_elsewhere(verdict.elsewhere), verdict.recording]
+    return "\n".join(lines)
+
+
+def _table(nodes: Iterable[NodeVerdict]) -> Iterator[str]:
+    yield f"{'node':<14}{'starts':>7}{'steps run':>12}{'compared':>12}{'identical':>12}{'outputs':>12}"
+    for node in nodes:
+        steps = f"{node.steps_run:>12}{node.steps_compared:>12}{node.steps_identical:>12}"
+        yield f"{node.node:<14}{node.starts:>7}{steps}{node.outputs_compared:>12}"
+
+
+def _losses(verdict: Verdict) -> Iterator[str]:
+    said = ["the recording ends in its middle"] if verdict.cut else []
+    for node in verdict.nodes:
+        for gap in node.gaps:
+            since = "" if gap.t_ns is None else f" from {gap.t_ns / 1e9:.2f} s on"
+            said.append(f"{node.node}: {gap.steps} steps{since} not replayed: {gap.why}")
+        if node.more_gaps:
+            said.append(f"{node.node}: and {node.more_gaps} gaps more")
+        if node.outputs_lost:
+            said.append(f"{node.node}: {node.outputs_lost} outputs are not in the file")
+        if node.outputs_unpublished:
+            said.append(f"{node.node}: {node.outputs_unpublished} outputs were on their way when it ended")
+    yield from _labelled("not there", said)
+
+
+def _difference(difference: Difference | None) -> Iterator[str]:
+    if difference is None:
+        return
+    what = f"{difference.key} {difference.sequence}" if difference.key else difference.what
+    yield f"first differs {difference.node}, step {difference.step} at {difference.t_ns / 1e9:.3f} s: {what}"
+    if difference.key and difference.what:
+        yield f"              {difference.what}"
+    for field in difference.fields:
+        recorded = f"recorded {_value(field.recorded)}"
+        yield f"    {field.path:<26} {recorded:<{LONGEST_VALUE + 10}} replayed {_value(field.replayed)}"
+    if difference.more_fields:
+        yield f"    and {difference.more_fields} fields more"
+
+
+def _elsewhere(differing: Iterable[Elsewhere]) -> Iterator[str]:
+    said = [f"{entry.what}: the run {entry.run}, here {entry.here}" for entry in differing]
+    yield from _labelled("otherwise", [SAME_MACHINE_NEEDED, *said] if said else [])
+
+
+def _labelled(label: str, lines: Iterable[str]) -> Iterator[str]:
+    for i, line in enumerate(lines):
+        yield f"{'' if i else label:<13} {line}"
+
+
+def _share(part: int, whole: int) -> str:
+    """Never rounded up to what it is not."""
+    if part == whole:
+        return "100 %" if whole else "0 %"
+    return f"{min(99.999, 100 * part / whole):.3f} %"
+
+
+def _value(value: Any) -> str:
+    text = msgspec.json.encode(value).decode()
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."

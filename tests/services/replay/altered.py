@@ -1,0 +1,52 @@
+"""A recording written again with something else in it: lost, damaged, doubled, of another epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from services.bus import wire
+from services.recording.reader import Recording, Stored
+from services.recording.writer import RunWriter
+from services.replay.replay import metadata_of
+
+Plain = dict[str, Any]
+
+Change = Callable[[Stored, Plain], Iterable[Plain]]
+"""One message of the file -> what is to stand there in its place."""
+
+
+def messages(recording: Path) -> list[tuple[Stored, Plain]]:
+    """All of a file."""
+    return [(stored, msgspec.json.decode(stored.data)) for stored in Recording(recording).stored()]
+
+
+def rewritten(
+    recording: Path,
+    out: Path,
+    change: Change,
+    *,
+    spell: Callable[[Plain], bytes] = wire.packed,
+    keep_crc: bool = False,
+) -> Path:
+    """``out``, with every message as ``change`` leaves it, under the CRC of the frame that ``spell`` makes of it.
+
+    ``keep_crc``: under the CRC that it had, as if somebody had edited the file.
+    """
+    metadata = dict(metadata_of(recording))
+    start_ns = int(metadata.pop("start_ns"))
+    with RunWriter(out, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
+        for stored, plain in messages(recording):
+            assert stored.kind is not None
+            for message in change(stored, plain):
+                crc = stored.crc if keep_crc else wire.crc(spell(message))
+                writer.write_plain(stored.key, stored.kind, message, stored.t_ns, crc)
+    return out
+
+
+def without(key: str, sequence: int) -> Change:
+    """One message is lost."""
+    return lambda stored, plain: [] if (stored.key, plain["sequence"]) == (key, sequence) else [plain]

@@ -1,0 +1,26 @@
+"""A short run in lock step, with every node and a delay: what the tests replay and damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from services.run import folder, locked
+from services.run.folder import RunFolder
+from services.run.situation import Override, resolve
+
+
+@pytest.fixture(scope="package")
+def locked_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """Three seconds after one afloat; a plan arrives 0.4 s after its cycle began."""
+    settings = ["run.duration_s=3", "run.compute_delay_s=0.4", "run.seed=3"]
+    situation = resolve("descent", [Override("test", settings)])
+    run = folder.make("descent", situation.files, out=tmp_path_factory.mktemp("replay") / "run")
+    locked.run(situation, run)
+    return run
+
+
+@pytest.fixture(scope="package")
+def recording(locked_run: RunFolder) -> Path:
+    return locked_run.recording

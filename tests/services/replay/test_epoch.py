@@ -1,0 +1,84 @@
+"""What is kept of a file while it is read, and a node that breaks where the recorded one did not."""
+
+from __future__ import annotations
+
+import msgspec
+
+from ltv_mpc.node import Grid, Inbox
+from ltv_mpc.signals import InboxEntry, PressureDepth, Signal
+from services.bus import wire
+from services.recording.reader import Stored
+from services.replay.compare import Comparison
+from services.replay.epoch import REACH, Epoch, Record
+from services.replay.frames import Frames, Header
+
+
+def depth(sequence: int) -> tuple[Stored, Header]:
+    signal, header = PressureDepth(t_ns=sequence, depth_m=1.0), Header(epoch=7, sequence=sequence)
+    plain = wire.plain(signal, header)
+    stored = Stored("sensor/depth", PressureDepth, sequence, wire.crc(wire.packed(plain)), msgspec.json.encode(plain))
+    return stored, header
+
+
+def entry(stored: Stored, header: Header) -> InboxEntry:
+    return InboxEntry(
+        key=stored.key, epoch=header.epoch, sequence=header.sequence, crc=stored.crc, received_t_ns=header.sequence
+    )
+
+
+def test_what_was_used_or_is_old_is_not_kept() -> None:
+    frames = Frames()
+    for at in range(10):
+        frames.add(*depth(at), at)
+    third = entry(*depth(3))
+    assert frames.find(third) is not None
+    frames.used(third)
+    assert frames.find(third) is None
+    assert len(frames) == 6
+    frames.forget(8)
+    assert len(frames) == 2
+    assert frames.find(entry(*depth(9))) is not None
+
+
+class Fragile:
+    """Steps until it is told of a depth."""
+
+    name = "sensors"
+    schedule = Grid(1)
+    reads: tuple[type[Signal], ...] = (PressureDepth,)
+    writes: tuple[type[Signal], ...] = (PressureDepth,)
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        if inbox:
+            raise ZeroDivisionError(f"at {t_ns}")
+        return [PressureDepth(t_ns=t_ns, depth_m=1.0)]
+
+
+def test_a_step_that_raises_where_the_recorded_one_did_not_is_a_difference_and_ends_its_epoch() -> None:
+    frames, outcome = Frames(), Comparison("sensors", 7)
+    frames.add(*depth(0), 0)
+    epoch = Epoch(7, Fragile, frames, outcome)
+    epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 1)
+    outcome.heard(*depth(0))
+    epoch.take(Record(epoch=7, step=1, t_ns=1, inbox=(entry(*depth(0)),)), 2)
+    epoch.take(Record(epoch=7, step=2, t_ns=2, inbox=()), 3)
+    epoch.close()
+    assert (outcome.steps_compared, outcome.steps_identical) == (2, 1)
+    assert outcome.first_difference is not None
+    assert (outcome.first_difference.step, outcome.first_difference.what) == (
+        1,
+        "the replay raised ZeroDivisionError: at 1",
+    )
+    assert epoch.gap is not None
+    assert (epoch.gap.first_step, epoch.gap.steps) == (2, 1)
+
+
+def test_a_missing_input_is_waited_for_as_far_as_it_may_stand_and_no_further() -> None:
+    frames, outcome = Frames(), Comparison("sensors", 7)
+    epoch = Epoch(7, Fragile, frames, outcome)
+    epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=(entry(*depth(0)),)), 0)
+    epoch.advance(REACH)
+    assert epoch.gap is None
+    epoch.advance(REACH + 1)
+    assert epoch.gap is not None
+    assert "sensor/depth 0 (epoch 000000000007" in epoch.gap.why

@@ -1,0 +1,260 @@
+"""A run's outputs again, byte for byte: what is other is found and named, and what is lost is a gap."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.signals import NodeStatus, StepRecord
+from services.bus import wire
+from services.bus.topics import key_of
+from services.recording.reader import Stored
+from services.recording.writer import RunWriter
+from services.replay import nodes
+from services.replay import replay as engine
+from services.replay.compare import NOT_MADE, NOT_RECORDED
+from services.replay.verdict import NodeVerdict, Verdict
+from services.run.made_by import made_by
+from tests.services.replay.altered import Plain, messages, rewritten, without
+
+
+def replayed(recording: Path, **options: Any) -> Verdict:
+    return engine.replay(engine.Run(recording), **options)
+
+
+def of(verdict: Verdict, name: str) -> NodeVerdict:
+    (node,) = (node for node in verdict.nodes if node.node == name)
+    return node
+
+
+def test_every_step_of_a_run_in_lock_step_is_identical_from_the_file_alone(recording: Path, tmp_path: Path) -> None:
+    """Taken out of its folder: what it was made of stands in it. The last plan was on its way when the run ended."""
+    bare = Path(shutil.copy(recording, tmp_path / "elsewhere.mcap"))
+    told: list[int] = []
+    verdict = replayed(bare, progress=told.append)
+    assert verdict.identical
+    assert verdict.steps_run == verdict.steps_compared == verdict.steps_identical
+    assert [(node.node, node.starts, node.outputs_lost) for node in verdict.nodes] == [
+        (name, 1, 0) for name in ("plant", "sensors", "estimator", "controller")
+    ]
+    assert of(verdict, "plant").steps_run == of(verdict, "sensors").steps_run == 401
+    assert of(verdict, "controller").outputs_compared >= of(verdict, "controller").steps_run >= 8
+    assert (verdict.cut, verdict.elsewhere, verdict.first_difference) == (False, (), None)
+    assert told[-1] == 3_000_000_000
+    assert verdict.vehicle_s == 4.0
+
+
+def test_one_node_alone(recording: Path) -> None:
+    verdict = replayed(recording, only="controller")
+    assert verdict.identical
+    assert [node.node for node in verdict.nodes] == ["controller"]
+    with pytest.raises(ConfigError, match=r'--node: "pilot": must be one of plant, sensors, estimator, controller'):
+        replayed(recording, only="pilot")
+
+
+@pytest.mark.parametrize("keep_crc", [False, True])
+def test_one_digit_of_a_plan_is_found_and_named(recording: Path, tmp_path: Path, keep_crc: bool) -> None:
+    """The CRC tells on a frame that is another, the bytes of the file on a file that was edited."""
+
+    def damaged(stored: Stored, plain: Plain) -> Iterable[Plain]:
+        if stored.key == "plan" and plain["sequence"] == 4:
+            row = plain["thrust_N"][3]
+            thrusts_N.append(row[1])
+            row[1] += 1e-9
+            thrusts_N.append(row[1])
+        return [plain]
+
+    thrusts_N: list[float] = []
+    verdict = replayed(rewritten(recording, tmp_path / "run.mcap", damaged, keep_crc=keep_crc))
+    assert not verdict.identical
+    difference = verdict.first_difference
+    assert difference is not None
+    assert (difference.node, difference.key, difference.sequence) == ("controller", "plan", 4)
+    assert [(field.path, field.replayed, field.recorded) for field in difference.fields] == [
+        ("thrust_N[3][1]", *thrusts_N)
+    ]
+    controller, plant = of(verdict, "controller"), of(verdict, "plant")
+    assert controller.steps_run == controller.steps_compared == controller.steps_identical + 1
+    if not keep_crc:  # the plant was given a frame that is not there
+        assert plant.steps_compared == plant.steps_identical < plant.steps_run
+        assert "plan 4 (" in plant.gaps[0].why
+
+
+def test_the_same_values_in_another_spelling_are_another_frame(recording: Path, tmp_path: Path) -> None:
+    """JSON cannot tell: the checksum of what travelled does."""
+
+    def backwards(message: Plain) -> bytes:
+        return wire.packed(dict(reversed(message.items())) if "solve" in message else message)
+
+    out = rewritten(recording, tmp_path / "run.mcap", lambda _, plain: [plain], spell=backwards)
+    difference = replayed(out, only="controller").first_difference
+    assert difference is not None
+    assert (difference.key, difference.sequence, difference.fields) == ("plan", 0, ())
+    assert "otherwise spelled" in difference.what
+
+
+@pytest.mark.parametrize(
+    ("key", "sequence", "node"),
+    [("sensor/imu", 250, "estimator"), ("record/estimator", 300, "estimator"), ("world/truth", 120, "sensors")],
+)
+def test_a_lost_message_is_a_gap_and_all_before_it_is_compared(
+    recording: Path, tmp_path: Path, key: str, sequence: int, node: str
+) -> None:
+    verdict = replayed(rewritten(recording, tmp_path / "run.mcap", without(key, sequence)))
+    assert verdict.identical  # of what can be compared
+    (gap,) = of(verdict, node).gaps
+    assert gap.first_step + gap.steps == of(verdict, node).steps_run
+    assert gap.first_step == of(verdict, node).steps_compared > 100
+    assert "is not in the file" in gap.why
+    assert ("the record of step 300" if key == "record/estimator" else f"{key} {sequence} (") in gap.why
+    others = [other for other in verdict.nodes if other.node != node]
+    assert all(other.steps_compared >= other.steps_run - 1 and not other.gaps for other in others)
+
+
+def test_a_lost_output_is_counted_and_its_step_is_not_compared(recording: Path, tmp_path: Path) -> None:
+    verdict = replayed(rewritten(recording, tmp_path / "run.mcap", without("localisation", 1)), only="estimator")
+    assert verdict.identical
+    estimator = of(verdict, "estimator")
+    assert (estimator.outputs_lost, estimator.steps_compared) == (1, estimator.steps_run - 1)
+    assert not estimator.gaps
+
+
+def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Path, tmp_path: Path) -> None:
+    """The run twice in one file, the first with a loss; the second is of new epochs."""
+    crc_of: dict[tuple[str, int], int] = {}
+
+    def second(stored: Stored, plain: Plain) -> Plain:
+        plain = plain | {"epoch": 2}
+        if "inbox" in plain:
+            frames = ((entry, crc_of[entry["key"], entry["sequence"]]) for entry in plain["inbox"])
+            plain["inbox"] = [entry | {"epoch": 2, "crc": crc} for entry, crc in frames]
+        crc_of[stored.key, plain["sequence"]] = wire.crc(wire.packed(plain))
+        return plain
+
+    # Of one node: what acts on a plan names the plan's epoch, which would be another.
+    node = nodes.make(engine.Run(recording).situation, "estimator")
+    own = {key_of(kind, node.name) for kind in (*node.reads, *node.writes, StepRecord)}
+    aboard = [(stored, plain) for stored, plain in messages(recording) if stored.key in own]
+    out = tmp_path / "run.mcap"
+    run = engine.Run(recording)
+    with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(run.metadata)) as writer:
+        for stored, plain in aboard:
+            assert stored.kind is not None
+            if (stored.key, plain["sequence"]) != ("sensor/imu", 250):
+                writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
+        for stored, plain in [(stored, second(stored, plain)) for stored, plain in aboard]:
+            assert stored.kind is not None
+            writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
+    estimator = of(replayed(out, only="estimator"), "estimator")
+    (gap,) = estimator.gaps
+    assert (gap.epoch, estimator.starts) == (1, 2)
+    assert estimator.steps_run == 2 * (gap.first_step + gap.steps)
+    assert estimator.steps_identical == estimator.steps_compared == estimator.steps_run - gap.steps
+
+
+@pytest.mark.parametrize("damaged_first", [True, False])
+def test_a_damaged_copy_beside_the_right_frame_changes_nothing(
+    recording: Path, tmp_path: Path, damaged_first: bool
+) -> None:
+    """As a recorder that listens on both sides of a bad link hears it: inputs and outputs alike."""
+
+    def doubled(stored: Stored, plain: Plain) -> Iterable[Plain]:
+        if stored.key == "sensor/depth":
+            copy = plain | {"depth_m": plain["depth_m"] + 1.0}
+        elif stored.key == "plan":
+            copy = plain | {"thrust_N": [[0.0, 0.0, 0.0]] * len(plain["thrust_N"])}
+        else:
+            return [plain]
+        return [copy, plain] if damaged_first else [plain, plain, copy]
+
+    verdict = replayed(rewritten(recording, tmp_path / "run.mcap", doubled))
+    assert verdict.identical
+    assert verdict.steps_compared == verdict.steps_run
+
+
+def test_an_input_may_stand_in_the_file_behind_the_record_that_names_it(recording: Path, tmp_path: Path) -> None:
+    held: list[Plain] = []
+
+    def late(stored: Stored, plain: Plain) -> Iterable[Plain]:
+        """Each sensor message comes five later."""
+        if stored.key != "sensor/imu":
+            return [plain]
+        held.append(plain)
+        if plain["sequence"] == last:
+            return held
+        return [held.pop(0)] if len(held) > 5 else []
+
+    last = max(plain["sequence"] for stored, plain in messages(recording) if stored.key == "sensor/imu")
+    verdict = replayed(rewritten(recording, tmp_path / "run.mcap", late), only="estimator")
+    assert verdict.identical
+    assert verdict.steps_compared == verdict.steps_run
+
+
+def test_outputs_that_nothing_lost_explains_are_differences(recording: Path, tmp_path: Path) -> None:
+    def silent(stored: Stored, plain: Plain) -> Iterable[Plain]:
+        return [] if stored.key == "localisation" else [plain]
+
+    def talkative(stored: Stored, plain: Plain) -> Iterable[Plain]:
+        again = stored.key == "localisation" and plain["sequence"] == last
+        return [plain, plain | {"sequence": last + 1}] if again else [plain]
+
+    last = max(plain["sequence"] for stored, plain in messages(recording) if stored.key == "localisation")
+    for change, what in ((silent, NOT_RECORDED), (talkative, NOT_MADE)):
+        verdict = replayed(rewritten(recording, tmp_path / "run.mcap", change), only="estimator")
+        assert not verdict.identical
+        assert verdict.first_difference is not None
+        assert (verdict.first_difference.key, verdict.first_difference.what) == ("localisation", what)
+
+
+def test_steps_of_which_only_the_process_s_word_is_left_were_run_and_are_not_compared(
+    recording: Path, tmp_path: Path
+) -> None:
+    steps = sum(stored.key == "record/controller" for stored, _ in messages(recording))
+    word = NodeStatus(
+        node="controller",
+        t_ns=3_000_000_000,
+        ready=True,
+        waiting_for="",
+        steps=steps + 100,
+        published=0,
+        received=0,
+        dropped=0,
+        rejected=0,
+        step_us=0.0,
+    )
+    out = tmp_path / "run.mcap"
+    with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(engine.metadata_of(recording))) as writer:
+        for stored, plain in messages(recording):
+            assert stored.kind is not None
+            writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
+        writer.write("controller", word, wire.Header(epoch=1, sequence=0), 3_000_000_000)
+    controller = of(replayed(out, only="controller"), "controller")
+    assert (controller.steps_compared, controller.steps_run) == (steps, steps + 100)
+    assert [(gap.first_step, gap.steps) for gap in controller.gaps] == [(steps, 100)]
+
+
+def test_a_run_made_elsewhere_says_what_is_otherwise_here(recording: Path, tmp_path: Path) -> None:
+    run = engine.Run(recording)
+    scenario = run.metadata["scenario.toml"].replace(made_by()["processor"], "Motorola 6502")
+    run.metadata = dict(run.metadata) | {"scenario.toml": scenario}
+    out = tmp_path / "run.mcap"
+    with RunWriter(out, start_ns=0, metadata=run.metadata) as writer:
+        for stored, plain in messages(recording):
+            assert stored.kind is not None
+            writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
+    verdict = replayed(out, only="controller")
+    assert [(entry.what, entry.run, entry.here) for entry in verdict.elsewhere] == [
+        ("processor", "Motorola 6502", made_by()["processor"])
+    ]
+
+
+def test_a_recording_without_settings_is_refused(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run.mcap", start_ns=0, metadata={}):
+        pass
+    with pytest.raises(ConfigError, match=r"run\.mcap: does not hold the run's settings \(scenario\.toml\)"):
+        engine.Run(tmp_path / "run.mcap")
