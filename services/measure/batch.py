@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import NamedTuple, TypeVar
 
+from services.launch.orphans import die_with_parent
 from services.run import locked
 from services.run.situation import Override, Situation, resolve
 from sim.grading.summary import Summary
@@ -28,15 +29,20 @@ def each(work: Callable[[T], R], jobs: Sequence[T], *, workers: int | None = Non
     if count <= 1:
         yield from ((i, work(job)) for i, job in enumerate(jobs))
         return
-    # spawn: a forked child would inherit threads of BLAS and of a bus session
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, mp_context=context) as pool:
-        places = {pool.submit(work, job): i for i, job in enumerate(jobs)}
+    with pool(count) as workers_:
+        places = {workers_.submit(work, job): i for i, job in enumerate(jobs)}
         try:
             for future in as_completed(places):
                 yield places[future], future.result()
         finally:  # a job that raised, or a reader that has gone: what has not begun is not begun
-            pool.shutdown(wait=False, cancel_futures=True)
+            workers_.shutdown(wait=False, cancel_futures=True)
+
+
+def pool(count: int) -> ProcessPoolExecutor:
+    """So many processes, which end with this one however it ends."""
+    # spawn: a forked child would inherit threads of BLAS and of a bus session
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, mp_context=context, initializer=die_with_parent, initargs=(os.getpid(),))
 
 
 class Job(NamedTuple):

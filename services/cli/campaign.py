@@ -1,0 +1,111 @@
+"""Measure: ``campaign``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from services.cli.options import Json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from services.campaign.ranking import Standing
+    from services.campaign.trial import Row
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="What varies over what; docs/campaigns.md.")],
+    cluster: Annotated[
+        str | None,
+        typer.Option("--cluster", metavar="tcp://HOST:PORT", help="A Dask scheduler, whose workers do it."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", help="Processes here. Default: one a core.", min=1, max=1024)
+    ] = None,
+    as_json: Json = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Its folder; one of the same campaign is gone on with."),
+    ] = None,
+) -> int:
+    """A design of many runs in lock step: on all cores or a Dask cluster, interrupted and gone on with at will.
+
+    DIR/results.parquet has a row a run, and is the same to the byte whoever computed it.
+    """
+    import importlib.util
+
+    import msgspec
+    from rich.console import Console
+
+    from ltv_mpc.errors import ConfigError
+    from services.process.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
+    from services.run import folder
+
+    if importlib.util.find_spec("pyarrow") is None:
+        raise ConfigError("campaign", "", "needs pyarrow: install the extra campaign")
+    if cluster is not None and workers is not None:
+        raise ConfigError("option --workers", "", "cannot act together with --cluster, which has its own workers")
+    from services.campaign import engine as engines
+    from services.campaign import file as files
+    from services.campaign import page, text
+    from services.campaign.campaign import opened, plan, run
+    from services.campaign.progress import Progress
+    from services.campaign.ranking import ranked, scores
+    from services.views.static_files import NoPlotly
+
+    wanted = files.load(file)
+    made = plan(wanted, f"campaign {file}")
+    place = out or folder.fresh(file.stem)
+    columns = ["point", "seed", "failed", wanted.minimise, *wanted.vary]
+    with opened(place, made) as parts, stop_on_signals() as request:
+        there = list(parts.rows(columns))
+        missing = made.runs - len(there)
+        engine: engines.Engine | None = None
+        if missing:
+            engine = engines.Cluster(cluster) if cluster else engines.Local(min(workers or cores(), missing))
+        with Progress(wanted, there, made.runs, quiet=as_json) as progress:
+            try:
+                if engine is not None:
+                    run(made, parts, engine, hear=progress.hear, stop=request)
+            finally:
+                if engine is not None:
+                    engine.close()
+        rows: Sequence[Row] = progress.rows
+        parts.assemble(place, {"made_by": msgspec.json.encode(made.made_by).decode()})
+    try:
+        page.write(place)
+    except NoPlotly as missing:
+        typer.echo(f"no {page.NAME}: {missing}, the extra viz brings it", err=True)
+    best: list[Standing] = ranked(scores(rows, wanted.minimise, wanted.vary), text.SHOWN)
+    failed = [row for row in rows if row["failed"] is not None]
+    if as_json:
+        result = {
+            "out": str(place),
+            "runs": made.runs,
+            "done": len(rows),
+            "failed": len(failed),
+            "minimise": wanted.minimise,
+            "best": best,
+        }
+        typer.echo(msgspec.json.format(msgspec.json.encode(result), indent=2).decode())
+    else:
+        Console().print(text.standings(best, wanted.minimise))
+        for line in text.failures(failed):
+            typer.echo(line)
+        typer.echo(str(place))
+    if len(rows) < made.runs:
+        typer.echo(
+            f"{made.runs - len(rows)} of {made.runs} runs left: the same command with --out {place} goes on", err=True
+        )
+        return INTERRUPTED if request.interrupted else FAILED
+    return FAILED if len(failed) == len(rows) else DONE
+
+
+def cores() -> int:
+    """Of this machine."""
+    import os
+
+    return os.cpu_count() or 1
