@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -92,6 +93,11 @@ def sim(
             rich_help_panel="Scenario keys",
         ),
     ] = False,
+    dashboard: Annotated[
+        bool | None,
+        typer.Option("--dashboard/--no-dashboard", help="A live page; prints its address. Default: on a terminal."),
+    ] = None,
+    open_: Annotated[bool, typer.Option("--open", help="Open the live page in a browser.")] = False,
     certs: Certs = None,
     as_json: Json = False,
     force: Force = False,
@@ -123,6 +129,7 @@ def sim(
     overrides = _overrides(set_ or (), given, [name for name, on in flags.items() if on])
     if lockstep:
         _refuse_speed(overrides)
+        _refuse_page(dashboard, open_)
     if perfect_state and water_prior is not None:
         raise ConfigError("option --water-prior", "", "cannot act together with --perfect-state: nothing is estimated")
     situation = resolve(scenario, overrides)
@@ -132,7 +139,10 @@ def sim(
     run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     for note in situation.notes:
         typer.echo(note, err=True)
-    return _locked(situation, run_folder, as_json) if lockstep else _processes(situation, run_folder, as_json, certs)
+    if lockstep:
+        return _locked(situation, run_folder, as_json)
+    page = open_ or (sys.stderr.isatty() if dashboard is None else dashboard)
+    return _processes(situation, run_folder, as_json, certs, page=page, open_browser=open_)
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
@@ -155,6 +165,14 @@ def _refuse_speed(overrides: Sequence[Override]) -> None:
         if any(text.partition("=")[0].strip() == KEYS["--speed"] for text in assignments):
             problem = "cannot act together with --lockstep, whose simulated clock goes as fast as it can: leave one out"
             raise ConfigError(source, KEYS["--speed"] if source == "option --set" else "", problem)
+
+
+def _refuse_page(dashboard: bool | None, open_: bool) -> None:
+    from ltv_mpc.errors import ConfigError
+
+    if dashboard or open_:
+        problem = "cannot act together with --lockstep, where nothing travels: report.html shows what it did"
+        raise ConfigError(f"option {'--open' if open_ else '--dashboard'}", "", problem)
 
 
 def _check_certs(certs: Path, situation: Situation, *, lockstep: bool) -> None:
@@ -189,12 +207,20 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
     return INTERRUPTED if request.interrupted else FAILED
 
 
-def _processes(situation: Situation, folder: RunFolder, as_json: bool, certs: Path | None) -> int:
+def _processes(
+    situation: Situation, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
+) -> int:
+    from services.dashboard.beside import Beside
     from services.launch import supervisor
     from services.views.terminal import screen_for
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
-    outcome = supervisor.run(situation, folder, screen_for(situation.scenario.title, limits), certs=certs)
+    screen = screen_for(situation.scenario.title, limits)
+    beside = Beside(screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser)
+    try:
+        outcome = supervisor.run(situation, folder, screen, certs=certs, on_bus=beside.start if page else None)
+    finally:
+        beside.stop()
     if outcome.summary is None:
         typer.echo(str(folder.path), err=True)
     else:
@@ -203,12 +229,14 @@ def _processes(situation: Situation, folder: RunFolder, as_json: bool, certs: Pa
 
 
 def _say_verdict(summary: Summary, folder: RunFolder, as_json: bool) -> None:
-    """On stdout: the object of summary.json alone, or a few lines and the folder."""
+    """Write the report; on stdout: the object of summary.json alone, or a few lines and the folder."""
     import msgspec
 
+    from services.cli.report import after_run
     from services.views.verdict import verdict
 
     plain = msgspec.to_builtins(summary)
+    typer.echo(after_run(folder.recording, plain), err=True)
     if as_json:
         typer.echo(json.dumps(plain, indent=2))
         return

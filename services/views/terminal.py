@@ -10,7 +10,15 @@ from contextlib import contextmanager
 
 from rich.console import Console, Group
 from rich.live import Live
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.markup import escape
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -115,6 +123,16 @@ def progress_for(start_ns: int, end_ns: int, console: Console | None = None) -> 
             bars.update(task, completed=t_ns - start_ns, description=f"t {_seconds(t_ns)} s")
 
         yield told
+
+
+@contextmanager
+def share_for(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr with the time left, told which share is done; nothing where there is no screen."""
+    console = console or Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=_plain(console)) as bars:
+        task = bars.add_task(escape(what), total=1.0)
+        yield lambda share: bars.update(task, completed=share)
 
 
 def line(view: LiveView, distances: Distances) -> str:

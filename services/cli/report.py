@@ -1,0 +1,155 @@
+"""A run: ``report``, its plots and figures in one file; several laid over each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from services.cli.options import Force, Json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from services.views.report import Run
+
+
+def report(
+    runs: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[RUN]...",
+            help="Folder, run.mcap, latest; or a campaign's folder.",
+            show_default="latest",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE|DIR",
+            help="Default report.html in the run's folder; of several runs in runs/<UTC time>-report.",
+        ),
+    ] = None,
+    as_json: Json = False,
+    force: Force = False,
+) -> int:
+    """One run: its report. Several: overlay and differences to the first.
+
+    report.html holds everything and opens without a network. Works on the recording of a run that was cut off.
+    """
+    from ltv_mpc.errors import ConfigError
+    from services.run import folder
+    from services.views import report as page
+    from services.views.static_files import NoPlotly
+
+    if runs is not None and len(runs) == 1 and (Path(runs[0]) / "campaign.toml").is_file():
+        return _of_campaign(Path(runs[0]))
+    recordings = [folder.find(text) for text in runs or [folder.LATEST]]
+    if len(recordings) > page.MOST_RUNS:
+        raise ConfigError("argument RUN", "", f"at most {page.MOST_RUNS} runs fit into one report")
+    shown = [_run(recording, name) for recording, name in zip(recordings, _names(recordings), strict=True)]
+    target = _target(recordings, out, force=force)
+    try:
+        figures = page.write(shown, target)
+    except NoPlotly as missing:
+        typer.echo(f"report: {missing}: the extra viz brings it, as `make setup` does", err=True)
+        return 1
+    if as_json:
+        import msgspec
+
+        typer.echo(msgspec.json.encode({"report": str(target), "figures": figures}).decode())
+    else:
+        from services.views import differences
+
+        if figures:
+            typer.echo(differences.text([run.name for run in shown], figures))
+        typer.echo(str(target))
+    return 0
+
+
+def _of_campaign(folder: Path) -> int:
+    """Anew, from the rows that it has."""
+    from services.campaign import page
+    from services.views.static_files import NoPlotly
+
+    try:
+        typer.echo(str(page.write(folder)))
+    except NoPlotly as missing:
+        typer.echo(f"report: {missing}: the extra viz brings it, as `make setup` does", err=True)
+        return 1
+    return 0
+
+
+def after_run(recording: Path, summary: dict[str, Any]) -> str:
+    """Write report.html at the end of a run, into its folder; the one line that says so, or why there is none.
+
+    A run's exit code is its own: nothing here can change it.
+    """
+    from ltv_mpc.errors import ConfigError
+    from services.views import report as page
+    from services.views.static_files import NoPlotly
+
+    target = recording.with_name(page.NAME)
+    try:
+        page.write([page.Run(name=recording.parent.name, recording=recording, summary=summary)], target)
+    except NoPlotly as missing:
+        return f"no {page.NAME}: {missing}, the extra viz brings it"
+    except (ConfigError, OSError) as error:
+        return f"no {page.NAME}: {error}"
+    return f"report: {target}"
+
+
+def _run(recording: Path, name: str) -> Run:
+    from services.views.report import Run
+
+    return Run(name=name, recording=recording, summary=_summary(recording))
+
+
+def _summary(recording: Path) -> dict[str, Any]:
+    """summary.json; where a run ended without one, what its recording gives."""
+    import json
+
+    try:
+        found = json.loads(recording.with_name("summary.json").read_text(encoding="utf-8"))
+        return found if isinstance(found, dict) else {}
+    except (OSError, ValueError):
+        pass
+    import msgspec
+
+    from ltv_mpc.errors import ConfigError
+    from services.run.situation import resolve
+    from services.run.summary import of_recording
+
+    try:
+        situation = resolve(str(recording.with_name("scenario.toml")))
+    except ConfigError:  # a vehicle's own recording: nobody knows the truth, and there is nothing to grade
+        return {}
+    graded = of_recording(situation, recording)[0]
+    plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles else {}
+    return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # the recording says how
+
+
+def _names(recordings: Sequence[Path]) -> list[str]:
+    """The runs' folders, or whole paths where two would be called the same."""
+    names = [path.absolute().parent.name if path.name == "run.mcap" else path.stem for path in recordings]
+    return names if len(set(names)) == len(names) else [str(path) for path in recordings]
+
+
+def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Path:
+    from datetime import UTC, datetime
+
+    from ltv_mpc.errors import ConfigError
+    from services.run import folder
+    from services.views.report import NAME
+
+    if out is None and len(recordings) == 1:
+        return recordings[0].with_name(NAME)
+    if out is None:  # not by folder.make: what it makes is a run's, and `latest` links to it
+        out = folder.ROOT / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-report"
+    target = out if out.suffix == ".html" else out / NAME
+    if target.exists() and not force:
+        raise ConfigError("option --out", "", "exists: name another, or add --force", value=str(target))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    return target

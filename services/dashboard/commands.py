@@ -1,0 +1,119 @@
+"""What the page's buttons do: one message on the bus each, and for the controller's its answer.
+
+Each command opens a session of its own and closes it again: buttons are pressed seldom, and what was asked for ends
+with it.
+"""
+
+from __future__ import annotations
+
+import enum
+import time
+from collections.abc import Callable
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from ltv_mpc.signals import Acknowledged, Action, ClockCommand, Disturbance, Kill, Rejected, Signal
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
+from services.bus.topics import OPERATOR
+from services.nodes.operator import PATIENCE_S, ask
+
+KICK_S = 2.0
+KICK_N = (0.0, 120.0, 0.0)
+"""Force on the vehicle (NED), for so much vehicle time: about half a metre to the east."""
+
+
+class Button(enum.StrEnum):
+    """Every button there is."""
+
+    ARM = "arm"
+    DISARM = "disarm"
+    STOP = "stop"
+    HOLD = "hold"
+    PAUSE = "pause"
+    RESUME = "resume"
+    SPEED = "speed"
+    KICK = "kick"
+    KILL = "kill"
+
+
+SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, Button.KILL))
+"""Where there is a world to do it to."""
+
+
+class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the page sends. ``speed`` and ``node`` belong to the buttons of that name."""
+
+    number: Annotated[int, Meta(ge=0, le=2**53 - 1)]  # its answer has the same
+    token: Annotated[str, Meta(max_length=100)]
+    button: Button
+    speed: Annotated[float, Meta(ge=0.01, le=1000.0)] = 1.0
+    node: Annotated[str, Meta(max_length=40)] = ""
+
+
+class Answer(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="answer"):
+    """What the page is told."""
+
+    number: int
+    done: bool
+    text: str
+
+
+def do(asked: Asked, bus: BusOptions, t_ns: int | None, speed: float) -> Answer:
+    """Do it, and say what came of it; may take ``PATIENCE_S`` twice. ``t_ns``: vehicle time, ``speed``: the clock's."""
+    try:
+        with open_session(bus, stop=_patience(), say=lambda _: None) as session:
+            return _done(asked, session, t_ns, speed)
+    except Stopped:
+        return _answer(asked, f"no router within {PATIENCE_S:.0f} s")
+    except BusError as error:
+        return _answer(asked, str(error))
+
+
+def _done(asked: Asked, session: Session, t_ns: int | None, speed: float) -> Answer:
+    match asked.button:
+        case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD:
+            return _by_controller(asked, ask(session, Action(asked.button.value)))
+        case Button.PAUSE:
+            return _sent(asked, session, ClockCommand(paused=True, speed=speed), "asked the clock to stand still")
+        case Button.RESUME:
+            return _sent(asked, session, ClockCommand(paused=False, speed=speed), "asked the clock to go on")
+        case Button.SPEED:
+            text = f"asked for {asked.speed:g} x real time"
+            return _sent(asked, session, ClockCommand(paused=False, speed=asked.speed), text)
+        case Button.KILL:
+            return _sent(asked, session, Kill(node=asked.node), f"asked the launcher to end {asked.node}")
+        case Button.KICK:
+            if t_ns is None:
+                return _answer(asked, "nobody has said what time it is")
+            kick = Disturbance(until_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
+            return _sent(asked, session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
+
+
+def _by_controller(asked: Asked, answer: Acknowledged | Rejected | None) -> Answer:
+    match answer:
+        case Acknowledged(accepted=True):
+            return _answer(asked, f"{asked.button.value} accepted; in charge: {answer.authority.value}", done=True)
+        case Acknowledged():
+            return _answer(asked, f"{asked.button.value} refused: {answer.why}")
+        case Rejected():
+            return _answer(asked, f"{asked.button.value} refused by {answer.node}: {answer.reason}")
+        case None:
+            return _answer(asked, f"no controller answered within {PATIENCE_S:.0f} s")
+
+
+def _sent(asked: Asked, session: Session, signal: Signal, text: str) -> Answer:
+    """Nobody answers these: what they do shows on the page."""
+    Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(signal),)).publish(signal)
+    return _answer(asked, text, done=True)
+
+
+def _answer(asked: Asked, text: str, *, done: bool = False) -> Answer:
+    return Answer(number=asked.number, done=done, text=text)
+
+
+def _patience() -> Callable[[], bool]:
+    until = time.monotonic() + PATIENCE_S
+    return lambda: time.monotonic() > until

@@ -1,0 +1,124 @@
+"""The page's process: HTTP for the page itself, one WebSocket for its stream and its buttons.
+
+    GET /            the page                 GET /page/NAME   its scripts and styles, and plotly's own
+    WS  /stream      texts of ``stream.py`` one way; the other way ``commands.Asked``, answered by ``commands.Answer``
+
+Whoever is not turned away by ``guard.py`` may read; who holds the token may command.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from services.bus.session import BusOptions
+from services.dashboard.commands import SIMULATED, Answer, Asked, do
+from services.dashboard.ears import Ears
+from services.dashboard.guard import Guard, Token
+from services.dashboard.stream import MOST_READERS, Reader, Stream
+from services.views import static_files
+from services.views.plots.catalogue import PLOTS
+
+HERE = Path(__file__).parent / "static"
+
+Do = Callable[[Asked, int | None, float], Answer]
+"""Runs in a thread of its own: a command waits for its answer."""
+
+ASKED = msgspec.json.Decoder(Asked)
+LONGEST_COMMAND_BYTES = 1024
+"""The server closes on whoever sends more."""
+
+
+def make(ears: Ears, token: Token, *, allowed: frozenset[str], name: str, command: Do) -> Starlette:
+    """The application. ``name`` is what the page calls what it shows; ``allowed`` is what may stand in Host."""
+    stream = Stream(ears)
+    files = {
+        "live.js": HERE / "live.js",
+        "live.css": HERE / "live.css",
+        "plots.js": static_files.HERE / "plots.js",
+        "style.css": static_files.HERE / "style.css",
+        "plotly.js": static_files.plotly_path(),
+    }
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        task = asyncio.create_task(stream.go())
+        yield
+        task.cancel()
+
+    async def page(_: Request) -> Response:
+        return FileResponse(HERE / "index.html")
+
+    async def file(request: Request) -> Response:
+        path = files.get(request.path_params["name"])
+        return Response("no such file\n", 404) if path is None else FileResponse(path)
+
+    async def live(socket: WebSocket) -> None:
+        await _live(socket, stream, ears, token, name=name, command=command)
+
+    return Starlette(
+        routes=[Route("/", page), Route("/page/{name}", file), WebSocketRoute("/stream", live)],
+        middleware=[Middleware(Guard, allowed=allowed)],
+        lifespan=lifespan,
+    )
+
+
+async def _live(socket: WebSocket, stream: Stream, ears: Ears, token: Token, *, name: str, command: Do) -> None:
+    """One browser, until it goes."""
+    await socket.accept()
+    if len(stream.readers) >= MOST_READERS:
+        await socket.close(1013, f"{MOST_READERS} pages are the most")
+        return
+    reader = Reader()
+    await socket.send_text(msgspec.json.encode({"kind": "hello", "name": name, "plots": PLOTS}).decode())
+    stream.readers.add(reader)
+    both = _send(socket, reader), _obey(socket, reader, ears, token, command)
+    tasks = [asyncio.create_task(one) for one in both]
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        stream.readers.discard(reader)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _send(socket: WebSocket, reader: Reader) -> None:
+    while True:
+        await socket.send_text(await reader.take())
+
+
+async def _obey(socket: WebSocket, reader: Reader, ears: Ears, token: Token, command: Do) -> None:
+    """One command after the other."""
+    with contextlib.suppress(WebSocketDisconnect):
+        while True:
+            text = await socket.receive_text()
+            reader.give(msgspec.json.encode(await _answer(text, ears, token, command)).decode())
+
+
+async def _answer(text: str, ears: Ears, token: Token, command: Do) -> Answer:
+    try:
+        asked = ASKED.decode(text)
+    except ValueError as error:  # msgspec's too
+        return Answer(number=0, done=False, text=f"no such command: {error}")
+    if not token.fits(asked.token):
+        return Answer(number=asked.number, done=False, text="read-only: the address that was printed has the token")
+    moment = ears.moment()
+    if asked.button in SIMULATED and not moment.simulated:
+        return Answer(number=asked.number, done=False, text=f"{asked.button.value} is for simulations")
+    return await asyncio.to_thread(command, asked, ears.t_ns(), moment.speed)
+
+
+def commander(bus: BusOptions) -> Do:
+    """Commands on this bus."""
+    return lambda asked, t_ns, speed: do(asked, bus, t_ns, speed)

@@ -1,0 +1,222 @@
+// The live page: keeps what the stream brings, draws one plot after the other, sends what is pressed.
+"use strict";
+(() => {
+  const AGAIN_MS = 1000; // between two tries to connect
+  const SILENT_MS = 3000; // without a text the page says that it hears nothing
+  const DRAW_MS = 60; // between two plots: all seven in less than half a second, and time for the machine between them
+  const SPEEDS = [0.5, 1, 2, 5, 10, 20];
+  const LATE = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
+  const RESTARTED = ["estimator", "controller", "recorder"]; // a run goes on without them for a moment
+
+  const token = location.hash.slice(1);
+  const byId = (id) => document.getElementById(id);
+  const run = { name: "", colour: null, tables: {}, values: {}, marks: [] };
+  const rows = new Map(); // of the processes, by name
+  let plots = [], places = new Map(), moment = null, socket = null, heardAt = 0, number = 0, dirty = false, next = 0;
+
+  // --- the stream ---------------------------------------------------------------------------------------------------
+
+  function connect() {
+    socket = new WebSocket(`ws://${location.host}/stream`);
+    socket.onmessage = (event) => hear(JSON.parse(event.data));
+    socket.onclose = () => {
+      show("lost", ended() ? "the run has ended" : "not connected; trying again");
+      if (moment) controls();
+      setTimeout(connect, AGAIN_MS);
+    };
+  }
+
+  function hear(text) {
+    heardAt = Date.now();
+    if (text.kind === "hello") hello(text);
+    else if (text.kind === "answer") say(text.text, text.done);
+    else take(text);
+  }
+
+  function hello(text) {
+    run.name = text.name;
+    byId("name").textContent = text.name;
+    document.title = `${text.name} · ltv-mpc`;
+    if (places.size > 0) return; // it has only connected again
+    plots = text.plots;
+    places = Plots.frames(byId("plots"), plots, false);
+  }
+
+  function take(text) {
+    if (text.kind === "whole") {
+      run.tables = {};
+      run.marks = [];
+      byId("events").replaceChildren();
+      byId("processes").replaceChildren();
+      rows.clear();
+    }
+    for (const [name, columns] of Object.entries(text.rows)) {
+      const old = text.replaced.includes(name) ? undefined : run.tables[name];
+      run.tables[name] = old ? joined(old, columns) : columns;
+    }
+    Object.assign(run.tables, text.tables);
+    run.values = text.values;
+    run.marks = run.marks.concat(text.marks);
+    byId("events").prepend(...text.marks.map(eventRow).reverse());
+    moment = text.moment;
+    words();
+    dirty = true;
+  }
+
+  function joined(old, columns) {
+    const all = {};
+    for (const name of Object.keys(columns)) all[name] = old[name].concat(columns[name]);
+    return all;
+  }
+
+  // --- what is shown ------------------------------------------------------------------------------------------------
+
+  // One plot at a time, so that no turn is long.
+  function draw() {
+    const idle = plots.length === 0 || document.hidden || (!dirty && next === 0);
+    if (!idle) {
+      if (next === 0) dirty = false;
+      const plot = plots[next];
+      next = (next + 1) % plots.length;
+      Plots.draw(places.get(plot.name), plot, [run], Plots.times([run]));
+    }
+    setTimeout(draw, DRAW_MS);
+  }
+
+  function show(state, text) {
+    const link = byId("link");
+    link.className = `state ${state}`;
+    link.textContent = text;
+  }
+
+  const number_ = (value, digits) => (value === null ? "–" : value.toFixed(digits));
+
+  function words() {
+    const degrees = moment.heading_rad === null ? null : (((moment.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
+    const rows = [
+      ["t", `${number_(moment.t_s, 1)} s`],
+      ["clock", moment.clock === "own" ? "its own" : `${moment.clock}, ${moment.speed}×`],
+      ["in charge", moment.authority || "–"],
+      ["health", moment.health || "–"],
+      ["plan", moment.origin || "–"],
+      ["depth", `${number_(moment.depth_m, 1)} m`],
+      ["heading", `${number_(degrees, 0)}°`],
+      ["from reference", `${number_(moment.error_m, 2)} m`],
+    ];
+    if (moment.progress !== null) rows.push(["done", `${(100 * moment.progress).toFixed(0)} %`]);
+    byId("figures").replaceChildren(...rows.map(([name, value]) => {
+      const row = document.createElement("div");
+      row.append(element("dt", name), element("dd", value));
+      return row;
+    }));
+    moment.processes.forEach(showProcess);
+    byId("ages").replaceChildren(...ages());
+    controls();
+  }
+
+  // Of a simulation: its processes have said their last word.
+  const ended = () => moment !== null && moment.processes.some((one) => one.name === "plant" && one.state === "finished");
+
+  function element(tag, text, name) {
+    const made = document.createElement(tag);
+    made.textContent = text;
+    if (name) made.className = name;
+    return made;
+  }
+
+  function eventRow(mark) {
+    const row = document.createElement("tr");
+    row.append(element("td", mark.t_s.toFixed(1), "number"), element("td", mark.node), element("td", mark.text));
+    return row;
+  }
+
+  // A row stays as long as its process, so that its button can be pressed.
+  function processRow(name) {
+    const row = document.createElement("tr");
+    row.append(element("td", name), element("td", ""), element("td", "", "number"), element("td", ""),
+      document.createElement("td"));
+    if (token && RESTARTED.includes(name)) row.lastChild.append(killer(name));
+    byId("processes").append(row);
+    rows.set(name, row);
+    return row;
+  }
+
+  function showProcess(process) {
+    const row = rows.get(process.name) || processRow(process.name);
+    const silent = process.silent_s > 2 && process.state !== "finished";
+    const [, state, step, lost, last] = row.children;
+    state.textContent = silent ? `silent for ${process.silent_s.toFixed(0)} s` : process.state;
+    state.className = silent ? "bad" : "";
+    state.title = `${process.state}; ${process.steps} steps; last heard ${process.silent_s.toFixed(1)} s ago`;
+    step.textContent = process.step_us.toFixed(0);
+    lost.textContent = String(process.dropped + process.rejected);
+    lost.className = lost.textContent === "0" ? "number" : "number bad";
+    last.hidden = !moment.simulated || process.state === "finished";
+  }
+
+  function killer(node) {
+    const button = element("button", "kill", "small");
+    button.type = "button";
+    button.dataset.kill = node;
+    button.title = `End the ${node}'s process without warning; the launcher starts another`;
+    return button;
+  }
+
+  function ages() {
+    return Object.entries(moment.ages_s).map(([name, age]) => {
+      const late = age !== null && LATE[name] !== undefined && age > LATE[name];
+      return element("span", `${name} ${age === null ? "–" : `${age.toFixed(2)} s`}`, late ? "late" : "");
+    });
+  }
+
+  // --- what is pressed ----------------------------------------------------------------------------------------------
+
+  function controls() {
+    const live = token !== "" && socket.readyState === WebSocket.OPEN;
+    for (const control of document.querySelectorAll("#buttons button, #buttons select")) control.disabled = !live;
+    document.querySelector(".simulated").hidden = !moment.simulated;
+    const paused = moment.clock === "paused";
+    byId("pause").textContent = paused ? "Go on" : "Pause";
+    byId("pause").dataset.button = paused ? "resume" : "pause";
+    const speed = byId("speed");
+    if (document.activeElement !== speed) speed.value = String(moment.speed);
+    if (!token) say("read-only: the printed address has the token", false);
+  }
+
+  function say(text, done) {
+    const answer = byId("answer");
+    answer.textContent = text;
+    answer.className = done ? "" : "bad";
+  }
+
+  function send(button, more) {
+    if (socket.readyState !== WebSocket.OPEN) return;
+    number += 1;
+    socket.send(JSON.stringify({ number, token, button, ...more }));
+    say(`${button} …`, true);
+  }
+
+  byId("buttons").addEventListener("click", (event) => {
+    const button = event.target.closest("button");
+    if (button) send(button.dataset.button, {});
+  });
+  byId("processes").addEventListener("click", (event) => {
+    const button = event.target.closest("button");
+    if (button) send("kill", { node: button.dataset.kill });
+  });
+  byId("speed").append(...SPEEDS.map((speed) => new Option(`${speed}×`, speed)));
+  byId("speed").addEventListener("change", (event) => {
+    send("speed", { speed: Number(event.target.value) });
+    event.target.blur();
+  });
+
+  setInterval(() => {
+    if (socket.readyState !== WebSocket.OPEN) return;
+    if (Date.now() - heardAt > SILENT_MS) show("lost", "hears nothing");
+    else if (moment && moment.clock === "silent") show("", "connected; nobody speaks yet");
+    else if (ended()) show("", "the run has ended");
+    else show("live", "live");
+  }, 500);
+  connect();
+  draw();
+})();

@@ -1,0 +1,96 @@
+"""What several runs came to, side by side, from their summary.json; the differences are to the first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+
+class Figure(msgspec.Struct, frozen=True):
+    """One row. ``path`` into summary.json; ``scale`` brings it to the unit."""
+
+    label: str
+    unit: str
+    path: tuple[str, ...]
+    digits: int
+    scale: float = 1.0
+
+
+FIGURES = (
+    Figure("simulated time", "s", ("duration_s",), 1),
+    Figure("tracking error, mean", "m", ("tracking_error_m", "mean"), 3),
+    Figure("tracking error, largest", "m", ("tracking_error_m", "max"), 3),
+    Figure("true error, mean", "m", ("true_error_m", "mean"), 3),
+    Figure("true error, largest", "m", ("true_error_m", "max"), 3),
+    Figure("localisation error, mean", "m", ("localisation_error_m", "mean"), 3),
+    Figure("localisation error, at the end", "m", ("localisation_error_m", "final"), 3),
+    Figure("thrust, mean |F|", "N", ("thrust", "mean_abs_N"), 1),
+    Figure("thrust, largest", "N", ("thrust", "max_abs_N"), 1),
+    Figure("thrust saturated", "%", ("thrust", "saturated_fraction"), 1, 100.0),
+    Figure("cycle, median", "ms", ("compute_delay_wall_s", "median"), 2, 1e3),
+    Figure("cycle, p99", "ms", ("compute_delay_wall_s", "p99"), 2, 1e3),
+    Figure("end to end, median", "s", ("end_to_end_delay_s", "median"), 3),
+    Figure("cycles", "", ("cycles",), 0),
+    Figure("plans too late", "", ("deadline_misses",), 0),
+    Figure("plans refused", "", ("plans_refused",), 0),
+    Figure("messages dropped", "", ("messages", "dropped"), 0),
+    Figure("messages rejected", "", ("messages", "rejected"), 0),
+    Figure("restarts", "", ("restarts",), 0),
+)
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """A figure of every run, None where a run does not have it, and the differences of all but the first to it."""
+
+    label: str
+    unit: str
+    digits: int
+    values: tuple[float | None, ...]
+    differences: tuple[float | None, ...]
+
+
+def rows(summaries: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """The figures that at least one run has."""
+    made = (_row(figure, summaries) for figure in FIGURES)
+    return [row for row in made if any(value is not None for value in row.values)]
+
+
+def _row(figure: Figure, summaries: Sequence[Mapping[str, Any]]) -> Row:
+    values = tuple(_value(figure, summary) for summary in summaries)
+    first = values[0]
+    return Row(
+        label=figure.label,
+        unit=figure.unit,
+        digits=figure.digits,
+        values=values,
+        differences=tuple(None if first is None or value is None else value - first for value in values[1:]),
+    )
+
+
+def _value(figure: Figure, summary: Mapping[str, Any]) -> float | None:
+    value: Any = summary
+    for key in figure.path:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return None if not isinstance(value, int | float) else value * figure.scale
+
+
+def text(names: Sequence[str], table: Sequence[Row]) -> str:
+    """The table in plain lines: a column a run, then the differences to the first."""
+    head = ["", *names, *(f"{name} - first" for name in names[1:])]
+    body = [
+        [f"{row.label} ({row.unit})" if row.unit else row.label]
+        + ["-" if value is None else f"{value:.{row.digits}f}" for value in row.values]
+        + ["-" if value is None else f"{value:+.{row.digits}f}" for value in row.differences]
+        for row in table
+    ]
+    lines = [head, *body]
+    widths = [max(len(cells[i]) for cells in lines) for i in range(len(head))]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(cells, widths, strict=True))
+        )
+        for cells in lines
+    )

@@ -1,0 +1,93 @@
+"""What happened, as marks on the time axis: the run's own events, and every change that a reader would ask about."""
+
+from __future__ import annotations
+
+import msgspec
+
+from ltv_mpc.signals import (
+    Acknowledged,
+    Authority,
+    Command,
+    FilterStatus,
+    Health,
+    LocalisationReport,
+    NodeStatus,
+    Plan,
+    PlanOrigin,
+    RunEvent,
+    Signal,
+)
+
+MOST = 200
+"""More marks than that are a hedge; they are counted."""
+
+
+class Mark(msgspec.Struct, frozen=True, kw_only=True):
+    """One mark."""
+
+    t_s: float
+    node: str
+    text: str
+
+
+class Marks:
+    """Fed with every signal; ``marks`` in the order of their hearing. ``more``: that there was no room for."""
+
+    def __init__(self) -> None:
+        self.marks: list[Mark] = []
+        self.more = 0
+        self._authority: Authority | None = None
+        self._health = Health.NOMINAL
+        self._origin: PlanOrigin | None = None
+        self._filter = FilterStatus.NOMINAL
+        self._epochs: dict[str, int] = {}
+        self._commands: dict[int, Command] = {}
+        self._newest_ns = 0
+
+    def hear(self, signal: Signal, epoch: int) -> None:
+        """``epoch``: of its source."""
+        match signal:
+            case RunEvent():
+                self._add(signal.t_ns, signal.node, signal.text)
+            case Plan():
+                self._hear_plan(signal)
+            case LocalisationReport() if signal.status is not self._filter:
+                self._add(signal.t_ns, "estimator", f"filter {signal.status.value}{_because(signal.why)}")
+                self._filter = signal.status
+            case Command():
+                self._commands[signal.command_id] = signal
+            case Acknowledged():
+                self._hear_answer(signal)
+            case NodeStatus():
+                if self._epochs.setdefault(signal.node, epoch) != epoch:
+                    self._epochs[signal.node] = epoch
+                    # its first words may come before it knows the time
+                    self._add(max(signal.t_ns, self._newest_ns), signal.node, "started again")
+
+    def _hear_plan(self, plan: Plan) -> None:
+        self._newest_ns = plan.cycle_t_ns
+        if self._authority not in (None, plan.authority):
+            self._add(plan.cycle_t_ns, "controller", f"in charge: {plan.authority.value}")
+        self._authority = plan.authority
+        if plan.health is not self._health:
+            self._add(plan.cycle_t_ns, "controller", f"health {plan.health.value}")
+            self._health = plan.health
+        if plan.origin is not self._origin and self._origin is not None:
+            self._add(plan.cycle_t_ns, "controller", f"plans {plan.origin.value}{_because(plan.why)}")
+        self._origin = plan.origin
+
+    def _hear_answer(self, answer: Acknowledged) -> None:
+        command = self._commands.pop(answer.command_id, None)
+        asked = "a command" if command is None else command.action.value
+        text = f"{asked} accepted" if answer.accepted else f"{asked} refused{_because(answer.why)}"
+        self._add(answer.t_ns, "controller", text)
+
+    def _add(self, t_ns: int, node: str, text: str) -> None:
+        if len(self.marks) < MOST:
+            self.marks.append(Mark(t_s=round(t_ns / 1e9, 3), node=node, text=text))
+        else:
+            self.more += 1
+
+
+def _because(why: str) -> str:
+    return f": {why}" if why else ""

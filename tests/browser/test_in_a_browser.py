@@ -1,0 +1,185 @@
+"""Report and live page in a real browser, on a screen and on a phone: drawn, readable, offline, and their buttons work.
+
+Needs chromium or chrome on PATH. Without one these tests skip; with REQUIRE_BROWSER=1 they fail.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ltv_mpc.signals import ClockCommand, Command, Disturbance, Kill
+from services.cli import app
+from services.launch import loopback
+from services.views.plots.catalogue import PLOTS
+from tests.services.dashboard.made_up_vehicle import Served, served, until
+
+SCREEN, PHONE = (1280, 800), (390, 844)
+SIZES = [pytest.param(SCREEN, id="screen"), pytest.param(PHONE, id="phone")]
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+PATIENCE_MS = 30_000
+
+POINTS = """name => {
+  const lines = document.querySelectorAll(`#plot-${name} .scatterlayer path`);
+  return [...lines].map(line => line.getAttribute("d") || "").join("").length;
+}"""
+"""How much is drawn in a plot: the length of its paths."""
+
+OUTSIDE = """() => {
+  const wide = document.documentElement.clientWidth;
+  return [...document.querySelectorAll("h1, h2, .legend li, td, th, button, dd")]
+    .filter(one => one.getClientRects().length && one.getBoundingClientRect().right > wide + 1)
+    .filter(one => !one.closest(".scroll, .table"))
+    .map(one => one.textContent.trim());
+}"""
+"""Words that do not fit the width."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    path = next(filter(None, map(shutil.which, NAMES)), None)
+    missing = "" if path else f"no browser: none of {', '.join(NAMES)} is on PATH"
+    if find_spec("playwright") is None:
+        missing = "no browser: playwright is not installed"
+    if missing and os.environ.get("REQUIRE_BROWSER") == "1":
+        pytest.fail(missing)
+    if missing:
+        pytest.skip(missing)
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        opened = play.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@contextmanager
+def tab(browser: Any, size: tuple[int, int], *, own: str) -> Iterator[Any]:
+    """A page that may say nothing to the console and ask nobody but ``own`` for anything."""
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(PATIENCE_MS)
+    wrong: list[str] = []
+    page.on("console", lambda message: wrong.append(f"{message.type}: {message.text}"))
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("request", lambda asked: None if asked.url.startswith((own, "data:", "blob:")) else wrong.append(asked.url))
+    page.on("websocket", lambda opened: None if own.split("/")[2] in opened.url else wrong.append(opened.url))
+    try:
+        yield page
+    finally:
+        page.close()  # else it goes on drawing
+    assert wrong == []
+
+
+def fits(page: Any, size: tuple[int, int]) -> None:
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    assert page.evaluate(OUTSIDE) == []
+
+
+def drawn(page: Any, *, but: tuple[str, ...] = ()) -> None:
+    for plot in PLOTS:
+        if plot.name not in but:
+            until(lambda name=plot.name: page.evaluate(POINTS, name) > 100)  # type: ignore[misc]
+            assert page.locator(f"#plot-{plot.name} .xtitle").text_content() == plot.x.label
+            assert page.locator(f"#plot-{plot.name} .ytitle").text_content() == plot.y.label
+
+
+# --- the report ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def reports(browser: object, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:  # noqa: ARG001  (skips first)
+    """Of a run in lock step of ten seconds, and of that run beside another."""
+    folder = tmp_path_factory.mktemp("runs")
+    options = ["sim", "--lockstep", "--surface-time-s", "1", "--json"]
+    assert app.run([*options, "--duration-s", "10", "--out", str(folder / "ten")]) == 0
+    assert app.run([*options, "--duration-s", "2", "--no-control", "--out", str(folder / "two")]) == 0
+    both = folder / "both"
+    assert app.run(["report", str(folder / "ten"), str(folder / "two"), "--out", str(both)]) == 0
+    return folder / "ten" / "report.html", both / "report.html"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_run_s_report_shows_every_plot(browser: Any, reports: tuple[Path, Path], size: tuple[int, int]) -> None:
+    with tab(browser, size, own=reports[0].as_uri()) as page:
+        page.goto(reports[0].as_uri())
+        drawn(page, but=("latency",))
+        assert "in lock step" in page.locator("#plot-latency").text_content()  # where nothing takes any time
+        assert page.locator("#figures tr").count() > 10
+        assert "arm accepted" in page.inner_text(".events")
+        fits(page, size)
+
+
+def test_the_report_of_two_runs_shows_both(browser: Any, reports: tuple[Path, Path]) -> None:
+    with tab(browser, SCREEN, own=reports[1].as_uri()) as page:
+        page.goto(reports[1].as_uri())
+        drawn(page, but=("latency",))
+        assert page.locator("#runs li").all_inner_texts() == ["ten", "two"]
+        colours = page.evaluate("[...document.querySelectorAll('#plot-track .js-line')].map(one => one.style.stroke)")
+        assert len(set(colours)) == 2
+        fits(page, SCREEN)
+        page.set_viewport_size({"width": PHONE[0], "height": PHONE[1]})
+        until(lambda: page.evaluate("document.querySelector('#plot-track svg').clientWidth") < PHONE[0])
+        fits(page, PHONE)
+
+
+# --- the live page ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def live(browser: object) -> Iterator[Served]:  # noqa: ARG001  (skips first)
+    with served(loopback.free_port()) as made:
+        yield made
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_live_page_shows_every_plot(browser: Any, live: Served, size: tuple[int, int]) -> None:
+    with tab(browser, size, own=live.url) as page:
+        page.goto(f"{live.url}#{live.token}")
+        drawn(page)
+        until(lambda: page.inner_text("#link") == "live")
+        assert page.locator("#processes tr").count() == 5
+        assert "clock running, 10×" in " ".join(page.inner_text("#figures").split())
+        assert page.locator("#events tr").count() > 0
+        fits(page, size)
+        if size == SCREEN:  # all of it at one look
+            assert page.evaluate("document.documentElement.scrollHeight") <= size[1]
+
+
+def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
+    vehicle = live.vehicle
+    with tab(browser, SCREEN, own=live.url) as page:
+        page.goto(f"{live.url}#{live.token}")
+        page.click("[data-button=stop]")
+        page.wait_for_function(
+            "document.querySelector('#answer').textContent === 'stop accepted; in charge: controller'"
+        )
+        page.click("[data-button=kick]")
+        page.click("[data-kill=controller]")
+        until(lambda: vehicle.heard_of(Disturbance) and vehicle.heard_of(Kill))
+        page.select_option("#speed", "5")
+        until(lambda: vehicle.heard_of(ClockCommand))
+        page.click("text=Pause")
+        page.click("text=Go on")
+        until(lambda: len(vehicle.heard_of(ClockCommand)) == 3)
+    assert [one.action for one in vehicle.heard_of(Command)] == ["stop"]
+    assert [one.node for one in vehicle.heard_of(Kill)] == ["controller"]
+    assert [(one.paused, one.speed) for one in vehicle.heard_of(ClockCommand)] == [(False, 5), (True, 5), (False, 5)]
+
+
+def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself(browser: Any, live: Served) -> None:
+    with tab(browser, SCREEN, own=live.url) as page:
+        page.goto(live.url)
+        drawn(page)
+        assert page.locator("#buttons button:enabled, [data-kill]").count() == 0
+        assert "read-only" in page.inner_text("#answer")
+        live.cut()
+        until(lambda: page.inner_text("#link").startswith("not connected"))
+        until(lambda: page.inner_text("#link") == "live")
+        drawn(page)

@@ -1,0 +1,203 @@
+"""A vehicle made by hand on a real bus: what the live page shows, and what hears its buttons."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+import uvicorn
+
+from ltv_mpc.signals import (
+    Acknowledged,
+    Authority,
+    Clock,
+    ClockCommand,
+    ClockState,
+    Command,
+    Disturbance,
+    Estimate,
+    Kill,
+    NodeStatus,
+    Plan,
+    Signal,
+    Truth,
+)
+from services.bus.mailbox import Mailbox
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import decode
+from services.dashboard import page, serve
+from services.dashboard.ears import Ears
+from services.dashboard.guard import LOOPBACK, Token, hosts
+from services.process.clock import fraction_of, monotonic_us
+from services.views.plots.recorded import thrusters
+from tests.services.views import made_up
+from tests.services.views.made_up import EPOCH, S
+
+K = TypeVar("K", bound=Signal)
+
+NODES = ("plant", "sensors", "estimator", "controller", "recorder")
+SPEED = 10
+PATIENCE_S = 20.0
+
+
+def until(what: Callable[[], object], within_s: float = PATIENCE_S) -> None:
+    """Wait until ``what()`` is true."""
+    end = time.monotonic() + within_s
+    while not what():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+class MadeUpVehicle:
+    """The dive of ``made_up`` at ten times real time, over and over from where it was; it obeys clock and commands."""
+
+    def __init__(self, session: Session) -> None:
+        self.heard: list[Signal] = []
+        self.clock_epoch = EPOCH
+        self._box = Mailbox()
+        for kind in (Command, ClockCommand, Disturbance, Kill):
+            session.subscribe(BY_SIGNAL[kind].key, BY_SIGNAL[kind], self._box)
+        self._out = {
+            node: Outbox(session, node=node, epoch=EPOCH, kinds=kinds)
+            for node, kinds in (
+                ("plant", (Truth, Clock, type(made_up.applied(0)), type(made_up.EVENT), NodeStatus)),
+                ("estimator", (Estimate, NodeStatus)),
+                ("controller", (Plan, type(made_up.timing(0)), Acknowledged, NodeStatus)),
+                ("operator", (Command,)),
+                ("sensors", (NodeStatus,)),
+                ("recorder", (NodeStatus,)),
+            )
+        }
+        self._clock = made_up.clock(-S)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._go, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def say(self, node: str, signal: Signal) -> None:
+        self._out[node].publish(signal)
+
+    def heard_of(self, kind: type[K]) -> list[K]:
+        return [signal for signal in self.heard if isinstance(signal, kind)]
+
+    def begin_again(self) -> None:
+        """Another run, at the time of this one: only the clock's epoch says so."""
+        self.clock_epoch += 1
+        self.announce(vehicle_ns=self._now_ns(), state=ClockState.RUNNING, speed=SPEED)
+
+    def announce(self, *, vehicle_ns: int, state: ClockState, speed: float) -> None:
+        num, den = fraction_of(speed).as_integer_ratio()
+        self._clock = Clock(
+            clock_epoch=self.clock_epoch,
+            clock_sequence=self._clock.clock_sequence + 1,
+            host_boot_id=self._clock.host_boot_id,
+            at_monotonic_us=monotonic_us(),
+            vehicle_ns=vehicle_ns,
+            speed_num=num,
+            speed_den=den,
+            state=state,
+        )
+
+    def _go(self) -> None:
+        self.announce(vehicle_ns=-S, state=ClockState.RUNNING, speed=SPEED)
+        dive = made_up.dive(10_000.0)
+        waiting = next(dive)
+        turn = 0
+        while not self._stop.wait(0.05):
+            turn += 1
+            self._obey()
+            if turn % 10 == 1:
+                for node in NODES:
+                    self.say(node, made_up.status(node, self._now_ns()))
+            self.say("plant", self._clock)
+            while waiting[2] <= self._now_ns():
+                if not isinstance(waiting[1], Clock):
+                    self.say(waiting[0], waiting[1])
+                waiting = next(dive)
+
+    def _now_ns(self) -> int:
+        clock = self._clock
+        if clock.state is not ClockState.RUNNING:
+            return clock.vehicle_ns
+        return clock.vehicle_ns + (monotonic_us() - clock.at_monotonic_us) * 1000 * clock.speed_num // clock.speed_den
+
+    def _obey(self) -> None:
+        while (frame := self._box.take(0.0)) is not None:
+            assert frame.topic is not None
+            signal, header = decode(frame.topic.signal, frame.payload)
+            if header.epoch == EPOCH:  # the dive's own
+                continue
+            self.heard.append(signal)
+            if isinstance(signal, ClockCommand):
+                state = ClockState.PAUSED if signal.paused else ClockState.RUNNING
+                self.announce(vehicle_ns=self._now_ns(), state=state, speed=signal.speed)
+            if isinstance(signal, Command):
+                answer = Acknowledged(
+                    t_ns=self._now_ns(),
+                    command_id=signal.command_id,
+                    accepted=signal.action != "hold",
+                    authority=Authority.CONTROLLER,
+                    why="nothing to hold" if signal.action == "hold" else "",
+                )
+                self.say("controller", answer)
+
+
+class Served:
+    """A page that runs, and the vehicle behind it."""
+
+    def __init__(self, vehicle: MadeUpVehicle, ears: Ears, token: Token, port: int, server: uvicorn.Server) -> None:
+        self.vehicle = vehicle
+        self.ears = ears
+        self.token = token.text
+        self.port = port
+        self._server = server
+
+    @property
+    def host(self) -> str:
+        return f"127.0.0.1:{self.port}"
+
+    @property
+    def url(self) -> str:
+        return f"http://{self.host}/"
+
+    def cut(self) -> None:
+        """Every connection, as if the network had."""
+        for connection in tuple(self._server.server_state.connections):
+            one: Any = connection  # each of uvicorn's protocols has both
+            one.loop.call_soon_threadsafe(one.transport.abort)
+
+
+@contextmanager
+def served(router_port: int) -> Iterator[Served]:
+    """Router, vehicle and page, each with a session of its own, in this process."""
+    endpoint = f"tcp/127.0.0.1:{router_port}"
+    reached = BusOptions(connect=(endpoint,), namespace="made/up")
+
+    def opened(options: BusOptions) -> Session:
+        return open_session(options, stop=lambda: False, say=lambda _: None)
+
+    router = BusOptions(listen=(endpoint,), namespace="made/up")
+    with opened(router), opened(reached) as aboard, opened(reached) as ashore, serve.listen("127.0.0.1", 0) as place:
+        place.listen()
+        port = place.getsockname()[1]
+        token, ears = Token(), Ears(ashore, thrusters({"config/vehicle.toml": made_up.VEHICLE}))
+        app = page.make(ears, token, allowed=hosts(LOOPBACK, port), name="made/up", command=page.commander(reached))
+        vehicle = MadeUpVehicle(aboard)
+        server = uvicorn.Server(serve.configuration(app))
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, daemon=True)
+        thread.start()
+        try:
+            until(lambda: server.started)
+            yield Served(vehicle, ears, token, port, server)
+        finally:
+            server.should_exit = True
+            thread.join(10)
+            vehicle.close()

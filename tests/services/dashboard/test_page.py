@@ -1,0 +1,260 @@
+"""The live page's process: who may read, who may command, and what the stream brings."""
+
+from __future__ import annotations
+
+import http.client
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from ltv_mpc.signals import ClockCommand, Command, Disturbance, Kill
+from services.cli import app
+from services.dashboard.guard import Token, hosts
+from tests.services.dashboard.made_up_vehicle import NODES, SPEED, Served, served, until
+from tests.services.views.made_up import OFFSET
+
+
+@pytest.fixture(scope="module")
+def page(free_port: int) -> Iterator[Served]:
+    with served(free_port) as made:
+        yield made
+
+
+def get(page: Served, path: str = "/", method: str = "GET", **headers: str) -> tuple[int, str, dict[str, str]]:
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    connection.putrequest(method, path, skip_host=True)
+    for name, value in ({"Host": page.host} | headers).items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse()
+    text = answer.read().decode()
+    connection.close()
+    return answer.status, text, {name.lower(): value for name, value in answer.getheaders()}
+
+
+def stream(page: Served, origin: str | None = None, host: str = "127.0.0.1") -> ClientConnection:
+    """``origin``: the page's own by default; none where it is empty."""
+    claimed: Any = page.url.rstrip("/") if origin is None else origin or None
+    return connect(f"ws://{host}:{page.port}/stream", origin=claimed, proxy=None, max_size=2**24)
+
+
+def refusal(page: Served, **how: str) -> int:
+    with pytest.raises(InvalidStatus) as refused, stream(page, **how):
+        pass
+    return refused.value.response.status_code
+
+
+def heard(socket: ClientConnection, kind: str) -> dict[str, Any]:
+    """The next text of this kind."""
+    while True:
+        text: dict[str, Any] = json.loads(socket.recv(10))
+        if text["kind"] == kind:
+            return text
+
+
+def pressed(page: Served, socket: ClientConnection, **asked: object) -> dict[str, Any]:
+    socket.send(json.dumps({"number": 5, "token": page.token, **asked}))
+    return heard(socket, "answer")
+
+
+# --- who may read ----------------------------------------------------------------------------------------------------
+
+
+def test_the_page_and_its_files_come_from_here_and_may_load_nothing_else(page: Served) -> None:
+    for path, part in (("/", "<!DOCTYPE html>"), ("/page/live.js", "WebSocket"), ("/page/plotly.js", "plotly.js v")):
+        status, text, headers = get(page, path)
+        assert status == 200
+        assert part in text
+        assert "default-src 'none'" in headers["content-security-policy"]
+        assert headers["x-frame-options"] == "DENY"
+        assert "access-control-allow-origin" not in headers
+
+
+@pytest.mark.parametrize("path", ["/page/../serve.py", "/page/%2e%2e%2fserve.py", "/page/nothing.js", "/etc/passwd"])
+def test_nothing_but_the_page_s_own_files_is_given(page: Served, path: str) -> None:
+    assert get(page, path)[0] == 404
+
+
+def test_nothing_can_be_posted(page: Served) -> None:
+    assert get(page, method="POST")[0] == 405
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "127.0.0.1.evil:{port}"]
+)
+def test_another_name_for_this_machine_is_refused(page: Served, host: str) -> None:
+    """DNS rebinding: a foreign name that leads here."""
+    host = host.format(port=page.port)
+    assert get(page, Host=host)[0] == 403
+    assert get(page, "/page/live.js", Host=host)[0] == 403
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "https://127.0.0.1:{port}", "http://127.0.0.1:1", "null"])
+def test_another_page_is_refused(page: Served, origin: str) -> None:
+    origin = origin.format(port=page.port)
+    assert get(page, Origin=origin)[0] == 403
+    assert refusal(page, origin=origin) == 403
+
+
+def test_a_websocket_without_an_origin_is_refused(page: Served) -> None:
+    assert refusal(page, origin="") == 403
+
+
+def test_a_websocket_by_another_name_for_this_machine_is_refused(page: Served) -> None:
+    with (
+        pytest.raises(InvalidStatus) as refused,
+        connect(
+            f"ws://127.0.0.1:{page.port}/stream",
+            origin=f"http://evil.example:{page.port}",  # type: ignore[arg-type]
+            additional_headers={"Host": f"evil.example:{page.port}"},
+            proxy=None,
+        ),
+    ):
+        pass
+    assert refused.value.response.status_code in (400, 403)
+
+
+def test_the_page_s_own_names_are_let_in(page: Served) -> None:
+    for name in ("localhost", "LOCALHOST", "[::1]"):
+        assert get(page, Host=f"{name}:{page.port}")[0] == 200
+    assert "127.0.0.1" in hosts(["127.0.0.1"], 80)
+
+
+# --- who may command -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("token", ["", "x", "{token}x", "é"])
+def test_without_the_token_nothing_can_be_commanded(page: Served, token: str) -> None:
+    before = len(page.vehicle.heard)
+    with stream(page) as socket:
+        for button in ("arm", "stop", "pause", "kick", "kill"):
+            answer = pressed(page, socket, token=token.format(token=page.token), button=button, node="controller")
+            assert (answer["number"], answer["done"]) == (5, False)
+            assert answer["text"].startswith("read-only")
+    assert len(page.vehicle.heard) == before
+
+
+def test_each_start_has_another_token_and_the_right_one_fits() -> None:
+    one, other = Token(), Token()
+    assert one.text != other.text
+    assert len(one.text) >= 32
+    assert one.fits(one.text)
+    assert not one.fits(other.text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"number": 1, "token": "TOKEN", "button": "format"}',
+        '{"number": 1, "token": "TOKEN", "button": "speed", "speed": 1e9}',
+        '{"number": 1, "token": "TOKEN", "button": "arm", "more": 1}',
+        '{"number": 1, "token": "TOKEN", "button": "kill", "node": "' + 41 * "x" + '"}',
+    ],
+)
+def test_what_is_no_command_is_answered_and_does_nothing(page: Served, text: str) -> None:
+    before = len(page.vehicle.heard)
+    with stream(page) as socket:
+        socket.send(text.replace("TOKEN", page.token))
+        answer = heard(socket, "answer")
+    assert not answer["done"]
+    assert answer["text"].startswith("no such command")
+    assert len(page.vehicle.heard) == before
+
+
+def test_who_sends_a_flood_is_cut_off(page: Served) -> None:
+    with stream(page) as socket:
+        socket.send(100_000 * "x")
+        with pytest.raises(ConnectionClosed):
+            heard(socket, "answer")
+
+
+def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Served) -> None:
+    vehicle, ears = page.vehicle, page.ears
+    with stream(page) as socket:
+        until(lambda: ears.moment().simulated)
+        assert pressed(page, socket, button="stop") == {
+            "kind": "answer",
+            "number": 5,
+            "done": True,
+            "text": "stop accepted; in charge: controller",
+        }
+        refused = pressed(page, socket, button="hold")
+        assert (refused["done"], refused["text"]) == (False, "hold refused: nothing to hold")
+        assert pressed(page, socket, button="kill", node="estimator")["done"]
+        assert pressed(page, socket, button="kick")["done"]
+        asked_s = ears.moment().t_s
+        assert pressed(page, socket, button="speed", speed=4.0)["done"]
+        until(lambda: ears.moment().speed == 4.0)
+        assert pressed(page, socket, button="pause")["done"]
+        until(lambda: ears.moment().clock == "paused")
+        assert pressed(page, socket, button="resume")["done"]
+        until(lambda: ears.moment().clock == "running")
+        assert pressed(page, socket, button="speed", speed=SPEED)["done"]
+        until(lambda: ears.moment().speed == SPEED)
+    assert [command.action for command in vehicle.heard_of(Command)] == ["stop", "hold"]
+    assert [kill.node for kill in vehicle.heard_of(Kill)] == ["estimator"]
+    (kick,) = vehicle.heard_of(Disturbance)
+    assert asked_s is not None
+    assert 0 < kick.until_t_ns / 1e9 <= asked_s + 2.0
+    asked = [(one.paused, one.speed) for one in vehicle.heard_of(ClockCommand)]
+    assert asked == [(False, 4.0), (True, 4.0), (False, 4.0), (False, SPEED)]
+
+
+# --- what the stream brings ------------------------------------------------------------------------------------------
+
+
+def test_a_reader_gets_everything_and_then_what_is_new(page: Served) -> None:
+    until(lambda: len(page.ears.collector.tables["errors"]) > 5)
+    with stream(page) as socket:
+        assert heard(socket, "hello")["plots"][0]["name"] == "track"
+        whole = heard(socket, "whole")
+        assert whole["rows"]["truth"]["east_m"][0] == pytest.approx(OFFSET[1], abs=0.2)  # 20 s of drift
+        assert whole["marks"]
+        times = list(whole["rows"]["track"]["t_s"])
+        wanted = len(times) + 10
+        while len(times) < wanted:
+            tick = heard(socket, "tick")
+            assert "track" not in tick["replaced"]
+            times += tick["rows"].get("track", {}).get("t_s", [])
+        assert times == sorted(set(times))
+        moment = tick["moment"]
+    assert {process["name"] for process in moment["processes"]} == set(NODES)
+    assert moment["simulated"]
+    assert 0 <= moment["ages_s"]["plan"] < 5.0
+    assert tick["values"]["port_max_N"] == 62.5
+    assert tick["tables"]["ellipse"]["north_m"]
+
+
+def test_another_run_on_the_same_keys_begins_with_an_empty_page(page: Served) -> None:
+    until(lambda: len(page.ears.collector.tables["track"]) > 20)
+    with stream(page) as socket:
+        before = heard(socket, "whole")["rows"]["track"]["t_s"]
+        page.vehicle.begin_again()
+        after = heard(socket, "whole")["rows"].get("track", {"t_s": []})["t_s"]
+    assert len(after) < len(before)
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--host", "0.0.0.0"], "one address"),
+        (["--host", "a name"], "must be an address"),
+        (["--host", "203.0.113.1"], "cannot listen there"),
+        (["--port", "99999"], "--port"),
+        (["--vehicle", "nothing"], "nothing"),
+        (["--connect", "nowhere"], "PROTOCOL/ADDRESS"),
+    ],
+)
+def test_bad_input_is_refused_by_name(arguments: list[str], word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert app.run(["dashboard", *arguments]) == 2
+    assert word in capsys.readouterr().err
