@@ -18,13 +18,18 @@ from ltv_mpc.signals import (
     Array,
     BottomTrack,
     Command,
+    ControllerCheckpoint,
     ControllerStatus,
     CurrentProfile,
     CycleTiming,
+    DroppedNode,
     Estimate,
+    EstimatorCheckpoint,
     InboxEntry,
+    InputReport,
     LocalisationReport,
     Plan,
+    ReferenceStart,
     Restore,
     SensorReport,
     Signal,
@@ -33,9 +38,10 @@ from ltv_mpc.signals import (
 )
 
 Reason: TypeAlias = str | None
+Judged: TypeAlias = Signal | InboxEntry | InputReport | SensorReport | ReferenceStart | DroppedNode
 
 
-def refusal(signal: Signal | InboxEntry | SensorReport) -> Reason:
+def refusal(signal: Judged) -> Reason:
     """Why a node must not see this signal, or None. A type without a row is refused."""
     ranges = RANGES.get(type(signal))
     if ranges is None:
@@ -45,7 +51,7 @@ def refusal(signal: Signal | InboxEntry | SensorReport) -> Reason:
     return reason or _out_of_range(signal, ranges)
 
 
-def _out_of_range(signal: Signal | InboxEntry | SensorReport, ranges: dict[str, Range]) -> Reason:
+def _out_of_range(signal: Judged, ranges: dict[str, Range]) -> Reason:
     for name, (low, high, unit) in ranges.items():
         value: Any = getattr(signal, name)
         if value is None:
@@ -108,6 +114,8 @@ INDEFINITE = 1e-6 * np.eye(6)
 def _covariance(P: Array) -> Reason:
     if P.shape != (6, 6):
         return f"covariance {P.shape}: must be (6, 6)"
+    if not np.isfinite(P).all():  # else infinity over infinity below
+        return "covariance: must be finite"
     if not (P.diagonal() >= 0).all():
         return "covariance: its diagonal must not be negative"
     sd = np.sqrt(P.diagonal())
@@ -147,6 +155,38 @@ def _command(s: Command) -> Reason:
     return None
 
 
+def _controller_checkpoint(s: ControllerCheckpoint) -> Reason:
+    if len(s.reference_toml) > LONGEST_REFERENCE:
+        return f"reference_toml: {len(s.reference_toml)} characters, at most {LONGEST_REFERENCE}"
+    return None if s.began is None else refusal(s.began)
+
+
+def _dropped_node(s: DroppedNode) -> Reason:
+    q = s.given.shape
+    if len(q) != 1 or s.regression.shape != (2, *q):
+        return f"given {q}, regression {s.regression.shape}: must be (q,), (2, q)"
+    small = {"covariance": s.covariance, "with_position": s.with_position, "position": s.position}
+    return next((f"{name} {of.shape}: must be (2, 2)" for name, of in small.items() if of.shape != (2, 2)), None)
+
+
+def _estimator_checkpoint(s: EstimatorCheckpoint) -> Reason:
+    n = s.x.size
+    if s.x.ndim != 1 or s.covariance.shape != (n * (n + 1) // 2,):
+        return f"x {s.x.shape}, covariance {s.covariance.shape}: must be (n,), (n (n + 1) / 2,)"
+    if s.attitude.shape != (3, 3) or s.mounting.shape != (3, 3):
+        return f"attitude {s.attitude.shape}, mounting {s.mounting.shape}: must be (3, 3)"
+    if not (s.covariance[np.cumsum(np.arange(1, n + 1)) - 1] >= 0).all():
+        return "covariance: its diagonal must not be negative"
+    if s.seen_nodes.ndim != 1:
+        return "seen_nodes: must be a list"
+    return next(filter(None, map(refusal, s.dropped)), None)
+
+
+def _restore(s: Restore) -> Reason:
+    parts = (s.plan, s.estimate, s.controller, s.estimator)
+    return next(filter(None, (refusal(part) for part in parts if part is not None)), None)
+
+
 def _timing(s: CycleTiming) -> Reason:
     low, high, unit = MICROSECONDS
     if all(low <= x <= high for x in s.stage_us.values()):
@@ -161,7 +201,9 @@ def _sensor_report(s: SensorReport) -> Reason:
 
 def _controller_status(s: ControllerStatus) -> Reason:
     low, high, unit = COUNT
-    return None if all(low <= n <= high for n in s.rejected.values()) else f"rejected: must be {unit}"
+    if not all(low <= n <= high for n in s.rejected.values()):
+        return f"rejected: must be {unit}"
+    return next(filter(None, map(refusal, s.inputs)), None)
 
 
 def _localisation_report(s: LocalisationReport) -> Reason:
@@ -182,9 +224,12 @@ CONSISTENCY: Mapping[type, Callable[[Any], Reason]] = {
     Estimate: _estimate,
     Plan: _plan,
     Command: _command,
+    ControllerCheckpoint: _controller_checkpoint,
     ControllerStatus: _controller_status,
     CycleTiming: _timing,
-    Restore: lambda s: None if s.plan is None else refusal(s.plan),
+    DroppedNode: _dropped_node,
+    EstimatorCheckpoint: _estimator_checkpoint,
+    Restore: _restore,
     StepRecord: _record,
 }
 """What relates one field to another, judged first: lengths, shapes, order."""

@@ -11,21 +11,31 @@ from ltv_mpc.signals import (
     Applied,
     BottomTrack,
     Clock,
+    ClockCommand,
     Command,
     CompassHeading,
+    ControllerCheckpoint,
     ControllerStatus,
     CurrentProfile,
     CycleTiming,
+    Disturbance,
+    DroppedNode,
     Estimate,
+    EstimatorCheckpoint,
     GnssFix,
     ImuSample,
     InboxEntry,
+    Injection,
+    InputReport,
+    Kill,
     LblRange,
     LocalisationReport,
     Manual,
+    ModelCheck,
     NodeStatus,
     Plan,
     PressureDepth,
+    ReferenceStart,
     Rejected,
     Restore,
     RunEvent,
@@ -69,7 +79,13 @@ ANGLE = Range(-1e4, 1e4, "rad; headings may be unwrapped")
 ANGULAR_RATE = Range(-100, 100, "rad/s")
 SPECIFIC_FORCE = Range(-1e4, 1e4, "m/s2")
 THRUST = Range(-1e6, 1e6, "N")
+INJECTED = Range(-1e6, 1e6, "a share or s, as its harm has it")
+MOMENT = Range(-1e6, 1e6, "N m")
 STATE = Range(-1e6, 1e6, "m, m/s, rad, rad/s")
+TIMES_REAL_TIME = Range(0.01, 1000, "vehicle seconds per second")
+SCHEDULE = Range(0, 1e9, "s")
+BELIEF = Range(-1e9, 1e9, "m, m/s, rad, rad/s, m/s2, a share")
+ROTATION = Range(-1.0001, 1.0001, "an entry of a rotation matrix")
 VARIANCE = Range(-1e12, 1e12, "squares of m, m/s, rad, rad/s")
 RESIDUAL = Range(0, 1e300, "finite also where a solve failed")
 SEQUENCE_OR_NONE = Range(-1, EXACT, "-1 before the first")
@@ -85,6 +101,8 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "current_mps": CURRENT,
         "thrust_N": THRUST,
     },
+    Disturbance: {"until_t_ns": TIME, "thrust_scale": SHARE, "force_N": THRUST, "yaw_moment_Nm": MOMENT},
+    Injection: {"start_t_ns": TIME, "end_t_ns": TIME, "size": INJECTED, "seed": COUNT},
     Applied: {
         "t_ns": TIME,
         "thrust_N": THRUST,
@@ -151,6 +169,38 @@ RANGES: Mapping[type, dict[str, Range]] = {
     Acknowledged: {"t_ns": TIME, "command_id": COUNT},
     CycleTiming: {"t_ns": TIME, "compute_ns": DURATION, "compute_wall_ns": DURATION, "estimate_age_ns": TIME},
     Rejected: {"t_ns": TIME, "crc": COUNT},
+    ReferenceStart: {
+        "t_ns": TIME,
+        "north_m": POSITION,
+        "east_m": POSITION,
+        "depth_m": DEPTH,
+        "heading_rad": ANGLE,
+        "velocity_mps": SPEED,
+    },
+    ControllerCheckpoint: {"t_ns": TIME, "schedule_s": SCHEDULE, "schedule_rate": PART, "progress": PART},
+    DroppedNode: {
+        "node": COUNT,
+        "velocity_mps": SPEED,
+        "given": BELIEF,
+        "regression": BELIEF,
+        "covariance": VARIANCE,
+        "with_position": VARIANCE,
+        "position": VARIANCE,
+        "walked": VARIANCE,
+    },
+    EstimatorCheckpoint: {
+        "t_ns": TIME,
+        "settings": COUNT,
+        "x": BELIEF,
+        "attitude": ROTATION,
+        "mounting": ROTATION,
+        "covariance": VARIANCE,
+        "epoch_t_ns": TIME,
+        "first_node": COUNT,
+        "seen_nodes": COUNT,
+        "walked": VARIANCE,
+        "restarts": COUNT,
+    },
     Restore: {"t_ns": TIME},
     InboxEntry: {"epoch": COUNT, "sequence": COUNT, "crc": COUNT, "received_t_ns": TIME},
     StepRecord: {"epoch": COUNT, "step": COUNT, "t_ns": TIME},
@@ -184,6 +234,16 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "error_m": POSITION,
         "progress": SHARE,
     },
+    InputReport: {"age_ns": TIME, "period_ns": DURATION, "refused": COUNT},
+    ModelCheck: {
+        "t_ns": TIME,
+        "residual_N": THRUST,
+        "residual_Nm": MOMENT,
+        "evidence": FACTOR,
+        "thrust_loss": SHARE,
+    },
+    ClockCommand: {"speed": TIMES_REAL_TIME},
+    Kill: {},
     RunEvent: {"t_ns": TIME},
 }
 """Every signal that travels, and where its numbers may lie. A field that is None has nothing to check."""

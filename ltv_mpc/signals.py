@@ -9,6 +9,7 @@ The key, rate, delivery and writer of each are in ``services/bus/topics.py``; wh
 
 from __future__ import annotations
 
+import contextlib
 import enum
 from typing import Annotated, Any, TypeAlias
 
@@ -29,6 +30,15 @@ class Signal(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown
     """A message. Arrays are numpy arrays inside and lists on the wire."""
 
 
+class Health(enum.StrEnum):
+    """How well the inputs of the controller, or the plans of the actuators, keep up."""
+
+    NOMINAL = "nominal"
+    DEGRADED = "degraded"
+    HOLD = "hold"
+    FAILSAFE = "failsafe"
+
+
 # --- the world: written by the plant, read by sensors, recorder and displays, never aboard ---------------------------
 
 
@@ -45,6 +55,46 @@ class Truth(Signal, frozen=True, kw_only=True, eq=False):
     thrust_N: Triple  # delivered
 
 
+class Disturbance(Signal, frozen=True, kw_only=True, eq=False):
+    """What acts on the simulated vehicle besides water and propellers, from its arrival on until ``until_t_ns``.
+
+    A new one takes the old one's place; nothing aboard reads it.
+    """
+
+    until_t_ns: int
+    thrust_scale: Triple = (1.0, 1.0, 1.0)  # delivered thrust over what the propellers would give
+    force_N: Triple = (0.0, 0.0, 0.0)  # NED
+    yaw_moment_Nm: float = 0.0  # about down, positive to starboard
+
+
+class Harm(enum.StrEnum):
+    """What may happen to a message on its way, where faults are injected."""
+
+    LOSS = "loss"
+    DELAY = "delay"
+    REORDER = "reorder"  # it comes right after its successor
+    DUPLICATE = "duplicate"
+    CORRUPTION = "corruption"  # a few bits of the frame are turned
+    NOT_A_NUMBER = "not_a_number"  # NaN or an infinity in one of its numbers
+    STALE = "stale"  # its sender says again what it said before
+    CLOCK_JUMP = "clock_jump"  # its stamps are those of a clock that has jumped
+
+
+class Injection(Signal, frozen=True, kw_only=True, eq=False):
+    """A fault for the messages of one key, asked of `ltv-mpc inject`; nothing aboard reads it.
+
+    ``size`` is the share of the messages that meets it; of "delay" seconds, of "clock_jump" seconds ahead of the time,
+    of "stale" nothing.
+    """
+
+    key: str
+    harm: Harm
+    start_t_ns: int
+    end_t_ns: int
+    size: float = 1.0
+    seed: int = 0
+
+
 class Applied(Signal, frozen=True, kw_only=True, eq=False):
     """What the thrusters do, and which plan they follow: the actuators' report to the controller."""
 
@@ -58,7 +108,8 @@ class Applied(Signal, frozen=True, kw_only=True, eq=False):
     plan_received_t_ns: int  # when it arrived
     plan_late: bool  # it arrived after its start time: a deadline miss
     plans_late: int  # so far
-    plans_refused: int  # so far: outside box or slew, or out of order
+    plans_refused: int  # so far: outside box or slew, out of order, or a second commander's
+    health: Health = Health.NOMINAL  # how well the plans keep up
 
 
 # --- sensors ---------------------------------------------------------------------------------------------------------
@@ -275,13 +326,16 @@ class Action(enum.StrEnum):
     HOLD = "hold"  # the reference "here"
 
 
-class Health(enum.StrEnum):
-    """How well the controller's inputs keep up."""
+class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the controller knows of one input."""
 
-    NOMINAL = "nominal"
-    DEGRADED = "degraded"
-    HOLD = "hold"
-    FAILSAFE = "failsafe"
+    input: str  # its key
+    alive: bool  # heard lately
+    valid: bool  # what was heard last is of now, by its own stamp
+    rate: bool  # of what came lately, no more than half was missing
+    age_ns: int | None  # of what was heard last; None before the first
+    period_ns: int  # median spacing of the stamps; 0 before the second
+    refused: int  # out of order, or not to be believed, so far
 
 
 class Solve(Signal, frozen=True, kw_only=True, eq=False):
@@ -382,12 +436,72 @@ class Rejected(Signal, frozen=True, kw_only=True, eq=False):
     payload_base64: str  # at most 4 KiB of it
 
 
-class Restore(Signal, frozen=True, kw_only=True, eq=False):
-    """State handed to a restarted node, first entry of its new epoch's inbox."""
+class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where and when a reference began, and how the vehicle moved then."""
 
     t_ns: int
+    north_m: float
+    east_m: float
+    depth_m: float
+    heading_rad: float
+    velocity_mps: Pair  # north, east, over ground
+
+
+class ControllerCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
+    """What a controller that is started anew needs beside the plan in force: who is in charge, what is followed."""
+
+    t_ns: int
+    authority: Authority
+    reference_toml: str  # as a reference file holds it
+    began: ReferenceStart | None  # None before the reference is in force
+    schedule_s: float = 0.0  # how far the target has come: the time of the reference's own schedule
+    schedule_rate: float = 1.0  # of that time to the vehicle's
+    progress: float | None = None  # of a path, 0 .. 1
+
+
+class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is known of a depth whose water is no state any more: ``Link`` of ``localisation/column.py``, flat."""
+
+    node: int  # of the grid of depths
+    velocity_mps: Pair  # c, north and east
+    given: Array  # g of then, (q,)
+    regression: Matrix  # A, (2, q)
+    covariance: Matrix  # C, (2, 2)
+    with_position: Matrix  # B, (2, 2)
+    position: Matrix  # S, (2, 2)
+    walked: float  # variance that each depth had gained by then, m2/s2
+
+
+class EstimatorCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
+    """What the localisation filter goes on from: its belief, n states in the order of ``localisation/state.py``.
+
+    ``covariance`` holds the lower triangle row by row, (n (n + 1) / 2,). Another setting of sensors or filter may mean
+    other states, so a checkpoint belongs to the ``settings`` it was made with: their CRC-32.
+    """
+
+    t_ns: int
+    settings: int
+    x: Array  # (n,)
+    attitude: Matrix  # (3, 3), body to NED
+    mounting: Matrix  # (3, 3), profiler to body
+    covariance: Array
+    epoch_t_ns: int  # of the satellite epoch that x holds a clone of
+    first_node: int  # of the window of depths
+    seen_nodes: Times  # depths that the profiler has measured at
+    dropped: tuple[DroppedNode, ...]
+    walked: float  # variance that each depth has gained by walking in time, m2/s2
+    restarts: int  # of the filter, so far
+
+
+class Restore(Signal, frozen=True, kw_only=True, eq=False):
+    """State that a supervisor handed to a node it has started anew: the first entry of its new epoch's inbox."""
+
+    t_ns: int  # when it was handed over
     node: str
-    plan: Plan | None = None
+    plan: Plan | None = None  # in force at the actuators
+    estimate: Estimate | None = None  # the newest one
+    controller: ControllerCheckpoint | None = None
+    estimator: EstimatorCheckpoint | None = None
 
 
 class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):
@@ -436,6 +550,13 @@ class Clock(Signal, frozen=True, kw_only=True, eq=False):
     state: ClockState
 
 
+class ClockCommand(Signal, frozen=True, kw_only=True, eq=False):
+    """How vehicle time shall go on, asked of the simulated vehicle that keeps it."""
+
+    paused: bool
+    speed: float  # vehicle seconds per second, of the wall
+
+
 class ClockMode(enum.StrEnum):
     """By what a process knows the time."""
 
@@ -478,6 +599,25 @@ class ControllerStatus(Signal, frozen=True, kw_only=True, eq=False):
     health: Health
     error_m: float | None  # horizontal, from the newest estimate to the reference; None where nothing is followed
     progress: float | None = None  # along the reference, 0 to 1; None where it has no end
+    inputs: tuple[InputReport, ...] = ()  # whose ages count
+
+
+class Kill(Signal, frozen=True, kw_only=True, eq=False):
+    """End one process of a simulation without warning, to see what the others do: asked of its launcher."""
+
+    node: str
+
+
+class ModelCheck(Signal, frozen=True, kw_only=True, eq=False):
+    """How far the vehicle does what its model says: the motion from one estimate to the next, seen less foreseen."""
+
+    t_ns: int
+    residual_N: float  # in surge, mean since the last word; below 0: it is pushed ahead by less than it should be
+    residual_Nm: float  # in yaw
+    evidence: float  # of a loss of thrust beyond what mismatch explains: a log-likelihood ratio
+    thrust_loss: Pair  # share of it that is likeliest, port and starboard
+    alarm: bool  # it stays until the vehicle has done as its model says for a while
+    why: str  # of the alarm
 
 
 class RunEvent(Signal, frozen=True, kw_only=True, eq=False):
@@ -518,7 +658,16 @@ def from_wire(kind: type, value: Any) -> Any:
         if not isinstance(value, list) or not all(type(x) is int for x in value):
             raise ValueError("expected a list of integers")
         return np.array(value, dtype=np.int64)
-    array = np.array(value, dtype=object)
-    if not isinstance(value, list) or not all(x is None or type(x) in (int, float) for x in array.ravel()):
-        raise ValueError("expected a list of numbers, rows of one length")
-    return np.array(value, dtype=np.float64)
+    if isinstance(value, list) and _all_numbers(value):
+        with contextlib.suppress(ValueError):  # rows that differ in length
+            return np.array(value, dtype=np.float64)  # null to NaN
+    raise ValueError("expected a list of numbers, rows of one length")
+
+
+_NUMBERS = {int, float, type(None)}
+
+
+def _all_numbers(rows: list[Any]) -> bool:
+    """Whether a list, or a list of such lists, holds numbers and null alone; true and false are none."""
+    kinds = set(map(type, rows))
+    return all(map(_all_numbers, rows)) if kinds == {list} else kinds <= _NUMBERS

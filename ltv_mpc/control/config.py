@@ -10,6 +10,7 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.control import grid
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.safety.health import Ages
 from ltv_mpc.signals import Array
 
 Formulation: TypeAlias = Literal["sparse", "partial", "condensed", "auto"]
@@ -72,6 +73,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     formulation: Formulation = "sparse"
     delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected before anything was measured
+    ages: Ages = Ages()  # of the newest estimate, beyond which less and less is done on it
 
     @classmethod
     def load(cls, path: str) -> ControllerConfig:
@@ -115,4 +117,9 @@ def checked(settings: ControllerConfig, *, source: str, table: tuple[str, ...] =
     if settings.period_s > settings.horizon_s:
         problem = f"must be <= horizon_s = {settings.horizon_s:g}: a plan lasts until the next one"
         raise ConfigError(source, config.place((*table, "period_s")), problem, value=settings.period_s)
+    contradiction = settings.ages.problem()
+    if contradiction is not None:
+        name, problem = contradiction
+        place = config.place((*table, "ages", name))
+        raise ConfigError(source, place, problem, value=getattr(settings.ages, name))
     return settings

@@ -3,12 +3,20 @@
     estimate --predict--> state at the plan's start --linearise--> LTV model along the previous plan --build--> QP
              --solve--> commands at the knots --read--> plan
 
+Where the QP gives no commands the same cycle takes the next rung of the ladder, named in the plan with its reason:
+
+    solved     the QP's plan
+    shifted    the rest of the plan solved last, to its end, and damping from there on
+    damping    the law that stops the vehicle (``damping.py``): no plan is left, or the estimate is too old for one
+    zero       lateral thrusts to zero, the vertical one to the vehicle's ``failsafe_vertical_N``, at the slew limit
+
 Figures: Medagoda & Williams 2012, Fig 5 (dead time), section V (horizon); beyond it: analytic sensitivities, thruster
 lag and slew in the model, one convex QP a cycle.
 """
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 from typing import NamedTuple
@@ -20,6 +28,7 @@ from ltv_mpc.control import trajectory
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.constants import pack
+from ltv_mpc.control.damping import Damping
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon import Linearisation
@@ -31,13 +40,18 @@ from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower
+from ltv_mpc.safety.ages import Period
 from ltv_mpc.safety.authority import Override
+from ltv_mpc.safety.guards import Guard
+from ltv_mpc.safety.health import FAILSAFE_PERIODS, health, patience_ns, worst
 from ltv_mpc.signals import (
     Applied,
     Array,
     Authority,
+    ControllerCheckpoint,
     CycleTiming,
     Estimate,
+    Health,
     Plan,
     PlanOrigin,
     Solve,
@@ -55,8 +69,16 @@ COLD_PASSES = 6
 LONGEST_INTEGRATION_S = 2.0
 """After a longer silence the depth error was not this all the time."""
 
-OLDEST_ESTIMATE_NS = 10_000_000_000
-"""An estimate that is further than this from now says nothing of where the vehicle is."""
+LONGEST_SHIFT_NS = 10_000_000_000
+"""After its plan was solved a vehicle follows it no longer than this: the water is not what was foreseen then."""
+
+MOST_RESIDUAL = 1.0
+"""Of a solve that ended early, primal, scaled (1: a metre, or all of a thruster): beyond, it says nothing."""
+
+
+LONGEST_WHY = 200
+
+NOT_RUN = Solve(status=SolveStatus.NOT_RUN)
 
 
 class _Memory(NamedTuple):
@@ -64,6 +86,7 @@ class _Memory(NamedTuple):
 
     start_ns: int  # of its first knot
     U: Array  # (N+1, 2)
+    until_ns: int  # what it says is a solved plan's up to here
 
 
 class _Lateral(NamedTuple):
@@ -102,10 +125,18 @@ class Controller:
         self._commands = SentCommands(vehicle)
         self._prediction = Prediction(vehicle)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
-        self._delay = Delay(round(config.first_delay_s * 1e9), config.delay_quantile)
+        self._first_delay_ns = round(config.first_delay_s * 1e9)
+        self._delay = Delay(self._first_delay_ns, config.delay_quantile)
         self._memory: _Memory | None = None
         self._integral_N = 0.0
         self._integrated_ns: int | None = None
+        self._shifts_ns = min(int(self._ahead_ns[-1]), LONGEST_SHIFT_NS)
+        self._damping = Damping(vehicle, config.knots, STAGE_S)
+        self._doubtful = False  # the solver has not given what it should
+        self._fresh_ns = round(config.ages.degraded_s * 1e9)
+        self._period = Period()  # of the estimates believed
+        self.guard = Guard(vehicle)
+        """Which estimates are believed, and how many were not."""
         self.failed: FailedQp | None = None
         """The problem that was not solved last, if ever one was not."""
         self.follow(reference)
@@ -124,6 +155,14 @@ class Controller:
         """What the last cycle took."""
         self._delay.timing(timing)
 
+    def health(self, t_ns: int) -> Health:
+        """How well the estimates that are believed keep up at ``t_ns``."""
+        believed = self.guard.believed
+        age_ns = None if believed is None else t_ns - believed.t_ns
+        if age_ns is not None and -self._fresh_ns <= age_ns <= self._fresh_ns:
+            return Health.NOMINAL  # whatever their period
+        return health(age_ns=age_ns, period_ns=self._period.median_ns, ages=self.config.ages)
+
     def plan(
         self,
         estimate: Estimate,
@@ -131,31 +170,48 @@ class Controller:
         t_ns: int | None = None,
         applied: Applied | None = None,
         override: Override | None = None,
+        health: Health = Health.NOMINAL,
     ) -> Plan:
         """One cycle.
 
         ``estimate``: the newest; ``t_ns``: now, the estimate's own time if left out; ``applied``: the actuators'
         report, without which the controller assumes that its plans were followed; ``override``: someone else commands
-        the thrusters. Never raises for what an input holds: a plan that is not the QP's says so in ``origin`` and
-        ``why``.
+        the thrusters; ``health``: of inputs that the caller watches, of which the plan says the worst. Never raises:
+        a plan that is not the QP's says so in ``origin`` and ``why``.
         """
         now = estimate.t_ns if t_ns is None else t_ns
-        if applied is not None:
-            self.report(applied)
-        if self._bias is not None:
+        try:
+            if applied is not None:
+                self.report(applied)
+            return self._cycle(estimate, now, override, health)
+        except Exception as error:  # whatever numpy or a solver raises: the thrusters are not left without a command
+            return self._let_go(now, override, f"{type(error).__name__}: {error}"[:LONGEST_WHY])
+
+    def _cycle(self, newest: Estimate, now: int, override: Override | None, health: Health) -> Plan:
+        """The cycle where nothing raises."""
+        doubt, estimate = self._believed(newest, now)
+        own = Health.FAILSAFE if doubt else self.health(now)
+        if own is not Health.NOMINAL:
+            health = worst(health, own)
+        if self._bias is not None and not doubt:
             estimate = self._bias.corrected(estimate, self._prediction, self._commands)
-        begun, idle = False, ""
-        if abs(now - estimate.t_ns) > OLDEST_ESTIMATE_NS:
-            idle = f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.0f} s old"
-            # Not to be rolled over such a time, nor to begin at; the thrusters go to rest, the vertical one too.
+        begun, idle, rest = False, doubt, False
+        if own is not Health.NOMINAL and abs(now - estimate.t_ns) > self._oldest_ns():
+            idle = f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old"
+            # Not to be rolled over such a time, nor to begin at.
             estimate = msgspec.structs.replace(estimate, t_ns=now)
-        elif override is not None:
+        stops = health is Health.HOLD and override is None
+        if override is not None:
             idle = override.why
+        elif idle:
+            rest = True
+        elif stops:
+            idle = "" if self._follower.target_m is not None else "the reference has not begun"
         elif not (begun := self._follower.begin(estimate)):
             idle = "the reference has not begun"
-        elif not self.config.lateral:
+        if not (idle or self.config.lateral):
             idle = "lateral control is off"
-        if not idle:
+        if not (idle or stops):
             self._delay.solves_from(now)
         delay_ns = self._delay.expected_ns()
         start = self._prediction.roll(estimate, now + delay_ns, self._commands)
@@ -165,20 +221,30 @@ class Controller:
             here = current_in(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
             self._follower.advance(knots, start.lateral, here)
         goal = None if override is None else override.goal(knots)
-        if goal is None:
-            vertical = self._vertical_plan(start, knots, begun and estimate.depth_m is not None)
+        if goal is not None:
+            vertical = self._ramped(start, knots, goal[:, 2])
+        elif rest:
+            vertical = self._rested(start, knots)
+        elif stops:
+            vertical = self._vertical_hold(start, knots, estimate)
         else:
-            vertical = self._overridden(start, knots, goal)
+            vertical = self._vertical_plan(start, knots, begun and estimate.depth_m is not None)
         currents(profile.depth_m, profile.north_mps, profile.east_mps, vertical.depth_m, self._lin.flat)
         self._lap("predict")
         if idle:
             lateral = self._released(start, idle, goal)
+        elif stops:
+            lateral = self._damped(start, f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old")
         else:
             self._follower.fill(knots, self._target)
             lateral = self._solve(start)
+            if lateral.origin is PlanOrigin.ZERO:  # the ladder's end
+                vertical = self._rested(start, knots)
         progress = self._follower.progress if begun else NO_PROGRESS
         thrust = np.empty((len(knots), 3))
         thrust[:, :2], thrust[:, 2] = lateral.U, vertical.thrust_N
+        if not math.isfinite(np.vdot(vertical.thrust_N, vertical.thrust_N)):  # the lateral ones are looked at above
+            raise ArithmeticError("a thrust is not finite")
         plan = Plan(
             cycle_t_ns=now,
             t_ns=knots,
@@ -188,6 +254,7 @@ class Controller:
             solve=lateral.solve,
             why=lateral.why,
             authority=Authority.CONTROLLER if override is None else override.authority,
+            health=health,
             estimate_t_ns=estimate.t_ns,
             expected_delay_ns=delay_ns,
             reference_m=self._follower.target_m if begun else None,
@@ -212,7 +279,56 @@ class Controller:
         self._prediction = copy.deepcopy(other._prediction)
         self._delay = copy.deepcopy(other._delay)
 
+    def rehearse(self) -> None:
+        """Take each rung below the solved plan once, so that nothing is left to be compiled when it is needed.
+
+        For a controller that is thrown away.
+        """
+        start = self._prediction.roll(Estimate.at_rest(), 0, self._commands)
+        self._lin.C[...] = 0.0
+        self._memory = _Memory(start.t_ns - STAGE_NS // 2, self._nothing, start.t_ns + self._shifts_ns)
+        self._shifted(start, NOT_RUN)
+        self._damped(start, "")
+        self._released(start, "", self._nothing)
+
+    def resume(self, plan: Plan | None, checkpoint: ControllerCheckpoint | None, t_ns: int) -> None:
+        """Go on at ``t_ns`` from where a controller was that is no more: by the plan in force, and what it wrote down
+        of its reference, which this one follows already.
+        """
+        if plan is not None:
+            self._commands.sent(plan)
+            self._delay = Delay(max(plan.expected_delay_ns, self._first_delay_ns), self.config.delay_quantile)
+            followed = plan.origin in (PlanOrigin.SOLVED, PlanOrigin.SHIFTED)
+            if followed and np.array_equal(plan.t_ns - plan.t_ns[0], self._ahead_ns):
+                start_ns = int(plan.t_ns[0])
+                self._memory = _Memory(start_ns, plan.thrust_N[:, :2].copy(), start_ns + self._shifts_ns)
+                self._passes = 1
+        if checkpoint is not None and checkpoint.began is not None:
+            self._follower.resume(
+                checkpoint.began, checkpoint.schedule_s, checkpoint.schedule_rate, checkpoint.t_ns, t_ns
+            )
+
+    @property
+    def follower(self) -> Follower:
+        """How far the reference is followed."""
+        return self._follower
+
     # --- the parts of a cycle ---
+
+    def _believed(self, newest: Estimate, now: int) -> tuple[str, Estimate]:
+        """The newest estimate that is believed, and why there is none: then one that says nothing, of now."""
+        before = self.guard.believed
+        doubt = self.guard.admit(newest)
+        believed = self.guard.believed
+        if believed is None:
+            return f"no estimate can be believed: {doubt}", msgspec.structs.replace(Estimate.at_rest(), t_ns=now)
+        if believed is not before:
+            self._period.stamped(believed.t_ns)
+        return "", believed
+
+    def _oldest_ns(self) -> int:
+        """Beyond this age an estimate says nothing of where the vehicle is."""
+        return patience_ns(FAILSAFE_PERIODS, self._period.median_ns, self.config.ages.failsafe_s)
 
     def _vertical_plan(self, start: Start, knots: Times, follows: bool) -> VerticalPlan:
         """The vertical thruster's law; at rest before the start, and where no depth is wanted or none is known."""
@@ -220,6 +336,10 @@ class Controller:
         if wanted is None:
             rest = self._commands.at(knots)[:, 2]
             return VerticalPlan(np.full(len(knots), start.depth_m), rest, 0.0)
+        return self._depth_law(start, *wanted)
+
+    def _depth_law(self, start: Start, depth_m: Array, sinking_mps: Array) -> VerticalPlan:
+        """Towards depths (N+1,) and their rates (N+1,)."""
         plan = follow(
             self._numbers,
             start.depth_m,
@@ -227,7 +347,8 @@ class Controller:
             start.vertical_N,
             start.vertical_command_N,
             self._integral_N,
-            *wanted,
+            depth_m,
+            sinking_mps,
         )
         return VerticalPlan(*plan)
 
@@ -242,13 +363,20 @@ class Controller:
         """For states (N+1, 8) and commands (N+1, 2) of a plan."""
         return np.empty((self.config.stages + 1, STATES)), np.empty((self.config.stages + 1, 2))
 
-    def _overridden(self, start: Start, knots: Times, goal: Array) -> VerticalPlan:
-        """The vertical thruster goes to what someone else asks for, goal (N+1, 3), at the slew limit."""
-        vertical = self.vehicle.thrusters[2]
-        thrust = np.empty(len(knots))
-        thrust[0] = start.vertical_command_N
-        for k, reach in enumerate(np.diff(knots) * (1e-9 * vertical.slew_N_per_s)):
-            thrust[k + 1] = thrust[k] + min(max(goal[k + 1, 2] - thrust[k], -reach), reach)
+    def _vertical_hold(self, start: Start, knots: Times, estimate: Estimate) -> VerticalPlan:
+        """The depth of an estimate that is too old is kept, as far as it is known."""
+        if estimate.depth_m is None or self._follower.depth_m is None:
+            return self._vertical_plan(start, knots, False)
+        still = np.zeros(len(knots))
+        return self._depth_law(start, still + estimate.depth_m, still)
+
+    def _rested(self, start: Start, knots: Times) -> VerticalPlan:
+        """The vertical thruster goes to what the vehicle's file wants of it when all else fails."""
+        return self._ramped(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
+
+    def _ramped(self, start: Start, knots: Times, goal: Array) -> VerticalPlan:
+        """The vertical thruster goes to ``goal`` (N+1,) at the slew limit."""
+        thrust = ramp(start.vertical_command_N, goal, knots, self.vehicle.thrusters[2].slew_N_per_s)
         return VerticalPlan(np.full(len(knots), start.depth_m), thrust, 0.0)
 
     def _released(self, start: Start, why: str, goal: Array | None) -> _Lateral:
@@ -258,10 +386,21 @@ class Controller:
         trajectory.release(self._numbers, start.lateral, lateral, self._lin.C, X, U)
         self._memory = None
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
-        return _Lateral(X, U, origin, Solve(status=SolveStatus.NOT_RUN), why)
+        return _Lateral(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
     def _solve(self, start: Start) -> _Lateral:
-        """One linearisation and one QP; several where there is no plan yet."""
+        """The QP's plan, or the first rung below it that there is."""
+        try:
+            if self._doubtful:  # it may keep what it saw: NaN stays in a workspace
+                self._solver, self._doubtful = make(self.vehicle, self.config), False
+            lateral, solve = self._solved(start)
+        except Exception as error:  # each solver has its own, and a failed solve is a value here
+            why = f"{type(error).__name__}: {error}"[:LONGEST_WHY]
+            lateral, solve = None, Solve(status=SolveStatus.FAILED, why=why)
+        return self._fallback(start, solve) if lateral is None else lateral
+
+    def _solved(self, start: Start) -> tuple[_Lateral | None, Solve]:
+        """One linearisation and one QP, several where there is no plan yet; None where that gives no plan."""
         lin, target, numbers = self._lin, self._target, self._numbers
         self._linearise(start)
         X, U = self._room()
@@ -274,16 +413,26 @@ class Controller:
             commands, solve = self._solver.solve()
             self._lap("solve")
             if solve.status is not SolveStatus.SOLVED:
-                self.failed = FailedQp(self._solver.problem(), self._solver.rows(), solve)
-                if not (solve.status is SolveStatus.ITERATION_LIMIT and np.isfinite(commands).all()):
-                    return self._fallback(start, solve)
+                self._keep(solve)
+                if not _of_use(commands, solve):
+                    return None, solve
                 # As far as it came: brought into box and slew, and taken only as far as the exact flow is no worse.
-            trajectory.step(numbers, lin.flat, target, commands, X, U)
+            elif not math.isfinite(np.vdot(commands, commands)):
+                return None, Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
+            part = trajectory.step(numbers, lin.flat, target, commands, X, U)
+            # A step that was taken has a finite cost, and that takes finite states and commands.
+            if part == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
+                return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
                 trajectory.again(numbers, lin.flat, self.config.stages, X, U)
         self._passes = 1
-        self._memory = _Memory(start.t_ns, U)
-        return _Lateral(X, U, PlanOrigin.SOLVED, solve, "")
+        self._memory = _Memory(start.t_ns, U, start.t_ns + self._shifts_ns)
+        return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
+
+    def _keep(self, solve: Solve) -> None:
+        """The problem that was not solved, for whoever wants to look at it."""
+        with contextlib.suppress(Exception):  # a problem that cannot even be copied out must not cost the cycle
+            self.failed = FailedQp(self._solver.problem(), self._solver.rows(), solve)
 
     def _linearise(self, start: Start) -> None:
         """Along the previous plan on the new knots, or a steered one if that is better; the solver is told which."""
@@ -300,13 +449,85 @@ class Controller:
             self._solver.forget()
 
     def _fallback(self, start: Start, solve: Solve) -> _Lateral:
-        """The previous plan on the new knots, inside box and slew; without one the thrusters go to zero."""
+        """The rungs below the solved plan. The solver is made anew before it is asked again."""
+        self._doubtful = True
+        np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+        return self._shifted(start, solve) or self._damped(start, solve.why, solve)
+
+    def _shifted(self, start: Start, solve: Solve) -> _Lateral | None:
+        """What is left of the plan solved last, on the new knots, inside box and slew, and damping beyond its end;
+        None where nothing is left.
+        """
         old, (X, U) = self._memory, self._room()
-        if old is not None:
-            stages = (start.t_ns - old.start_ns) / STAGE_NS
-            trajectory.shifted(self._numbers, start.lateral, old.U, stages, self._lin.C, X, U)
-        if old is None or not (np.isfinite(X).all() and np.isfinite(U).all()):
-            return self._released(start, solve.why, None)._replace(solve=solve)
-        self._solver.forget()
-        self._memory = _Memory(start.t_ns, U)
+        if old is None or start.t_ns >= old.until_ns:
+            return None
+        trajectory.shifted(
+            self._numbers, start.lateral, old.U, (start.t_ns - old.start_ns) / STAGE_NS, self._lin.C, X, U
+        )
+        until = int(np.searchsorted(start.t_ns + self._ahead_ns, old.until_ns, side="right")) - 1
+        self._damping.fill(X, U, self._lin.C, until)
+        if not (np.isfinite(X).all() and np.isfinite(U).all()):
+            return None
+        self._memory = _Memory(start.t_ns, U, old.until_ns)
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
+
+    def _damped(self, start: Start, why: str, solve: Solve = NOT_RUN) -> _Lateral:
+        """The law that stops the vehicle; where its state is not known, the thrusters are let go."""
+        X, U = self._room()
+        X[0], U[0] = start.lateral[:STATES], start.lateral[STATES:]
+        self._damping.fill(X, U, self._lin.C, 0)
+        self._memory = None
+        if not (np.isfinite(X).all() and np.isfinite(U).all()):
+            return self._released(start, why, None)._replace(solve=solve)
+        return _Lateral(X, U, PlanOrigin.DAMPING, solve, why)
+
+    def _let_go(self, now: int, override: Override | None, why: str) -> Plan:
+        """The ladder's end where the cycle itself broke: from the command in force to rest, by nothing else."""
+        self._memory, self._passes, self._doubtful = None, COLD_PASSES, True
+        delay_ns = self._delay.expected_ns()
+        knots = now + delay_ns + self._ahead_ns
+        command = np.zeros(3)
+        with contextlib.suppress(Exception):
+            command = self._commands.at(knots[:1])[0]
+        rest = 0.0 if override is not None else self.vehicle.failsafe_vertical_N
+        thrust = np.empty((len(knots), 3))
+        for i, (thruster, goal) in enumerate(zip(self.vehicle.thrusters, (0.0, 0.0, rest), strict=True)):
+            thrust[:, i] = ramp(float(command[i]), np.full(len(knots), goal), knots, thruster.slew_N_per_s)
+        states = np.zeros((len(knots), 6))
+        believed = self.guard.believed
+        if believed is not None:
+            states[:, :2], states[:, 4] = (believed.north_m, believed.east_m), believed.heading_rad
+        plan = Plan(
+            cycle_t_ns=now,
+            t_ns=knots,
+            thrust_N=thrust,
+            states=states,
+            origin=PlanOrigin.ZERO,
+            solve=NOT_RUN,
+            why=why,
+            authority=Authority.CONTROLLER if override is None else override.authority,
+            health=self.health(now),
+            estimate_t_ns=now if believed is None else believed.t_ns,
+            expected_delay_ns=delay_ns,
+        )
+        with contextlib.suppress(Exception):
+            self._commands.sent(plan)
+        return plan
+
+
+def _of_use(commands: Array, solve: Solve) -> bool:
+    """Whether a solve that ended early says something."""
+    return (
+        solve.status is SolveStatus.ITERATION_LIMIT
+        and solve.primal_residual <= MOST_RESIDUAL
+        and bool(np.isfinite(commands).all())
+    )
+
+
+def ramp(start: float, goal: Array, knots: Times, slew_N_per_s: float) -> Array:
+    """Commands (N+1,) from ``start`` towards goal (N+1,) at knots (N+1,), no faster than the slew limit."""
+    thrust = np.empty(len(knots))
+    thrust[0] = start
+    for k, reach in enumerate(np.diff(knots) * (1e-9 * slew_N_per_s)):
+        thrust[k + 1] = thrust[k] + min(max(goal[k + 1] - thrust[k], -reach), reach)
+    return thrust

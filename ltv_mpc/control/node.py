@@ -1,30 +1,36 @@
-"""The controller as a node: a cycle every 0.3 s on the newest estimate, by whoever is in charge."""
+"""The controller as a node: a cycle every 0.3 s on the newest estimate, by whoever is in charge.
+
+It writes down who is in charge and how far the reference is, at each change and each 5 s: with that and the plan in
+force (``Restore``) another one goes on where this one ended.
+"""
 
 from __future__ import annotations
 
-import tomllib
-
-import msgspec
-
 from ltv_mpc import config as settings
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.controller import OLDEST_ESTIMATE_NS, Controller
+from ltv_mpc.control.controller import Controller
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.node import Cycle, Inbox, Stopwatch, no_stopwatch
+from ltv_mpc.node import Arrival, Cycle, Inbox, Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference, Timed
+from ltv_mpc.safety.ages import Input
 from ltv_mpc.safety.authority import Answer, Helm
-from ltv_mpc.safety.health import Period, health
+from ltv_mpc.safety.health import of_reports, worst
+from ltv_mpc.safety.model_check import ModelWatch
 from ltv_mpc.signals import (
     Acknowledged,
     Action,
     Applied,
     Authority,
     Command,
+    ControllerCheckpoint,
     CycleTiming,
     Estimate,
     Health,
+    InputReport,
     Manual,
+    ModelCheck,
     Plan,
+    Restore,
     Signal,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -32,16 +38,24 @@ from ltv_mpc.vehicle.parameters import Vehicle
 DEEPEST_HOLD_M = 11_000.0
 """As a reference's ``depth_m``."""
 
+CHECKPOINT_NS = 5_000_000_000
+"""Longest time between two checkpoints."""
+
+LONGEST_WRITTEN = 65_536
+"""Characters of a reference in a checkpoint, as at the door; a longer one is the file that a new process reads too."""
+
 
 class ControllerNode:
-    """Reads the newest ``Estimate`` and ``Manual``, each ``Applied``, ``Command`` and ``CycleTiming``.
+    """Reads the newest ``Estimate`` and ``Manual``, each ``Applied``, ``Command`` and ``CycleTiming``, and first of all
+    a ``Restore`` where it takes another's place.
 
-    Writes an ``Acknowledged`` for each command and one ``Plan`` a cycle, disarmed too: that one lets the thrusters go.
+    Writes one ``Plan`` a cycle, disarmed too: that one lets the thrusters go; an ``Acknowledged`` for each command; a
+    ``ControllerCheckpoint`` and a ``ModelCheck`` now and then.
     """
 
     name = "controller"
-    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming, Command, Manual)
-    writes: tuple[type[Signal], ...] = (Plan, Acknowledged)
+    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming, Command, Manual, Restore)
+    writes: tuple[type[Signal], ...] = (Plan, Acknowledged, ControllerCheckpoint, ModelCheck)
 
     def __init__(
         self,
@@ -56,33 +70,43 @@ class ControllerNode:
         self.controller = Controller(vehicle, reference, config, stopwatch=stopwatch)
         self.helm = Helm(vehicle)
         self._reference = reference
+        self._written = _written(reference)
         self._estimate: Estimate | None = None
-        self._period = Period()
+        self.estimates, self.reports = Input(), Input()
+        """The inputs whose ages count."""
+        self._watch = ModelWatch(vehicle, config.disturbance.noise_mps)
+        self._cycled_ns = 0  # the last cycle's time
+        self._checkpoint: ControllerCheckpoint | None = None
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
         """One cycle at ``t_ns``; no plan until the first estimate."""
-        answers: list[Signal] = []
+        self._cycled_ns = t_ns
+        said: list[Signal] = []
         for arrival in inbox:
             match arrival.signal:
                 case Command() as command:
-                    answers.append(self._answered(command, t_ns))
+                    said.append(self._answered(command, t_ns))
                 case Manual() as manual:
                     self.helm.steer(manual.thrust_N, arrival.received_t_ns)
-                case signal:
-                    self.hear(signal)
+                case Restore() as restore:
+                    self._restored(restore, t_ns)
+                case _:
+                    self.hear(arrival)
         # The plan first: who has the answer can rely on its being in force.
-        if self._estimate is None:
-            return answers
-        return [msgspec.structs.replace(self.cycle(self._estimate, t_ns), health=self.health(t_ns)), *answers]
+        plans = [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
+        words = (self._due_checkpoint(t_ns), self._checked_model())
+        return [*plans, *said, *(word for word in words if word is not None)]
 
-    def hear(self, signal: Signal) -> None:
+    def hear(self, arrival: Arrival) -> None:
         """One message of how the vehicle moves or what a cycle took."""
-        match signal:
-            case Estimate() as estimate if self._is_news(estimate):
-                self._estimate = estimate
-                self._period.stamped(estimate.t_ns)
+        match arrival.signal:
+            case Estimate() as estimate:
+                if self._news(self.estimates, arrival, estimate.t_ns):
+                    self._estimate = estimate
             case Applied() as applied:
-                self.controller.report(applied)
+                if self._news(self.reports, arrival, applied.t_ns):
+                    self.controller.report(applied)
+                    self._watch.report(applied)
             case CycleTiming() as timing:
                 self.controller.timing(timing)
             case _:
@@ -90,19 +114,76 @@ class ControllerNode:
 
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
         """What a cycle does with the newest estimate."""
-        return self.controller.plan(estimate, t_ns=t_ns, override=self.helm.override(t_ns))
+        return self.controller.plan(
+            estimate, t_ns=t_ns, override=self.helm.override(t_ns), health=self._health_of_reports(t_ns)
+        )
 
     def health(self, t_ns: int) -> Health:
-        """How well the estimates keep up at ``t_ns``."""
-        age_ns = None if self._estimate is None else t_ns - self._estimate.t_ns
-        return health(age_ns=age_ns, period_ns=self._period.median_ns)
+        """How well the inputs keep up at ``t_ns``."""
+        return worst(self.controller.health(t_ns), self._health_of_reports(t_ns))
 
-    def _is_news(self, estimate: Estimate) -> bool:
-        """Whether it is newer, or so much older that its clock must have been set back."""
+    def inputs(self) -> tuple[InputReport, ...]:
+        """Of each input whose age counts, at the last cycle."""
+        refused = {"estimate": self.controller.guard.refused.total(), "applied": 0}
+        ages = self.controller.config.ages
+        return tuple(
+            InputReport(input=name, refused=refused[name] + of.out_of_order, **of.word(self._cycled_ns, ages)._asdict())
+            for name, of in (("estimate", self.estimates), ("applied", self.reports))
+        )
+
+    def _health_of_reports(self, t_ns: int) -> Health:
+        reports, ages = self.reports, self.controller.config.ages
+        silent_ns = reports.silent_ns(t_ns)
+        if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:
+            return Health.NOMINAL  # whatever their period
+        return of_reports(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
+
+    @staticmethod
+    def _news(of: Input, arrival: Arrival, stamp_ns: int) -> bool:
+        return of.hear(
+            epoch=arrival.epoch, sequence=arrival.sequence, stamp_ns=stamp_ns, heard_ns=arrival.received_t_ns
+        )
+
+    def _checked_model(self) -> ModelCheck | None:
+        believed = self.controller.guard.believed
+        return None if believed is None else self._watch.see(believed)
+
+    # --- where another one ended ---
+
+    def _restored(self, restore: Restore, t_ns: int) -> None:
+        """Armed if it was, along the same reference, from the plan in force."""
+        checkpoint = restore.controller
+        if checkpoint is not None:
+            self.helm.authority = checkpoint.authority
+            if checkpoint.reference_toml and checkpoint.reference_toml != self._written:
+                self._follow(checkpoint.reference_toml)
+        self.controller.resume(restore.plan, checkpoint, t_ns)
         if self._estimate is None:
-            return True
-        newer_ns = estimate.t_ns - self._estimate.t_ns
-        return newer_ns > 0 or newer_ns < -OLDEST_ESTIMATE_NS
+            self._estimate = restore.estimate
+
+    def _due_checkpoint(self, t_ns: int) -> ControllerCheckpoint | None:
+        """What to write down now: at each change of who is in charge or of what is followed, and each 5 s."""
+        before, follower = self._checkpoint, self.controller.follower
+        if before is not None and (
+            0 <= t_ns - before.t_ns < CHECKPOINT_NS
+            and before.authority is self.helm.authority
+            and before.reference_toml is self._written
+            and (before.began is None) == (follower.target_m is None)
+        ):
+            return None
+        schedule_s, rate = follower.schedule_time
+        self._checkpoint = ControllerCheckpoint(
+            t_ns=t_ns,
+            authority=self.helm.authority,
+            reference_toml=self._written,
+            began=follower.began,
+            schedule_s=schedule_s,
+            schedule_rate=rate,
+            progress=follower.progress.share,
+        )
+        return self._checkpoint
+
+    # --- what is asked ---
 
     def _answered(self, command: Command, t_ns: int) -> Acknowledged:
         said = self._done(command)
@@ -127,14 +208,14 @@ class ControllerNode:
 
     def _follow(self, toml: str) -> Answer:
         try:
-            reference: Reference = settings.parse(tomllib.loads(toml), Reference, source="reference")  # type: ignore[arg-type]
+            reference: Reference = settings.parse(settings.loads(toml), Reference, source="reference")  # type: ignore[arg-type]
         except ConfigError as error:
             return Answer(self.helm.authority, str(error))
         except (ValueError, RecursionError) as error:
             return Answer(self.helm.authority, f"reference: no valid TOML: {error}")
         if isinstance(reference, Timed) and reference.file:
             return Answer(self.helm.authority, "reference: file: no file is read for a message: give rows")
-        self._take(reference)
+        self._take(reference, toml)
         return self.helm.ask(Action.FOLLOW)
 
     def _hold(self) -> Answer:
@@ -142,9 +223,16 @@ class ControllerNode:
         if estimate is None:
             return Answer(self.helm.authority, "no estimate yet: nobody knows where here is")
         depth_m = None if estimate.depth_m is None else min(max(estimate.depth_m, 0.0), DEEPEST_HOLD_M)
-        self._take(Hold(depth_m=depth_m))
+        hold = Hold(depth_m=depth_m)
+        self._take(hold, _written(hold))
         return self.helm.ask(Action.HOLD)
 
-    def _take(self, reference: Reference) -> None:
-        self._reference = reference
+    def _take(self, reference: Reference, written: str) -> None:
+        self._reference, self._written = reference, written
         self.controller.follow(reference)
+
+
+def _written(reference: Reference) -> str:
+    """As a reference file holds it; empty where that is too long to travel."""
+    text = settings.to_toml(reference)
+    return text if len(text) <= LONGEST_WRITTEN else ""

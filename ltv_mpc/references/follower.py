@@ -17,11 +17,13 @@ import copy
 import math
 from typing import NamedTuple
 
+import msgspec
+
 from ltv_mpc.references.kind import Anchor, ramp
 from ltv_mpc.references.kinds import Hold, Point, Reference
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.schedule import Schedule, depths, go_on, look_ahead, where
-from ltv_mpc.signals import Array, Estimate, Pair, Times
+from ltv_mpc.signals import Array, Estimate, Pair, ReferenceStart, Times
 from ltv_mpc.vehicle.parameters import Vehicle
 
 LEASH_S = 2.0
@@ -87,17 +89,43 @@ class Follower:
         """Whether it is in force: from the first estimate after its start on that says where the vehicle is."""
         place = (estimate.north_m, estimate.east_m, estimate.heading_rad)
         if self._anchor is None and self.reference.begun(estimate.t_ns) and all(map(math.isfinite, place)):
-            self._anchor = anchor = self.reference.anchor(estimate)
-            self._t_ns = anchor.t_ns
-            if isinstance(self.reference, Point | Hold):
-                self._target = self.reference.position(anchor)
-            else:
-                self._schedule = self.reference.schedule(self._vehicle, anchor)
-                self._target = where(self._schedule.table, 0.0)[1:]
-                self._length_m, self._duration_s = self._schedule.length_m, self._schedule.duration_s
-                self._cruise_mps = limits_of(self._vehicle).cruise_mps
-                self._leash_m = max(LEASH_S * self._cruise_mps, LEAST_M)
+            self._start(self.reference.anchor(estimate))
         return self._anchor is not None
+
+    def _start(self, anchor: Anchor) -> None:
+        self._anchor = anchor
+        self._t_ns = anchor.t_ns
+        if isinstance(self.reference, Point | Hold):
+            self._target = self.reference.position(anchor)
+            return
+        self._schedule = self.reference.schedule(self._vehicle, anchor)
+        self._target = where(self._schedule.table, 0.0)[1:]
+        self._length_m, self._duration_s = self._schedule.length_m, self._schedule.duration_s
+        self._cruise_mps = limits_of(self._vehicle).cruise_mps
+        self._leash_m = max(LEASH_S * self._cruise_mps, LEAST_M)
+
+    @property
+    def began(self) -> ReferenceStart | None:
+        """Where and when it began; None before."""
+        return None if self._anchor is None else ReferenceStart(**msgspec.structs.asdict(self._anchor))
+
+    @property
+    def schedule_time(self) -> tuple[float, float]:
+        """The target's time tau (s) at the last plan's first knot, and its rate."""
+        return self._tau_s, self._rate
+
+    def resume(self, began: ReferenceStart, tau_s: float, rate: float, then_ns: int, now_ns: int) -> None:
+        """Go on from another follower of this reference that began so and was at ``tau_s`` at ``then_ns``.
+
+        Since then its target has moved on at ``rate``, as far as a plan takes a vehicle that hears of no other.
+        """
+        self._start(Anchor(**msgspec.structs.asdict(began)))
+        self._rate = min(max(rate, 0.0), 1.0)
+        way_s = self._rate * max(now_ns - then_ns, 0) * 1e-9
+        self._tau_s = min(max(tau_s + way_s, 0.0), self._duration_s)
+        self._t_ns = max(now_ns, then_ns)
+        if self._schedule is not None:
+            self._target = where(self._schedule.table, self._tau_s)[1:]
 
     def advance(self, t_ns: Times, lateral: Array, current: Pair) -> None:
         """On to the first of a plan's knots (N+1,), where the vehicle's state begins with ``lateral`` = n, e (m).

@@ -11,7 +11,6 @@ from pathlib import Path
 import msgspec
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.controller import OLDEST_ESTIMATE_NS
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Reference
@@ -108,7 +107,8 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
     """Have all compiled code and the solver loaded: some cycles of a controller that is thrown away.
 
     At the line; far off it, where the solver takes more than one turn and the step more than one try; with an estimate
-    that is no number; with a pilot at the thrusters; and with an estimate that is too old, where they are let go.
+    that is no number; with a pilot at the thrusters; on every rung below the solved plan; and with an estimate that is
+    too old, where the vehicle is stopped and then left alone.
     """
     node = ControllerNode(vehicle, reference, config)
     begun = 0 if reference.start_s is None else max(0, round(reference.start_s * 1e9))
@@ -123,4 +123,6 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
         t_ns = begun + k * config.period_ns
         signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
         node.step(t_ns, [Arrival(signal, 1, k, t_ns) for signal in signals])
-    node.step(t_ns + 2 * OLDEST_ESTIMATE_NS, [])
+    node.controller.rehearse()
+    for missed_s in (2.0, 20.0):  # hold, and then failsafe
+        node.step(t_ns + round(missed_s * 1e9), [])

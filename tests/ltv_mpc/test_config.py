@@ -120,6 +120,18 @@ def test_a_file_that_is_no_settings_file_is_refused(tmp_path: Path, content: byt
     assert str(error.value).isprintable()
 
 
+def test_a_key_of_thousands_of_parts_is_refused_unread(tmp_path: Path) -> None:
+    """tomllib takes a time that grows with the square of their number: half a minute for a command's 64 kB."""
+    for text in ("a" + ".a" * 32_000 + " = 1", "[a" + " . 'a'" * 10_000 + "]", '"b".' * 100_000):
+        with pytest.raises(RecursionError):
+            config.loads(text)
+    path = tmp_path / "x.toml"
+    path.write_text("a" + ".a" * 400_000 + " = 1")
+    with pytest.raises(ConfigError, match="at most 20 deep"):
+        config.read_toml(path, what="settings")
+    assert config.loads("a" + ".a" * 18 + " = 1 # 1.5, e.g. so") == tomllib.loads("a" + ".a" * 18 + " = 1")
+
+
 def test_what_is_no_regular_file_is_refused_without_reading_it(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe.toml"
     os.mkfifo(pipe)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import msgspec
 import numpy as np
+from numpy.lib import format as npy
 from scipy.sparse import csc_array
 
 from ltv_mpc.control.qp.problem import QP
@@ -46,21 +49,27 @@ class FailedQp:
     def load(cls, path: Path) -> FailedQp:
         """Raises ``ConfigError`` for a file that is none."""
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as held:
-                parts = {name: held[name] for name in held.files}
+            parts = _parts(path)
         except FileNotFoundError:
             raise ConfigError(f"{FILE} {path}", "", "there is none") from None
-        except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {error}") from None
+        except UNREADABLE as error:
+            raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {str(error)[:200]}") from None
         try:
             return cls._of(parts)
-        except (KeyError, ValueError, IndexError, msgspec.DecodeError) as error:
-            raise ConfigError(f"{FILE} {path}", "", f"is no QP that this program saved: {error}") from None
+        except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+            problem = f"is no QP that this program saved: {str(error)[:200]}"
+            raise ConfigError(f"{FILE} {path}", "", problem) from None
 
     @classmethod
     def _of(cls, parts: dict[str, Any]) -> FailedQp:
         if str(parts["format"]) != FORMAT:
             raise ValueError(f"format {parts['format']}, must be {FORMAT}")
+        for name in ("q", "l", "u", "P_data", "A_data"):
+            _checked(parts, name, "f")
+        for name in ("P_indices", "P_indptr", "A_indices", "A_indptr"):
+            _checked(parts, name, "iu")
+        for name, kinds in (("row_of", "U"), ("row_scale", "f"), ("row_unit", "U")):
+            _checked(parts, name, kinds)
         n, m = len(parts["q"]), len(parts["l"])
 
         def matrix(name: str, rows: int) -> csc_array:
@@ -94,6 +103,40 @@ class FailedQp:
                 f"{row.of}: lower bound above the upper one by {(qp.l[i] - qp.u[i]) * row.scale:.3g} {row.unit}"
             )
         return found
+
+
+LARGEST = 1 << 26
+"""Bytes of all parts: the longest horizon's QP has a hundredth of it."""
+
+UNREADABLE = (
+    *(OSError, ValueError, TypeError, EOFError, LookupError, ArithmeticError, MemoryError),
+    *(NotImplementedError, RuntimeError, BadZipFile, zlib.error),
+)
+"""What zipfile, zlib and numpy raise on bytes that are no npz file."""
+
+
+def _parts(path: Path) -> dict[str, Any]:
+    """The arrays of an npz file by name, none larger than it says in two places. Raises ``UNREADABLE``."""
+    with ZipFile(path) as archive:
+        entries = archive.infolist()
+        if sum(entry.file_size for entry in entries) > LARGEST:
+            raise ValueError(f"more than {LARGEST} bytes unpacked")
+        for entry in entries:
+            with archive.open(entry) as file:
+                version = npy.read_magic(file)
+                head = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+                shape, _, dtype = head(file)
+            if not 0 <= math.prod(shape) * dtype.itemsize <= entry.file_size:
+                raise ValueError(f"{entry.filename}: shape {shape} of {entry.file_size} bytes")
+    with np.load(path, allow_pickle=False) as held:
+        return {name: held[name] for name in held.files}
+
+
+def _checked(parts: dict[str, Any], name: str, kinds: str) -> None:
+    """Of one dimension and of such numbers (numpy's letters)."""
+    part = parts[name]
+    if part.ndim != 1 or part.dtype.kind not in kinds:
+        raise ValueError(f"{name}: {part.dtype} {part.shape}")
 
 
 def worst(qp: QP, x: Array, rows: tuple[Row, ...]) -> str:

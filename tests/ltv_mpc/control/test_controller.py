@@ -162,12 +162,13 @@ def test_when_a_solve_fails_the_same_cycle_sends_the_previous_plan_shifted_and_r
     assert controller.plan(advance(PAPER, estimate, shifted, duration_s=0.3)).origin is PlanOrigin.SOLVED
 
 
-def test_when_the_first_solve_fails_the_thrusters_are_let_go():
+def test_when_the_first_solve_fails_there_is_no_plan_to_go_by_and_a_vehicle_at_rest_is_left_at_rest():
     controller = Controller(PAPER, POINT)
     controller._solver = fails = FailsFrom(controller._solver)
     fails.failing = True
     plan = controller.plan(Estimate.at_rest(north_m=1.0))
-    assert plan.origin is PlanOrigin.ZERO
+    assert plan.origin is PlanOrigin.DAMPING
+    assert plan.why == "as asked"
     assert not plan.thrust_N.any()
 
 
@@ -245,7 +246,7 @@ def test_an_estimate_that_is_too_old_is_named_and_the_thrusters_go_to_rest():
     assert controller.plan(old, t_ns=1_000_000_000).origin is PlanOrigin.SOLVED
     plan = controller.plan(old, t_ns=3_600_000_000_000)
     assert plan.origin is PlanOrigin.ZERO
-    assert plan.why == "the newest estimate is 3600 s old"
+    assert plan.why == "the newest estimate is 3600.0 s old"
     assert not plan.thrust_N[-1].any()
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.safety.gate import COMMANDERS, Gate, Verdict
 from ltv_mpc.signals import Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -97,19 +98,91 @@ def test_a_plan_that_arrives_at_its_start_is_not_late():
     assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 1, S + 1) is Verdict.LATE
 
 
-def test_plans_out_of_order_are_refused_for_each_source_by_itself():
+def test_plans_out_of_order_are_refused():
     gate = Gate(VEHICLE)
-    verdicts = [
-        gate.offer(constant(0, 1.0, 1.0, 1.0), epoch, k, 0) for epoch, k in [(7, 4), (7, 4), (7, 3), (7, 5), (9, 0)]
-    ]
-    assert verdicts == [
-        Verdict.ACCEPTED,
-        Verdict.OUT_OF_ORDER,
-        Verdict.OUT_OF_ORDER,
-        Verdict.ACCEPTED,
-        Verdict.ACCEPTED,
-    ]
+    verdicts = [gate.offer(constant(0, 1.0, 1.0, 1.0), 7, k, 0) for k in (4, 4, 3, 5)]
+    assert verdicts == [Verdict.ACCEPTED, Verdict.OUT_OF_ORDER, Verdict.OUT_OF_ORDER, Verdict.ACCEPTED]
     assert gate.plans_refused == 2
+
+
+# --- one commander at a time -----------------------------------------------------------------------------------------
+
+
+def commanded(gate: Gate, epoch: int, until_ns: int, *, period_ns: int = STAGE_NS, thrust: float = 10.0) -> int:
+    """A commander that gives a plan each period up to ``until_ns``; when it gave its last."""
+    for k, t in enumerate(range(0, until_ns, period_ns)):
+        gate.command_at(t)
+        assert gate.offer(constant(t, thrust, thrust, thrust, knots=18), epoch, k, t) is Verdict.ACCEPTED
+    return t
+
+
+def test_two_commanders_at_once_do_not_alternate_and_each_plan_of_the_second_is_refused_as_it_comes():
+    gate = Gate(VEHICLE)
+    for k in range(20):
+        t = k * STAGE_NS
+        gate.offer(constant(t, 5.0, 5.0, 5.0, knots=18), 7, k, t)
+        commands(gate, t, t + 100_000_000)
+        at = t + 110_000_000
+        assert gate.offer(constant(at, -5.0, -5.0, -5.0, knots=18), 9, k, at) is Verdict.SECOND_COMMANDER
+        assert gate.plans_refused == k + 1
+    assert gate.command_at(6 * S) == (5.0, 5.0, 5.0)
+
+
+@pytest.mark.parametrize(("period_s", "silence_s"), [(0.1, 0.5), (0.3, 0.75), (0.71, 1.775)])
+def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(period_s, silence_s):
+    period_ns, silence_ns = round(period_s * 1e9), round(silence_s * 1e9)
+    gate = Gate(VEHICLE)
+    last = commanded(gate, 7, 5 * S, period_ns=period_ns)
+    assert gate.health(last + silence_ns) == "nominal"
+    early = constant(last + silence_ns, 20.0, 20.0, 20.0)
+    assert gate.offer(early, 9, 0, last + silence_ns) is Verdict.SECOND_COMMANDER
+    assert gate.health(last + silence_ns + 1) == "degraded"
+    late = constant(last + silence_ns + 1, 20.0, 20.0, 20.0)
+    assert gate.offer(late, 9, 1, last + silence_ns + 1) is Verdict.ACCEPTED
+    # The one before, that was only delayed, is now the second.
+    assert gate.offer(constant(last + S, 0.0, 0.0, 0.0), 7, 999, last + silence_ns + 2) is Verdict.SECOND_COMMANDER
+    assert gate.plans_refused == 2
+
+
+def test_a_controller_that_was_started_anew_is_followed_two_wall_seconds_after_the_fault_at_twice_the_speed():
+    """It died at 3 s; spawned in 0.5 s of wall time and silent for 1 s of the vehicle's."""
+    gate = Gate(VEHICLE)
+    last = commanded(gate, 7, 3 * S)
+    again = last + 1 * S
+    assert gate.offer(constant(again, 10.0, 10.0, 10.0), 8, 0, again) is Verdict.ACCEPTED
+    assert gate.health(again) == "nominal"
+
+
+def test_at_the_end_of_its_plan_a_commander_has_no_claim_left():
+    gate = Gate(VEHICLE)
+    gate.offer(constant(0, 1.0, 1.0, 1.0, knots=2), 7, 0, 0)
+    assert gate.health(STAGE_NS) == "nominal"
+    assert gate.health(STAGE_NS + 1) == "failsafe"
+    assert gate.offer(constant(STAGE_NS + 1, 1.0, 1.0, 1.0), 9, 0, STAGE_NS + 1) is Verdict.ACCEPTED
+
+
+def test_who_sends_what_is_refused_does_not_stay_in_charge_by_that():
+    gate = Gate(VEHICLE)
+    last = commanded(gate, 7, 3 * S)
+    for k in range(8):
+        gate.offer(constant(last + k * 100_000_000, 99.0, 0.0, 0.0), 7, 100 + k, last + k * 100_000_000)
+    at = last + 800_000_000
+    assert gate.offer(constant(at, 10.0, 10.0, 10.0), 9, 0, at) is Verdict.ACCEPTED
+
+
+def test_old_frames_of_a_commander_that_was_replaced_are_never_followed_again():
+    gate = Gate(VEHICLE)
+    last = commanded(gate, 7, 3 * S)
+    gate.offer(constant(last + S, 1.0, 1.0, 1.0), 9, 0, last + S)
+    assert gate.offer(constant(last + 9 * S, 1.0, 1.0, 1.0), 7, 3, last + 9 * S) is Verdict.OUT_OF_ORDER
+
+
+def test_the_memory_of_commanders_is_bounded():
+    gate = Gate(VEHICLE)
+    for epoch in range(1000):
+        at = epoch * 10 * S
+        assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is Verdict.ACCEPTED
+    assert len(gate._last_sequence) == COMMANDERS
 
 
 @pytest.mark.parametrize(
@@ -154,20 +227,28 @@ def test_commands_do_not_go_back_in_time():
 
 
 thrusts = st.lists(st.tuples(*[st.floats(-70, 70)] * 3), min_size=2, max_size=6)
-offers = st.lists(st.tuples(st.integers(-300, 600), thrusts), min_size=1, max_size=8)
+offers = st.lists(st.tuples(st.integers(-300, 600), thrusts, st.integers(0, 2)), min_size=1, max_size=8)
 
 
 @settings(max_examples=150, deadline=None)
 @given(offers)
-def test_no_command_leaves_box_or_slew_whatever_is_offered(sequence):
+def test_no_command_leaves_box_or_slew_whatever_is_offered_by_whomever(sequence):
     gate = Gate(VEHICLE)
     rows = [gate.command_at(0)]
     t = 0
-    for k, (ahead_ms, thrust) in enumerate(sequence):
-        gate.offer(plan(t + ahead_ms * 1_000_000, thrust), 1, k, t)
+    for k, (ahead_ms, thrust, epoch) in enumerate(sequence):
+        gate.offer(plan(t + ahead_ms * 1_000_000, thrust), epoch, k, t)
         for _ in range(23):
             t += STEP_NS
             rows.append(gate.command_at(t))
     rows = np.array(rows)
     assert (np.abs(rows) <= 62.5).all()
     assert (np.abs(np.diff(rows, axis=0)) <= 1.0 + 1e-12).all()
+
+
+def test_without_plans_the_vertical_thruster_goes_where_the_vehicle_s_file_wants_it():
+    vehicle = msgspec.structs.replace(VEHICLE, failsafe_vertical_N=-20.0)
+    gate = Gate(vehicle)
+    gate.command_at(0)
+    gate.offer(constant(0, 0.0, 0.0, 30.0, knots=2), 1, 0, 0)
+    assert commands(gate, 0, S)[-1][2] == pytest.approx(-20.0)

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from ltv_mpc.safety.health import Period, health
+from ltv_mpc import config
+from ltv_mpc.control.config import ControllerConfig, checked
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.safety.health import WORST_FIRST, Ages, health, of_plans, of_reports, worst
+from ltv_mpc.signals import Health
 
 MS = 1_000_000
+BADNESS = {word: k for k, word in enumerate(reversed(WORST_FIRST))}
 
 
 @pytest.mark.parametrize(
@@ -15,24 +23,102 @@ MS = 1_000_000
         (None, 100, "degraded"),
         (-20, 100, "nominal"),
         (0, 0, "nominal"),
+        # a publisher at 10 Hz: 0.5, 1.5, 3 s, to the nanosecond
         (500, 100, "nominal"),
-        (501, 100, "degraded"),
-        (599, 200, "nominal"),
-        (601, 200, "degraded"),
-        (2999, 1000, "nominal"),
-        (3001, 1000, "degraded"),
+        (500.000001, 100, "degraded"),
+        (1500, 100, "degraded"),
+        (1500.000001, 100, "hold"),
+        (3000, 100, "hold"),
+        (3000.000001, 100, "failsafe"),
+        # slower ones: 3, 4, 6 periods
+        (600, 200, "nominal"),
+        (600.000001, 200, "degraded"),
+        (3000, 1000, "nominal"),
+        (3000.000001, 1000, "degraded"),
+        (4000, 1000, "degraded"),
+        (4000.000001, 1000, "hold"),
+        (6000, 1000, "hold"),
+        (6000.000001, 1000, "failsafe"),
+        # stamps from the future
+        (-500.000001, 100, "degraded"),
+        (-3000.000001, 100, "failsafe"),
     ],
 )
-def test_degraded_after_three_periods_and_not_before_half_a_second(age_ms, period_ms, word):
-    assert health(age_ns=None if age_ms is None else age_ms * MS, period_ns=period_ms * MS) == word
+def test_each_threshold_is_the_larger_of_its_seconds_and_its_periods(age_ms, period_ms, word):
+    age_ns = None if age_ms is None else round(age_ms * MS)
+    assert health(age_ns=age_ns, period_ns=period_ms * MS) == word
 
 
-def test_the_period_is_the_median_spacing_so_that_a_lost_estimate_and_a_burst_do_not_move_it():
-    period = Period()
-    assert period.median_ns == 0
-    for t_ms in (0, 200, 400, 600, 1400, 1401, 1402, 1600, 1800, 2000):
-        period.stamped(t_ms * MS)
-    assert period.median_ns == 200 * MS
-    for t_ms in range(2020, 2200, 20):
-        period.stamped(t_ms * MS)
-    assert period.median_ns == 20 * MS
+ages = st.integers(0, 100_000 * MS)
+thresholds = st.lists(st.floats(0.01, 60), min_size=3, max_size=3).map(
+    lambda s: Ages(**dict(zip(("degraded_s", "hold_s", "failsafe_s"), sorted(s), strict=True)))
+)
+
+
+@given(ages, ages, ages, thresholds)
+def test_it_never_gets_better_with_age_and_never_worse_with_a_longer_period(age, later, period, limits):
+    young, old = sorted((age, later))
+    assert (
+        BADNESS[health(age_ns=young, period_ns=period, ages=limits)]
+        <= BADNESS[health(age_ns=old, period_ns=period, ages=limits)]
+    )
+    short, long = sorted((period, later))
+    assert (
+        BADNESS[health(age_ns=age, period_ns=long, ages=limits)]
+        <= BADNESS[health(age_ns=age, period_ns=short, ages=limits)]
+    )
+    assert health(age_ns=age, period_ns=period, ages=limits) is health(age_ns=-age, period_ns=period, ages=limits)
+
+
+@given(ages, ages, ages, st.integers(-10_000 * MS, 10_000 * MS))
+def test_of_plans_it_never_gets_better_with_silence_and_is_failsafe_at_the_end_of_the_last(one, two, period, left):
+    short, long = sorted((one, two))
+    before, after = (of_plans(silent_ns=s, period_ns=period, left_ns=left) for s in (short, long))
+    assert BADNESS[before] <= BADNESS[after]
+    assert (after is Health.FAILSAFE) == (left < 0)
+
+
+@pytest.mark.parametrize(
+    ("silent_ms", "period_ms", "left_ms", "word"),
+    [
+        (None, 0, -1, "degraded"),
+        (0, 0, 0, "nominal"),
+        (500, 0, 1, "nominal"),
+        (500.000001, 0, 1, "degraded"),
+        (750, 300, 1, "nominal"),
+        (750.000001, 300, 1, "degraded"),
+        (1775, 710, 1, "nominal"),  # the paper's delay
+        (10, 300, -0.000001, "failsafe"),
+    ],
+)
+def test_of_plans_two_replacements_may_be_missing(silent_ms, period_ms, left_ms, word):
+    silent_ns = None if silent_ms is None else round(silent_ms * MS)
+    assert of_plans(silent_ns=silent_ns, period_ns=period_ms * MS, left_ns=round(left_ms * MS)) == word
+
+
+def test_of_reports_who_never_said_anything_is_no_fault_and_who_falls_silent_is_one():
+    assert of_reports(silent_ns=None, period_ns=0) == "nominal"
+    assert of_reports(silent_ns=500 * MS, period_ns=100 * MS) == "nominal"
+    assert of_reports(silent_ns=500 * MS + 1, period_ns=100 * MS) == "degraded"
+    assert of_reports(silent_ns=2000 * MS, period_ns=1000 * MS) == "nominal"
+
+
+def test_the_worst_of_several_counts():
+    for k, word in enumerate(WORST_FIRST):
+        assert worst(*WORST_FIRST[k:]) is word
+
+
+@pytest.mark.parametrize(
+    ("table", "field"),
+    [
+        ({"degraded_s": 2.0}, "hold_s"),
+        ({"hold_s": 5.0}, "failsafe_s"),
+        ({"hold_s": 0.0}, "hold_s"),
+        ({"failsafe_s": 61.0}, "failsafe_s"),
+    ],
+)
+def test_thresholds_that_contradict_each_other_are_refused_by_name(table, field):
+    with pytest.raises(ConfigError, match=field):
+        checked(config.parse({"ages": table}, ControllerConfig, source="settings"), source="settings")
+    fine = msgspec.structs.replace(ControllerConfig(), ages=Ages(degraded_s=0.2, hold_s=0.2, failsafe_s=0.2))
+    assert checked(fine, source="settings") is fine

@@ -45,8 +45,14 @@ for k in range(60):
         t_ns=plan.cycle_t_ns, compute_ns=10**7, compute_wall_ns=10**7, estimate_age_ns=0, stage_us={}))
 blind = msgspec.structs.replace(estimate, depth_m=None, velocity_down_mps=None, current=None)
 controller.plan(blind)
-origins.add(controller.plan(msgspec.structs.replace(estimate, heading_rad=float("nan"))).origin)
-assert {PlanOrigin.SOLVED, PlanOrigin.ZERO} <= origins, origins
+controller.plan(msgspec.structs.replace(estimate, heading_rad=float("nan")))
+for age_s in (2, 9):
+    origins.add(controller.plan(estimate, t_ns=estimate.t_ns + age_s * 10**9).origin)
+controller.plan(estimate)
+controller._solver.solve = None  # which raises
+for k in range(20):
+    origins.add(controller.plan(estimate, t_ns=estimate.t_ns + k).origin)
+assert set(PlanOrigin) - origins == {PlanOrigin.MANUAL}, origins
 after = compiled()
 assert sum(before.values()) > 10
 assert before == after, {key: (before.get(key), count) for key, count in after.items() if before.get(key) != count}

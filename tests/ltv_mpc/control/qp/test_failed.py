@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from zipfile import ZipFile
+
 import numpy as np
 import pytest
 from scipy.sparse import csc_array
@@ -124,6 +126,66 @@ def broken(tmp_path, name):
 def test_a_file_that_holds_none_is_refused_by_name(tmp_path, name):
     with pytest.raises(ConfigError, match=r"QP file .*\.npz: "):
         FailedQp.load(broken(tmp_path, name))
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """What a file holds, by name."""
+    path = tmp_path_factory.mktemp("parts") / "one.npz"
+    made = built()
+    FailedQp(made.problem(), made.rows(), Solve(status=SolveStatus.FAILED)).save(path)
+    with np.load(path, allow_pickle=False) as held:
+        return {name: held[name] for name in held.files}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"q": np.array(5.0)},
+        {"l": np.zeros((2, 2))},
+        {"row_of": np.array(5)},
+        {"row_scale": np.zeros(3, dtype="M8[s]")},
+        {"row_scale": np.array([1 + 2j])},
+        {"P_indices": np.array([np.nan, np.inf])},
+        {"A_data": np.array(["nan", "1"])},
+        {"u": np.array([{}, []], dtype=object)},
+    ],
+    ids=lambda wrong: "{0} {1.dtype} {1.shape}".format(*next(iter(wrong.items()))),
+)
+def test_parts_of_another_kind_are_refused_by_name(tmp_path, parts, wrong):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **parts | wrong)
+    with pytest.raises(ConfigError, match=r"QP file .*bad\.npz: "):
+        FailedQp.load(path)
+
+
+def test_a_damaged_file_is_refused_wherever_it_is_damaged(tmp_path, parts):
+    path = tmp_path / "bad.npz"
+    np.savez_compressed(path, **parts)
+    data = path.read_bytes()
+    refused = 0
+    for place in range(30, len(data), 97):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
+        try:
+            FailedQp.load(path)  # of a byte that nobody reads, a time for example
+        except ConfigError:
+            refused += 1
+    assert refused > 20
+
+
+@pytest.mark.parametrize(
+    ("shape", "says"),
+    [("(999999999999,)", r"q\.npy: shape \(999999999999,\) of \d+ bytes"), ("(True,)", "q|integer"), ("'x'", "shape")],
+)
+def test_a_head_that_lies_is_refused_before_anything_is_made(tmp_path, parts, shape, says):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{name: part for name, part in parts.items() if name != "q"})
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    with ZipFile(path, "a") as archive:
+        archive.writestr("q.npy", b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + bytes(16))
+    with pytest.raises(ConfigError, match=says):
+        FailedQp.load(path)
 
 
 def test_a_cycle_that_is_not_solved_says_which_row_is_violated_and_keeps_its_problem():

@@ -1,0 +1,199 @@
+"""A controller that takes another's place: armed as it was, along the same path, from the plan in force."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import Estimate, Plan, PlanOrigin, Vehicle, advance, references
+from ltv_mpc.admission import refusal
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import CHECKPOINT_NS, ControllerNode
+from ltv_mpc.node import Arrival
+from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.signals import Acknowledged, Action, Authority, Command, ControllerCheckpoint, Health, Restore, Signal
+
+PAPER = Vehicle.load("paper")
+PERIOD_NS = 300_000_000
+S = 1_000_000_000
+FOLLOWED = (Verdict.ACCEPTED, Verdict.LATE)
+START = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
+
+
+class Flight:
+    """A node in a closed loop of the nominal model, without delay in between."""
+
+    def __init__(self, reference, *, node: ControllerNode | None = None, estimate: Estimate = START) -> None:
+        self.node = node or ControllerNode(PAPER, reference, ControllerConfig())
+        self.estimate = estimate
+        self.plans: list[Plan] = []
+        self.checkpoints: list[ControllerCheckpoint] = []
+        self.answers: list[Acknowledged] = []
+        self._sequence = 0
+
+    def arrival(self, signal: Signal) -> Arrival:
+        self._sequence += 1
+        return Arrival(signal, 1, self._sequence, self.estimate.t_ns)
+
+    def step(self, *words: Signal) -> Plan:
+        """One cycle, and what it leads to."""
+        inbox = [self.arrival(word) for word in (*words, self.estimate)]
+        for signal in self.node.step(self.estimate.t_ns, inbox):
+            assert refusal(signal) is None
+            match signal:
+                case Plan():
+                    self.plans.append(signal)
+                case ControllerCheckpoint():
+                    self.checkpoints.append(signal)
+                case Acknowledged():
+                    self.answers.append(signal)
+        self.estimate = advance(PAPER, self.estimate, self.plans[-1], duration_s=0.3)
+        return self.plans[-1]
+
+    def fly(self, cycles: int) -> Plan:
+        for _ in range(cycles):
+            plan = self.step()
+        return plan
+
+    def handed_over(self, silent_s: float, reference=None) -> tuple[Flight, Restore]:
+        """It dies; ``silent_s`` later another one has its place, the vehicle having followed the last plan."""
+        last = self.plans[-1]
+        estimate = self.estimate
+        if silent_s > 0:
+            estimate = advance(PAPER, estimate, last, duration_s=silent_s)
+        restore = Restore(
+            t_ns=estimate.t_ns,
+            node="controller",
+            plan=last,
+            estimate=self.estimate,
+            controller=self.checkpoints[-1],
+        )
+        node = ControllerNode(PAPER, reference or self.node._reference, ControllerConfig())
+        return Flight(None, node=node, estimate=estimate), restore
+
+
+ARM = Command(command_id=1, action=Action.ARM)
+
+
+def armed(reference, cycles: int) -> Flight:
+    flight = Flight(reference)
+    flight.step(ARM)
+    flight.fly(cycles)
+    return flight
+
+
+@pytest.mark.parametrize("silent_s", [0.0, 1.0, 4.0])
+def test_it_comes_up_armed_solved_and_from_the_command_in_force(silent_s):
+    before = armed(references.load("line"), 40)
+    after, restore = before.handed_over(silent_s)
+    plan = after.step(restore)
+    assert (plan.authority, plan.origin, plan.health) == (Authority.CONTROLLER, PlanOrigin.SOLVED, Health.NOMINAL)
+    in_force = restore.plan.thrust_at(int(plan.t_ns[0]))
+    np.testing.assert_allclose(plan.thrust_N[0], in_force, atol=1e-6)
+    gate = Gate(PAPER)
+    gate.offer(restore.plan, 1, 0, int(restore.plan.t_ns[0]))
+    assert gate.offer(plan, 2, 0, int(restore.plan.t_ns[0]) + S) in FOLLOWED
+
+
+def test_a_path_goes_on_where_it_was_and_not_from_its_beginning():
+    reference = references.load("lawnmower")
+    before = armed(reference, 120)
+    spared = before.plans[-1]
+    after, restore = before.handed_over(1.2)
+    plan = after.step(restore)
+    before.fly(5)
+    undisturbed = before.plans[-1]
+    assert plan.progress == pytest.approx(undisturbed.progress, abs=0.01)
+    assert plan.progress >= spared.progress > 0.01
+    np.testing.assert_allclose(plan.reference_m, undisturbed.reference_m, atol=0.5)
+    there = after.fly(60)
+    assert there.progress > plan.progress
+    assert abs(there.cross_track_m) < 0.3
+
+
+def test_here_stays_where_it_was():
+    before = armed(references.Hold(depth_m=5.0), 30)
+    after, restore = before.handed_over(1.0)
+    plan = after.step(restore)
+    assert plan.reference_m == before.plans[-1].reference_m
+    assert plan.reference_depth_m == before.plans[-1].reference_depth_m
+
+
+@pytest.mark.parametrize("action", [Action.DISARM, Action.STOP, Action.MANUAL])
+def test_who_was_in_charge_stays_in_charge(action):
+    before = armed(references.load("line"), 5)
+    before.step(Command(command_id=2, action=action))
+    after, restore = before.handed_over(1.0)
+    plan = after.step(restore)
+    assert plan.authority is before.plans[-1].authority is not Authority.CONTROLLER
+    assert not plan.thrust_N[-1].any()
+
+
+def test_a_reference_that_an_operator_gave_is_followed_and_not_the_one_it_was_started_with():
+    before = armed(references.load("line"), 3)
+    text = 'kind = "point"\nnorth_m = 3.0\neast_m = -2.0\ndepth_m = 4.0\n'
+    before.step(Command(command_id=2, action=Action.FOLLOW, reference_toml=text))
+    before.fly(5)
+    assert before.checkpoints[-1].reference_toml == text
+    after, restore = before.handed_over(0.6, references.load("line"))
+    assert after.step(restore).reference_m == (3.0, -2.0)
+
+
+def test_without_anything_to_go_on_it_begins_disarmed_as_ever():
+    empty = Flight(references.load("line"))
+    plan = empty.step(Restore(t_ns=0, node="controller"))
+    assert (plan.authority, plan.origin) == (Authority.DISARMED, PlanOrigin.ZERO)
+
+
+def test_it_writes_down_each_change_and_else_each_five_seconds():
+    flight = Flight(references.load("line"))
+    flight.fly(2)
+    assert [c.authority for c in flight.checkpoints] == ["disarmed"]
+    flight.step(ARM)
+    assert flight.checkpoints[-1].authority == "controller"
+    assert flight.checkpoints[-1].began is not None
+    count = len(flight.checkpoints)
+    flight.fly(60)  # 18 s
+    times = [c.t_ns for c in flight.checkpoints[count - 1 :]]
+    assert len(times) == 4
+    assert all(CHECKPOINT_NS <= gap < CHECKPOINT_NS + PERIOD_NS for gap in np.diff(times))
+    assert flight.checkpoints[-1].progress == pytest.approx(flight.plans[-1].progress, abs=0.05)
+    flight.step(Command(command_id=2, action=Action.HOLD))
+    assert 'kind = "hold"' in flight.checkpoints[-1].reference_toml
+
+
+def test_two_that_were_restored_alike_give_the_same_bits():
+    before = armed(references.load("square"), 30)
+    one, restore = before.handed_over(1.0)
+    two, _ = before.handed_over(1.0)
+    for flight in (one, two):
+        flight.step(restore)
+        flight.fly(10)
+    encode = msgspec.json.Encoder(enc_hook=lambda x: x.tolist()).encode
+    assert encode(one.plans) == encode(two.plans)
+
+
+# --- the node's own ages ---------------------------------------------------------------------------------------------
+
+
+def test_estimates_out_of_order_are_not_planned_on_and_are_counted():
+    flight = armed(references.load("line"), 5)
+    newest = flight.estimate
+    node, t = flight.node, newest.t_ns
+    node.step(t, [Arrival(newest, 1, 100, t)])
+    old = msgspec.structs.replace(newest, t_ns=t - S, north_m=0.0)
+    for arrival in (Arrival(old, 1, 101, t), Arrival(msgspec.structs.replace(newest, t_ns=t + 1), 1, 100, t)):
+        plan = node.step(t + PERIOD_NS, [arrival])[0]
+        assert plan.estimate_t_ns == t
+    word = node.inputs()[0]
+    assert (word.input, word.refused, word.alive, word.valid) == ("estimate", 2, True, True)
+
+
+def test_health_follows_the_age_of_the_estimate_and_reports_that_fall_silent():
+    flight = armed(references.load("line"), 12)
+    node, t = flight.node, flight.estimate.t_ns - PERIOD_NS
+    said = [node.step(t + k * PERIOD_NS, [])[0] for k in range(1, 12)]
+    # 10 estimates at 0.3 s: 0.9, 1.5, 3 s
+    assert [p.health for p in said] == ["nominal"] * 3 + ["degraded"] * 2 + ["hold"] * 5 + ["failsafe"]
+    assert [p.origin for p in said] == [PlanOrigin.SOLVED] * 5 + [PlanOrigin.DAMPING] * 5 + [PlanOrigin.ZERO]

@@ -1,0 +1,260 @@
+"""The alarm "the vehicle does not do what its model says": against exact motions, and against another solver."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from ltv_mpc.safety.model_check import (
+    ALARM,
+    HIGHEST,
+    LOST,
+    LOWEST,
+    QUIET,
+    WINDOWS,
+    ModelWatch,
+    least_squares,
+    weigh,
+    whitened,
+)
+from ltv_mpc.signals import Applied, CurrentProfile, Estimate, ModelCheck
+from ltv_mpc.vehicle.dynamics import derivative
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+
+PAPER = Vehicle.load("paper")
+STILL = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
+PERIOD_NS, CYCLE = 100_000_000, 3  # reports each 0.1 s, estimates each third
+STEP_S = 0.01
+
+Thrust = Callable[[float], tuple[float, float]]
+
+
+def surging(t: float) -> tuple[float, float]:
+    """40 N a side, ahead and astern, turning meanwhile."""
+    return 40.0 * math.sin(0.8 * t) + 15.0 * math.sin(2.1 * t), 40.0 * math.sin(0.8 * t) - 15.0 * math.sin(1.3 * t)
+
+
+def applied(k: int, thrust: tuple[float, float]) -> Applied:
+    return Applied(
+        t_ns=k * PERIOD_NS,
+        thrust_N=(*thrust, 0.0),
+        command_N=(*thrust, 0.0),
+        command_slew_N_per_s=(0.0, 0.0, 0.0),
+        plan_epoch=0,
+        plan_sequence=-1,
+        plan_cycle_t_ns=0,
+        plan_received_t_ns=0,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    )
+
+
+class Sea:
+    """The equations of motion in small steps, with thrusts other than those reported."""
+
+    def __init__(self, *, thrust: Thrust = surging, true: Coefficients | None = None, settles_s: float = 0.0) -> None:
+        self.watch = ModelWatch(PAPER, 1e-3, settles_s=settles_s)
+        self.share = np.ones(2)
+        self.cost_Ns = 0.0
+        self.words: list[ModelCheck] = []
+        self.current = STILL
+        self._thrust, self._p = thrust, true or PAPER.coefficients()
+        self._x, self._k = np.zeros(6), 0
+
+    def sail(self, seconds: float, *, until_alarm: bool = False, told: Callable[[Estimate], Estimate] = lambda e: e):
+        for _ in range(round(seconds / 0.1)):
+            t = 0.1 * self._k
+            self.watch.report(applied(self._k, self._thrust(t)))
+            if self._k % CYCLE == 0:
+                word = self.watch.see(told(self._estimate()))
+                if word is not None:
+                    self.words.append(word)
+                if until_alarm and self.watch.alarm:
+                    return
+            for i in range(10):
+                reported = np.array(self._thrust(t + STEP_S * (i + 0.5)))
+                F = self.share * reported
+                self.cost_Ns += STEP_S * np.abs(reported - F).sum()
+                slope = [np.empty(6) for _ in range(2)]
+                derivative(self._x, F, np.zeros(2), np.zeros(2), self._p, slope[0])
+                derivative(self._x + 0.5 * STEP_S * slope[0], F, np.zeros(2), np.zeros(2), self._p, slope[1])
+                self._x += STEP_S * slope[1]
+            self._k += 1
+
+    def _estimate(self) -> Estimate:
+        n, e, u, v, psi, r = self._x.tolist()
+        cos, sin = math.cos(psi), math.sin(psi)
+        return Estimate(
+            t_ns=self._k * PERIOD_NS,
+            north_m=n,
+            east_m=e,
+            heading_rad=math.remainder(psi, math.tau),
+            yaw_rate_radps=r,
+            velocity_north_mps=cos * u - sin * v,
+            velocity_east_mps=sin * u + cos * v,
+            depth_m=0.0,
+            current=self.current,
+        )
+
+
+def off_by(thrust: float, drag: float, mass: float) -> Sea:
+    """All of a kind off by a factor."""
+    p = PAPER.coefficients()
+    factors = {name: drag for name in p._fields if name.startswith(("linear", "quadratic"))}
+    factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mass)
+    sea = Sea(true=p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()}))
+    sea.share[:] = thrust
+    return sea
+
+
+def test_a_vehicle_that_does_as_its_model_says_leaves_no_residual_and_no_evidence():
+    sea = Sea()
+    sea._x[2:] = 0.2, 0.3, 0.0, 0.2  # sideways and turning: 30 N of Coriolis force at first
+    sea.sail(12.0)
+    assert sea.watch.evidence == 0.0
+    residuals = [abs(word.residual_N) for word in sea.words]
+    assert len(residuals) == pytest.approx(12, abs=3)  # one a second, at the next estimate
+    assert residuals[0] < 3.0
+    assert max(residuals[1:]) < 0.5
+    assert max(abs(word.residual_Nm) for word in sea.words) < 0.1
+
+
+@pytest.mark.parametrize("thrust", [0.9, 1.1])
+@pytest.mark.parametrize("drag", [0.9, 1.1])
+@pytest.mark.parametrize("mass", [0.9, 1.1])
+def test_mismatch_of_ten_per_cent_of_everything_gives_no_alarm(thrust, drag, mass):
+    sea = off_by(thrust, drag, mass)
+    sea.sail(12.0)
+    assert sea.watch.evidence < 0.25 * ALARM
+    assert not any(word.alarm for word in sea.words)
+
+
+@pytest.mark.parametrize(
+    ("share", "named"), [((0.7, 0.7), (0.3, 0.3)), ((0.7, 1.0), (0.3, 0.0)), ((1.0, 0.0), (0.0, 1.0))]
+)
+@pytest.mark.parametrize("begun_s", [3.0, 5.1])
+def test_a_loss_is_found_at_the_first_estimate_after_it_has_cost_ten_newton_seconds(share, named, begun_s):
+    sea = Sea()
+    sea.sail(begun_s)
+    sea.share[:] = share
+    sea.sail(8.0, until_alarm=True)
+    assert sea.watch.alarm
+    a_cycle = 0.3 * max(abs(x) for x in surging(0.1 * sea._k)) * 2
+    assert sea.cost_Ns < 10.0 + a_cycle
+    sea.sail(3.0)
+    last = sea.words[-1]
+    assert last.alarm
+    lost, kept = max(last.thrust_loss), min(last.thrust_loss)
+    assert (lost > 0.25, kept > 0.25) == (max(named) > 0, min(named) > 0)
+    assert f"starboard {round(100 * last.thrust_loss[1])} %" in last.why
+
+
+def test_an_alarm_is_said_at_once_and_ends_a_while_after_the_loss():
+    sea = Sea()
+    sea.sail(3.0)
+    sea.share[:] = 0.5
+    sea.sail(8.0, until_alarm=True)
+    assert sea.words[-1].alarm
+    assert sea.words[-1].t_ns == (sea._k) * PERIOD_NS
+    sea.share[:] = 1.0
+    sea.sail(0.3 * (WINDOWS[-1] + QUIET) + 3.0)
+    assert not sea.watch.alarm
+    assert sea.words[-1].why == ""
+
+
+def test_in_the_first_seconds_of_thrust_nothing_is_judged():
+    sea = Sea(settles_s=3.0)
+    sea.share[:] = 0.3
+    sea.sail(3.1)
+    assert sea.watch.evidence == 0.0
+    sea.sail(3.0, until_alarm=True)
+    assert sea.watch.alarm
+
+
+def test_a_weak_thrust_that_costs_nothing_is_no_alarm():
+    sea = Sea(thrust=lambda t: (0.5 * math.sin(t), 0.4 * math.cos(t)))
+    sea.share[:] = 0.7
+    sea.sail(8.0)
+    assert not sea.watch.alarm
+
+
+@pytest.mark.parametrize("missing", ["reports", "current"])
+def test_without_reports_or_a_current_nothing_is_said(missing):
+    sea = Sea()
+    sea.share[:] = 0.3
+    if missing == "reports":
+        sea.watch.report = lambda _: None
+    else:
+        sea.current = None
+    sea.sail(5.0)
+    assert sea.words == []
+    assert not sea.watch.alarm
+
+
+def test_a_correction_that_the_filter_owns_up_to_is_no_loss():
+    """A fix moves the velocity against the thrust by 4 cm/s, 20 N s: as large as the variance that it takes away."""
+
+    def told(estimate: Estimate) -> Estimate:
+        before = estimate.t_ns < 4 * 10**9
+        psi = estimate.heading_rad
+        wrong = 0.04 if before else 0.0
+        variance = 0.04**2 if before else 1e-6
+        return msgspec.structs.replace(
+            estimate,
+            velocity_north_mps=estimate.velocity_north_mps + wrong * math.cos(psi),
+            velocity_east_mps=estimate.velocity_east_mps + wrong * math.sin(psi),
+            covariance=np.diag([1.0, 1.0, variance, variance, 1e-6, 1e-10]),
+        )
+
+    sea = Sea()
+    sea.sail(8.0, told=told)
+    assert not any(word.alarm for word in sea.words)
+    silent = Sea()
+    silent.sail(8.0, told=lambda e: msgspec.structs.replace(told(e), covariance=None))
+    assert any(word.alarm for word in silent.words)
+
+
+def test_after_a_gap_it_begins_anew():
+    sea = Sea()
+    sea.share[:] = 0.5
+    sea.sail(0.6)
+    sea.sail(2.0, told=lambda e: msgspec.structs.replace(e, current=None))  # nothing to go by
+    assert sea.watch.evidence == 0.0
+    sea.sail(3.0)
+    assert sea.watch.alarm
+
+
+def test_an_estimate_of_a_time_that_the_reports_do_not_reach_back_to_is_not_used():
+    watch = ModelWatch(PAPER, 1e-3)
+    watch.report(applied(50, (1.0, 1.0)))
+    assert watch.see(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None
+
+
+def test_the_least_squares_are_those_of_another_solver():
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        rows = np.vstack([rng.normal(size=12), rng.normal(size=(3, 12)) * [[3.0], [2.0], [1.0]]])
+        products = (rows @ rows.T)[:, :, None, None]
+        for highest in (HIGHEST, LOST):
+            ours, at = least_squares(products, LOWEST, highest)
+            for k in range(HIGHEST.shape[1]):
+                theirs = lsq_linear(rows[1:].T, rows[0], (LOWEST[:, k], highest[:, k] + 1e-12), tol=1e-12)
+                assert ours[0, k] == pytest.approx(2.0 * theirs.cost, rel=1e-3)
+                assert ours[0, k] == pytest.approx(((rows[0] - at[:, 0, k] @ rows[1:]) ** 2).sum(), rel=1e-9)
+
+
+def test_whitened_rows_have_independent_noise_of_unit_variance():
+    n = 7
+    difference = (np.eye(n, n + 1) - np.eye(n, n + 1, 1)) / math.sqrt(2.0)
+    through = whitened(difference)
+    np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
+
+
+def test_nothing_is_weighed_before_two_estimates():
+    assert weigh(np.zeros((1, 5, 2))) == (0.0, (0.0, 0.0))
