@@ -11,6 +11,9 @@ at once to every node that reads its type, with two exceptions:
 
 Whoever calls a cycle measures it. Here nothing is measured: a cycle that made a plan is followed by a ``CycleTiming``
 that says ``compute_delay_ns``, no wall time and no stages.
+
+``between`` stands where the bus stands between processes: what it does to messages is done outside every node. With
+none a message arrives as it was published, and admission is its only door.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from ltv_mpc.admission import refusal
 from ltv_mpc.node import Arrival, Grid, Inbox, Node, OnMessage
@@ -49,6 +52,26 @@ class Observer(Protocol):
         ...
 
 
+class Delivery(NamedTuple):
+    """A copy of a message on its way to one reader. ``payload``: these bytes arrive in the message's place."""
+
+    at_ns: int
+    message: Arrival
+    payload: bytes | None = None
+
+
+class Between(Protocol):
+    """Carries every message to each of its readers, and keeps the readers' doors."""
+
+    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:
+        """What comes of a message published at ``message.received_t_ns``, and when; nothing: it is lost."""
+        ...
+
+    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
+        """What the reader's door lets in, or why not."""
+        ...
+
+
 def refused_by_name(node: str, message: Arrival, reason: str) -> Rejected:
     """What a node is told of a refused signal where no wire has given it a key, a crc and a payload."""
     kind = type(message.signal).__name__
@@ -76,8 +99,9 @@ _IN_FLIGHT = -1  # stands where a seat's index stands, before all of them
 class LockStep:
     """The nodes of one run between ``start_ns`` and wherever ``advance`` has taken it.
 
-    ``observe`` sees everything, ``latest`` names the types of which a reader wants the newest only, ``refused`` words
-    the ``Rejected`` for what admission turns away.
+    ``compute_delay_ns`` is one for all cycles, or a function of a cycle's start. ``observe`` sees everything,
+    ``latest`` names the types of which a reader wants the newest only, ``refused`` words the ``Rejected`` for what
+    admission turns away.
     """
 
     def __init__(
@@ -85,13 +109,15 @@ class LockStep:
         nodes: Sequence[Node],
         *,
         start_ns: int,
-        compute_delay_ns: int = 0,
+        compute_delay_ns: int | Callable[[int], int] = 0,
         observe: Observer | None = None,
         latest: frozenset[type[Signal]] = LATEST,
         refused: Refuse = refused_by_name,
+        between: Between | None = None,
     ) -> None:
-        self._compute_delay_ns = compute_delay_ns
+        self._compute_delay_ns = compute_delay_ns if callable(compute_delay_ns) else lambda _: compute_delay_ns
         self._observe = observe
+        self._between = between
         self._latest = latest
         self._refused = refused
         self._seats = [_Seat(index, node) for index, node in enumerate(nodes)]
@@ -137,7 +163,7 @@ class LockStep:
     def _cycle(self, seat: _Seat, period_ns: int, at_ns: int) -> None:
         outputs = self._step(seat, at_ns, at_ns, "cycle")
         plan = next((signal for signal in outputs if isinstance(signal, Plan)), None)
-        delay_ns = 0 if plan is None else self._compute_delay_ns  # without a plan nothing was computed
+        delay_ns = 0 if plan is None else self._compute_delay_ns(at_ns)  # without a plan nothing was computed
         if plan is not None:
             outputs = [*outputs, _timing(plan, at_ns, delay_ns)]
         if delay_ns:
@@ -159,14 +185,35 @@ class LockStep:
             readers = self._readers.get(type(signal))
             if not readers:
                 continue
+            if self._between is not None:
+                for reader in readers:
+                    self._send(self._between, seat, reader, message)
+                continue
             reason = refusal(signal)
             for reader in readers:
                 if reason is None:
                     self._deliver(reader, message)
                 else:
-                    rejected = self._numbered(reader, self._refused(reader.name, message, reason), at_ns)
-                    if Rejected in reader.reads:
-                        reader.inbox.append(rejected)
+                    self._reject(reader, message, reason, at_ns)
+
+    def _send(self, between: Between, seat: _Seat, reader: _Seat, message: Arrival) -> None:
+        for delivery in between.carry(seat.name, reader.name, message):
+            if delivery.at_ns <= message.received_t_ns:
+                self._arrive(between, reader, delivery, message.received_t_ns)
+            else:
+                self._push(delivery.at_ns, _IN_FLIGHT, partial(self._arrive, between, reader, delivery))
+
+    def _arrive(self, between: Between, reader: _Seat, delivery: Delivery, at_ns: int) -> None:
+        admitted = between.admit(reader.name, delivery)
+        if isinstance(admitted, str):
+            self._reject(reader, delivery.message, admitted, at_ns)
+        else:
+            self._deliver(reader, Arrival(admitted.signal, admitted.epoch, admitted.sequence, at_ns))
+
+    def _reject(self, reader: _Seat, message: Arrival, reason: str, at_ns: int) -> None:
+        rejected = self._numbered(reader, self._refused(reader.name, message, reason), at_ns)
+        if Rejected in reader.reads:
+            reader.inbox.append(rejected)
 
     def _numbered(self, seat: _Seat, signal: Signal, at_ns: int) -> Arrival:
         name = (seat.name, type(signal))

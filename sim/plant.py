@@ -4,6 +4,9 @@ Before t = 0 it is afloat: thrusts zero, its depth kept, drifting with the surfa
 plans that its gate lets through. With its first step it arms the controller, as an operator would. Steps of 10 ms; the
 command is linear over a step. It knows no sea bed: a vehicle that goes deeper than the water's ``bottom_m`` goes on
 below it, where the sensors find no bed.
+
+A ``Disturbance`` acts by its impulse, half of it before each step and half after (Strang's splitting, of the order h^2
+of what it adds); without one no bit of a step is another than if there were none.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 from ltv_mpc import frames
 from ltv_mpc.node import Arrival, Grid, Inbox
 from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.signals import Action, Applied, Array, Command, Plan, Signal, Triple, Truth
+from ltv_mpc.signals import Action, Applied, Array, Command, Disturbance, Plan, Signal, Triple, Truth
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.attitude import Attitude
@@ -30,15 +33,18 @@ REPORT_NS = 100_000_000
 ARMING = 1
 """The number of the one command that it gives."""
 
+UNDISTURBED: Triple = (1.0, 1.0, 1.0)
+"""All of the thrust that the propellers give."""
+
 
 class Plant:
-    """Reads ``Plan``; writes ``Truth`` each step, ``Applied`` each 100 ms and with each plan that arrives, and once the
-    ``Command`` that arms, unless the scenario leaves that to someone else.
+    """Reads ``Plan`` and ``Disturbance``; writes ``Truth`` each step, ``Applied`` each 100 ms and with each message
+    that arrives, and once the ``Command`` that arms, unless the scenario leaves that to someone else.
     """
 
     name = "plant"
     schedule = Grid(PERIOD_NS)
-    reads: tuple[type[Signal], ...] = (Plan,)
+    reads: tuple[type[Signal], ...] = (Plan, Disturbance)
     writes: tuple[type[Signal], ...] = (Truth, Applied, Command)
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, water: WaterColumn) -> None:
@@ -55,6 +61,7 @@ class Plant:
         self._command: Triple = (0.0, 0.0, 0.0)
         self._slew: Triple = (0.0, 0.0, 0.0)
         self._t_ns: int | None = None
+        self._disturbance: Disturbance | None = None
         self._gate = Gate(vehicle)
         self._receipt: tuple[Plan, Arrival, Verdict] | None = None  # of the plan accepted last
 
@@ -72,6 +79,9 @@ class Plant:
                     self._receipt = arrival.signal, arrival, verdict
         if t_ns > from_ns:
             self._move(from_ns, t_ns)
+        for arrival in inbox:
+            if isinstance(arrival.signal, Disturbance):  # it acts from the next step on
+                self._disturbance = arrival.signal
         self._t_ns = t_ns
         signals: list[Signal] = [self._truth(t_ns)]
         if self._arms:
@@ -87,12 +97,18 @@ class Plant:
         p, q, r = (abs(b - a) / seconds for a, b in zip(before, self._command, strict=True))
         self._slew = max(self._slew[0], p), max(self._slew[1], q), max(self._slew[2], r)
         earlier, later, share = self._water.between((from_ns + t_ns) // 2)
+        disturbance = self._disturbance
+        if disturbance is not None and disturbance.until_t_ns <= from_ns:
+            disturbance = self._disturbance = None
+        afloat = t_ns <= 0
+        if disturbance is not None:
+            self._push(disturbance, 0.5 * seconds, afloat)
         motion.step(
             self._state,
             self._revolutions,
             np.array(before),
             np.array(self._command),
-            t_ns <= 0,
+            afloat,
             seconds,
             self._water.depth_m,
             earlier,
@@ -104,6 +120,22 @@ class Plant:
             self._factor,
             self._thrust,
         )
+        if disturbance is not None:
+            self._push(disturbance, 0.5 * seconds, afloat)
+
+    def _push(self, disturbance: Disturbance, seconds: float, afloat: bool) -> None:
+        """The impulse of ``seconds`` on u, v, r and w; afloat the depth is kept, and with it w."""
+        p, state, f = self._coefficients, self._state, disturbance
+        lost = (self._factor * (np.array(f.thrust_scale) - 1.0) * self._thrust).tolist()
+        cos, sin = math.cos(state[4]), math.sin(state[4])
+        ahead, to_starboard = cos * f.force_N[0] + sin * f.force_N[1], cos * f.force_N[1] - sin * f.force_N[0]
+        yaw_Nm = lost[0] * p.arm_port - lost[1] * p.arm_starboard + f.yaw_moment_Nm
+        # M_x u' = F1 + F2 + f_x,  M_y v' = f_y,  I_z r' = F1 a1 - F2 a2 + m,  M_z w' = F3 + f_z
+        state[2] += seconds * (lost[0] + lost[1] + ahead) / p.mass_surge
+        state[3] += seconds * to_starboard / p.mass_sway
+        state[5] += seconds * yaw_Nm / p.inertia_yaw
+        if not afloat:
+            state[7] += seconds * (lost[2] + f.force_N[2]) / p.mass_heave
 
     def _truth(self, t_ns: int) -> Truth:
         n, e, u, v, psi, r, z, w = self._state.tolist()
@@ -111,6 +143,7 @@ class Plant:
         roll, pitch = self._attitude.at(t_ns)
         # [n', e'] = R(psi) [u, v] + c(z)
         north, east = level_to_ned(u, v, psi)
+        scale = UNDISTURBED if self._disturbance is None else self._disturbance.thrust_scale
         return Truth(
             t_ns=t_ns,
             position_m=(n, e, z),
@@ -119,7 +152,7 @@ class Plant:
             water_velocity_mps=(u, v, w),
             yaw_rate_radps=r,
             current_mps=current,
-            thrust_N=_triple(self._factor * self._thrust),
+            thrust_N=_triple(self._factor * self._thrust * np.array(scale)),
         )
 
     def _report(self, t_ns: int) -> Applied:
@@ -137,6 +170,7 @@ class Plant:
             plan_late=verdict is Verdict.LATE,
             plans_late=self._gate.plans_late,
             plans_refused=self._gate.plans_refused,
+            health=self._gate.health(t_ns),
         )
 
 

@@ -1,0 +1,45 @@
+"""One process each: ``inject``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from services.cli.options import Certs, Connect, Namespace, ZenohConfig, bus
+
+
+def inject(
+    node: Annotated[str, typer.Argument(metavar="NODE", help="The node under test, which is alone at router B.")],
+    b: Annotated[str, typer.Option("--to", metavar="ENDPOINT", help="Router B. Router A is the one of --connect.")],
+    schedule: Annotated[
+        Path | None, typer.Option("--schedule", metavar="FILE", help="TOML: one [[fault]] for each, times in s.")
+    ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option("--fault", metavar="HARM,KEY,START,END[,SIZE[,SEED]]", help="One more; repeatable."),
+    ] = None,
+    connect: Connect = None,
+    config: ZenohConfig = None,
+    namespace: Namespace = "",
+    certs: Certs = None,
+) -> int:
+    """Faults on the bus: stands between two routers, copies what passes, and harms some of it.
+
+    Messages are lost, delayed, reordered, doubled, damaged, made NaN, stale, or stamped by a clock that jumped. Faults
+    come from --schedule, from --fault and from the topic `inject`, while it runs. Times are vehicle times. With neither
+    it copies everything, byte for byte.
+    """
+    from ltv_mpc.errors import ConfigError
+    from services.bus.roles import ROLES
+    from services.faults import schedule as schedules
+
+    if node not in ROLES:
+        raise ConfigError("argument NODE", "", f"must be of {', '.join(ROLES)}", value=node)
+    injections = [*([] if schedule is None else schedules.load(schedule)), *schedules.parse(fault or ())]
+    at_a = bus(connect, None, "client", config, namespace, certs, role="inject")
+    at_b = bus([b], None, "client", config, namespace, certs, role="inject")
+    from services.nodes import inject as injector
+
+    return injector.main(node, injections, at_a, at_b)

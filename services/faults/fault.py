@@ -1,0 +1,43 @@
+"""What a fault of the campaign is, and what was seen of it. Nothing here knows the simulation."""
+
+from __future__ import annotations
+
+import enum
+
+import msgspec
+
+
+class Place(enum.StrEnum):
+    """Where a fault is injected."""
+
+    LOCKSTEP = "lockstep"
+    PROCESSES = "processes"
+
+
+class Fault(msgspec.Struct, frozen=True, kw_only=True):
+    """One fault. Times are vehicle times; ``size`` is what ``kinds.py`` says of its class."""
+
+    kind: str  # its class
+    target: str
+    start_s: float
+    end_s: float
+    size: float
+    seed: int
+    permanent: bool = False  # it lasts until the run's end: no recovery is asked for
+
+
+class Seen(msgspec.Struct, frozen=True, kw_only=True):
+    """One fault, and what came of it. None: it does not apply, or could not be seen."""
+
+    fault: Fault
+    place: Place
+    run_seed: int
+    harmed: int  # messages that it harmed
+    reaction_s: float | None  # from when a reaction was due to the reaction
+    late: str  # why the reaction was late; empty: it was in time
+    worst_error_m: float | None  # true horizontal error until a minute after its end
+    ratio: float | None  # mean tracking error 30 to 60 s after its end over that of the same seed without
+    outside_s: float  # the true error was outside 3 sigma and nothing said so
+    uncounted: int  # messages harmed that nobody counted
+    bad_thrusts: int  # commands not finite, or outside box or slew, in the plant's own record
+    uncontrolled: str = ""  # how the run ended, where that was not to be

@@ -1,0 +1,101 @@
+"""What `ltv-mpc inject` is to do and when: a TOML file of faults, or words of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from ltv_mpc import config
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.ranges import RANGES
+from ltv_mpc.signals import Harm, Injection
+from services.bus.topics import topic_at
+
+Time = Annotated[float, Meta(ge=-1e6, le=1e6)]
+
+SHARES = (Harm.LOSS, Harm.REORDER, Harm.DUPLICATE, Harm.CORRUPTION, Harm.NOT_A_NUMBER)
+"""Harms whose size is a share of the messages."""
+
+LONGEST_DELAY_S = 60.0
+
+WORDS = "HARM,KEY,START_S,END_S[,SIZE[,SEED]]"
+
+
+class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[[fault]] of a schedule. Times are vehicle times."""
+
+    harm: Harm
+    key: str
+    start_s: Time
+    end_s: Time
+    size: Annotated[float, Meta(ge=-1e6, le=1e6)] = 1.0
+    seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
+
+    def injection(self, source: str) -> Injection:
+        """As the injector hears it on the bus too. Raises ``ConfigError``."""
+        said = Injection(
+            key=self.key,
+            harm=self.harm,
+            start_t_ns=round(self.start_s * 1e9),
+            end_t_ns=round(self.end_s * 1e9),
+            size=self.size,
+            seed=self.seed,
+        )
+        if (found := problem(said)) is not None:
+            raise ConfigError(source, *found)
+        return said
+
+
+class Schedule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A schedule file."""
+
+    fault: tuple[Entry, ...]
+
+
+def problem(asked: Injection) -> tuple[str, str] | None:
+    """Field and bound of what cannot be done, or None."""
+    topic = topic_at(asked.key)
+    if topic is None:
+        return "key", "must be a key of `ltv-mpc topics`"
+    if asked.end_t_ns <= asked.start_t_ns:
+        return "end_s", f"must be > start_s = {asked.start_t_ns / 1e9:g}"
+    if asked.harm in SHARES and not 0 < asked.size <= 1:
+        return "size", f"must be > 0 and <= 1 (a share of the messages) for {asked.harm}"
+    if asked.harm is Harm.DELAY and not 0 < asked.size <= LONGEST_DELAY_S:
+        return "size", f"must be > 0 and <= {LONGEST_DELAY_S:g} (s) for {asked.harm}"
+    if asked.harm is Harm.NOT_A_NUMBER and topic.signal not in RANGES:
+        return "key", "has no number that could be none"
+    return None
+
+
+def load(path: Path) -> list[Injection]:
+    """Of a file. Raises ``ConfigError``."""
+    source = f"schedule {path}"
+    schedule = config.parse(config.read_toml(path, what="schedule"), Schedule, source=source)
+    return [entry.injection(f"{source}: [[fault]] {i + 1}") for i, entry in enumerate(schedule.fault)]
+
+
+def parse(words: Sequence[str]) -> list[Injection]:
+    """Of the command line: ``HARM,KEY,START_S,END_S[,SIZE[,SEED]]``. Raises ``ConfigError``."""
+    names = Entry.__struct_fields__
+    injections = []
+    for word in words:
+        values = [value.strip() for value in word.split(",")]
+        if not 4 <= len(values) <= len(names):
+            raise ConfigError("option --fault", "", f"must be {WORDS}", value=word)
+        table = {name: _number(value) for name, value in zip(names, values, strict=False)}
+        injections.append(config.parse(table, Entry, source="option --fault").injection("option --fault"))
+    return injections
+
+
+def _number(text: str) -> str | int | float:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text

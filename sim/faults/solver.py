@@ -1,0 +1,120 @@
+"""A solver in trouble: it stands around the controller's own, and for a while gives no answer, or a bad one.
+
+fails    says so, with commands that are not finite
+lies     says "solved", with commands that are not finite: what DAQP does with NaN
+raises   an exception, which no solver of this project does
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ltv_mpc.control import controller
+from ltv_mpc.control.solvers.solver import Answer, Solver
+from ltv_mpc.node import Inbox, Node, Schedule
+from ltv_mpc.signals import Signal, Solve, SolveStatus
+from sim.faults.spell import Spell
+
+
+class Trouble(enum.StrEnum):
+    """What a solver does."""
+
+    FAILS = "fails"
+    LIES = "lies"
+    RAISES = "raises"
+
+
+class Troubled(NamedTuple):
+    """One spell of trouble."""
+
+    trouble: Trouble
+    spell: Spell
+
+
+class SolverRaised(RuntimeError):
+    """What a solver in trouble raises."""
+
+
+class Now:
+    """The time that a solver in trouble goes by: that of its controller's cycle."""
+
+    def __init__(self) -> None:
+        self.t_ns = 0
+
+
+class TroubledSolver:
+    """``solver``, but for the spells in which it is in trouble."""
+
+    def __init__(self, solver: Solver, troubles: Sequence[Troubled], now: Now) -> None:
+        self._solver = solver
+        self._troubles = troubles
+        self._now = now
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._solver, name)
+
+    def solve(self) -> Answer:
+        """Its answer, or trouble."""
+        answer = self._solver.solve()
+        for trouble, spell in self._troubles:
+            if not spell.holds(self._now.t_ns):
+                continue
+            if trouble is Trouble.RAISES:
+                raise SolverRaised("in trouble")
+            status = SolveStatus.SOLVED if trouble is Trouble.LIES else SolveStatus.FAILED
+            return Answer(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {trouble}"))
+        return answer
+
+
+class Timed:
+    """A node that tells ``now`` the time of each of its steps."""
+
+    def __init__(self, node: Node, now: Now) -> None:
+        self._node = node
+        self._now = now
+
+    @property
+    def name(self) -> str:
+        """As the node inside."""
+        return self._node.name
+
+    @property
+    def schedule(self) -> Schedule:
+        """As the node inside."""
+        return self._node.schedule
+
+    @property
+    def reads(self) -> tuple[type[Signal], ...]:
+        """As the node inside."""
+        return self._node.reads
+
+    @property
+    def writes(self) -> tuple[type[Signal], ...]:
+        """As the node inside."""
+        return self._node.writes
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """The node's own step."""
+        self._now.t_ns = t_ns
+        return self._node.step(t_ns, inbox)
+
+
+@contextmanager
+def troubled(troubles: Sequence[Troubled], now: Now) -> Iterator[None]:
+    """Controllers that are made here get solvers in trouble, the ones they make anew while they run too."""
+    before: Any = controller.make  # type: ignore[attr-defined]  # its name for ``solvers.make``
+
+    def make(*arguments: Any) -> Any:
+        return TroubledSolver(before(*arguments), troubles, now)
+
+    controller.make = make  # type: ignore[attr-defined, assignment]
+    try:
+        yield
+    finally:
+        controller.make = before  # type: ignore[attr-defined]

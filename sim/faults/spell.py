@@ -1,0 +1,16 @@
+"""When a fault lasts: from its start, included, to its end, excluded. Vehicle time."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Spell(NamedTuple):
+    """[start_ns, end_ns)."""
+
+    start_ns: int
+    end_ns: int
+
+    def holds(self, t_ns: int) -> bool:
+        """Whether it lasts at ``t_ns``."""
+        return self.start_ns <= t_ns < self.end_ns

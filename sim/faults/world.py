@@ -1,0 +1,82 @@
+"""What happens to the vehicle and who else commands it: nodes that stand beside those of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.node import Grid, Inbox
+from ltv_mpc.signals import Disturbance, Plan, PlanOrigin, Signal, Solve, SolveStatus, Triple
+from ltv_mpc.vehicle.parameters import Vehicle
+from sim.faults.spell import Spell
+
+PERIOD_NS = 100_000_000
+
+INTRUDERS_STAGES = 17
+INTRUDERS_STAGE_NS = 300_000_000
+
+
+class Disturber:
+    """Says each disturbance when its time has come."""
+
+    name = "operator"
+    schedule = Grid(PERIOD_NS)
+    reads: tuple[type[Signal], ...] = ()
+    writes: tuple[type[Signal], ...] = (Disturbance,)
+
+    def __init__(self, disturbances: Sequence[tuple[int, Disturbance]]) -> None:
+        """Pairs of when (vehicle ns) and what."""
+        self._waiting = sorted(disturbances, key=lambda pair: pair[0])
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (it hears nothing)
+        """What is due."""
+        due = [disturbance for at_ns, disturbance in self._waiting if at_ns <= t_ns]
+        self._waiting = self._waiting[len(due) :]
+        return list(due)
+
+
+class Intrusion(NamedTuple):
+    """A second commander's spell: it wants these lateral thrusts."""
+
+    spell: Spell
+    thrust_N: Triple
+
+
+class Intruder:
+    """A second commander: plans by the rules (finite, in the box, steady), which nobody has asked for."""
+
+    name = "intruder"
+    schedule = Grid(PERIOD_NS)
+    reads: tuple[type[Signal], ...] = ()
+    writes: tuple[type[Signal], ...] = (Plan,)
+
+    def __init__(self, intrusions: Sequence[Intrusion]) -> None:
+        self._intrusions = intrusions
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (it hears nothing)
+        """One plan each period of a spell."""
+        return [plan(t_ns, one.thrust_N) for one in self._intrusions if one.spell.holds(t_ns)]
+
+
+def plan(t_ns: int, thrust_N: Triple) -> Plan:
+    """A steady one from ``t_ns`` on."""
+    knots = t_ns + INTRUDERS_STAGE_NS * np.arange(INTRUDERS_STAGES + 1)
+    return Plan(
+        cycle_t_ns=t_ns,
+        t_ns=knots,
+        thrust_N=np.tile(np.array(thrust_N), (len(knots), 1)),
+        states=np.zeros((len(knots), 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+        estimate_t_ns=t_ns,
+    )
+
+
+def within(vehicle: Vehicle, share: Sequence[float]) -> Triple:
+    """Thrusts (N) at these shares, -1 to 1, of each thruster's box."""
+    port, starboard, vertical = (
+        s * (t.max_N if s > 0 else -t.min_N) for s, t in zip(share, vehicle.thrusters, strict=True)
+    )
+    return port, starboard, vertical
