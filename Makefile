@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim sim-secure test figures bench protocol link mutants clean
+.PHONY: help setup sim sim-secure test figures bench fuzz protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -11,9 +11,11 @@ SEED =
 DURATION =
 OUT =
 FILES =
+# Not empty: the live page opens in a browser.
+OPEN =
 
 SIM_OPTIONS = $(if $(SCENARIO),'$(SCENARIO)') $(if $(SPEED),--speed '$(SPEED)') $(if $(SEED),--seed '$(SEED)') \
-	$(if $(DURATION),--duration-s '$(DURATION)') $(if $(OUT),--out '$(OUT)')
+	$(if $(DURATION),--duration-s '$(DURATION)') $(if $(OUT),--out '$(OUT)') $(if $(OPEN),--open)
 
 BIN := .venv/bin
 # `ensurepip` is left out of Python by some distributions: a venv without it has no pip.
@@ -23,12 +25,12 @@ KERNELS := $(shell grep -rl --include=*.py '@kernel' ltv_mpc sim)
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
-	@echo "  make sim takes SCENARIO= SPEED= SEED= DURATION= OUT=, as in: make sim SPEED=1 SEED=7"
+	@echo "  make sim takes SCENARIO= SPEED= SEED= DURATION= OUT= OPEN=, as in: make sim SPEED=1 SEED=7"
 
 setup: .venv/compiled  ## make .venv with everything in it; quick when nothing changed
 
 sim: setup  ## run the paper's descent as processes over Zenoh
-	@$(BIN)/ltv-mpc sim $(SIM_OPTIONS)
+	@$(BIN)/ltv-mpc sim --dashboard $(SIM_OPTIONS)
 
 sim-secure: setup  ## the same under mTLS and access control, with certificates made for this run
 	@certs=$$(mktemp -d) && trap 'rm -rf "$$certs"' EXIT INT TERM && $(BIN)/ltv-mpc certs new "$$certs" >/dev/null \
@@ -53,6 +55,9 @@ bench: setup .venv/peers  ## tables of the README: errors over 20 seeds, latency
 	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
 	$(BIN)/python -m benchmarks.peers
+
+fuzz: setup  ## a million damaged frames and files at every decoder and reader
+	$(BIN)/python -m benchmarks.fuzz --frames 1000000
 
 protocol: setup  ## docs/protocol.md and docs/schemas/, from the table of what travels
 	$(BIN)/ltv-mpc topics --write docs

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import typer
+from typer.core import TyperOption
+from typer.main import get_command
 
 from services.cli import measure, processes, start, vehicle
 from services.cli.certs import certs
 from services.cli.ctl import ctl
+from services.cli.dashboard import dashboard
+from services.cli.doctor import doctor
+from services.cli.log import log
+from services.cli.replay import replay
+from services.cli.report import report
 from services.cli.ros2 import ros2
 
 NOT_COMPLETED = 1
@@ -18,16 +25,20 @@ BAD_INPUT = 2
 
 app = typer.Typer(
     name="ltv-mpc",
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 start.register(app, "Start here")
+app.command(rich_help_panel="Start here")(dashboard)
+app.command(rich_help_panel="Start here")(doctor)
 vehicle.register(app, "Your vehicle")
 app.command(rich_help_panel="Your vehicle")(ctl)
 app.command(rich_help_panel="Your vehicle")(ros2)
 app.add_typer(certs, name="certs", rich_help_panel="Your vehicle")
+app.command(rich_help_panel="A run")(report)
+app.command(rich_help_panel="A run")(replay)
+app.add_typer(log, name="log", rich_help_panel="A run")
 measure.register(app, "Measure")
 processes.register(app, "One process each")
 
@@ -49,8 +60,10 @@ def run(arguments: Sequence[str]) -> int:
 
     Typer itself turns Ctrl-C into 130.
     """
+    command = get_command(app)
+    _left_out_of_help(command.params)
     try:
-        code = app(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
+        code = command(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
         return _refuse(f"{context.command_path if context else 'ltv-mpc'}: {error.format_message()}")
@@ -65,6 +78,13 @@ def run(arguments: Sequence[str]) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(f"ltv-mpc: {where}{error.strerror or error}", NOT_COMPLETED)
     return code if isinstance(code, int) else 0
+
+
+def _left_out_of_help(parameters: Iterable[object]) -> None:
+    """The two options for shell completion, which typer would show before all else."""
+    for parameter in parameters:
+        if isinstance(parameter, TyperOption) and parameter.name in ("install_completion", "show_completion"):
+            parameter.hidden = True
 
 
 def _is_config_error(error: ValueError) -> bool:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from services.cli.inject import inject
 from services.cli.options import (
     Certs,
     Connect,
@@ -25,7 +26,7 @@ from services.cli.options import (
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
-    for command in (router, plant, sensors, estimator, recorder):
+    for command in (router, plant, sensors, estimator, recorder, inject):
         app.command(rich_help_panel=panel)(command)
 
 
@@ -131,6 +132,9 @@ def recorder(
     scenario: ScenarioName = "descent",
     out: Out = None,
     force: Force = False,
+    goes_on: Annotated[
+        bool, typer.Option("--continue", help="Go on in --out of this scenario, with the next segment: run.2.mcap.")
+    ] = False,
     connect: Connect = None,
     listen: Listen = None,
     mode: Mode = None,
@@ -147,7 +151,7 @@ def recorder(
 
     situation = resolve(scenario)
     options = bus(connect, listen, mode, config, namespace, certs, role="recorder")
-    run_folder = None if out is None else folder.made_for(Path(scenario), out)
+    run_folder = None if out is None else folder.made_for(Path(scenario), out, goes_on=goes_on)
     if run_folder is None:
         run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     from services.nodes import recorder as node

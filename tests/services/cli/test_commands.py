@@ -24,9 +24,10 @@ from services.recording.reader import Recording
 from services.run.folder import RunFolder
 
 COMMANDS = (
-    *("sim", "controller", "localise", "topics", "ctl", "ros2", "vehicle", "certs"),
-    *("profile", "localisation-check", "fleet", "qp"),
-    *("router", "plant", "sensors", "estimator", "recorder"),
+    *("sim", "dashboard", "doctor", "controller", "localise", "topics", "ctl", "ros2", "vehicle", "certs"),
+    *("report", "replay", "log"),
+    *("profile", "localisation-check", "faults", "campaign", "fleet", "qp"),
+    *("router", "plant", "sensors", "estimator", "recorder", "inject"),
 )
 CLI = (sys.executable, "-P", "-X", "importtime", "-m", "services.cli")
 
@@ -48,6 +49,22 @@ def test_the_command_alone_lists_every_command_in_one_line_each(capsys: pytest.C
     assert capsys.readouterr().out == alone
     listed = re.findall(r"^│ (\w\S*) +\S.*│$", alone, re.MULTILINE)
     assert tuple(name for name in listed if not name.startswith("-")) == COMMANDS
+
+
+def test_shell_completion_knows_every_command_and_is_not_in_the_way_of_help(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run([]) == 0
+    assert "completion" not in capsys.readouterr().out
+    with pytest.raises(SystemExit) as done:
+        cli("--show-completion bash")
+    assert done.value.code == 0
+    assert "complete -o default" in capsys.readouterr().out
+    for name, value in (("_LTV_MPC_COMPLETE", "complete_bash"), ("COMP_WORDS", "ltv-mpc log "), ("COMP_CWORD", "2")):
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit):
+        run([])
+    assert capsys.readouterr().out.split() == ["info", "recover", "export"]
 
 
 def test_help_imports_nothing_that_is_slow() -> None:

@@ -291,10 +291,11 @@ def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_comp
     verdict = replay.replay(replay.Run(run.recording))
     assert verdict.identical, verdict.first_difference
     for node in verdict.nodes:
-        if node.node in ("controller", "estimator"):  # the second start whole, the first up to the recorder's death
-            (gap,) = node.gaps
-            assert (node.starts, node.steps_compared) == (2, node.steps_run - gap.steps)
-            assert gap.epoch == next(epoch for name, epoch in records if name == node.node)
+        if node.node in ("controller", "estimator"):
+            # The second start whole; the first up to the recorder's death, unless nobody heard of it after that.
+            assert (node.starts, node.steps_compared) == (2, node.steps_run - sum(gap.steps for gap in node.gaps))
+            assert {gap.epoch for gap in node.gaps} <= {next(epoch for name, epoch in records if name == node.node)}
+            assert node.node == "controller" or len(node.gaps) == 1
 
 
 def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:

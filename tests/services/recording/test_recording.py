@@ -19,6 +19,7 @@ from services.bus import schema, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording
 from services.recording.writer import RunWriter
+from tests.services.recording.recordings import foreign
 
 S = 1_000_000_000
 START_NS = -S
@@ -58,7 +59,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "run.mcap"
 
 
-def test_mcaps_own_reader_finds_channels_schemas_times_sequences_and_metadata(path: Path) -> None:
+def test_mcaps_own_reader_finds_channels_schemas_times_checksums_and_metadata(path: Path) -> None:
     write_depths(path, 5)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -76,7 +77,8 @@ def test_mcaps_own_reader_finds_channels_schemas_times_sequences_and_metadata(pa
             "jsonschema",
             schema.text(PressureDepth),
         )
-        assert (message.log_time, message.publish_time, message.sequence) == (i * 1_000_000, i * 1_000_000, i)
+        assert message.log_time == message.publish_time == i * 1_000_000
+        assert message.sequence == wire.crc(wire.encode(depth(i), header(i)))
         assert msgspec.json.decode(message.data) == wire.plain(depth(i), header(i))
 
 
@@ -161,6 +163,18 @@ def test_a_damaged_chunk_ends_the_reading_and_is_not_believed(path: Path) -> Non
     assert got == [wire.plain(depth(i), header(i)) for i in range(len(got))]
 
 
+@pytest.mark.parametrize("message", [b"[1]", b"null", b"{", b'{"x":"\xff"}', b"[" * 100_000])
+def test_a_message_that_nobody_could_have_sent_ends_the_reading(path: Path, message: bytes) -> None:
+    recording = Recording(foreign(path, "sensor/depth", b'{"epoch":1}', message, b'{"epoch":2}', start_ns="7"))
+    assert [(found.t_ns, found.plain) for found in recording] == [(7, {"epoch": 1})]
+    assert recording.cut
+
+
+@pytest.mark.parametrize("metadata", [{}, {"start_ns": ""}, {"start_ns": "1e9"}, {"start_ns": "9" * 400}])
+def test_a_start_that_is_no_time_is_0(path: Path, metadata: dict[str, str]) -> None:
+    assert [found.t_ns for found in Recording(foreign(path, "sensor/depth", b"{}", **metadata))] == [0]
+
+
 def test_a_file_that_is_no_recording_is_refused_by_name(path: Path) -> None:
     path.write_text("depth_m,north_mps\n" * 10)
     with pytest.raises(ConfigError, match=r"run\.mcap.*not an MCAP file"):
@@ -221,6 +235,20 @@ def test_a_disk_that_fills_up_ends_the_writing_with_its_error_and_the_file_is_cl
         os.dup2(full.fileno(), writer._file.fileno())
     with pytest.raises(OSError, match="No space left"), writer:
         writer.write("sensors", depth(0), header(0), 0)
+    assert writer._file.closed
+
+
+def test_what_a_failing_disk_took_only_half_of_is_cut_off(path: Path) -> None:
+    writer = RunWriter(path, start_ns=0, metadata={}, flush_s=1e9)
+    writer.write("sensors", depth(0), header(0), 0)
+    writer.flush()
+    whole = path.read_bytes()
+    writer.write("sensors", depth(1), header(1), 0)
+    assert writer.unsafe == 1
+    writer._file.write(b"half of a chunk")
+    writer._file.flush()
+    writer.abandon()
+    assert path.read_bytes() == whole
     assert writer._file.closed
 
 

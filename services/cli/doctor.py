@@ -1,0 +1,29 @@
+"""Start here: ``doctor``."""
+
+from __future__ import annotations
+
+import typer
+
+from services.cli.options import Json
+
+
+def doctor(as_json: Json = False) -> int:
+    """What is wrong with this machine and how to mend it.
+
+    Exit 1 where something is a problem; a warning is none. Shell completion: ltv-mpc --install-completion.
+    """
+    import json
+    from dataclasses import asdict
+
+    from services.measure.doctor import Level, examine
+
+    found = examine()
+    if as_json:
+        counts = {level.value: sum(finding.level is level for finding in found) for level in Level}
+        typer.echo(json.dumps({"findings": [asdict(finding) for finding in found], "counts": counts}))
+    else:
+        for finding in found:
+            typer.echo(f"{finding.level:<8} {finding.check:<15} {finding.found}")
+            if finding.mend:
+                typer.echo(f"{'':<24} -> {finding.mend}")
+    return int(any(finding.level is Level.PROBLEM for finding in found))

@@ -1,0 +1,131 @@
+"""A run: ``log``, its recording: info, recover, export."""
+
+from __future__ import annotations
+
+import enum
+from pathlib import Path
+from typing import Annotated, TypeAlias
+
+import typer
+
+from services.cli.options import Force, Json
+
+log = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
+
+Run: TypeAlias = Annotated[
+    str, typer.Argument(metavar="RUN", help="A recorded run: its folder, its run.mcap, or latest.")
+]
+
+
+class Format(enum.StrEnum):
+    """What a recording is exported as."""
+
+    CSV = "csv"
+    PARQUET = "parquet"
+    PERFETTO = "perfetto"
+
+
+@log.callback()
+def _about() -> None:
+    """A run's recording: info | recover | export --format csv|parquet|perfetto."""
+
+
+@log.command()
+def info(run: Run = "latest", as_json: Json = False) -> int:
+    """What it holds: messages by key with rate, times and gaps; segments; events; whether it is whole.
+
+    Exit 1 where it is not whole.
+    """
+    from services.recording import info as figures
+    from services.recording.recover import segments
+    from services.run import folder
+
+    found = figures.read(segments(folder.find(run)))
+    if as_json:
+        import msgspec
+
+        typer.echo(msgspec.json.encode(found).decode())
+    else:
+        from services.views import log_text
+
+        typer.echo(log_text.text(found))
+    return 0 if found.whole else 1
+
+
+@log.command()
+def recover(
+    run: Run = "latest",
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="What to write. Default run.recovered.mcap beside it.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """A whole file out of one that was cut, damaged or left in segments (run.mcap, run.2.mcap, ...).
+
+    Every whole message is copied as it is; the original stays, and nothing is ever written over. Of a file that is
+    whole nothing is written (--json: null).
+    """
+    from services.recording import recover as recovery
+    from services.run import folder
+
+    recording = folder.find(run)
+    parts = recovery.segments(recording)
+    if len(parts) == 1 and recovery.is_whole(recording):
+        typer.echo(f"{recording} is whole: nothing to recover", err=as_json)
+        if as_json:
+            typer.echo("null")
+        return
+    made = recovery.recover(parts, out or recovery.recovered_path(recording))
+    if as_json:
+        import msgspec
+
+        typer.echo(msgspec.json.encode(made).decode())
+        return
+    from services.views import log_text
+
+    typer.echo(log_text.recovered(made))
+    typer.echo(made.file)
+
+
+@log.command()
+def export(
+    run: Run = "latest",
+    form: Annotated[
+        Format, typer.Option("--format", help="Tables, one a key; or a trace for ui.perfetto.dev.")
+    ] = Format.CSV,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="The one folder to write. Default a folder of the format's name in RUN."
+        ),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Tables for other tools, one file a key; or trace.json: each cycle's stages, from estimate to plan to thrust."""
+    from services.recording import export as tables
+    from services.recording import perfetto
+    from services.recording.recover import segments
+    from services.run import folder
+
+    recording = folder.find(run)
+    parts = segments(recording)
+    if form is Format.PARQUET:
+        tables.need_pyarrow()
+    place = folder.opened(out or recording.parent / form.value, force=force)
+    from services.views import log_text
+    from services.views.terminal import share_for
+
+    result: tables.Result | perfetto.Written
+    with share_for(f"{recording} as {form.value}") as told:
+        if form is Format.PERFETTO:
+            result = perfetto.write(parts, place / "trace.json", told=told)
+        else:
+            result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", told=told)
+    if as_json:
+        import msgspec
+
+        typer.echo(msgspec.json.encode(result).decode())
+        return
+    typer.echo(log_text.exported(result))
+    typer.echo(str(place))

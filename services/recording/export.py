@@ -1,0 +1,369 @@
+"""A recording as tables: one file a key, CSV or Parquet, a row a message, a column a number.
+
+    published_s, published_ns   vehicle time of publication
+    t_s, t_ns                   validity time, where the message has one
+    ...                         the header's fields, then the message's own, by the names that travel, units in them
+
+A field inside another is ``outer.inner``. A list that is as long in every message of its key becomes a column an entry,
+``name_0``, ``name_1``; a matrix ``name_0_0``, ``name_0_1``. A list of changing length stays one column: JSON in CSV, a
+list in Parquet. Structures of changing form are JSON in both. Where nothing was said the cell is empty (null).
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from types import NoneType
+from typing import IO, Any, Literal, Protocol, TypeAlias
+
+import msgspec
+
+from ltv_mpc.errors import ConfigError
+from services.bus import topics
+from services.recording.recover import Line, Told, through, untold
+
+Format: TypeAlias = Literal["csv", "parquet"]
+
+WIDEST = 1024
+"""Columns of one field; a longer list stays one column."""
+MOST_KEYS = 500
+BATCH_ROWS = 5000
+"""Rows of a table in memory; also of a row group of Parquet."""
+INT64 = 2**63
+LARGEST = 2**1023
+"""Integers beyond it are no float: they stay text."""
+
+_SCALARS: dict[type, str] = {int: "int", float: "float", bool: "bool", str: "text"}
+_NUMBERS = {int, float, NoneType}
+
+
+class Exported(msgspec.Struct, frozen=True, kw_only=True):
+    """One file."""
+
+    file: str
+    key: str
+    rows: int
+    columns: int
+
+
+class Result(msgspec.Struct, frozen=True, kw_only=True):
+    """All of them; ``unreadable``: messages that are no JSON object, which are left out."""
+
+    folder: str
+    files: tuple[Exported, ...]
+    unreadable: int
+
+
+class Column(msgspec.Struct, frozen=True, kw_only=True):
+    """``kind`` is int, float, bool, text, json; or numbers or integers, a list of ``depth`` levels."""
+
+    name: str
+    kind: str
+    depth: int = 0
+
+
+class Spread(msgspec.Struct, frozen=True, kw_only=True):
+    """How a field of a message becomes columns: one, or one an entry of a list of ``shape``."""
+
+    path: str
+    columns: tuple[Column, ...]
+    shape: tuple[int, ...] = ()
+    mixed: bool = False  # a list with integers among its floats, which tables keep apart
+
+    def cells(self, value: Any) -> Sequence[Any]:
+        """A value for each column."""
+        if value is None:
+            return (None,) * len(self.columns)
+        if self.mixed:
+            value = _floats(value)
+        if len(self.shape) == 2:
+            return [entry for row in value for entry in row]
+        if self.shape:
+            return value  # type: ignore[no-any-return]
+        kind = self.columns[0].kind
+        if kind == "json":
+            return (msgspec.json.encode(value).decode(),)
+        return (float(value) if kind == "float" else value,)
+
+
+class Sink(Protocol):
+    """A file that takes rows."""
+
+    def write(self, rows: Sequence[Sequence[Any]]) -> None:
+        """Append; a row has a value for each column."""
+        ...
+
+    def close(self) -> None:
+        """The end of the file."""
+        ...
+
+
+def export(parts: Sequence[Path], folder: Path, form: Format, *, told: Told = untold) -> Result:
+    """The recording's segments as tables into ``folder``, which is there.
+
+    Raises ``ConfigError`` where a segment is no MCAP file, or pyarrow is needed and not installed.
+    """
+    open_sink = _csv if form == "csv" else _parquet()
+    layouts: dict[str, _Layout] = {}
+    unreadable = 0
+    for line, message in _messages(parts, told, (0.0, 0.5)):
+        if message is None:
+            unreadable += 1
+            continue
+        if line.key not in layouts and len(layouts) >= MOST_KEYS:
+            raise ConfigError(f"recording {parts[0]}", "", f"more than {MOST_KEYS} keys")
+        layouts.setdefault(line.key, _Layout()).saw(message)
+    tables = {
+        key: _Table(key, layout.spreads(), folder, name, open_sink) for key, layout, name in _named(layouts, form)
+    }
+    try:
+        for line, message in _messages(parts, told, (0.5, 1.0)):
+            if message is not None:
+                tables[line.key].add(line.t_ns, message)
+    finally:
+        for table in tables.values():
+            table.close()
+    files = tuple(table.exported for table in tables.values())
+    return Result(folder=str(folder), files=files, unreadable=unreadable)
+
+
+def _messages(
+    parts: Sequence[Path], told: Told, share: tuple[float, float]
+) -> Iterator[tuple[Line, dict[str, Any] | None]]:
+    """Each line with its map, flattened; None where it is none."""
+    decode = msgspec.json.Decoder().decode
+    for _, line in through(parts, told, share):
+        try:
+            plain = decode(line.data)
+        except (msgspec.DecodeError, ValueError, RecursionError):
+            plain = None
+        yield line, dict(_leaves(plain, "")) if isinstance(plain, dict) else None
+
+
+def _leaves(table: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for name, value in table.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def _named(layouts: dict[str, _Layout], form: Format) -> Iterator[tuple[str, _Layout, str]]:
+    """With a file's name each: keys come from a file, and must not lead out of the folder."""
+    taken: set[str] = set()
+    for key in sorted(layouts):
+        stem = name = re.sub(r"[^A-Za-z0-9_.-]", "-", key).lstrip(".-")[:100] or "key"
+        count = 1
+        while name.lower() in taken:
+            count += 1
+            name = f"{stem}-{count}"
+        taken.add(name.lower())
+        yield key, layouts[key], f"{name}.{form}"
+
+
+class _Field:
+    """What one path was seen to hold."""
+
+    def __init__(self) -> None:
+        self.kinds: set[str] = set()
+        self._shapes: set[tuple[int, ...] | None] = set()
+        self._entries: set[type] = set()
+
+    def saw(self, value: Any) -> None:
+        """A value of a message."""
+        if value is None:
+            return
+        if isinstance(value, list):
+            self.kinds.add("list")
+            self._saw_list(value)
+            return
+        kind = _SCALARS.get(type(value), "json")
+        if kind == "int" and not -INT64 <= value < INT64:
+            kind = "float" if abs(value) < LARGEST else "json"
+        self.kinds.add(kind)
+
+    def spread(self, path: str) -> Spread:
+        """The columns for all that was seen."""
+        if self.kinds == {"list"}:
+            return self._spread_list(path)
+        if self.kinds <= {"int", "float"}:  # none of them: always null
+            kind = "int" if self.kinds == {"int"} else "float"
+        else:
+            kind = next(iter(self.kinds)) if len(self.kinds) == 1 else "json"
+        return Spread(path=path, columns=(Column(name=path, kind=kind),))
+
+    def _saw_list(self, value: list[Any]) -> None:
+        rows = value if value and all(type(row) is list for row in value) else [value]
+        entries = {type(entry) for row in rows for entry in row}
+        if int in entries:
+            largest = max(abs(x) for row in rows for x in row if type(x) is int)
+            entries |= {float} if largest >= INT64 else set()
+            entries |= {str} if largest >= LARGEST else set()
+        even = entries <= _NUMBERS and len({len(row) for row in rows}) == 1
+        self._entries |= entries
+        if len(self._shapes) < 3:  # beyond two it changes, however many there are
+            shape = (len(value),) if rows[0] is value else (len(rows), len(rows[0]))
+            self._shapes.add(shape if even else None)
+        elif not even:
+            self._shapes = {None}
+
+    def _spread_list(self, path: str) -> Spread:
+        shapes = self._shapes
+        if None in shapes or len({len(shape) for shape in shapes if shape is not None}) > 1:
+            return Spread(path=path, columns=(Column(name=path, kind="json"),))
+        shape = next(iter(shapes)) or ()
+        whole = self._entries <= {int, NoneType} and int in self._entries
+        mixed = not whole and int in self._entries
+        if len(shapes) > 1 or not 0 < math.prod(shape) <= WIDEST:
+            kind = "integers" if whole else "numbers"
+            return Spread(path=path, columns=(Column(name=path, kind=kind, depth=len(shape)),), mixed=mixed)
+        kind = "int" if whole else "float"
+        places = itertools.product(*map(range, shape))
+        columns = tuple(Column(name="_".join((path, *map(str, place))), kind=kind) for place in places)
+        return Spread(path=path, columns=columns, shape=shape, mixed=mixed)
+
+
+def _floats(value: list[Any]) -> list[Any]:
+    return [_floats(x) if isinstance(x, list) else None if x is None else float(x) for x in value]
+
+
+class _Layout:
+    """The fields of a key's messages."""
+
+    def __init__(self) -> None:
+        self._fields: dict[str, _Field] = {}
+
+    def saw(self, message: dict[str, Any]) -> None:
+        """A message of the key."""
+        for path, value in message.items():
+            field = self._fields.get(path)
+            if field is None:
+                field = self._fields[path] = _Field()
+            field.saw(value)
+
+    def spreads(self) -> list[Spread]:
+        """In the order in which the fields were first seen."""
+        parents = {path.rpartition(".")[0] for path in self._fields}
+        # a field that is null here and a map there has the columns of the map
+        return [field.spread(path) for path, field in self._fields.items() if field.kinds or path not in parents]
+
+
+class _Table:
+    """One key's rows on their way to its file."""
+
+    def __init__(
+        self,
+        key: str,
+        spreads: list[Spread],
+        folder: Path,
+        name: str,
+        open_sink: Callable[[Path, str, list[Column]], Sink],
+    ) -> None:
+        self._key, self._name, self._spreads = key, name, spreads
+        columns = [column for spread in spreads for column in spread.columns]
+        self._timed = Column(name="t_ns", kind="int") in columns
+        times = [Column(name="published_s", kind="float"), Column(name="published_ns", kind="int")]
+        times += [Column(name="t_s", kind="float")] if self._timed else []
+        self._width = len(times) + len(columns)
+        self._sink = open_sink(folder / name, key, [*times, *columns])
+        self._rows: list[list[Any]] = []
+        self._count = 0
+
+    @property
+    def exported(self) -> Exported:
+        """What was written."""
+        return Exported(file=self._name, key=self._key, rows=self._count, columns=self._width)
+
+    def add(self, published_ns: int, message: dict[str, Any]) -> None:
+        """A message of the key."""
+        row: list[Any] = [published_ns / 1e9, published_ns if published_ns < INT64 else None]
+        if self._timed:
+            t_ns = message.get("t_ns")
+            row.append(None if t_ns is None else t_ns / 1e9)
+        for spread in self._spreads:
+            row += spread.cells(message.get(spread.path))
+        self._rows.append(row)
+        self._count += 1
+        if len(self._rows) >= BATCH_ROWS:
+            self._flush()
+
+    def close(self) -> None:
+        """What is left, and the end of the file."""
+        self._flush()
+        self._sink.close()
+
+    def _flush(self) -> None:
+        if self._rows:
+            self._sink.write(self._rows)
+            self._rows = []
+
+
+class _CsvSink:
+    def __init__(self, path: Path, columns: list[Column]) -> None:
+        self._file: IO[str] = path.open("w", encoding="utf-8", newline="")
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow([column.name for column in columns])
+        self._as_json = [i for i, column in enumerate(columns) if column.kind in ("numbers", "integers", "bool")]
+
+    def write(self, rows: Sequence[Sequence[Any]]) -> None:
+        for row in rows:
+            cells = list(row)
+            for i in self._as_json:
+                if cells[i] is not None:
+                    cells[i] = msgspec.json.encode(cells[i]).decode()
+            self._writer.writerow(cells)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _csv(path: Path, key: str, columns: list[Column]) -> Sink:
+    del key  # the file's name says it
+    return _CsvSink(path, columns)
+
+
+def need_pyarrow() -> None:
+    """Raises ``ConfigError`` where Parquet cannot be written."""
+    if find_spec("pyarrow") is None:
+        problem = "needs the package pyarrow, the extra `parquet`: pip install pyarrow; or --format csv"
+        raise ConfigError("option --format", "", problem, value="parquet")
+
+
+def _parquet() -> Callable[[Path, str, list[Column]], Sink]:
+    need_pyarrow()
+    import pyarrow as pa
+    from pyarrow import parquet as pq
+
+    number, integer, text = pa.float64(), pa.int64(), pa.string()
+    scalar = {"int": integer, "float": number, "bool": pa.bool_(), "text": text, "json": text}
+    scalar |= {"numbers": number, "integers": integer}
+
+    def kind(column: Column) -> Any:
+        made = scalar[column.kind]
+        for _ in range(column.depth):
+            made = pa.list_(made)
+        return made
+
+    class ParquetSink:
+        def __init__(self, path: Path, key: str, columns: list[Column]) -> None:
+            topic = topics.topic_at(key)
+            about = {"ltv_mpc.key": key, "ltv_mpc.signal": "" if topic is None else topic.signal.__name__}
+            self._schema = pa.schema([(column.name, kind(column)) for column in columns], metadata=about)
+            self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
+
+        def write(self, rows: Sequence[Sequence[Any]]) -> None:
+            arrays = [
+                pa.array(values, type=field.type)
+                for values, field in zip(zip(*rows, strict=True), self._schema, strict=True)
+            ]
+            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+
+        def close(self) -> None:
+            self._writer.close()
+
+    return ParquetSink

@@ -1,0 +1,50 @@
+"""Which sequence numbers of one source are missing: whatever the order they came in, and however often."""
+
+from __future__ import annotations
+
+
+class Gaps:
+    """Fed with the sequence numbers that are there; they count from 0 without a gap. Memory: two numbers a gap."""
+
+    def __init__(self) -> None:
+        self.messages = 0
+        self.doubled = 0
+        self._next = 0
+        self._missing: list[list[int]] = []  # [first, last], in order
+
+    def saw(self, sequence: int) -> None:
+        """A message that is there."""
+        self.messages += 1
+        if sequence >= self._next:
+            if sequence > self._next:
+                self._missing.append([self._next, sequence - 1])
+            self._next = sequence + 1
+        elif not self._fill(sequence):
+            self.doubled += 1
+
+    @property
+    def published(self) -> int:
+        """How many there were, up to the last one that is there."""
+        return self._next
+
+    @property
+    def missing(self) -> int:
+        """How many of them are not there."""
+        return sum(last - first + 1 for first, last in self._missing)
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """First and last number of each gap."""
+        return tuple((first, last) for first, last in self._missing)
+
+    def _fill(self, sequence: int) -> bool:
+        """Whether a late one fills a place; most recent gaps first, where it is as a rule."""
+        for i in range(len(self._missing) - 1, -1, -1):
+            first, last = self._missing[i]
+            if sequence > last:
+                return False
+            if sequence >= first:
+                rest = [[first, sequence - 1], [sequence + 1, last]]
+                self._missing[i : i + 1] = [gap for gap in rest if gap[0] <= gap[1]]
+                return True
+        return False

@@ -1,0 +1,420 @@
+"""A recording as a trace for https://ui.perfetto.dev: where the time goes between an estimate and its thrust.
+
+    a process   a track: of the controller a slice a cycle, its stages inside; of the others a slice a step that has
+                published something, from its cause to its last word
+    thrusters   a slice for each plan while it is followed, and the delivered thrusts as counters
+    arrows      from the estimate to the cycle that planned on it, and on to the thrust
+    marks       events
+
+Times are vehicle time, from the recording's start, so that a run at ten times real time shows the delays that its
+vehicle had. Stages are measured on the wall clock: inside a cycle they are stretched by its own ratio of vehicle to
+wall time, and the time that belongs to no stage (``--compute-delay-s``) is between the last two. In lock step nothing
+takes time but what is set; a slice is drawn at least ``THINNEST_NS`` wide, so that it can be seen and hold an arrow.
+
+Source: Trace Event Format (Chrome), the JSON that Perfetto reads.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from services.bus import topics
+from services.recording.records import start_of
+from services.recording.recover import Line, Told, through, untold
+
+THINNEST_NS = 1000
+STEPS, THRUSTERS = 1, 2
+"""Tracks of a process."""
+
+FIRST_PROCESSES = ("sensors", "estimator", "controller", "plant")
+"""From above, as data go."""
+
+SILENT = ("record", "status", "event", "rejected", "timing", "clock")
+"""Words about oneself: no output of a step."""
+
+
+PlanId: TypeAlias = tuple[int, int]
+"""Epoch and sequence."""
+
+
+class Written(msgspec.Struct, frozen=True, kw_only=True):
+    """What the file holds."""
+
+    file: str
+    processes: int
+    slices: int
+    arrows: int
+    marks: int
+    unreadable: int
+
+
+Ns: TypeAlias = Annotated[int, Meta(ge=-(2**62), le=2**62)]
+Count: TypeAlias = Annotated[int, Meta(ge=0, le=2**53 - 1)]
+
+
+class _Header(msgspec.Struct):
+    epoch: Count
+    sequence: Count
+
+
+class _Entry(msgspec.Struct):
+    key: str
+    received_t_ns: Ns
+
+
+class _Record(msgspec.Struct):
+    node: str
+    epoch: Count
+    step: Count
+    t_ns: Ns
+    cause: str
+    inbox: list[_Entry]
+
+
+class _Timing(msgspec.Struct):
+    epoch: Count
+    t_ns: Ns
+    compute_ns: Count
+    compute_wall_ns: Count
+    estimate_age_ns: Ns
+    stage_us: dict[str, Annotated[float, Meta(le=1e12)]]
+
+
+class _Solve(msgspec.Struct):
+    status: str
+    iterations: Count
+
+
+class _Plan(msgspec.Struct):
+    epoch: Count
+    sequence: Count
+    cycle_t_ns: Ns
+    t_ns: list[Ns]
+    origin: str
+    estimate_t_ns: Ns
+    expected_delay_ns: Ns
+    solve: _Solve
+    why: str = ""
+
+
+class _Applied(msgspec.Struct):
+    t_ns: Ns
+    thrust_N: tuple[float, float, float]
+    plan_epoch: Count
+    plan_sequence: Ns
+    plan_received_t_ns: Ns
+    plan_late: bool
+
+
+class _Estimate(msgspec.Struct):
+    epoch: Count
+    t_ns: Ns
+
+
+class _Event(msgspec.Struct):
+    t_ns: Ns
+    node: str
+    kind: str
+    text: str
+
+
+class _Slice(NamedTuple):
+    begin_ns: int
+    end_ns: int
+    name: str
+    args: dict[str, Any]
+
+
+class _Place(NamedTuple):
+    """In a slice: where an arrow begins or ends."""
+
+    node: str
+    track: int
+    t_ns: Ns
+
+
+class _Followed(NamedTuple):
+    """A plan at the actuators."""
+
+    plan: PlanId
+    received_ns: int
+    late: bool
+
+
+_DECODERS: dict[type, Callable[[bytes], Any]] = {
+    kind: msgspec.json.Decoder(kind).decode for kind in (_Header, _Record, _Timing, _Plan, _Applied, _Estimate, _Event)
+}
+
+
+class _Heard:
+    """What of a recording goes into its trace."""
+
+    def __init__(self) -> None:
+        self.steps: dict[str, list[_Slice]] = {}
+        self.estimates: dict[int, tuple[str, int]] = {}  # validity time -> process, publication
+        self.plans: dict[PlanId, _Plan] = {}
+        self.timings: dict[tuple[int, int], _Timing] = {}  # epoch, start of the cycle
+        self.followed: list[_Followed] = []
+        self.thrusts: list[_Applied] = []
+        self.events: list[_Event] = []
+        self.unreadable = 0
+        self._nodes_of: dict[int, set[str]] = {}
+        self._open: dict[str, tuple[_Record, int]] = {}  # the newest step by process, and its last output
+
+    def saw(self, line: Line) -> None:
+        try:
+            self._saw(line)
+        except (msgspec.DecodeError, ValueError, RecursionError):
+            self.unreadable += 1
+
+    def finish(self) -> None:
+        for node in list(self._open):
+            self._close(node)
+
+    def place_of(self, estimate_t_ns: int) -> _Place | None:
+        """The step that published the estimate of that validity time."""
+        if estimate_t_ns not in self.estimates:
+            return None
+        node, published_ns = self.estimates[estimate_t_ns]
+        steps = self.steps.get(node, [])
+        i = bisect_right(steps, published_ns, key=lambda step: step.begin_ns) - 1
+        return _Place(node, STEPS, steps[i].begin_ns) if i >= 0 else None
+
+    def _saw(self, line: Line) -> None:
+        first = line.key.partition("/")[0]
+        match line.key:
+            case "timing":
+                timing: _Timing = _DECODERS[_Timing](line.data)
+                self.timings[timing.epoch, timing.t_ns] = timing
+            case "applied":
+                self._applied(_DECODERS[_Applied](line.data))
+            case _ if first == "record":
+                self._record(_DECODERS[_Record](line.data))
+            case _ if first == "event":
+                self.events.append(_DECODERS[_Event](line.data))
+            case "plan":
+                plan: _Plan = _DECODERS[_Plan](line.data)
+                self.plans[plan.epoch, plan.sequence] = plan
+        if first not in SILENT:
+            self._output(line)
+
+    def _record(self, record: _Record) -> None:
+        self._close(record.node)
+        self._nodes_of.setdefault(record.epoch, set()).add(record.node)
+        self._open[record.node] = record, 0
+
+    def _output(self, line: Line) -> None:
+        header: _Header = _DECODERS[_Header](line.data)
+        node = self._writer(line.key, header.epoch)
+        if node in self._open:
+            record, last_ns = self._open[node]
+            self._open[node] = record, max(last_ns, line.t_ns) if last_ns else line.t_ns
+        if line.key == "estimate":
+            estimate: _Estimate = _DECODERS[_Estimate](line.data)
+            self.estimates[estimate.t_ns] = node, line.t_ns
+            if node not in self._open:  # someone's own navigation, which keeps no record of its steps
+                shown = _Slice(line.t_ns, line.t_ns + THINNEST_NS, "estimate", {"validity_s": estimate.t_ns / 1e9})
+                self.steps.setdefault(node, []).append(shown)
+
+    def _writer(self, key: str, epoch: int) -> str:
+        """By the epoch, where it is one process's alone; in lock step all share one, and the table of topics says."""
+        nodes = self._nodes_of.get(epoch, set())
+        if len(nodes) == 1:
+            return next(iter(nodes))
+        topic = topics.topic_at(key)
+        return "unknown" if topic is None else topic.written_by
+
+    def _close(self, node: str) -> None:
+        record, end_ns = self._open.pop(node, (None, 0))
+        if record is None or not end_ns or node == "controller":
+            return  # nothing came of it; or its cycles say more
+        caused = record.cause not in ("grid", "cycle") and record.inbox
+        begin_ns = record.inbox[-1].received_t_ns if caused else record.t_ns
+        before = self.steps.setdefault(node, [])
+        args = {"step": record.step, "cause": record.cause, "validity_s": record.t_ns / 1e9}
+        if before and begin_ns < before[-1].end_ns:  # it waited for the one before
+            args["waited_ms"] = (before[-1].end_ns - begin_ns) / 1e6
+            begin_ns = before[-1].end_ns
+        before.append(_Slice(begin_ns, max(end_ns, begin_ns + THINNEST_NS), record.cause, args))
+
+    def _applied(self, applied: _Applied) -> None:
+        self.thrusts.append(applied)
+        plan = applied.plan_epoch, applied.plan_sequence
+        if applied.plan_sequence >= 0 and (not self.followed or self.followed[-1].plan != plan):
+            self.followed.append(_Followed(plan, applied.plan_received_t_ns, applied.plan_late))
+
+
+def write(parts: Sequence[Path], out: Path, *, told: Told = untold) -> Written:
+    """The recording's segments as one trace file.
+
+    Raises ``ConfigError`` where a segment is no MCAP file.
+    """
+    heard = _Heard()
+    metadata: dict[str, str] = {}
+    for lines, line in through(parts, told):
+        heard.saw(line)
+        metadata = metadata or lines.metadata
+    heard.finish()
+    trace = _Trace(start_of(metadata))
+    trace.draw(heard)
+    trace.save(out, metadata)
+    return Written(
+        file=str(out),
+        processes=len(trace.processes),
+        slices=trace.slices,
+        arrows=trace.arrows,
+        marks=len(heard.events),
+        unreadable=heard.unreadable,
+    )
+
+
+class _Trace:
+    def __init__(self, start_ns: int) -> None:
+        self.start_ns = start_ns
+        self.processes: dict[str, int] = {}
+        self.slices = self.arrows = 0
+        self._head: list[bytes] = []
+        self._events: list[tuple[int, int, bytes]] = []  # time, minus duration, the event
+        self._ends: dict[tuple[int, int], int] = {}
+        for name in FIRST_PROCESSES:
+            self._pid(name)
+
+    def draw(self, heard: _Heard) -> None:
+        """Everything."""
+        for node, steps in heard.steps.items():
+            self._track(node, STEPS, "steps")
+            for step in steps:
+                self._slice(node, STEPS, step)
+        cycles = self._cycles(heard)
+        thrusts = self._thrusts(heard)
+        for key, plan in heard.plans.items():
+            places = heard.place_of(plan.estimate_t_ns), cycles.get(key), thrusts.get(key)
+            self._arrow([place for place in places if place is not None])
+        self._counters(heard.thrusts)
+        for event in heard.events:
+            mark = {"ph": "i", "s": "g", "pid": self._pid(event.node), "tid": STEPS, "name": event.kind}
+            self._add(event.t_ns, mark | {"args": {"text": event.text}})
+
+    def save(self, out: Path, metadata: dict[str, str]) -> None:
+        """Events in the order of their times; of two at once the longer one first, inside which the other lies."""
+        self._events.sort(key=lambda event: event[:2])
+        about = {
+            "vehicle_time_of_0_ns": str(self.start_ns),
+            "mode": metadata.get("mode", "unknown"),
+            "seed": metadata.get("seed", "unknown"),
+        }
+        head = msgspec.json.encode({"displayTimeUnit": "ms", "otherData": about})
+        with out.open("wb") as file:
+            file.write(head[:-1] + b',"traceEvents":[\n')
+            file.write(b",\n".join([*self._head, *(event for _, _, event in self._events)]))
+            file.write(b"\n]}\n")
+
+    def _cycles(self, heard: _Heard) -> dict[PlanId, _Place]:
+        """A slice each, its stages inside; when it begins, by plan."""
+        self._track("controller", STEPS, "cycles")
+        begun: dict[PlanId, _Place] = {}
+        plans = {(plan.epoch, plan.cycle_t_ns): plan for plan in heard.plans.values()}
+        times = sorted(heard.timings.keys() | plans.keys(), key=lambda key: key[1])
+        for key in times:
+            plan, timing = plans.get(key), heard.timings.get(key)
+            duration_ns = 0 if timing is None else timing.compute_ns
+            args: dict[str, Any] = {} if timing is None else {"estimate_age_ms": timing.estimate_age_ns / 1e6}
+            name = "cycle"
+            if plan is not None:
+                name = f"cycle: {plan.origin}"
+                args |= {"plan": plan.sequence, "solver": plan.solve.status, "iterations": plan.solve.iterations}
+                args |= {"expected_delay_ms": plan.expected_delay_ns / 1e6} | ({"why": plan.why} if plan.why else {})
+            begin_ns, end_ns = self._slice("controller", STEPS, _Slice(key[1], key[1] + duration_ns, name, args))
+            if plan is not None:
+                begun[plan.epoch, plan.sequence] = _Place("controller", STEPS, begin_ns)
+            if timing is not None:
+                for stage in _stages(timing, begin_ns, end_ns):
+                    self._draw_slice(self._pid("controller"), STEPS, stage.begin_ns, stage.end_ns, stage)
+        return begun
+
+    def _thrusts(self, heard: _Heard) -> dict[PlanId, _Place]:
+        """A slice for each plan that was followed, from its first knot or its arrival; when it begins, by plan."""
+        self._track("plant", THRUSTERS, "thrusters")
+        begins = []
+        for followed in heard.followed:
+            plan = heard.plans.get(followed.plan)
+            begins.append(max([followed.received_ns, *(plan.t_ns[:1] if plan is not None else [])]))
+        ends = [*begins[1:], *(applied.t_ns for applied in heard.thrusts[-1:] if begins)]
+        begun: dict[PlanId, _Place] = {}
+        for followed, begin_ns, end_ns in zip(heard.followed, begins, ends, strict=True):
+            plan = heard.plans.get(followed.plan)
+            args = {"epoch": followed.plan[0], "late": followed.late, "received_s": followed.received_ns / 1e9}
+            name = f"plan {followed.plan[1]}" + (f": {plan.origin}" if plan is not None else "")
+            drawn_ns, _ = self._slice("plant", THRUSTERS, _Slice(begin_ns, end_ns, name, args))
+            begun[followed.plan] = _Place("plant", THRUSTERS, drawn_ns)
+        return begun
+
+    def _arrow(self, places: Sequence[_Place]) -> None:
+        """One chain: estimate, cycle, thrust; each inside the slice that it belongs to, and none against the time."""
+        times = [place.t_ns for place in places]
+        if len(places) < 2 or times != sorted(times) or times[0] < self.start_ns:
+            return
+        self.arrows += 1
+        for i, place in enumerate(places):
+            phase = {0: "s", len(places) - 1: "f"}.get(i, "t")
+            event = {"ph": phase, "pid": self._pid(place.node), "tid": place.track, "id": self.arrows}
+            event |= {"cat": "delay", "name": "estimate to thrust"} | ({"bp": "e"} if phase == "f" else {})
+            self._add(place.t_ns, event)
+
+    def _counters(self, thrusts: list[_Applied]) -> None:
+        for applied in thrusts:
+            values = dict(zip(("port", "starboard", "vertical"), applied.thrust_N, strict=True))
+            event = {"ph": "C", "pid": self._pid("plant"), "tid": 0, "name": "thrust_N", "args": values}
+            self._add(applied.t_ns, event)
+
+    def _slice(self, node: str, track: int, of: _Slice) -> tuple[int, int]:
+        """Begin and end as drawn: on one track none begins before the one before has ended."""
+        pid = self._pid(node)
+        begin_ns = max(of.begin_ns, self._ends.get((pid, track), self.start_ns))
+        end_ns = self._ends[pid, track] = max(of.end_ns, begin_ns + THINNEST_NS)
+        self._draw_slice(pid, track, begin_ns, end_ns, of)
+        return begin_ns, end_ns
+
+    def _draw_slice(self, pid: int, track: int, begin_ns: int, end_ns: int, of: _Slice) -> None:
+        self.slices += 1
+        duration_ns = end_ns - begin_ns
+        event = {"ph": "X", "dur": duration_ns / 1000, "pid": pid, "tid": track, "name": of.name, "args": of.args}
+        self._add(begin_ns, event, duration_ns)
+
+    def _add(self, t_ns: int, event: dict[str, Any], duration_ns: int = 0) -> None:
+        at_ns = max(0, t_ns - self.start_ns)
+        self._events.append((at_ns, -duration_ns, msgspec.json.encode({"ts": at_ns / 1000} | event)))
+
+    def _pid(self, name: str) -> int:
+        if name not in self.processes:
+            pid = self.processes[name] = len(self.processes) + 1
+            self._name(pid, 0, "process_name", {"name": name})
+            self._name(pid, 0, "process_sort_index", {"sort_index": pid})
+        return self.processes[name]
+
+    def _track(self, node: str, track: int, name: str) -> None:
+        self._name(self._pid(node), track, "thread_name", {"name": name})
+
+    def _name(self, pid: int, tid: int, what: str, args: dict[str, Any]) -> None:
+        self._head.append(msgspec.json.encode({"ph": "M", "pid": pid, "tid": tid, "name": what, "args": args}))
+
+
+def _stages(timing: _Timing, begin_ns: int, end_ns: int) -> Iterator[_Slice]:
+    """One after the other from the cycle's begin; the last one ends with it."""
+    stages = [(name, us) for name, us in timing.stage_us.items() if us > 0]
+    ratio = timing.compute_ns / timing.compute_wall_ns if timing.compute_wall_ns > 0 else 1.0
+    at_ns = begin_ns
+    for i, (name, us) in enumerate(stages):
+        length_ns = round(us * 1000 * ratio)
+        if i == len(stages) - 1:
+            at_ns = max(at_ns, end_ns - length_ns)
+        until_ns = min(at_ns + length_ns, end_ns)
+        if until_ns > at_ns:
+            yield _Slice(at_ns, until_ns, name, {"wall_us": us})
+        at_ns = until_ns

@@ -1,0 +1,592 @@
+"""Everything that reads what others wrote: bytes from the bus, files of settings, measurements and recordings.
+
+A target makes a frame from a seed, and takes one: it gives back what was accepted, or None where it was refused with
+the error that its documentation names. Whatever else comes out of ``take`` is a crash; what ``check`` raises is a value
+that should not have been let in.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import io
+import itertools
+import math
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from mcap.writer import Writer
+from scipy.sparse import csc_array, eye_array
+
+from ltv_mpc import references
+from ltv_mpc.admission import refusal
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.qp.failed import FailedQp
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.rows import Row
+from ltv_mpc.currents import read_prior, read_profile
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.pd0 import reader as pd0_reader
+from ltv_mpc.localisation.pd0.beams import to_beams
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.node import Arrival
+from ltv_mpc.signals import (
+    AdcpPing,
+    BottomTrack,
+    Clock,
+    Command,
+    CurrentProfile,
+    Estimate,
+    Plan,
+    Signal,
+    Solve,
+    SolveStatus,
+)
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus import topics
+from services.bus.door import Door
+from services.bus.mailbox import Frame
+from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, plain, unpack
+from services.process.clock import ClockError, VehicleClock, boot_id
+from services.recording import export, info, perfetto
+from services.recording.reader import Recording
+from services.recording.recover import recover, segments
+from services.ros2.edge import Edge
+from sim.scenario import Scenario
+from tests.fuzz import mutate
+from tests.fuzz.mutate import Random
+from tests.recorded.pd0_writer import Head, Written, written
+from tests.services.bus.messages import EXAMPLES, HEADER
+from tests.services.ros2.test_ros2 import odometry
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class Target:
+    """One reader. ``weight``: its share of the frames, against the others'."""
+
+    name: str
+    weight: float
+    frame: Callable[[Random], bytes]
+    take: Callable[[bytes], Any]
+    check: Callable[[Any], None]
+
+
+def numbers(value: object) -> Iterator[float]:
+    """Every number in a value, and in what is inside it."""
+    if isinstance(value, np.ndarray):
+        if value.dtype.kind in "fiu":
+            yield from value.ravel().tolist()
+    elif isinstance(value, msgspec.Struct):
+        for name in value.__struct_fields__:
+            yield from numbers(getattr(value, name))
+    elif isinstance(value, dict):
+        for inner in value.values():
+            yield from numbers(inner)
+    elif isinstance(value, tuple | list):
+        for inner in value:
+            yield from numbers(inner)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield value
+
+
+def finite(value: object) -> None:
+    """No number of it is NaN or infinite."""
+    for x in numbers(value):
+        assert math.isfinite(x), f"{x} in {type(value).__name__}"
+
+
+# --- the bus ---------------------------------------------------------------------------------------------------------
+
+
+def signal_is_sound(signal: Signal) -> None:
+    """Finite, and of the lengths that belong together. Of beams NaN alone means something: no return."""
+    match signal:
+        case AdcpPing():
+            assert signal.beam_velocity_mps.shape == (4, len(signal.range_m))
+        case BottomTrack():
+            assert signal.range_m.shape == signal.beam_velocity_mps.shape == (4,)
+        case Plan():
+            knots = len(signal.t_ns)
+            assert knots >= 2
+            assert signal.thrust_N.shape == (knots, 3)
+            assert signal.states.shape == (knots, 6)
+            assert (np.diff(signal.t_ns) > 0).all()
+        case Estimate():
+            if signal.covariance is not None:
+                assert signal.covariance.shape == (6, 6)
+            if signal.current is not None:
+                profile_is_sound(signal.current)
+    if isinstance(signal, AdcpPing | BottomTrack):
+        assert all(not math.isinf(x) for x in numbers(signal))
+        finite(signal.t_ns)
+    else:
+        finite(signal)
+
+
+def profile_is_sound(profile: CurrentProfile) -> None:
+    shape = (len(profile.depth_m),)
+    assert shape != (0,)
+    assert profile.north_mps.shape == profile.east_mps.shape == shape
+    assert profile.sd_mps is None or profile.sd_mps.shape == shape
+    assert (np.diff(profile.depth_m) > 0).all()
+    finite(profile)
+
+
+def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
+    """A message's bytes, wrong in value, structure or bytes; seldom enormous, seldom mere noise."""
+    return mutate.one_of(
+        rng,
+        (70, lambda: mutate.packed(mutate.tree(rng, message), rng)),
+        (15, lambda: mutate.raw(rng, mutate.packed(message, rng))),
+        (10, lambda: mutate.raw(rng, mutate.packed(mutate.tree(rng, message), rng))),
+        (5, lambda: rng.randbytes(rng.randrange(80))),
+        (0.005, lambda: b"\xdd\x00\x0f\xff\xf0" + rng.choice((b"\xc0", b"\x90", b"\x00")) * 0xFFFF0),
+        (0.003, lambda: bytes(rng.choice((MAX_PAYLOAD_BYTES, MAX_PAYLOAD_BYTES + 1, 3 << 20)))),
+    )
+
+
+def door_of(topic: topics.Topic) -> Target:
+    """A process's door on one key: decoded, admitted, in order."""
+    key = topics.key_of(topic.signal, "plant")
+    messages = [plain(example, HEADER) for example in EXAMPLES if type(example) is topic.signal]
+
+    def take(frame: bytes) -> Any:
+        try:
+            return Door().admit(Frame(topic, key, frame, 0))[0]
+        except WireError:
+            return None
+
+    return Target(f"wire {key}", 3, lambda rng: hostile_frame(rng, rng.choice(messages)), take, signal_is_sound)
+
+
+def one_door() -> Target:
+    """One door for everything, for as long as the campaign lasts: what it keeps must not grow with what is refused."""
+    door = Door()
+    messages = [
+        (topics.topic_at(key), key, plain(example, HEADER))
+        for example in EXAMPLES
+        for key in (topics.key_of(type(example), "plant"), "no/such/key")
+    ]
+
+    def frame(rng: Random) -> bytes:
+        number = rng.randrange(len(messages))
+        message = messages[number][2] | {"epoch": rng.getrandbits(48), "sequence": rng.getrandbits(50)}
+        if "node" in message and rng.random() < 0.5:
+            message[f"field {rng.getrandbits(40)}"] = 0
+        return number.to_bytes(2, "big") + mutate.packed(message, rng)
+
+    def take(data: bytes) -> Any:
+        topic, key, _ = messages[int.from_bytes(data[:2], "big")]
+        with contextlib.suppress(WireError):
+            door.admit(Frame(topic, key, data[2:], 0))
+        return door
+
+    def check(door: Door) -> None:
+        assert len(door.refused) <= 1000, "reasons are counted without end"
+
+    return Target("door, kept", 3, frame, take, check)
+
+
+def recorder() -> Target:
+    """What the recorder writes down: any map with a header, as JSON."""
+    messages = [plain(example, HEADER) for example in EXAMPLES]
+
+    def take(frame: bytes) -> Any:
+        try:
+            message = unpack(frame)
+            header_of(message)
+        except WireError:
+            return None
+        try:
+            return msgspec.json.encode(message)
+        except (TypeError, ValueError, RecursionError):  # as ``RunWriter.write_plain`` words it
+            return None
+
+    def check(data: bytes) -> None:
+        assert b"NaN" not in data.split(b'"')[::2]
+        msgspec.json.decode(data)
+
+    return Target("recorder", 3, lambda rng: hostile_frame(rng, rng.choice(messages)), take, check)
+
+
+def ros2() -> Target:
+    """The edge to ROS 2: CDR to an estimate."""
+    seeds = [odometry(), odometry(order=">", position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))]
+    edge = Edge()
+    doubles = (math.nan, math.inf, -math.inf, 1e308, 5e-324, 1e10, -1.0)
+
+    def spoiled(rng: Random, data: bytes) -> bytes:
+        at = 4 + 8 * rng.randrange((len(data) - 4) // 8)
+        value = np.array([rng.choice(doubles)]).astype("<f8" if data[1] else ">f8").tobytes()
+        return data[:at] + value + data[at + 8 :]
+
+    def frame(rng: Random) -> bytes:
+        seed = rng.choice(seeds)
+        length = rng.choice((0, 0xFFFFFFFF, 0x7FFFFFFF, 65535)).to_bytes(4, "little")
+        return mutate.one_of(
+            rng,
+            (4, lambda: spoiled(rng, seed)),
+            (4, lambda: mutate.raw(rng, seed)),
+            (1, lambda: seed[:12] + length + seed[16:]),
+            (1, lambda: rng.randbytes(rng.randrange(900))),
+        )
+
+    return Target("ros2 odometry", 2, frame, lambda data: edge.odometry(data, 0), signal_is_sound)
+
+
+def vehicle_clock() -> Target:
+    """The clock of a process, told by whomever."""
+    topic = topics.BY_SIGNAL[Clock]
+    example = next(e for e in EXAMPLES if isinstance(e, Clock))
+    message = plain(msgspec.structs.replace(example, host_boot_id=boot_id()), HEADER)
+
+    def take(frame: bytes) -> Any:
+        clock = VehicleClock()
+        try:
+            for data in (mutate.packed(message, Random(0)), frame):
+                signal, _ = Door().admit(Frame(topic, "clock", data, 0))
+                assert isinstance(signal, Clock)
+                clock.hear(msgspec.structs.replace(signal, clock_sequence=signal.clock_sequence + (data is frame)))
+        except (WireError, ClockError):
+            return None
+        instants = (0, 1, 10**6, 10**12, 2**53)
+        return [reading for us in instants for reading in (clock.read(us), clock.at(us)) if reading is not None]
+
+    def check(readings: Sequence[int]) -> None:
+        assert all(isinstance(reading, int) for reading in readings)
+
+    return Target("clock", 3, lambda rng: mutate.packed(mutate.tree(rng, message), rng), take, check)
+
+
+def command() -> Target:
+    """A controller that is told what to follow: its answer, and now and then its next plan."""
+    node = ControllerNode(Vehicle.load("paper"), references.Hold(), ControllerConfig(horizon_s=1.5))
+    seeds = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
+    example = next(e for e in EXAMPLES if isinstance(e, Command))
+    times = itertools.count(1)
+
+    def take(toml: bytes) -> Any:
+        try:
+            told = msgspec.structs.replace(example, reference_toml=toml.decode())
+        except UnicodeDecodeError:  # no text, so no message
+            return None
+        if refusal(told) is not None:
+            return None
+        count = next(times)
+        t_ns = count * 300_000_000
+        inbox = [Arrival(told, 1, count, t_ns)]
+        if count % 50 == 0:
+            here = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), t_ns=t_ns)
+            inbox.append(Arrival(here, 1, count, t_ns))
+        return node.step(t_ns, inbox)
+
+    def check(said: Sequence[Signal]) -> None:
+        for signal in said:
+            signal_is_sound(signal)
+            assert refusal(signal) is None
+
+    return Target("command", 0.5, of_text(seeds), take, check)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+WORKSHOP = tempfile.TemporaryDirectory(prefix="ltv-mpc-fuzz-")
+"""Where files lie while they are read; gone with the process."""
+atexit.register(WORKSHOP.cleanup)
+
+
+LONGEST_ERROR = 2000
+
+
+def file_reader(
+    name: str,
+    weight: float,
+    frame: Callable[[Random], bytes],
+    load: Callable[[Path], Any],
+    check: Callable[[Any], None] = finite,
+    *,
+    file: str,
+) -> Target:
+    """A reader of one file, which is written anew for each frame. It may raise ``ConfigError`` alone, in one line."""
+    folder = Path(WORKSHOP.name) / name.replace(" ", "-")
+    folder.mkdir()
+    path = folder / file
+
+    def take(data: bytes) -> Any:
+        path.write_bytes(data)
+        try:
+            return load(path)
+        except ConfigError as error:
+            said = str(error)
+        if len(said) > LONGEST_ERROR or not said.isprintable():
+            raise AssertionError(f"an error of {len(said)} characters, or of more than one line")
+        return None
+
+    return Target(name, weight, frame, take, check)
+
+
+def texts(*folders: str, suffix: str = ".toml") -> list[bytes]:
+    """Files that are shipped, as seeds."""
+    return [path.read_bytes() for folder in folders for path in sorted((ROOT / folder).glob(f"*{suffix}"))]
+
+
+def of_text(seeds: Sequence[bytes]) -> Callable[[Random], bytes]:
+    """Seeds, spoiled."""
+    return lambda rng: mutate.text(rng, rng.choice(seeds))
+
+
+def settings() -> Iterator[Target]:
+    """The files that a user writes."""
+    vehicles, suites = texts("ltv_mpc/vehicle/files"), texts("ltv_mpc/localisation/files", "examples/sensors")
+    paths = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
+    controller = [b"horizon_s = 5.0\nmost_stages = 34\n[weights]\nposition = 1.0\n", b"period_s = 0.3\n[disturbance]\n"]
+    estimator = [b"current_sd_mps = 0.04\ndeepest_m = 100.0\ncell_m = 1.0\n"]
+    scenarios = texts("sim/scenarios")
+    yield file_reader("vehicle", 1.5, of_text(vehicles), lambda p: Vehicle.load(str(p)), file="vehicle.toml")
+    yield file_reader("sensors", 1.5, of_text(suites), lambda p: Suite.load(str(p)), file="sensors.toml")
+    yield file_reader("scenario", 1.5, of_text(scenarios), lambda p: Scenario.load(str(p)), file="scenario.toml")
+    yield file_reader("reference", 1.5, of_text(paths), lambda p: references.load(str(p)), file="reference.toml")
+    yield file_reader("controller", 1, of_text(controller), lambda p: ControllerConfig.load(str(p)), file="c.toml")
+    yield file_reader("estimator", 1, of_text(estimator), lambda p: EstimatorConfig.load(str(p)), file="e.toml")
+
+
+TIMED_INLINE = b'kind = "timed"\nrows = [[0.0, 1.0, 2.0, 3.0], [10.0, 5.0, 2.0, 4.0], [20.0, 5.0, 9.0, 4.0]]\n'
+
+
+def tables() -> Iterator[Target]:
+    """The tables that a user brings."""
+    head = b"# measured\ndepth_m,v_north_mps,u_east_mps\n"
+    profile = head + b"".join(b"%d,0.%d,-0.1\n" % (i, i) for i in range(1, 9))
+    prior = b"depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n" + b"".join(
+        b"%d,0.1,-0.1,0.03,0.01\n" % i for i in range(9)
+    )
+    timed = texts("examples/references", suffix=".csv")
+    yield file_reader("currents", 2, of_text([profile]), read_profile, profile_is_sound, file="currents.csv")
+    yield file_reader("water prior", 2, of_text([prior, profile]), read_prior, prior_is_sound, file="prior.csv")
+    yield file_reader("timed track", 1.5, of_text(timed), timed_by, file="track.csv")
+
+
+def prior_is_sound(prior: Any) -> None:
+    shape = prior.depth_m.shape
+    for column in (prior.depth_m, prior.north_mps, prior.east_mps, prior.sd_mps):
+        assert column.shape == shape
+        finite(column)
+    assert 0 <= prior.sd_common_mps <= prior.sd_mps.min()
+
+
+def timed_by(track: Path) -> Any:
+    """A reference whose rows are in this file."""
+    reference = track.with_name("timed.toml")
+    if not reference.exists():
+        reference.write_text(f'kind = "timed"\nfile = "{track.name}"\n')
+    return references.load(str(reference))
+
+
+def adcp_file() -> Target:
+    """A profiler's recording. Half of what is spoiled has a right checksum again."""
+    shape = (4, 4)
+    heads = [Head(cells=4, coordinates=k, upward=bool(k % 2)) for k in range(4)]
+    beams = np.linspace(-0.5, 0.5, 16).reshape(shape)
+    bottom = np.array([0.1, 0.2, -0.1, 0.0])
+
+    def ensemble(t_s: float) -> Written:
+        return Written(t_s=t_s, beams_mps=beams, pressure=True, bottom_beams_mps=bottom)
+
+    seeds = [[written(head, ensemble(t_s)) for t_s in (0.0, 1.0, 2.0)] for head in heads]
+
+    def repaired(frame: bytes) -> bytes:
+        body = bytearray(frame[:-2])
+        body[2:4] = len(body).to_bytes(2, "little")
+        return bytes(body) + (sum(body) & 0xFFFF).to_bytes(2, "little")
+
+    def frame(rng: Random) -> bytes:
+        ensembles = rng.choice(seeds)[: rng.choice((1, 1, 3))]
+        at = rng.randrange(len(ensembles))
+        spoiled = mutate.raw(rng, ensembles[at])
+        ensembles[at] = repaired(spoiled) if rng.random() < 0.7 else spoiled
+        return b"".join(ensembles)
+
+    def load(path: Path) -> Any:
+        recording = pd0_reader.read(path)
+        return recording, [to_beams(ensemble) for ensemble in recording.ensembles]
+
+    def check(found: Any) -> None:
+        recording, beams = found
+        whole = sum(loss.length for loss in recording.losses)
+        assert recording.lost_bytes == whole <= recording.size
+        for ensemble in beams:
+            cells = ensemble.velocity_mps.shape[1]
+            assert ensemble.direction.shape == (4, 3)
+            assert ensemble.velocity_mps.shape == ensemble.below_m.shape == ensemble.good.shape == (4, cells)
+            finite(ensemble.direction)
+            finite(ensemble.below_m)
+            finite(ensemble.depth_m)
+            for values in (ensemble.velocity_mps, ensemble.bottom_mps):  # NaN: no return
+                assert not np.isinf(values).any()
+
+    return file_reader("pd0", 1.5, frame, load, check, file="dive.pd0")
+
+
+def failed_qp() -> Target:
+    """A QP that was kept: numpy's npz."""
+    unit = csc_array(eye_array(2))
+    qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
+    failed = FailedQp(qp, (Row("slew", 1.0, "N"), Row("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE))
+    place = Path(WORKSHOP.name) / "seed.npz"
+    failed.save(place)
+    seed = place.read_bytes()
+    with np.load(place, allow_pickle=False) as held:
+        parts = {name: held[name] for name in held.files}
+    without_q = io.BytesIO()
+    np.savez(without_q, **{name: part for name, part in parts.items() if name != "q"})
+    plain_seed = without_q.getvalue()
+    values: tuple[Any, ...] = (
+        *(np.array([np.nan, np.inf]), np.zeros(0), np.zeros((2, 2)), np.zeros(3), np.array(5), np.array("x")),
+        *(np.array([2**40, -1]), np.array([0, 1, 2], dtype=np.int32), np.array([True, False]), np.array([1 + 2j, 0])),
+        *(np.array(["nan", "1"]), np.array([{}, []], dtype=object), np.array(b"\xff"), np.zeros(2, dtype="M8[s]")),
+    )
+
+    def rebuilt(rng: Random) -> bytes:
+        spoiled = dict(parts)
+        for _ in range(rng.choice((1, 1, 2))):
+            name = rng.choice(sorted(spoiled))
+            if rng.random() < 0.2:
+                del spoiled[name]
+            else:
+                spoiled[name] = rng.choice(values)
+        file = io.BytesIO()
+        np.savez(file, **spoiled)
+        return file.getvalue()
+
+    def lying(rng: Random) -> bytes:
+        """A part whose head says anything, within an archive whose checksums are right."""
+        kind = rng.choice((b"'<f8'", b"'|O'", b"'<i8'", b"'|V99999999'", b"'>M8[s]'", b"[('a', '<f8', (99999,))]"))
+        shape = rng.choice((b"(999999999999,)", b"(99999999, 99999999)", b"(-1,)", b"(2,)", b"()", b"(True,)", b"'x'"))
+        head = b"{'descr': " + kind + b", 'fortran_order': False, 'shape': " + shape + b", }\n"
+        version = rng.choice((b"\x01\x00", b"\x02\x00", b"\x03\x00", b"\x09\x09"))
+        size = len(head).to_bytes(2 if version[0] == 1 else 4, "little")
+        file = io.BytesIO(plain_seed)
+        with zipfile.ZipFile(file, "a") as archive:
+            archive.writestr(rng.choice(("q.npy", "extra.npy", "x")), b"\x93NUMPY" + version + size + head + bytes(16))
+        return file.getvalue()
+
+    def frame(rng: Random) -> bytes:
+        ways = (5, lambda: rebuilt(rng)), (4, lambda: mutate.raw(rng, seed)), (1, lambda: lying(rng))
+        return mutate.one_of(rng, *ways)
+
+    def check(found: FailedQp) -> None:
+        n, m = len(found.qp.q), len(found.qp.l)
+        assert found.qp.P.shape == (n, n)
+        assert found.qp.A.shape == (m, n)
+        assert found.qp.q.shape == (n,)
+        assert found.qp.l.shape == found.qp.u.shape == (m,)
+        assert len(found.rows) == m
+        found.faults()
+
+    return file_reader("failed qp", 1, frame, FailedQp.load, check, file="failed.npz")
+
+
+def recordings() -> Iterator[Target]:
+    """A run's recording, cut, damaged, or forged with all checksums right."""
+    keys = [(topics.key_of(type(example), "plant"), plain(example, HEADER)) for example in EXAMPLES]
+
+    def forged(rng: Random) -> bytes:
+        file = io.BytesIO()
+        writer: Any = Writer(file, chunk_size=2000)
+        writer.start()
+        start = rng.choice(("0", "-1000000000", "x", "1e9", "9" * 400, ""))
+        metadata = {"start_ns": start} if rng.random() < 0.9 else {}
+        metadata["scenario.toml"] = rng.choice(("[", "title = 1"))
+        writer.add_metadata(rng.choice(("run", "run", "other")), metadata)
+        for key, message in rng.sample(keys, 6):
+            named = rng.choice((key, key, key, "../x", "", "plan", "estimate", "event/x"))
+            channel = writer.register_channel(named, "json", 0)
+            for _ in range(2):
+                spoiled = mutate.tree(rng, message) if rng.random() < 0.5 else message
+                data = mutate.text(rng, jsoned(spoiled)) if rng.random() < 0.3 else jsoned(spoiled)
+                at = rng.choice((0, 10**9, 2**63, 2**64 - 1))
+                writer.add_message(channel, at, data, at, rng.getrandbits(32))
+        writer.finish()
+        return file.getvalue()
+
+    seeds = [forged(Random(k)) for k in range(8)]
+
+    def frame(rng: Random) -> bytes:
+        return mutate.one_of(rng, (6, lambda: mutate.raw(rng, rng.choice(seeds))), (4, lambda: forged(rng)))
+
+    def recovered(path: Path) -> Any:
+        out = path.with_name("recovered.mcap")
+        out.unlink(missing_ok=True)
+        made = recover(segments(path), out)
+        found = info.read([out])
+        assert found.whole, "what was recovered is not whole"
+        assert found.messages + found.unreadable == made.messages
+        return made
+
+    def exported(path: Path) -> Any:
+        folder = path.parent / "out"
+        folder.mkdir(exist_ok=True)
+        written = perfetto.write([path], folder / "trace.json")
+        msgspec.json.decode((folder / "trace.json").read_bytes())
+        return written, export.export([path], folder, "csv"), export.export([path], folder, "parquet")
+
+    def read(path: Path) -> Any:
+        found = []
+        for message in Recording(path):
+            with contextlib.suppress(WireError):
+                found.append(message.typed()[0])
+        return found
+
+    def signals_are_sound(found: Sequence[Signal]) -> None:
+        for signal in found:
+            signal_is_sound(signal)
+
+    yield file_reader("recover", 0.6, frame, recovered, anything, file="run.mcap")
+    yield file_reader("log info", 0.6, frame, lambda path: info.read([path]), finite, file="run.mcap")
+    yield file_reader("log export", 0.1, frame, exported, anything, file="run.mcap")
+    yield file_reader("recording", 0.6, frame, read, signals_are_sound, file="run.mcap")
+
+
+def anything(_: object) -> None:
+    """What was accepted was looked at when it was made."""
+
+
+def jsoned(tree: Any) -> bytes:
+    """JSON of a spoiled tree: what it cannot hold becomes a text."""
+    return msgspec.json.encode(_plain(tree))
+
+
+def _plain(tree: Any) -> Any:
+    match tree:
+        case dict():
+            return {key: _plain(value) for key, value in tree.items()}
+        case list():
+            return [_plain(value) for value in tree]
+        case mutate.Raw():
+            return "raw"
+        case bytes():
+            return tree.hex()
+        case _:
+            return tree
+
+
+def all_targets() -> tuple[Target, ...]:
+    """Every reader of what others wrote."""
+    return (
+        *map(door_of, topics.TOPICS),
+        *(one_door(), recorder(), ros2(), vehicle_clock(), command()),
+        *settings(),
+        *tables(),
+        *(adcp_file(), failed_qp()),
+        *recordings(),
+    )

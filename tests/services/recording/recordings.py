@@ -1,0 +1,48 @@
+"""Small recordings, made by hand: what tests cut, damage, count and convert."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import Writer
+
+from ltv_mpc.signals import PressureDepth, Signal
+from services.bus.wire import Header
+from services.recording.writer import RunWriter
+
+START_NS = -1_000_000_000
+
+
+def depth(i: int) -> PressureDepth:
+    return PressureDepth(t_ns=START_NS + i * 1_000_000, depth_m=i / 7)
+
+
+def write(
+    path: Path, messages: Iterable[tuple[str, Signal, int, int, int]], *, start_ns: int = START_NS, **metadata: str
+) -> Path:
+    """``messages``: writer, signal, epoch, sequence, vehicle time of publication."""
+    with RunWriter(path, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
+        for node, signal, epoch, sequence, t_ns in messages:
+            writer.write(node, signal, Header(epoch=epoch, sequence=sequence), t_ns)
+    return path
+
+
+def foreign(path: Path, key: str, *messages: bytes, **metadata: str) -> Path:
+    """A recording that somebody else wrote: any bytes as messages, with all checksums right."""
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        writer.add_metadata("run", metadata)
+        channel = writer.register_channel(key, "json", 0)
+        for message in messages:
+            writer.add_message(channel, 0, message, 0)
+        writer.finish()
+    return path
+
+
+def write_depths(path: Path, sequences: Iterable[int], *, epoch: int = 1, start_ns: int = START_NS) -> Path:
+    """One key; ``depth(i)`` has the sequence ``i``."""
+    messages = (("sensors", depth(i), epoch, i, depth(i).t_ns) for i in sequences)
+    return write(path, messages, start_ns=start_ns, seed="7")

@@ -1,0 +1,169 @@
+"""Tables of a recording: each number back bit for bit, under the name that it travels by, in a file of its key."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from ltv_mpc.signals import AdcpPing, Applied, CycleTiming, Estimate, Plan, Signal
+from services.bus.topics import key_of
+from services.bus.wire import Header, plain
+from services.recording import export
+from services.recording.export import Format
+from tests.services.bus.messages import EXAMPLES
+from tests.services.recording.recordings import foreign, write
+
+T_NS = 1_500_000_000
+
+
+def example(kind: type[Signal], **fields: Any) -> Signal:
+    return msgspec.structs.replace(next(e for e in EXAMPLES[::-1] if isinstance(e, kind)), **fields)
+
+
+def rows(folder: Path, name: str) -> list[dict[str, str]]:
+    with (folder / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def exported(tmp_path: Path, form: Format, *signals: tuple[str, Signal]) -> export.Result:
+    messages = [(node, signal, 1, k, T_NS + k) for k, (node, signal) in enumerate(signals)]
+    return export.export([write(tmp_path / "run.mcap", messages)], tmp_path, form)
+
+
+def leaves(value: Any, name: str) -> dict[str, Any]:
+    """Every scalar of a message's map by the column's name, by a rule of its own: join by "." and "_"."""
+    if isinstance(value, dict) and value:
+        return {k: v for key, inner in value.items() for k, v in leaves(inner, f"{name}.{key}".lstrip(".")).items()}
+    if isinstance(value, list) and value and not any(isinstance(x, dict | str) for x in value):
+        return {k: v for i, inner in enumerate(value) for k, v in leaves(inner, f"{name}_{i}").items()}
+    return {name: value}
+
+
+LATEST = {type(signal): signal for signal in EXAMPLES}
+"""One message of a kind, so that every list has one length."""
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_every_kind_of_message_comes_back_bit_for_bit_with_its_types(form: Format, tmp_path: Path) -> None:
+    epochs = {kind: getattr(signal, "epoch", 1) for kind, signal in LATEST.items()}
+    messages = [("plant", signal, epochs[kind], 0, T_NS) for kind, signal in LATEST.items()]
+    result = export.export([write(tmp_path / "run.mcap", messages)], tmp_path, form)
+    files = {file.key: file.file for file in result.files}
+    assert len(files) == len(LATEST)
+    for kind, signal in LATEST.items():
+        name = files[key_of(kind, "plant")]
+        (row,) = rows(tmp_path, name) if form == "csv" else pq.read_table(tmp_path / name).to_pylist()
+        travels = plain(signal, Header(epoch=epochs[kind], sequence=0))
+        expected = leaves(json.loads(json.dumps(travels)), "")
+        times = {"published_s": T_NS / 1e9, "published_ns": T_NS}
+        if isinstance(expected.get("t_ns"), int):
+            times["t_s"] = expected["t_ns"] / 1e9
+        expected = times | expected
+        assert set(row) == set(expected)
+        for column, value in expected.items():
+            got = said(row[column], value)
+            assert got == value, (name, column)
+            assert type(got) is type(value), (name, column)
+
+
+def said(cell: Any, like: Any) -> Any:
+    """A cell as the value that it stands for: text is itself, all else in CSV, and structures, are JSON or nothing."""
+    if isinstance(like, str) or not isinstance(cell, str):
+        return cell
+    return json.loads(cell) if cell else None
+
+
+def test_validity_time_stands_beside_itself_in_seconds(tmp_path: Path) -> None:
+    exported(tmp_path, "csv", ("plant", example(Applied, t_ns=-1_250_000_000)))
+    (row,) = rows(tmp_path, "applied.csv")
+    assert (row["t_s"], row["t_ns"]) == ("-1.25", "-1250000000")
+
+
+def test_a_list_of_changing_length_is_one_column_json_in_csv_and_a_list_in_parquet(tmp_path: Path) -> None:
+    pings = [
+        ("sensors", AdcpPing(t_ns=k, range_m=np.arange(1.0, cells), beam_velocity_mps=np.full((4, cells - 1), np.nan)))
+        for k, cells in enumerate((3, 4))
+    ]
+    exported(tmp_path, "csv", *pings)
+    assert [json.loads(row["range_m"]) for row in rows(tmp_path, "sensor-adcp.csv")] == [[1.0, 2.0], [1.0, 2.0, 3.0]]
+    exported(tmp_path, "parquet", *pings)
+    table = pq.read_table(tmp_path / "sensor-adcp.parquet")
+    assert table["range_m"].to_pylist() == [[1.0, 2.0], [1.0, 2.0, 3.0]]
+    assert table["beam_velocity_mps"].to_pylist()[0] == [[None, None]] * 4
+
+
+def test_what_is_null_in_one_message_and_there_in_another_is_an_empty_cell(tmp_path: Path) -> None:
+    exported(tmp_path, "csv", ("e", Estimate.at_rest()), ("e", example(Estimate)))
+    first, second = rows(tmp_path, "estimate.csv")
+    assert "current" not in first
+    assert "covariance" not in first
+    assert (first["depth_m"], first["current.depth_m_69"], first["covariance_5_5"]) == ("", "", "")
+    assert (second["depth_m"], second["current.depth_m_69"], second["covariance_5_5"]) == ("20.0", "69.0", "1e-09")
+
+
+def test_knots_stay_integers_beyond_what_a_float_holds(tmp_path: Path) -> None:
+    at = np.array([2**53 + 1, 2**53 + 3])
+    plan = example(Plan, t_ns=at, thrust_N=np.zeros((2, 3)), states=np.zeros((2, 6)))
+    exported(tmp_path, "csv", ("controller", plan))
+    exported(tmp_path, "parquet", ("controller", plan))
+    assert rows(tmp_path, "plan.csv")[0]["t_ns_0"] == str(2**53 + 1)
+    assert pq.read_table(tmp_path / "plan.parquet")["t_ns_1"].to_pylist() == [2**53 + 3]
+
+
+def test_a_stage_that_only_some_cycles_have_is_a_column_with_holes(tmp_path: Path) -> None:
+    cycles = [("c", example(CycleTiming, stage_us=stages)) for stages in ({"solve": 41.5}, {"solve": 1.0, "read": 2.0})]
+    exported(tmp_path, "csv", *cycles)
+    assert [row["stage_us.read"] for row in rows(tmp_path, "timing.csv")] == ["", "2.0"]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_messages_of_any_form_make_a_table_and_what_is_none_is_counted(form: Format, tmp_path: Path) -> None:
+    path = foreign(
+        tmp_path / "run.mcap",
+        "any",
+        *(b'{"a":1,"b":[1,[2]],"c":{"d":null},"e":[]}', b'{"a":"x","b":null,"c":{},"e":[1]}', b'{"a":[1.5]}', b"{}"),
+        *(b"[1]", b"null", b"{", b'{"a":"\xff"}', b"[" * 100_000),
+        *(
+            b'{"n":1%s,"m":[1%s,0.5]}' % (b"0" * 30, b"0" * 30),
+            b'{"n":true,"m":[2,null]}',
+            b'{"big":[1%s]}' % (b"0" * 400),
+        ),
+    )
+    result = export.export([path], tmp_path, form)
+    assert result.unreadable == 5
+    (file,) = result.files
+    assert file.rows == 7
+    table: list[dict[str, Any]] = (
+        rows(tmp_path, file.file) if form == "csv" else pq.read_table(tmp_path / file.file).to_pylist()
+    )
+    assert [json.loads(row["a"]) for row in table[:3]] == [1, "x", [1.5]]
+
+
+def test_a_key_cannot_lead_out_of_the_folder_nor_two_keys_into_one_file(tmp_path: Path) -> None:
+    names = []
+    for key in ("../../evil", "/etc/x", "..", "a b", ""):
+        out = tmp_path / f"out{len(names)}"
+        out.mkdir()
+        (file,) = export.export([foreign(tmp_path / "run.mcap", key, b'{"x":1}')], out, "csv").files
+        assert [path.name for path in out.iterdir()] == [file.file]
+        names.append(file.file)
+    assert names == ["evil.csv", "etc-x.csv", "key.csv", "a-b.csv", "key.csv"]
+    parts = [foreign(tmp_path / f"{i}.mcap", key, b'{"x":1}') for i, key in enumerate(("a/b", "A-b", "a-b"))]
+    out = tmp_path / "last"
+    out.mkdir()
+    assert len({file.file.lower() for file in export.export(parts, out, "csv").files}) == 3
+
+
+def test_rows_beyond_a_batch_follow_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "BATCH_ROWS", 3)
+    exported(tmp_path, "parquet", *[("plant", example(Applied, t_ns=k)) for k in range(8)])
+    table = pq.read_table(tmp_path / "applied.parquet")
+    assert table["t_ns"].to_pylist() == list(range(8))
+    assert table.schema.metadata[b"ltv_mpc.signal"] == b"Applied"

@@ -1,0 +1,87 @@
+"""A recording in figures: counts, rates, times, gaps by key and source, events, whether it is whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ltv_mpc.signals import RunEvent
+from services.recording import info
+from services.recording.gaps import Gaps
+from services.recording.recover import segments
+from services.views import log_text
+from tests.services.recording.recordings import START_NS, depth, foreign, write, write_depths
+
+S = 1_000_000_000
+
+
+@given(st.lists(st.integers(0, 30), min_size=1, max_size=60))
+def test_gaps_are_what_a_set_says_whatever_the_order(sequences: list[int]) -> None:
+    gaps = Gaps()
+    for sequence in sequences:
+        gaps.saw(sequence)
+    missing = sorted(set(range(max(sequences) + 1)) - set(sequences))
+    assert gaps.published == max(sequences) + 1
+    assert gaps.missing == len(missing)
+    assert gaps.doubled == len(sequences) - len(set(sequences))
+    assert [i for first, last in gaps.ranges for i in range(first, last + 1)] == missing
+    assert all(b[0] > a[1] + 1 for a, b in zip(gaps.ranges, gaps.ranges[1:], strict=False))
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """10 Hz from -1 s on with a gap; then a second start of the source; an event; a second segment, cut."""
+    there = [i for i in range(20) if i not in (5, 6, 9)]
+    first = [("sensors", depth(i), 7, i, START_NS + i * S // 10) for i in there]
+    event = RunEvent(t_ns=S, node="plant", kind="slowed", text="by 0.4 s")
+    path = write(
+        tmp_path / "run.mcap",
+        [*first, ("plant", event, 3, 0, S)],
+        seed="7",
+        mode="services",
+        **{"scenario.toml": 'title = "a title"\n[made_by]\npython = "3.13"\n'},
+    )
+    second = tmp_path / "run.2.mcap"
+    write_depths(second, range(4), epoch=8)
+    second.write_bytes(second.read_bytes()[:-30])
+    return path
+
+
+def test_the_figures_of_a_recording_in_two_segments(recording: Path) -> None:
+    found = info.read(segments(recording))
+    assert (found.scenario, found.mode, found.seed, found.made_by) == ("a title", "services", "7", {"python": "3.13"})
+    assert (found.messages, found.missing, found.unreadable) == (22, 3, 0)
+    assert found.duration_s == pytest.approx(2.0)
+    by_key = {key.key: key for key in found.keys}
+    depths = by_key["sensor/depth"]
+    assert (depths.signal, depths.messages, depths.missing) == ("PressureDepth", 21, 3)
+    assert (depths.first_s, depths.last_s) == (-1.0, pytest.approx(0.9))
+    assert depths.rate_hz == pytest.approx(20 / 1.9)
+    assert [(of.epoch, of.messages, of.gaps) for of in depths.sources] == [(7, 17, ((5, 6), (9, 9))), (8, 4, ())]
+    assert by_key["event/plant"].rate_hz is None
+    (event,) = found.events
+    assert (event.t_s, event.node, event.kind, event.text) == (1.0, "plant", "slowed", "by 0.4 s")
+    assert [(part.file, part.whole, part.messages) for part in found.segments] == [
+        ("run.mcap", True, 18),
+        ("run.2.mcap", False, 4),
+    ]
+    assert not found.whole
+
+
+def test_a_person_reads_the_gaps_the_cut_and_what_to_do(recording: Path) -> None:
+    words = log_text.text(info.read(segments(recording)))
+    assert "sensor/depth, epoch 7: 3 of 20; sequence 5 to 6, 9" in words
+    assert "NOT WHOLE" in words
+    assert "ltv-mpc log recover RUN" in words
+    assert "plant: slowed: by 0.4 s" in words
+
+
+def test_messages_without_a_header_are_counted_apart_and_numbers_beyond_all_bounds_are_none(tmp_path: Path) -> None:
+    huge = b"1" + b"0" * 400
+    messages = (b"[]", b"{", b'{"epoch":1,"sequence":%s}' % huge, b'{"epoch":%s,"sequence":0}' % huge)
+    good = b'{"epoch":1,"sequence":0,"t_ns":%s,"node":"x","kind":"y","text":"z"}' % huge
+    found = info.read([foreign(tmp_path / "run.mcap", "event/x", *messages, good, start_ns="1e9")])
+    assert (found.messages, found.unreadable, found.events_total, found.events) == (1, 4, 1, ())

@@ -1,0 +1,233 @@
+"""Recordings that were cut, damaged or left in segments: every whole message comes back, what is lost is said."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+
+from ltv_mpc.errors import ConfigError
+from services.recording import recover
+from services.recording.records import LARGEST_CHUNK, MAGIC, Records
+from services.recording.recover import Lines, Recovery, recovered_path, segments
+from tests.services.recording.recordings import START_NS, depth, write, write_depths
+
+
+def messages(path: Path) -> list[tuple[str, int, bytes]]:
+    return [(line.key, line.t_ns, line.data) for line in Lines(path)]
+
+
+def chunks(path: Path) -> list[tuple[int, int]]:
+    """Offset and length of each chunk, by mcap's own index."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [(index.chunk_start_offset, index.chunk_length) for index in summary.chunk_indexes]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three thousand messages in some ten chunks."""
+    return write_depths(tmp_path_factory.mktemp("whole") / "run.mcap", range(3000))
+
+
+def recovered(path: Path) -> Recovery:
+    return recover.recover(segments(path), recovered_path(path))
+
+
+def test_wherever_a_file_is_cut_all_chunks_before_the_cut_come_back_and_the_new_file_is_whole(
+    whole: Path, tmp_path: Path
+) -> None:
+    data, complete = whole.read_bytes(), messages(whole)
+    ends = [offset + length for offset, length in chunks(whole)]
+    per_chunk = messages_per_chunk(whole)
+    for i, share in enumerate(np.linspace(0.05, 0.999, 7)):
+        path = tmp_path / str(i) / "run.mcap"
+        path.parent.mkdir()
+        path.write_bytes(data[: int(share * len(data))])
+        expected = sum(count for end, count in zip(ends, per_chunk, strict=True) if end <= path.stat().st_size)
+        if not expected:
+            continue
+        made = recovered(path)
+        assert made.messages == expected
+        assert not made.segments[0].whole
+        out = Path(made.file)
+        assert messages(out) == complete[:expected]
+        with out.open("rb") as file:  # mcap's own reader needs the index at the end
+            assert len(list(make_reader(file, validate_crcs=True).iter_messages())) == expected
+        assert recover.is_whole(out)
+
+
+def messages_per_chunk(path: Path) -> list[int]:
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    times = [(index.message_start_time, index.message_end_time) for index in summary.chunk_indexes]
+    logged = [(t_ns - START_NS) for _, t_ns, _ in messages(path)]
+    return [sum(first <= t <= last for t in logged) for first, last in times]
+
+
+def test_lost_bytes_are_those_after_the_last_whole_record(whole: Path, tmp_path: Path) -> None:
+    offset, length = chunks(whole)[3]
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole.read_bytes()[: offset + length - 1])
+    assert recovered(path).lost_bytes == length - 1
+
+
+def test_a_damaged_chunk_costs_itself_alone(whole: Path, tmp_path: Path) -> None:
+    offset, length = chunks(whole)[2]
+    data = bytearray(whole.read_bytes())
+    data[offset + length // 2] ^= 0x10
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+    made = recovered(path)
+    lost = messages_per_chunk(whole)[2]
+    assert made.messages == 3000 - lost
+    (loss,) = made.segments[0].losses
+    assert (loss.offset, loss.length) == (offset, length)
+    there = {data for _, _, data in messages(Path(made.file))}
+    missing = [data for _, _, data in messages(whole) if data not in there]
+    assert len(missing) == lost
+
+
+def test_messages_whose_channel_is_lost_are_left_out_and_counted(whole: Path, tmp_path: Path) -> None:
+    offset, length = chunks(whole)[0]
+    data = bytearray(whole.read_bytes())
+    data[offset + length // 2] ^= 0x10
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+    records = Records(path)
+    assert not [record for record in records if type(record).__name__ == "Message"]
+    assert records.orphans == 3000 - messages_per_chunk(whole)[0]
+    assert not records.whole
+
+
+def test_segments_are_joined_in_the_order_of_their_numbers_in_one_time(tmp_path: Path) -> None:
+    """The tenth is not the second; a recorder that began later counts from there."""
+    write_depths(tmp_path / "run.mcap", range(10))
+    write_depths(tmp_path / "run.2.mcap", range(12, 20))
+    write_depths(tmp_path / "run.10.mcap", range(20, 30), start_ns=START_NS + 5_000_000)
+    write_depths(tmp_path / "other.2.mcap", range(1))
+    made = recovered(tmp_path / "run.mcap")
+    assert [part.file for part in made.segments] == ["run.mcap", "run.2.mcap", "run.10.mcap"]
+    there = [*range(10), *range(12, 30)]
+    assert [t_ns for _, t_ns, _ in messages(Path(made.file))] == [depth(i).t_ns for i in there]
+    assert segments(Path(made.file)) == (Path(made.file),)
+
+
+def test_what_the_run_was_made_of_and_each_frames_checksum_are_kept(tmp_path: Path) -> None:
+    path = write_depths(tmp_path / "run.mcap", range(500))
+    path.write_bytes(path.read_bytes()[:-200])
+    made = recovered(path)
+    lines = Lines(Path(made.file))
+    assert len(list(lines)) == 500
+    assert lines.metadata["seed"] == "7"
+    assert lines.others == {"recovery": {"run.mcap": f"500 messages, {made.lost_bytes} bytes lost"}}
+
+    def sequences(path: Path) -> list[int]:
+        with path.open("rb") as file:
+            return [message.sequence for _, _, message in make_reader(file).iter_messages()]
+
+    write_depths(tmp_path / "again.mcap", range(500))
+    assert sequences(Path(made.file)) == sequences(tmp_path / "again.mcap")
+
+
+def test_nothing_is_written_over(whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole.read_bytes()[:-100])
+    out = recovered_path(path)
+    out.write_text("mine")
+    with pytest.raises(ConfigError, match=r"run\.recovered\.mcap.*exists already.*--out"):
+        recovered(path)
+    assert out.read_text() == "mine"
+
+
+def test_where_nothing_can_be_saved_nothing_is_left_behind(whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    for content, problem in (
+        (whole.read_bytes()[:300], "not one whole message"),
+        (b"depth_m\n1\n", "not an MCAP file"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=problem):
+            recovered(path)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def record(opcode: int, content: bytes, *, claimed: int | None = None) -> bytes:
+    return struct.pack("<BQ", opcode, len(content) if claimed is None else claimed) + content
+
+
+def chunk(data: bytes, *, size: int | None = None, compressed: bytes | None = None) -> bytes:
+    packed = zstandard.compress(data) if compressed is None else compressed
+    head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
+    return record(6, head + struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed)
+
+
+def text(value: bytes) -> bytes:
+    return struct.pack("<I", len(value)) + value
+
+
+CHANNEL = record(4, struct.pack("<HH", 1, 0) + text(b"k") + text(b"json") + struct.pack("<I", 0))
+MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"{}")
+BOMB = zstandard.ZstdCompressor().compress(bytes(LARGEST_CHUNK + 1))
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (record(5, b"", claimed=2**62), "cut in a record of 4611686018427387904 bytes"),
+        (chunk(b"", size=2**50), "at most"),
+        (chunk(b"", size=100, compressed=BOMB), "too many bytes"),
+        (chunk(b"", size=100, compressed=b"rubbish"), "chunk"),
+        (chunk(record(5, b"", claimed=2**62)), "cannot be in a chunk"),
+        (chunk(chunk(b"")), "cannot be in a chunk"),
+        (record(5, b"x"), "message"),
+        (record(4, b"\x01\x00\x00\x00\xff\xff\xff\xff"), "channel"),
+        (record(12, text(b"\xff") + text(b"")), "metadata"),
+    ],
+)
+def test_a_record_that_lies_costs_no_memory_and_is_a_loss_with_its_reason(
+    content: bytes, why: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(MAGIC + CHANNEL + MESSAGE + content)
+    records = Records(path)
+    assert [type(found).__name__ for found in records] == ["Channel", "Message"]
+    (loss,) = records.losses
+    assert why in loss.why
+    assert (loss.offset, loss.length) == (len(MAGIC + CHANNEL + MESSAGE), len(content))
+
+
+def test_what_follows_the_end_is_a_loss(whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole.read_bytes() + b"more")
+    records = Records(path)
+    assert sum(type(found).__name__ == "Message" for found in records) == 3000
+    assert records.lost_bytes == len(MAGIC) + 4
+    assert not records.whole
+
+
+def test_a_segment_whose_writer_was_killed_at_once_costs_nothing_of_the_others(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(whole.read_bytes())
+    (tmp_path / "run.2.mcap").write_bytes(b"")
+    (tmp_path / "run.3.mcap").write_bytes(MAGIC[:5])
+    made = recovered(tmp_path / "run.mcap")
+    assert (made.messages, made.lost_bytes) == (3000, 0)
+    assert [part.whole for part in made.segments] == [True, False, False]
+
+
+def test_two_keys_of_one_schema_stay_two_channels_of_one_schema(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write(path, [("sensors", depth(0), 1, 0, 0)])
+    write(tmp_path / "run.2.mcap", [("sensors", depth(1), 1, 1, 0)])
+    made = recovered(path)
+    with Path(made.file).open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert (len(summary.channels), len(summary.schemas)) == (1, 1)

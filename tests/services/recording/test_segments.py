@@ -1,0 +1,176 @@
+"""A recording that outlives its recorder and a full disk: what is kept can be read, what is not is counted."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.signals import PressureDepth
+from services.bus import wire
+from services.recording import join, segments
+from services.recording.losses import Losses
+from services.recording.reader import Recording
+from services.recording.segments import SegmentWriter
+
+KEY = "sensor/depth"
+
+
+def put(writer: SegmentWriter, sequence: int) -> None:
+    header = wire.Header(epoch=7, sequence=sequence, sent_monotonic_us=0)
+    message = wire.plain(PressureDepth(t_ns=sequence, depth_m=1.0), header)
+    writer.write_plain(KEY, PressureDepth, message, sequence, wire.crc(wire.packed(message)))
+
+
+def sequences(path: Path) -> list[int]:
+    return [message.plain["sequence"] for message in Recording(path)]
+
+
+def fill_up(writer: SegmentWriter) -> None:
+    """From now on the disk below the open segment has no room."""
+    assert writer._writer is not None
+    with Path("/dev/full").open("wb") as full:
+        os.dup2(full.fileno(), writer._writer._file.fileno())
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "run.mcap"
+
+
+def opened(path: Path) -> SegmentWriter:
+    return SegmentWriter(path, start_ns=0, metadata={"seed": "7"})
+
+
+def test_a_recorder_that_is_started_again_writes_the_next_segment_and_the_join_has_all(path: Path) -> None:
+    for first in (0, 3, 6):
+        with opened(path) as writer:
+            assert writer.resumes == (first > 0)
+            for sequence in range(first, first + 2):
+                put(writer, sequence)
+    assert [p.name for p in sorted(path.parent.iterdir())] == ["run.2.mcap", "run.3.mcap", "run.mcap"]
+    (said,) = join.segments_of(path)
+    assert said == "3 segments of the recording joined, 6 messages; 0 bytes were torn"
+    assert sequences(path) == [0, 1, 3, 4, 6, 7]
+    assert [p.name for p in path.parent.iterdir()] == ["run.mcap"]
+    assert list(join.segments_of(path)) == []
+
+
+def test_a_segment_that_was_cut_by_a_kill_is_joined_up_to_its_last_whole_message(path: Path) -> None:
+    killed = opened(path)
+    put(killed, 0)
+    killed.flush_if_due(now=True)
+    put(killed, 1)
+    flushed = path.read_bytes()
+    killed.close()
+    path.write_bytes(flushed + b"\x06\x00\x10")
+    with opened(path) as writer:
+        put(writer, 2)
+    (said,) = join.segments_of(path)
+    assert said.endswith("3 bytes were torn")
+    assert sequences(path) == [0, 2]
+
+
+def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for sequence in range(2):
+        with opened(path) as writer:
+            put(writer, sequence)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(join, "recover", full)
+    (said,) = join.segments_of(path)
+    assert "not joined" in said
+    assert os.strerror(errno.ENOSPC) in said
+    assert sequences(path) == [0]
+    assert sequences(path.with_name("run.2.mcap")) == [1]
+
+
+def test_what_a_full_disk_refuses_is_handed_back_and_the_segment_ends_where_it_was_whole(path: Path) -> None:
+    writer = opened(path)
+    for sequence in range(3):
+        put(writer, sequence)
+    writer.flush_if_due(now=True)
+    fill_up(writer)
+    put(writer, 3)
+    put(writer, 4)
+    assert writer.refused() == []  # nobody knows yet
+    writer.flush_if_due(now=True)
+    put(writer, 5)
+    assert writer.refused() == [(KEY, 7)] * 3
+    assert writer.refused() == []
+    (news,) = writer.news()
+    assert "No space left" in news
+    writer.close()
+    assert sequences(path) == [0, 1, 2]
+
+
+def test_it_goes_on_in_the_next_segment_as_soon_as_there_is_room(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 0.0
+    monkeypatch.setattr(segments.time, "monotonic", lambda: now_s)
+    with opened(path) as writer:
+        put(writer, 0)
+        fill_up(writer)
+        writer.flush_if_due(now=True)
+        now_s = 0.5 * segments.RETRY_S
+        put(writer, 1)
+        now_s = 1.5 * segments.RETRY_S
+        put(writer, 2)
+        assert writer.news()[-1] == "recording goes on in run.2.mcap"
+        assert writer.refused() == [(KEY, 7)] * 2
+    assert sequences(path) == []
+    assert sequences(path.with_name("run.2.mcap")) == [2]
+
+
+def test_while_there_is_no_room_every_try_is_in_vain_and_leaves_no_file(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not even for the head of a file, of which a part is written."""
+    monkeypatch.setattr(segments, "RETRY_S", 0.0)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with opened(path) as writer:
+        fill_up(writer)
+        put(writer, 0)
+        writer.flush_if_due(now=True)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
+        try:
+            for sequence in range(1, 4):
+                put(writer, sequence)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert [p.name for p in path.parent.iterdir()] == ["run.mcap"]
+        put(writer, 4)
+        assert writer.refused() == [(KEY, 7)] * 4
+    assert sequences(path.with_name("run.2.mcap")) == [4]
+
+
+def test_what_the_end_of_the_file_costs_is_handed_back_too(path: Path) -> None:
+    writer = opened(path)
+    put(writer, 0)
+    fill_up(writer)
+    writer.close()
+    assert writer.refused() == [(KEY, 7)]
+
+
+def test_a_file_that_may_not_be_written_is_refused_at_once_and_nothing_is_left_of_it(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="No such file"):
+        opened(tmp_path / "nowhere" / "run.mcap")
+
+
+def test_losses_of_one_who_comes_later_begin_with_what_it_hears_first() -> None:
+    losses = Losses()
+    losses.begins(KEY, 7, 500)
+    losses.saw(KEY, 7, 500)
+    losses.begins(KEY, 7, 502)  # it has begun already
+    losses.saw(KEY, 7, 502)
+    losses.saw("plan", 8, 1)  # whose first it has missed
+    assert (losses.published, losses.missing) == (3 + 2, 1 + 1)
+    assert losses.by_key() == {KEY: 1, "plan": 1}
+    losses.lost(KEY, 7)
+    assert losses.missing == 3
