@@ -11,7 +11,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.signals import Applied, Estimate, Pair, Plan, PlanOrigin, Signal, SolveStatus
-from services.measure.profile_measuring import Contestant, limits_of, solved_by
+from services.measure.profile_measuring import Contestant, limits_of
 from services.measure.profile_problems import Episode
 
 
@@ -24,7 +24,7 @@ class Entry:
     def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
         """The episode's controller, with the peer as its solver."""
         controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
-        solved_by(controller, lambda _own: self.peer(episode.config, limits_of(episode), episode.vehicle))
+        controller.solve_with(lambda _own: self.peer(episode.config, limits_of(episode), episode.vehicle))
         return controller
 
 

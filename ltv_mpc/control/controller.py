@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import msgspec
@@ -35,7 +36,7 @@ from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
 from ltv_mpc.control.qp.failed import FailedQp
 from ltv_mpc.control.scales import settled
-from ltv_mpc.control.solvers import make
+from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
@@ -115,7 +116,8 @@ class Controller:
         self.vehicle = vehicle
         self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S)
         self._lap = stopwatch
-        self._solver = make(vehicle, config)
+        self._new_solver: Callable[[], Solver] = lambda: make(vehicle, config)
+        self._solver = self._new_solver()
         self._lin = Linearisation.empty(config.stages)
         self._knots = config.knots
         self._ahead_ns = np.round(self._knots * STAGE_NS).astype(np.int64)
@@ -268,6 +270,12 @@ class Controller:
         self._lap("read")
         return plan
 
+    def solve_with(self, instead: Callable[[Solver], Solver]) -> None:
+        """Another solver than the settings': what ``instead`` makes of theirs, now and when it is made anew."""
+        settings = self._new_solver
+        self._new_solver = lambda: instead(settings())
+        self._solver = instead(self._solver)
+
     def remember(self, other: Controller) -> None:
         """Go on from where ``other`` is: its reference, the plans that it sent, its last plan. The solver's own warm
         start stays: so several controllers can be held against each other on the same problems.
@@ -392,7 +400,7 @@ class Controller:
         """The QP's plan, or the first rung below it that there is."""
         try:
             if self._doubtful:  # it may keep what it saw: NaN stays in a workspace
-                self._solver, self._doubtful = make(self.vehicle, self.config), False
+                self._solver, self._doubtful = self._new_solver(), False
             lateral, solve = self._solved(start)
         except Exception as error:  # each solver has its own, and a failed solve is a value here
             why = f"{type(error).__name__}: {error}"[:LONGEST_WHY]

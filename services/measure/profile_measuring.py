@@ -59,18 +59,13 @@ class Pair(NamedTuple):
         config = msgspec.structs.replace(episode.config, solver=self.solver, formulation=self.formulation)
         controller = Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
         if self.tolerance is not None:
-            solved_by(controller, lambda _own: SparsePiqp(controller.config, limits_of(episode), self.tolerance))
+            controller.solve_with(lambda _own: SparsePiqp(controller.config, limits_of(episode), self.tolerance))
         return controller
 
 
 def limits_of(episode: Episode) -> ThrustLimits:
     """Of the episode's vehicle between two knots."""
     return ThrustLimits.of(episode.vehicle, seconds(1))
-
-
-def solved_by(controller: Controller, instead: Callable[[Solver], Solver]) -> None:
-    """Another solver for a controller: what ``instead`` makes of its own."""
-    controller._solver = instead(controller._solver)
 
 
 class Samples:
@@ -168,7 +163,7 @@ class _Candidate:
         self.timer = StageTimer()
         self.controller = contestant.controller(episode, self.timer)
         self._witness: _Witness
-        solved_by(self.controller, self._watched)
+        self.controller.solve_with(self._watched)
         self._into = into
         self._cycle_us = 0.0
 

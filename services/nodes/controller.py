@@ -14,7 +14,16 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Reference
-from ltv_mpc.signals import Action, Command, ControllerStatus, Estimate, Manual, Signal
+from ltv_mpc.signals import (
+    Action,
+    Command,
+    ControllerCheckpoint,
+    ControllerStatus,
+    Estimate,
+    Manual,
+    Restore,
+    Signal,
+)
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import BusOptions
 from services.bus.topics import BY_SIGNAL, Topic
@@ -77,6 +86,10 @@ def main(
         return serve(node.name, bus, make)
 
 
+BEHIND_THE_SCENES = (ControllerCheckpoint, Restore)
+"""Between a supervisor and the controller that it starts anew: nothing that a publisher needs to know of."""
+
+
 def key_in(bus: BusOptions, topic: Topic) -> str:
     """The key as others see it."""
     return f"{bus.namespace}/{topic.key}" if bus.namespace else topic.key
@@ -87,6 +100,7 @@ def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
     yield "SI units and radians, north-east-down; each number's unit is in its name; `ltv-mpc topics KEY` says more"
     inputs = [kind for kind in ControllerNode.reads if BY_SIGNAL[kind].written_by != ControllerNode.name]
     outputs: list[type[Signal]] = [*ControllerNode.writes, ControllerStatus]
+    inputs, outputs = ([kind for kind in kinds if kind not in BEHIND_THE_SCENES] for kinds in (inputs, outputs))
     for verb, kinds in (("reads ", inputs), ("writes", outputs)):
         for kind in kinds:
             topic = BY_SIGNAL[kind]

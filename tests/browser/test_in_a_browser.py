@@ -170,7 +170,9 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
         until(lambda: len(vehicle.heard_of(ClockCommand)) == 3)
     assert [one.action for one in vehicle.heard_of(Command)] == ["stop"]
     assert [one.node for one in vehicle.heard_of(Kill)] == ["controller"]
-    assert [(one.paused, one.speed) for one in vehicle.heard_of(ClockCommand)] == [(False, 5), (True, 5), (False, 5)]
+    first, *others = vehicle.heard_of(ClockCommand)
+    assert (first.paused, first.speed) == (False, 5)
+    assert [one.paused for one in others] == [True, False]  # at the speed that the clock says, which here never changes
 
 
 def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself(browser: Any, live: Served) -> None:

@@ -154,7 +154,7 @@ def test_lock_step_that_a_signal_cuts_off_says_so_by_its_exit_code_and_leaves_a_
     with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60
         try:
-            while not (recording.exists() and recording.stat().st_size > 300_000):
+            while not (recording.exists() and recording.stat().st_size > 600_000):
                 assert process.poll() is None
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
