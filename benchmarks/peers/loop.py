@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.node import Stopwatch, no_stopwatch
-from ltv_mpc.signals import Applied, Estimate, Pair, Plan, PlanOrigin, Signal, SolveStatus
+from ltv_mpc.node import Arrival, Stopwatch, no_stopwatch
+from ltv_mpc.signals import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from services.measure.profile_measuring import Contestant, limits_of
 from services.measure.profile_problems import Episode
 
@@ -40,15 +40,15 @@ class Loop(ControllerNode):
         self.unsolved = 0
         self._target: Pair | None = None
 
-    def hear(self, signal: Signal) -> None:
+    def hear(self, arrival: Arrival) -> None:
         """One message, and what it says of the loop once there is a plan."""
-        super().hear(signal)
-        match signal:
-            case Estimate() if self._target is not None:
+        super().hear(arrival)
+        match arrival.signal:
+            case Estimate() as estimate if self._target is not None:
                 north, east = self._target
-                self.off_m.append(float(np.hypot(signal.north_m - north, signal.east_m - east)))
-            case Applied() if self._target is not None:
-                self.thrust_N.append(float(np.mean(np.abs(signal.thrust_N[:2]))))
+                self.off_m.append(float(np.hypot(estimate.north_m - north, estimate.east_m - east)))
+            case Applied() as applied if self._target is not None:
+                self.thrust_N.append(float(np.mean(np.abs(applied.thrust_N[:2]))))
             case _:
                 pass
 
