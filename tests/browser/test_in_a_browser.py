@@ -157,9 +157,7 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(f"{live.url}#{live.token}")
         page.click("[data-button=stop]")
-        page.wait_for_function(
-            "document.querySelector('#answer').textContent === 'stop accepted; in charge: controller'"
-        )
+        until(lambda: page.inner_text("#answer") == "stop accepted; in charge: controller")
         page.click("[data-button=kick]")
         page.click("[data-kill=controller]")
         until(lambda: vehicle.heard_of(Disturbance) and vehicle.heard_of(Kill))

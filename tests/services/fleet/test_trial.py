@@ -91,7 +91,7 @@ def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes(capsys):
                 "--seconds",
                 "6",
                 "--warm-up-s",
-                "8",
+                "12",
                 "--processes",
                 "2",
                 "--json",
