@@ -154,6 +154,7 @@ class RecordingLoop:
         if header.epoch in self._older:
             self._losses.begins(frame.key, header.epoch, header.sequence)
         self._losses.saw(frame.key, header.epoch, header.sequence)
+        self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         self._of_source[header.epoch] = self._of_source.get(header.epoch, 0) + 1
 
     def _heed(self, signal: object, header: Header) -> None:

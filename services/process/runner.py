@@ -170,7 +170,6 @@ class Runner:
                 wake_us = min(wake_us, self._timekeeping.due_us)
             frame = self.mailbox.take((wake_us - now_us) / 1e6)
             if frame is not None:
-                self._status.behind_us = max(0, monotonic_us() - frame.received_monotonic_us)
                 self._take(frame)
             if due is None:
                 continue
@@ -285,6 +284,7 @@ class Runner:
             self._refuse(frame, reason, now_ns)
             return
         self._status.heard(kind)
+        self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if self._report is not None:
             self._report.heard(signal)
         if isinstance(signal, Clock):

@@ -15,6 +15,9 @@ from services.process.stopping import Say
 PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: who waits for this word should not wait long
 SILENCE_US = 2_000_000  # without a word of the clock
+HURRIED_PERIOD_US = 50_000  # of who cannot keep up: the time-keeper is to know before much has piled up
+BEHIND_US = 20_000  # a message that has waited longer
+LONGEST_WAY_US = 10_000_000  # one that seems to have been longer on its way was stamped by another machine's clock
 
 
 class Counts(Protocol):
@@ -54,14 +57,22 @@ class StatusReport:
         self._said = ""
         self._never_heard = dict.fromkeys(kind for kind in reads if BY_SIGNAL[kind].written_by != OPERATOR)
         self._clock_heard_us: int | None = None
+        self._said_us = 0
         self._busy_us, self._busy_steps = 0, 0
         self.steps = 0
-        self.behind_us = 0  # how long the message taken last had waited
+        self.behind_us = 0
         self.due_us = 0
 
     def heard(self, kind: type[Signal]) -> None:
         """A signal of this kind was let in."""
         self._never_heard.pop(kind, None)
+
+    def waited(self, sent_us: int, arrived_us: int, now_us: int) -> None:
+        """The message taken last was sent, came and was taken then. A router that cannot keep up counts as well."""
+        since_us = sent_us if 0 < sent_us <= arrived_us < sent_us + LONGEST_WAY_US else arrived_us
+        self.behind_us = max(0, now_us - since_us)
+        if self.behind_us > BEHIND_US:
+            self.due_us = min(self.due_us, self._said_us + HURRIED_PERIOD_US)
 
     def heard_clock(self, now_us: int) -> None:
         """The time-keeper lives."""
@@ -81,6 +92,7 @@ class StatusReport:
         self._said = waiting_for
         newest = self._clock.newest
         running = newest is not None and newest.state is ClockState.RUNNING
+        self._said_us = now_us
         self.due_us = now_us + (PERIOD_US if running else EARLY_PERIOD_US)
         self._outbox.publish(
             NodeStatus(
