@@ -135,6 +135,9 @@ def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_sai
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
         for sequence in range(8):
             put(depth(sequence, monotonic_us()))
+        deadline = time.monotonic() + 20
+        while not (tmp_path / "run.2.mcap").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
 
     path = tmp_path / "run.mcap"
     before = record(path, free_port, say)
