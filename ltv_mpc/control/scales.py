@@ -32,6 +32,7 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig, SettledConfig, Weights
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.resistance import steady
 
 
 class Scales(NamedTuple):
@@ -90,13 +91,6 @@ def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
     to_starboard = port.max_N * p.arm_port - starboard.min_N * p.arm_starboard
     to_port = starboard.max_N * p.arm_starboard - port.min_N * p.arm_port
     return max(min(to_starboard, to_port), 0.05 * max(to_starboard, to_port))
-
-
-def steady(push: float, linear: float, quadratic: float) -> float:
-    """The speed s >= 0 at which push = linear s + quadratic s^2; infinite where nothing brakes."""
-    # the root that loses no digits where one of both is small
-    root = linear + math.sqrt(linear**2 + 4.0 * quadratic * push)
-    return 2.0 * push / root if root > 0.0 else math.inf
 
 
 def weights_of(vehicle: Vehicle) -> Weights:

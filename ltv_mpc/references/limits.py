@@ -17,7 +17,6 @@ gets so fast.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,6 +24,7 @@ import numpy as np
 
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.resistance import steady
 
 SHARE = 0.8
 """Of each thruster's limits, for what lasts."""
@@ -72,16 +72,16 @@ def limits_of(vehicle: Vehicle) -> Limits:
     port, starboard, _ = vehicle.thrusters
     ahead, astern = port.max_N + starboard.max_N, -(port.min_N + starboard.min_N)
     linear, quadratic = vehicle.surge.linear_damping_kgps, vehicle.surge.quadratic_damping_kgpm
-    cruise = _steady(SHARE * ahead, linear, quadratic)
+    cruise = _held(SHARE * ahead, linear, quadratic)
     # F1 a1 - F2 a2, the smaller of both sides
     to_starboard = port.max_N * port.arm_m - starboard.min_N * starboard.arm_m
     to_port = starboard.max_N * starboard.arm_m - port.min_N * port.arm_m
     moment = SHARE * min(to_starboard, to_port)
     return Limits(
-        top_mps=_steady(ahead, linear, quadratic),
+        top_mps=_held(ahead, linear, quadratic),
         cruise_mps=cruise,
         speed_mps=_turning_speeds(vehicle, cruise),
-        yaw_radps=max(_steady(moment, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2), 1e-3),
+        yaw_radps=max(_held(moment, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2), 1e-3),
         yaw_radps2=max(moment / vehicle.yaw.inertia_kgm2, 1e-4),
         full_N=SHARE * ahead,
         ahead_N=CHANGING * ahead,
@@ -92,11 +92,9 @@ def limits_of(vehicle: Vehicle) -> Limits:
     )
 
 
-def _steady(force: float, linear: float, quadratic: float) -> float:
-    """v of force = (linear + quadratic v) v; at most 100 where nothing resists."""
-    if quadratic > 0.0:
-        return min((math.sqrt(linear * linear + 4.0 * quadratic * force) - linear) / (2.0 * quadratic), 100.0)
-    return min(force / linear, 100.0) if linear > 0.0 else 100.0
+def _held(force: float, linear: float, quadratic: float) -> float:
+    """The speed that ``force`` holds; at most 100 where nothing resists."""
+    return min(steady(force, linear, quadratic), 100.0)
 
 
 def _turning_speeds(vehicle: Vehicle, cruise: float) -> Array:

@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 from ltv_mpc.signals import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.resistance import steady
 
 CURRENT_MPS = 3.0
 JUMP_M, JUMP_RAD, JUMP_DEPTH_M = 1.0, 0.5, 2.0
@@ -58,13 +59,6 @@ class Bounds(NamedTuple):
         top = steady(surge, vehicle.surge.linear_damping_kgps, vehicle.surge.quadratic_damping_kgpm)
         turning = steady(yaw, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2)
         return cls(2.0 * top + CURRENT_MPS, 3.0 * turning + 0.5, 2.0 * sinking + 1.0)
-
-
-def steady(force: float, linear: float, quadratic: float) -> float:
-    """The speed v at which linear v + quadratic v^2 = force; infinite without damping."""
-    if quadratic > 0.0:
-        return (math.sqrt(linear * linear + 4.0 * quadratic * force) - linear) / (2.0 * quadratic)
-    return force / linear if linear > 0.0 else math.inf
 
 
 class Guard:

@@ -16,8 +16,10 @@ PERIOD_US = 500_000
 EARLY_PERIOD_US = 100_000  # before the start: who waits for this word should not wait long
 SILENCE_US = 2_000_000  # without a word of the clock
 HURRIED_PERIOD_US = 50_000  # of who cannot keep up: the time-keeper is to know before much has piled up
-BEHIND_US = 20_000  # a message that has waited longer
 LONGEST_WAY_US = 10_000_000  # one that seems to have been longer on its way was stamped by another machine's clock
+
+MOST_BEHIND_US = 20_000
+"""So long a message may wait at a process: estimates come through two of them before a plan is made of them."""
 
 
 class Counts(Protocol):
@@ -71,7 +73,7 @@ class StatusReport:
         """The message taken last was sent, came and was taken then. A router that cannot keep up counts as well."""
         since_us = sent_us if 0 < sent_us <= arrived_us < sent_us + LONGEST_WAY_US else arrived_us
         self.behind_us = max(0, now_us - since_us)
-        if self.behind_us > BEHIND_US:
+        if self.behind_us > MOST_BEHIND_US:
             self.due_us = min(self.due_us, self._said_us + HURRIED_PERIOD_US)
 
     def heard_clock(self, now_us: int) -> None:

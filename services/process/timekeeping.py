@@ -8,13 +8,12 @@ import msgspec
 
 from ltv_mpc.signals import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
 from services.process.clock import TimeKeeper, VehicleClock, fraction_of
+from services.process.status import MOST_BEHIND_US
 
 REPEAT_US = 100_000
 TELL_US = 1_000_000  # at most so often it is said that the clock was slowed; it is counted always
 MOST_CATCH_UP_US = 100_000
 """By how much wall time the grid may be behind; what is beyond that the clock gives up."""
-MOST_BEHIND_US = 20_000
-"""The same of what waits at another process: estimates come through two of them before a plan is made of them."""
 
 
 class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.guards import JUMPED, Bounds, Guard, steady
+from ltv_mpc.safety.guards import JUMPED, Bounds, Guard
 from ltv_mpc.signals import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.resistance import steady
 
 PAPER = Vehicle.load("paper")
 HERE = Estimate.at_rest(north_m=1.0, east_m=2.0, heading_rad=0.5, depth_m=5.0)

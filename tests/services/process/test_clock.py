@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from ltv_mpc.signals import ClockState, NodeStatus
 from services.process.clock import LEAD_US, ClockError, Line, TimeKeeper, VehicleClock
-from services.process.timekeeping import MOST_BEHIND_US, MOST_CATCH_UP_US, KeepsTime, TimeKeeping
+from services.process.status import MOST_BEHIND_US
+from services.process.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
 
 START_NS = -1_000_000_000
 T0_US = 50_000_000
