@@ -23,6 +23,7 @@ from ltv_mpc.signals import (
     Estimate,
     EstimatorCheckpoint,
     GnssFix,
+    Handed,
     ImuSample,
     InboxEntry,
     Injection,
@@ -169,6 +170,7 @@ RANGES: Mapping[type, dict[str, Range]] = {
     Acknowledged: {"t_ns": TIME, "command_id": COUNT},
     CycleTiming: {"t_ns": TIME, "compute_ns": DURATION, "compute_wall_ns": DURATION, "estimate_age_ns": TIME},
     Rejected: {"t_ns": TIME, "crc": COUNT},
+    Handed: {"t_ns": TIME, "crc": COUNT},
     ReferenceStart: {
         "t_ns": TIME,
         "north_m": POSITION,
@@ -177,7 +179,15 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "heading_rad": ANGLE,
         "velocity_mps": SPEED,
     },
-    ControllerCheckpoint: {"t_ns": TIME, "schedule_s": SCHEDULE, "schedule_rate": PART, "progress": PART},
+    ControllerCheckpoint: {
+        "t_ns": TIME,
+        "schedule_s": SCHEDULE,
+        "schedule_rate": PART,
+        "progress": PART,
+        "depth_integral_N": THRUST,
+        "plan_delays_ns": DURATION,
+        "cycle_times_ns": DURATION,
+    },
     DroppedNode: {
         "node": COUNT,
         "velocity_mps": SPEED,
@@ -211,6 +221,7 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "vehicle_ns": TIME,
         "speed_num": POSITIVE,
         "speed_den": POSITIVE,
+        "asked_speed": POSITIVE,
     },
     NodeStatus: {
         "t_ns": TIME,

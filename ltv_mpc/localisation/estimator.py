@@ -2,8 +2,9 @@
 
 Order   Messages are used in order of their validity times. One that is newer than the last inertial sample waits for
         the sample that covers it, which is then split there; one older than the belief, up to a second and a little,
-        is used at its own time all the same (``late.py``). Older ones and late inertial samples are dropped; so is a
-        second message of one sensor and time.
+        is used at its own time all the same (``late.py``). Older ones and late inertial samples are dropped (``gap.py``
+        has what is done without them); so is a second message of one sensor and time, and what can be seen to be wrong
+        by itself (``door.py``).
 Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew (``restart.py``).
 Memory  A checkpoint every 5 s, and where the vehicle goes under or comes up; given one with its first messages, a node
         goes on from there (``resume.py``) where one that is started anew has to wait for satellites.
@@ -23,11 +24,12 @@ import numpy as np
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import roll_pitch_heading
-from ltv_mpc.localisation import water_column
+from ltv_mpc.localisation import gap, water_column
 from ltv_mpc.localisation.adaptation import Change
 from ltv_mpc.localisation.alignment import Alignment
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.door import Door
 from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.health import Monitor, verdict_of
 from ltv_mpc.localisation.late import History, spacing_ns
@@ -145,6 +147,7 @@ class Estimator:
         self._awaited: list[type[Signal]] = []  # due at this instant and not here yet, while its estimate is open
         self._open = False  # this instant's estimate is still to be published
         self._account: Counter[str] = Counter()  # of the node, and of filters that are no more
+        self._door = Door()
         self._monitor = Monitor(suite, config.gate_probability)
         self._restarts = Restarts(suite, config, prior)
         self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MOST_RECENT)
@@ -169,7 +172,8 @@ class Estimator:
         """How many by "<sensor>.<what came of them>".
 
         Scalar measurements: used, gate, not_definite, no_return, outside_grid, other_epoch, not_fitted,
-        unknown_transponder. Messages: late, late_applied, duplicate, without_imu, gap.
+        unknown_transponder. Messages: late, late_applied, duplicate, ahead, stale, stuck, wild,
+        without_imu, gap.
         """
         return self._account if self._filter is None else self._account + self._filter.account
 
@@ -178,7 +182,11 @@ class Estimator:
         out: list[Signal] = []
         for arrival in inbox:
             if isinstance(arrival.signal, ImuSample | Aiding):
-                self._take(arrival.signal, out)
+                why = self._door.refusal(arrival.signal.t_ns, arrival.signal, arrival.received_t_ns)
+                if why is None:
+                    self._take(arrival.signal, out)
+                else:
+                    self._account[f"{SENSORS[type(arrival.signal)]}.{why}"] += 1
             elif isinstance(arrival.signal, Restore):
                 self._restore(arrival.signal)
         return out
@@ -239,8 +247,8 @@ class Estimator:
         self._account.update(old.account)
         self._monitor.forget()
         belief, since = alignment.belief()
-        # The prior of the water is wide again: until it has settled, what moves past is not taken for a front.
-        history = self._begin(belief, belief.t_ns + GRACE_NS)
+        # Where the prior of the water is wide again, what moves past is not taken for a front until it has settled.
+        history = self._begin(belief, None if self._restarts.graft(belief) else belief.t_ns + GRACE_NS)
         next_ns, open_, self._open = self._next_ns, self._open, False
         for earlier in since:
             if earlier.t_ns <= old.belief.t_ns:
@@ -275,8 +283,8 @@ class Estimator:
         if sample.t_ns <= filter_.belief.t_ns:
             self._account["imu.late"] += 1
             return
-        if sample.t_ns - sample.interval_ns > filter_.belief.t_ns:
-            self._account["imu.gap"] += 1  # bridged with this sample's rates
+        if gap.before(sample, filter_.belief.t_ns):
+            self._account["imu.gap"] += 1
         while filter_.belief.t_ns < sample.t_ns:
             stop_ns = min(sample.t_ns, self._next_ns)
             if self._waiting:
@@ -350,6 +358,8 @@ class Estimator:
             status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
         if self._anew is None and self._restarts.watch(filter_.belief, status, broken=self._monitor.broken):
             self._anew = self._restarts.begin(t_ns, self._recent)
+        elif self._restarts.is_belief_due(t_ns) and usable(filter_.belief):
+            self._restarts.keep(filter_.settled())
         if self._resumed_ns is not None and t_ns - self._resumed_ns < GRACE_NS:
             status, why = FilterStatus.RESTARTED, why or "went on from a checkpoint"
         elif self._restarts.recent(t_ns):

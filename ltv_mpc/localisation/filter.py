@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from ltv_mpc.frames import earth_rate
-from ltv_mpc.localisation import water_column
+from ltv_mpc.localisation import gap, water_column
 from ltv_mpc.localisation.adaptation import Adaptation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.correction import Correction, correct
@@ -28,7 +28,7 @@ from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, 
 from ltv_mpc.localisation.measurements.adcp import AdcpModel, Indices
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.preintegration import carry, integrate, noise_of
-from ltv_mpc.localisation.state import CORE, Belief, reach_m
+from ltv_mpc.localisation.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.window import follow
 from ltv_mpc.signals import (
@@ -99,12 +99,20 @@ class Filter:
         self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """Move to ``t_ns`` with the rates of ``sample``, which cover the time from the belief's."""
+        """Move to ``t_ns`` with the rates of ``sample``; over what they do not cover, as ``gap.py`` has it."""
         belief = self.belief
         if self._at_epoch:
             self._at_epoch = False
             self.settle()
             belief.clone_position(self._suite.gnss.lever_arm_m)
+        gap_ns = gap.before(sample, belief.t_ns)
+        if gap_ns:
+            self._cross(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
+        if belief.t_ns < t_ns:
+            self._integrate(t_ns, sample)
+
+    def _integrate(self, t_ns: int, sample: ImuSample) -> None:
+        belief = self.belief
         step_ns = t_ns - belief.t_ns
         self.rate = sample.angular_rate_radps
         integrate(
@@ -120,6 +128,22 @@ class Filter:
         )
         belief.t_ns = t_ns
         self._pending_ns += step_ns
+
+    def _cross(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
+        """To ``t_ns``, within the ``gap_ns`` before ``sample`` of which nothing was measured."""
+        belief = self.belief
+        seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
+        if gap_ns <= gap.BRIDGED_NS:
+            self._integrate(t_ns, sample)
+            gap.doubt(self._Q, seconds, gap_s)
+            return
+        down = belief.R[2]
+        turns = [
+            float(down @ (np.array(rate) - belief.x[GYRO_BIAS])) for rate in (self.rate, sample.angular_rate_radps)
+        ]
+        gap.coast(belief.x, belief.R, self._Phi, self._Q, seconds, gap_s, 0.5 * sum(turns), self._suite.imu)
+        self._pending_ns += t_ns - belief.t_ns
+        belief.t_ns = t_ns
 
     def snapshot(self) -> Snapshot:
         """Where it stands, to come back to."""

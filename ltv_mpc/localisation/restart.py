@@ -6,9 +6,12 @@ Good    once a second position and velocity are kept, with their covariance. Whe
 Anew    as afloat, by ``Alignment``, with a fix made of what is known in place of the satellites':
             p = p_g + v_g t,   sd_p^2 = P_pp + (sd_v t)^2      t since the good instant
             v = v_g,           sd_v = 0.3 m/s                   a vehicle may have got up to half its top speed
-        level from the accelerometers with 0.1 m/s2 of motion, heading from the compass, biases and water as at the
-        start. What made the first filter diverge may go on: where the last restart is not long ago, the inertial
-        unit's biases are let ten times as wide again, up to a hundred times.
+        level from the accelerometers with 0.1 m/s2 of motion, heading from the compass, biases as at the start.
+Water   and what is known of the profiler as they were known at or before the good instant, with their covariance
+        (``graft``): the first pings then tell the velocity over ground as well as it was ever told, where water that is
+        unknown would leave 0.1 m/s of it open for the rest of the dive.
+Again   What made the first filter diverge may go on, or be the water: where the last restart is not long ago, the
+        water is as at the start, and the inertial unit's biases are let ten times as wide again, up to a hundred times.
         It begins at the time of the last heading that 0.2 s of samples have followed, a second ago at most, and is
         brought up to now by what has been measured since: estimates go on without a gap. Where no heading has come
         lately the old filter goes on until one does, and with it pressure and samples.
@@ -25,6 +28,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation import water_column
 from ltv_mpc.localisation.alignment import LEVELLING_NS, Alignment
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Aiding
@@ -43,6 +47,9 @@ ACCELERATION_SD_MPS2 = 0.1
 WIDER, WIDEST = 10.0, 100.0
 """Beyond a hundred times 1 mg the tilt that levelling leaves open is no small angle: such filters diverged for good."""
 _KEPT = 60
+BELIEF_NS = 5_000_000_000
+"""Between two beliefs that are kept whole."""
+
 _SPARE_NS = 50_000_000
 """More than a sample: the first after a heading and the last before now enclose the time of levelling."""
 
@@ -77,6 +84,8 @@ class Restarts:
         self._bad_since_ns: int | None = None
         self._last_ns: int | None = None
         self._wider = 1.0
+        self._beliefs: deque[Belief] = deque(maxlen=_KEPT * 1_000_000_000 // BELIEF_NS)
+        self._known: Belief | None = None  # of which the next filter has its water
 
     @property
     def knows_a_place(self) -> bool:
@@ -106,12 +115,23 @@ class Restarts:
         self._places.append(Place(t_ns, x[:2].copy(), x[3:5].copy(), variance))
         return self._bad_since_ns is not None and t_ns - self._bad_since_ns >= PATIENCE_NS
 
+    def is_belief_due(self, t_ns: int) -> bool:
+        """A whole one of a filter that is not in doubt."""
+        return not self.doubts and (not self._beliefs or t_ns - self._beliefs[-1].t_ns >= BELIEF_NS)
+
+    def keep(self, belief: Belief) -> None:
+        """A whole one, settled."""
+        self._beliefs.append(belief)
+
     def begin(self, now_ns: int, recent: Sequence[ImuSample | Aiding]) -> Alignment:
         """What a new filter is made of, of what was heard recently; if that is not enough it is to be given more."""
         t_ns = _start(now_ns, recent)
         good = self._good(now_ns)
         soon = self._last_ns is not None and now_ns - self._last_ns < SOON_NS
         self._wider = min(self._wider * WIDER, WIDEST) if soon else 1.0
+        before = [belief for belief in self._beliefs if belief.t_ns <= good.t_ns]
+        self._known = before[-1] if before and not soon else None
+        self._beliefs.clear()
         self.count += 1
         self._last_ns = now_ns
         self._bad_since_ns = None
@@ -137,6 +157,25 @@ class Restarts:
             if message.t_ns >= t_ns and not isinstance(message, GnssFix):
                 alignment.take(message)
         return alignment
+
+    def graft(self, belief: Belief) -> bool:
+        """Give ``belief``, which a new filter begins with, the water and the profiler of the last good one, as unsure
+        as they were then, independent of how the vehicle moves; False: nothing is to be kept of it.
+        """
+        known = self._known
+        if known is None:
+            return False
+        layout = belief.layout
+        parts = (layout.beam_bias, layout.near_bias, layout.mounting, layout.mean, layout.north, layout.east)
+        places = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        belief.x[places] = known.x[places]
+        belief.P[places, :] = 0.0
+        belief.P[:, places] = 0.0
+        belief.P[np.ix_(places, places)] = known.P[np.ix_(places, places)]
+        belief.mounting = known.mounting.copy()
+        belief.column = known.copy().column
+        water_column.walk(belief, self._config, (belief.t_ns - known.t_ns) * 1e-9)
+        return True
 
     def _good(self, t_ns: int) -> Place:
         """The newest place from before the window in which it went wrong, or the oldest there is."""

@@ -29,13 +29,12 @@ from ltv_mpc.localisation import water_column
 from ltv_mpc.localisation.alignment import LEVELLING_NS
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Aiding
+from ltv_mpc.localisation.gap import TURN_WALK, VELOCITY_WALK
 from ltv_mpc.localisation.restart import ACCELERATION_SD_MPS2
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.signals import Array, Estimate, ImuSample
 
-VELOCITY_WALK = 0.1**2  # m2/s3
-TURN_WALK = 0.1**2  # rad2/s3
 LATEST_NS = 30_000_000_000
 """An estimate that is so much newer than the checkpoint is not of the filter that made it."""
 

@@ -191,3 +191,41 @@ def test_an_estimator_whose_belief_is_spoilt_goes_on_at_the_next_estimate(make_d
     assert abs(math.remainder(last.heading_rad - heading(dive.R[k]), 2 * math.pi)) < 3 * math.radians(2.5)
     account = estimator.account
     assert account["pressure.used"] + account["pressure.gate"] <= 10 * 25 + 1  # none is counted twice
+
+
+def test_water_that_was_known_tells_the_velocity_after_a_restart_as_before_it(make_dive, inbox_of):
+    """An inertial unit that is wrong by 20 mg and 4 deg/s for 5 s; anew ten seconds after it began."""
+    dive = make_dive(SUITE, 50, duration_s=32.0)
+    estimator, sd, restarts = Estimator(SUITE, EstimatorConfig()), {}, set()
+    for message in dive.messages:
+        said = message
+        if isinstance(message, ImuSample) and 15 * SECOND < message.t_ns <= 20 * SECOND:
+            rate = tuple(w + 0.07 for w in message.angular_rate_radps)
+            force = tuple(f + 0.2 for f in message.specific_force_mps2)
+            said = msgspec.structs.replace(message, angular_rate_radps=rate, specific_force_mps2=force)
+        out = estimator.step(message.t_ns, inbox_of(said))
+        sd |= {one.t_ns: one.covariance[2, 2] ** 0.5 for one in out if isinstance(one, Estimate)}
+        restarts |= {one.restarts for one in out if isinstance(one, LocalisationReport)}
+    assert restarts == {0, 1}
+    assert sd[32 * SECOND] < 2.0 * sd[14 * SECOND]
+    k, x = dive.at(32 * SECOND), estimator.filter.belief.x
+    assert abs(x[3:5] - dive.velocity[k, :2]).max() < 3.5 * sd[32 * SECOND]
+
+
+def test_a_second_restart_soon_after_the_first_knows_nothing_of_the_water():
+    """It may be the water that has changed."""
+    restarts, at_s = Restarts(SUITE, CONFIG, None), 41
+    known = belief_at(20.0)
+    known.x[known.layout.north] = 0.3
+    restarts.keep(known)
+    called = [restarts.watch(belief_at(float(t_s)), GOOD if t_s <= 30 else BAD) for t_s in range(21, at_s + 1)]
+    assert called == [False] * 20 + [True]
+    belief, _ = restarts.begin(at_s * SECOND, recent(at_s)).belief()
+    assert restarts.graft(belief)
+    np.testing.assert_array_equal(belief.x[belief.layout.north], 0.3)
+    again_s = at_s + 30
+    restarts.keep(known)
+    restarts.watch(belief_at(float(again_s)), GOOD)
+    belief, _ = restarts.begin(again_s * SECOND, recent(again_s)).belief()
+    assert not restarts.graft(belief)
+    assert not belief.x[belief.layout.north].any()
