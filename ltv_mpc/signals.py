@@ -436,6 +436,18 @@ class Rejected(Signal, frozen=True, kw_only=True, eq=False):
     payload_base64: str  # at most 4 KiB of it
 
 
+class Handed(Signal, frozen=True, kw_only=True, eq=False):
+    """A frame between `ltv-mpc inject` and the node under test that is not what travels on its key for all others.
+
+    What the node is given in the place of a message that was harmed, or what it said itself before that was harmed.
+    """
+
+    t_ns: int
+    key: str
+    crc: int  # of the frame
+    payload_base64: str  # all of it
+
+
 class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where and when a reference began, and how the vehicle moved then."""
 
@@ -448,7 +460,9 @@ class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class ControllerCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
-    """What a controller that is started anew needs beside the plan in force: who is in charge, what is followed."""
+    """What a controller that is started anew needs beside the plan in force: who is in charge, what is followed, and
+    what was learned of the vehicle's buoyancy and of delays.
+    """
 
     t_ns: int
     authority: Authority
@@ -457,6 +471,9 @@ class ControllerCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
     schedule_s: float = 0.0  # how far the target has come: the time of the reference's own schedule
     schedule_rate: float = 1.0  # of that time to the vehicle's
     progress: float | None = None  # of a path, 0 .. 1
+    depth_integral_N: float = 0.0  # of the depth law: the vertical thrust at rest
+    plan_delays_ns: tuple[int, ...] = ()  # of the last plans, from the start of their cycle to their arrival
+    cycle_times_ns: tuple[int, ...] = ()  # of the last cycles, computing alone
 
 
 class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -547,6 +564,7 @@ class Clock(Signal, frozen=True, kw_only=True, eq=False):
     vehicle_ns: int
     speed_num: int
     speed_den: int
+    asked_speed: float  # vehicle seconds per second of the wall; the machine may allow less
     state: ClockState
 
 
@@ -578,7 +596,7 @@ class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
     dropped: int
     rejected: int
     step_us: float  # mean wall time of a step since the last status
-    behind_us: int = 0  # wall time that the message taken last had waited
+    behind_us: int = 0  # least wall time that a message waited since the last status: a queue that stands
     finished: bool = False  # it has done all that it was asked for
 
 

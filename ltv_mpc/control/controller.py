@@ -301,7 +301,7 @@ class Controller:
 
     def resume(self, plan: Plan | None, checkpoint: ControllerCheckpoint | None, t_ns: int) -> None:
         """Go on at ``t_ns`` from where a controller was that is no more: by the plan in force, and what it wrote down
-        of its reference, which this one follows already.
+        of its reference, which this one follows already, and of what it has learned.
         """
         if plan is not None:
             self._commands.sent(plan)
@@ -311,10 +311,24 @@ class Controller:
                 start_ns = int(plan.t_ns[0])
                 self._memory = _Memory(start_ns, plan.thrust_N[:, :2].copy(), start_ns + self._shifts_ns)
                 self._passes = 1
-        if checkpoint is not None and checkpoint.began is not None:
+        if checkpoint is None:
+            return
+        self._integral_N = checkpoint.depth_integral_N
+        self._delay.resume(checkpoint.plan_delays_ns, checkpoint.cycle_times_ns)
+        if checkpoint.began is not None:
             self._follower.resume(
                 checkpoint.began, checkpoint.schedule_s, checkpoint.schedule_rate, checkpoint.t_ns, t_ns
             )
+
+    @property
+    def depth_integral_N(self) -> float:
+        """What the depth law has learned: the vertical thrust that keeps a depth."""
+        return self._integral_N
+
+    @property
+    def delays(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Measured lately (ns): from a cycle's start to its plan's arrival, and computing alone."""
+        return self._delay.measured()
 
     @property
     def follower(self) -> Follower:

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 
 from ltv_mpc.signals import Applied, CycleTiming
 
 REMEMBERED = 100
 """Cycles: 30 s at the default period."""
+
+EARLIEST_NS = -(2**63)
 
 
 class Delay:
@@ -35,6 +38,18 @@ class Delay:
             self._first_ns = max(self._first_ns, self.expected_ns())
             self._receipts.clear()
             self._computing.clear()
+            self._learn()
+
+    def measured(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Of the cycles that solve: from their start to the plan's arrival, and computing alone (ns)."""
+        return ((), ()) if self._solves_from is None else (tuple(self._receipts), tuple(self._computing))
+
+    def resume(self, receipts: Iterable[int], computing: Iterable[int]) -> None:
+        """Go on from what another one has ``measured``, if it had come to cycles that solve."""
+        self._receipts.extend(receipts)
+        self._computing.extend(computing)
+        if self._receipts or self._computing:
+            self._solves_from = EARLIEST_NS
             self._learn()
 
     def receipt(self, applied: Applied) -> None:

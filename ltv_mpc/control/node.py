@@ -172,6 +172,7 @@ class ControllerNode:
         ):
             return None
         schedule_s, rate = follower.schedule_time
+        plan_delays_ns, cycle_times_ns = self.controller.delays
         self._checkpoint = ControllerCheckpoint(
             t_ns=t_ns,
             authority=self.helm.authority,
@@ -180,6 +181,9 @@ class ControllerNode:
             schedule_s=schedule_s,
             schedule_rate=rate,
             progress=follower.progress.share,
+            depth_integral_N=self.controller.depth_integral_N,
+            plan_delays_ns=plan_delays_ns,
+            cycle_times_ns=cycle_times_ns,
         )
         return self._checkpoint
 

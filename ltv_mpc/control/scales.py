@@ -32,7 +32,7 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig, SettledConfig, Weights
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
-from ltv_mpc.vehicle.resistance import steady
+from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady
 
 
 class Scales(NamedTuple):
@@ -50,18 +50,15 @@ class Scales(NamedTuple):
 PAPER = Scales(speed_mps=0.5, time_s=7.22042)
 """Of the vehicle that the weights were found for: ``scales_of`` gives it, and a test holds that."""
 
-FASTEST_MPS, FASTEST_RADPS = 5.0, 5.0
-"""Where nothing brakes, the speed that counts."""
-
 
 def scales_of(vehicle: Vehicle) -> Scales:
     """V and T of a vehicle: this file's head."""
     p = vehicle.coefficients()
     port, starboard = vehicle.thrusters[:2]
     push = port.max_N + starboard.max_N
-    speed = min(steady(push, p.linear_surge, p.quadratic_surge), FASTEST_MPS)
+    speed = min(steady(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
     couple = weaker_couple(vehicle, p)
-    rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), FASTEST_RADPS)
+    rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
     turn = math.sqrt(1.0 / rate**2 + 2.0 * p.inertia_yaw / couple)
     return Scales(speed, p.mass_surge * speed / push + turn + max(p.lag_port, p.lag_starboard))
 

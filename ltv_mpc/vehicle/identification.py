@@ -33,6 +33,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array, Times
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady
 
 Known: TypeAlias = Literal["thrust", "mass"]
 KnownYaw: TypeAlias = Literal["arm", "inertia"]
@@ -376,8 +377,9 @@ def units_of(vehicle: Vehicle) -> Array:
     p = vehicle.coefficients()
     port, starboard = vehicle.thrusters[:2]
     push = port.max_N + starboard.max_N
-    speed = _steady(push, p.linear_surge, p.quadratic_surge)
-    rate = _steady(port.max_N * p.arm_port + starboard.max_N * p.arm_starboard, p.linear_yaw, p.quadratic_yaw)
+    couple = port.max_N * p.arm_port + starboard.max_N * p.arm_starboard
+    speed = min(steady(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
+    rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
     spare = {
         "linear_surge": p.quadratic_surge * speed,
         "quadratic_surge": p.linear_surge / speed,
@@ -395,12 +397,6 @@ def units_of(vehicle: Vehicle) -> Array:
         if values[_place(name)] == 0.0:
             values[_place(name)] = max(instead, 1e-6)
     return values
-
-
-def _steady(push: float, linear: float, quadratic: float) -> float:
-    """s where push = linear s + quadratic s^2, at most 5."""
-    root = linear + float(np.sqrt(linear**2 + 4.0 * quadratic * push))
-    return min(2.0 * push / root, 5.0) if root > 0.0 else 5.0
 
 
 def pieces(t_s: Array) -> Times:

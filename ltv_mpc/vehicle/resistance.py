@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+UNBRAKED_MPS, UNBRAKED_RADPS = 5.0, 5.0
+"""Where nothing brakes, or hardly, the speed that counts."""
+
 
 def steady(push: float, linear: float, quadratic: float) -> float:
     """The speed s >= 0 at which push = linear s + quadratic s^2; infinite where nothing brakes.

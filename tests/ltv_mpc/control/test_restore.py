@@ -12,7 +12,17 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import CHECKPOINT_NS, ControllerNode
 from ltv_mpc.node import Arrival
 from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.signals import Acknowledged, Action, Authority, Command, ControllerCheckpoint, Health, Restore, Signal
+from ltv_mpc.signals import (
+    Acknowledged,
+    Action,
+    Authority,
+    Command,
+    ControllerCheckpoint,
+    CycleTiming,
+    Health,
+    Restore,
+    Signal,
+)
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
@@ -138,6 +148,39 @@ def test_a_reference_that_an_operator_gave_is_followed_and_not_the_one_it_was_st
     assert before.checkpoints[-1].reference_toml == text
     after, restore = before.handed_over(0.6, references.load("line"))
     assert after.step(restore).reference_m == (3.0, -2.0)
+
+
+def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
+    """3 m above the depth that is wanted, on a machine whose cycles take 0.12 s at least."""
+    before = armed(references.Hold(depth_m=5.0), 3)
+    for k in range(40):
+        ms = 120 + k % 5
+        t_ns = before.estimate.t_ns - PERIOD_NS
+        before.step(CycleTiming(t_ns=t_ns, compute_ns=ms * 10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}))
+    while before.checkpoints[-1].t_ns < before.plans[-1].cycle_t_ns:
+        before.step()
+    written = before.checkpoints[-1]
+    assert abs(written.depth_integral_N) > 0.1
+    assert len(written.cycle_times_ns) >= 40
+    after, restore = before.handed_over(0.0)
+    plan = after.step(restore)
+    assert plan.expected_delay_ns == before.plans[-1].expected_delay_ns >= 124 * 10**6
+    assert after.node.controller.depth_integral_N == before.node.controller.depth_integral_N
+    forgetful, _ = before.handed_over(0.0)
+    forgot = msgspec.structs.replace(written, depth_integral_N=0.0, cycle_times_ns=())
+    without = forgetful.step(msgspec.structs.replace(restore, controller=forgot))
+    assert (without.thrust_N[:, 2] != plan.thrust_N[:, 2]).any()
+    quick = CycleTiming(
+        t_ns=after.estimate.t_ns, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}
+    )  # one that says nothing beside forty
+    assert after.step(quick).expected_delay_ns >= 124 * 10**6
+    assert forgetful.step(quick).expected_delay_ns < 10 * 10**6
+
+
+def test_delays_of_before_the_first_solve_are_not_handed_over():
+    flight = Flight(references.load("line"))
+    flight.step(CycleTiming(t_ns=0, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}))
+    assert flight.node.controller.delays == ((), ())
 
 
 def test_without_anything_to_go_on_it_begins_disarmed_as_ever():
