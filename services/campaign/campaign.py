@@ -21,8 +21,9 @@ import tomli_w
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from services.campaign import engine as engines
-from services.campaign.design import Point, points
-from services.campaign.file import Campaign, Range, Value
+from services.campaign.design import Point, points, value_at
+from services.campaign.file import Campaign, Range
+from services.campaign.keys import Value
 from services.campaign.table import Parts
 from services.campaign.trial import Base, Row, Trial, run_all, situation, version_of
 from services.run.made_by import made_by
@@ -53,26 +54,40 @@ class Plan(msgspec.Struct, frozen=True):
         """Seed by seed within each point."""
         seeds = self.campaign.seeds
         for number, point in enumerate(self.points):
+            settings, factors = self.settings(point), self.factors(point)
             for k in range(seeds.count):
-                settings = {**self.campaign.settings, **point}
-                yield Trial(number * seeds.count + k, number, seeds.first + k, settings)
+                yield Trial(number * seeds.count + k, number, seeds.first + k, settings, factors, point)
+
+    def settings(self, point: Point) -> dict[str, Value]:
+        """The fields that this point gives a value."""
+        own = {key: value for key, value in point.items() if key not in self.campaign.scale}
+        return {**self.campaign.settings, **own}
+
+    def factors(self, point: Point) -> dict[str, float]:
+        """By what it multiplies fields."""
+        made: dict[str, float] = {}
+        for name, powers in self.campaign.scale.items():
+            for key, power in powers.items() if name in point else ():
+                made[key] = made.get(key, 1.0) * float(point[name]) ** power
+        return made
 
 
 def plan(campaign: Campaign, source: str) -> Plan:
     """Resolve the base, lay the points, and try each value of each field once. Raises ``ConfigError``."""
     made = Plan(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), points(campaign), made_by())
-    _try(made, campaign.settings, "set", source)
-    for key, over in campaign.vary.items():
-        for value in (over.low, over.high) if isinstance(over, Range) else over:
-            _try(made, {**campaign.settings, key: value}, f"vary] {key}", source)
+    _try(made, {}, "[set]", source)
+    for table, keys in (("vary", campaign.vary), ("cross", campaign.cross)):
+        for key, over in keys.items():
+            for value in (value_at(key, over, 0.0), value_at(key, over, 1.0)) if isinstance(over, Range) else over:
+                _try(made, {key: value}, f"[{table}] {key}", source)
     return made
 
 
-def _try(made: Plan, settings: dict[str, Value], field: str, source: str) -> None:
+def _try(made: Plan, point: Point, field: str, source: str) -> None:
     try:
-        situation(made.base, settings, made.campaign.seeds.first)
+        situation(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
     except ConfigError as error:
-        raise ConfigError(source, f"[{field}" if "]" in field else f"[{field}]", str(error)) from None
+        raise ConfigError(source, field, str(error)) from None
 
 
 @contextmanager

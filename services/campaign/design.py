@@ -12,13 +12,19 @@ from msgspec import inspect
 from scipy.stats import qmc
 
 from ltv_mpc.signals import Array
-from services.campaign.file import Campaign, Choices, Range, Value, kind_of
+from services.campaign.file import Campaign, Choices, Range
+from services.campaign.keys import Value, kind_of
 
 Point: TypeAlias = dict[str, Value]
 
 
 def points(campaign: Campaign) -> list[Point]:
-    """In order, the same for the same file: the keys as the file has them, in a grid the last one running fastest."""
+    """In order, the same for the same file: those of ``vary``, each with all of ``cross``, the last one fastest."""
+    crossed = [dict(zip(campaign.cross, values, strict=True)) for values in itertools.product(*campaign.cross.values())]
+    return [{**laid, **more} for laid in _laid(campaign) for more in crossed]
+
+
+def _laid(campaign: Campaign) -> list[Point]:
     keys, over = list(campaign.vary), list(campaign.vary.values())
     if campaign.design.kind == "grid":
         lists = [values for values in over if not isinstance(values, Range)]
@@ -39,11 +45,12 @@ def _shares(campaign: Campaign, dimensions: int) -> Array:
 
 
 def _point(keys: Sequence[str], over: Sequence[Choices | Range], shares: Array) -> Point:
-    return {key: _value(key, values, float(share)) for key, values, share in zip(keys, over, shares, strict=True)}
+    return {key: value_at(key, values, float(share)) for key, values, share in zip(keys, over, shares, strict=True)}
 
 
-def _value(key: str, over: Choices | Range, share: float) -> Value:
+def value_at(key: str, over: Choices | Range, share: float) -> Value:
+    """What lies at ``share``, 0 .. 1, of a range or list."""
     if isinstance(over, Range):
-        value = over.at(share)
-        return round(value) if isinstance(kind_of(key), inspect.IntType) else value
+        number = over.at(share)
+        return round(number) if isinstance(kind_of(key), inspect.IntType) else number
     return over[min(int(share * len(over)), len(over) - 1)]

@@ -17,8 +17,16 @@
     controller.horizon_s = [2.5, 5.0, 10.0]
     water.correlation_length_m = { low = 2.0, high = 30.0, scale = "log" }      # not in a grid
     vehicle.thruster.port.arm_m = [0.05, 0.2]             # a field of the vehicle's file
+    size = { low = 0.5, high = 2.0, scale = "log" }       # a factor: [scale.size] says of what
 
-Keys are those of a run's scenario.toml, and ``vehicle.`` before those of its vehicle's file.
+    [cross]                                               # every point of the design with each of these
+    controller.solver = ["osqp", "daqp"]
+
+    [scale.size]                                          # base value times size to this power
+    vehicle.dry_mass_kg = 3
+    vehicle.thruster.port.arm_m = 1
+
+Keys are those of a run's scenario.toml, and those of its vehicle's and reference's files (keys.py).
 """
 
 from __future__ import annotations
@@ -33,13 +41,10 @@ from msgspec import Meta
 
 from ltv_mpc import config, fields
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.vehicle.parameters import Vehicle
+from services.campaign.keys import Value, kind_of, known
 from sim.grading.summary import Summary
-from sim.scenario import Scenario
 
-Value: TypeAlias = bool | int | float | str
 MOST_RUNS = 10_000_000
-VEHICLE = "vehicle"
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -79,7 +84,11 @@ class Design(_Table, frozen=True, kw_only=True):
 
 
 class Campaign(_Table, frozen=True, kw_only=True):
-    """Everything that a campaign is made of. ``settings`` and ``vary`` by dotted key."""
+    """Everything that a campaign is made of; tables by dotted key.
+
+    A name in ``vary`` or ``cross`` that ``scale`` has is no field but a factor f: each key of its table is the base's
+    value times f to the power that stands there.
+    """
 
     title: str
     scenario: str = "descent"
@@ -88,6 +97,13 @@ class Campaign(_Table, frozen=True, kw_only=True):
     design: Design = Design()
     settings: dict[str, Value] = msgspec.field(default_factory=dict, name="set")
     vary: dict[str, Choices | Range] = msgspec.field(default_factory=dict)
+    cross: dict[str, Choices] = msgspec.field(default_factory=dict)
+    scale: dict[str, dict[str, float]] = msgspec.field(default_factory=dict)
+
+    @property
+    def varied(self) -> dict[str, Choices | Range]:
+        """Everything in which points differ: what the design lays, and what each of its points is crossed with."""
+        return {**self.vary, **self.cross}
 
 
 def load(path: Path) -> Campaign:
@@ -95,21 +111,19 @@ def load(path: Path) -> Campaign:
     source = f"campaign {path}"
     table = config.read_toml(path, what="campaign")
     flat = dict(table)
-    for name in ("set", "vary"):
+    for name in ("set", "vary", "cross"):
         if isinstance(table.get(name), dict):
             flat[name] = dict(_flat(table[name], ""))
+    if isinstance(table.get("scale"), dict):
+        flat["scale"] = {
+            name: dict(_flat(powers, "")) if isinstance(powers, dict) else powers
+            for name, powers in table["scale"].items()
+        }
     campaign = config.parse(flat, Campaign, source=source)
     if config.is_path(campaign.scenario):
         campaign = msgspec.structs.replace(campaign, scenario=str(path.parent / campaign.scenario))
     _check(campaign, source)
     return campaign
-
-
-def kind_of(key: str) -> fields.Type | None:
-    """The type of a field that a campaign may set; None where there is no such field."""
-    if key.startswith(f"{VEHICLE}."):
-        return _VEHICLE.get(key.removeprefix(f"{VEHICLE}."))
-    return _SCENARIO.get(key)
 
 
 def figures() -> dict[str, fields.Type]:
@@ -119,29 +133,11 @@ def figures() -> dict[str, fields.Type]:
 
 NO_FIGURES = frozenset(
     {
-        "scenario", "mode", "seed", "speed", "compute_delay_wall_s", "end_to_end_delay_wall_s", "stages_us",
-        "qp_status", "plan_origin",
+        "scenario", "mode", "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
+        "stages_us", "qp_status", "plan_origin",
     }
 )  # fmt: skip
 """Of summary.json: what identifies a run, what is measured on the wall, and counts by name, which ``trial.py`` adds."""
-
-_SCENARIO = {
-    key: kind for key, kind in fields.settings(Scenario).items() if key not in ("made_by", "title", "run.seed")
-}
-
-
-def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, fields.Type]]:
-    """Scalar fields, those of tables that may be left out too."""
-    for key, found in fields.settings(kind).items():
-        inner = getattr(found, "types", ())
-        tables = [x for x in inner if isinstance(x, msgspec.inspect.StructType)]
-        if tables:
-            yield from _optional_too(tables[0].cls, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", found
-
-
-_VEHICLE = dict(_optional_too(Vehicle, ""))
 
 
 def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
@@ -156,25 +152,56 @@ def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 def _check(campaign: Campaign, source: str) -> None:
     """What no single field can tell."""
-    known = [*_SCENARIO, *(f"{VEHICLE}.{key}" for key in _VEHICLE)]
-    for table, keys in (("set", campaign.settings), ("vary", campaign.vary)):
+    for table, keys in (("set", campaign.settings), ("vary", campaign.vary), ("cross", campaign.cross)):
+        factors = campaign.scale if table != "set" else {}
         for key in keys:
-            if kind_of(key) is None:
-                raise ConfigError(source, f"[{table}] {key}", f"unknown key{fields.nearest(key, known)}")
-    for key in campaign.vary.keys() & campaign.settings.keys():
-        raise ConfigError(source, f"[vary] {key}", "stands in [set] too: leave one out")
-    if not campaign.vary:
+            if kind_of(key) is None and key not in factors:
+                problem = f"unknown key{fields.nearest(key, [*known(), *factors])}"
+                raise ConfigError(source, f"[{table}] {key}", problem)
+    for table, keys, other in (
+        ("vary", campaign.vary, campaign.settings),
+        ("cross", campaign.cross, campaign.settings),
+        ("cross", campaign.cross, campaign.vary),
+    ):
+        for key in keys.keys() & other.keys():
+            where = "set" if other is campaign.settings else "vary"
+            raise ConfigError(source, f"[{table}] {key}", f"stands in [{where}] too: leave one out")
+    if not campaign.varied:
         raise ConfigError(source, "[vary]", "must name at least one key: nothing varies")
     for key, over in campaign.vary.items():
         _check_values(over, campaign.design.kind, f"[vary] {key}", source)
+    for key, values in campaign.cross.items():
+        _check_values(values, "grid", f"[cross] {key}", source)
+    for name, powers in campaign.scale.items():
+        _check_factor(campaign, name, powers, source)
     if campaign.minimise not in figures():
         problem = f"must be a figure of summary.json{fields.nearest(campaign.minimise, figures())}"
         raise ConfigError(source, "minimise", problem, value=campaign.minimise)
-    sizes = [len(over) for over in campaign.vary.values() if not isinstance(over, Range)]
-    points = reduce(int.__mul__, sizes, 1) if campaign.design.kind == "grid" else campaign.design.points
+    sizes = [len(over) for over in campaign.cross.values()]
+    if campaign.design.kind == "grid":
+        sizes += [len(over) for over in campaign.vary.values() if not isinstance(over, Range)]
+    else:
+        sizes.append(campaign.design.points)
+    points = reduce(int.__mul__, sizes, 1)
     if points * campaign.seeds.count > MOST_RUNS:
         problem = f"{points} points times {campaign.seeds.count} seeds: at most {MOST_RUNS} runs"
         raise ConfigError(source, "", problem)
+
+
+def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], source: str) -> None:
+    where = f"[scale.{name}]"
+    if kind_of(name) is not None:
+        raise ConfigError(source, where, "is a field's own name: a factor needs another")
+    over = campaign.varied.get(name)
+    if over is None:
+        raise ConfigError(source, where, f"says what {name} scales, and {name} stands neither in [vary] nor in [cross]")
+    for value in (over.low, over.high) if isinstance(over, Range) else over:
+        if isinstance(value, bool | str) or value <= 0:
+            raise ConfigError(source, f"[vary] {name}", "a factor must be > 0", value=value)
+    for key in powers:
+        if not isinstance(kind_of(key), msgspec.inspect.FloatType):
+            names = [one for one in known() if isinstance(kind_of(one), msgspec.inspect.FloatType)]
+            raise ConfigError(source, f"{where} {key}", f"must be a field with a number{fields.nearest(key, names)}")
 
 
 def _check_values(over: Choices | Range, design: str, field: str, source: str) -> None:

@@ -30,8 +30,10 @@ MOST_POINTS, MOST_LINES = 40, 8
 def write(folder: Path) -> Path:
     """The page of a campaign's folder, finished or not. Raises ``NoPlotly``, ``ConfigError``, ``OSError``."""
     campaign = reopened(folder)
-    rows = list(Parts(folder / "parts", campaign).rows(["point", "seed", "failed", campaign.minimise, *campaign.vary]))
-    of = scores(rows, campaign.minimise, campaign.vary)
+    rows = list(
+        Parts(folder / "parts", campaign).rows(["point", "seed", "failed", campaign.minimise, *campaign.varied])
+    )
+    of = scores(rows, campaign.minimise, campaign.varied)
     best = ranked(of, MOST_POINTS)
     failed = [row for row in rows if row["failed"] is not None]
     lines = [
@@ -43,7 +45,7 @@ def write(folder: Path) -> Path:
         title=html.escape(campaign.title),
         style=static_files.text("style.css") + static_files.text("report.css"),
         lines="\n".join(f"<p>{line}</p>" for line in lines),
-        tables=_table(best, list(campaign.vary)),
+        tables=_table(best, list(campaign.varied)),
         plotly=static_files.plotly(),
         data=msgspec.json.encode(panels(campaign, of)).decode().replace("<", "\\u003c"),
     )
@@ -56,12 +58,12 @@ def write(folder: Path) -> Path:
 
 def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
     """One for each varied field: title, plotly's traces and layout."""
-    keys = list(campaign.vary)
+    keys = list(campaign.varied)
     made = []
     for i, key in enumerate(keys):
-        over = campaign.vary[key]
-        if campaign.design.kind == "grid":
-            beside = keys[(i + 1) % len(keys)] if len(keys) > 1 else None
+        over = campaign.varied[key]
+        if campaign.design.kind == "grid" or key in campaign.cross:
+            beside = keys[(i + 1) % len(keys)] if len(keys) > 1 and campaign.design.kind == "grid" else None
             traces = list(_lines(of, key, beside, campaign))
         else:
             traces = [_points(of, key)]
@@ -87,9 +89,9 @@ def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
 
 def _lines(of: Scores, key: str, beside: str | None, campaign: Campaign) -> Iterable[dict[str, Any]]:
     """A line for each value of the field ``beside``."""
-    of_beside = campaign.vary[beside] if beside is not None else ()
+    of_beside = campaign.varied[beside] if beside is not None else ()
     values = of_beside[:MOST_LINES] if beside is not None and not isinstance(of_beside, Range) else [None]
-    own = campaign.vary[key]
+    own = campaign.varied[key]
     assert not isinstance(own, Range)  # a grid's
     for number, value in enumerate(values):
         at = {x: _over(of, {key: x} | ({beside: value} if beside is not None else {})) for x in own}

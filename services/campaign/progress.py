@@ -46,7 +46,7 @@ class Progress:
             return
         self._said_s = now_s
         if self._console.is_terminal:
-            best = ranked(scores(self.rows, self._campaign.minimise, self._campaign.vary), BEST)
+            best = ranked(scores(self.rows, self._campaign.minimise, self._campaign.varied), BEST)
             self._live.update(Group(text.standings(best, self._campaign.minimise), self._bar))
         else:
             each_s = (self._said_s - self._began_s) / (len(self.rows) - self._first)

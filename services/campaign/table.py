@@ -15,7 +15,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from msgspec import inspect
 
-from services.campaign.file import Campaign, Range, figures, kind_of
+from services.campaign.file import Campaign, Range, figures
+from services.campaign.keys import kind_of
 from services.campaign.trial import COUNTS, TIMING, Row
 
 RESULTS, TIMES, PARTS = "results.parquet", "timing.parquet", "parts"
@@ -24,7 +25,7 @@ RESULTS, TIMES, PARTS = "results.parquet", "timing.parquet", "parts"
 def schema(campaign: Campaign) -> pa.Schema:
     """Columns of a part: who, the varied keys, the figures, what was measured."""
     who = [("place", pa.int64()), ("point", pa.int64()), ("seed", pa.int64())]
-    varied = [(key, _column(key, over)) for key, over in campaign.vary.items()]
+    varied = [(key, _column(key, over)) for key, over in campaign.varied.items()]
     what = [("version", pa.string()), ("failed", pa.string())]
     values = [
         (key, pa.int64() if isinstance(kind, inspect.IntType) else pa.float64()) for key, kind in figures().items()

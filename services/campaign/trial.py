@@ -21,13 +21,15 @@ from typing import Any, NamedTuple, TypeAlias
 import msgspec
 
 import services
-from ltv_mpc import config
 from ltv_mpc.control import solvers
 from ltv_mpc.errors import ConfigError, one_line, shown
+from ltv_mpc.references import Reference
 from ltv_mpc.signals import PlanOrigin, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.campaign import keys
 from services.campaign.design import Point
-from services.campaign.file import VEHICLE, Value, figures
+from services.campaign.file import figures
+from services.campaign.keys import Value
 from services.run import locked
 from services.run.made_by import made_by
 from services.run.situation import Override, Situation, resolve
@@ -54,7 +56,9 @@ class Trial(NamedTuple):
     place: int
     point: int
     seed: int
-    settings: Point  # all keys that differ from the base
+    settings: Point  # fields with another value than the base's
+    factors: Mapping[str, float]  # by what fields are multiplied then
+    varied: Point  # in what the design's points differ: columns of the row
 
 
 def run_all(base: Base, version: str, trials: tuple[Trial, ...]) -> list[Row]:
@@ -73,7 +77,7 @@ def row_of(trial: Trial, version: str, failed: str = "") -> Row:
     nothing = dict.fromkeys([*figures(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
     timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
     who = {"place": trial.place, "point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
-    return {**who, **trial.settings, **nothing, **timing}
+    return {**who, **trial.varied, **nothing, **timing}
 
 
 def version_of(table: Mapping[str, str]) -> str:
@@ -81,16 +85,29 @@ def version_of(table: Mapping[str, str]) -> str:
     return f"{table['ltv_mpc']} {table['commit']}"
 
 
-def situation(base: Base, settings: Mapping[str, Value], seed: int) -> Situation:
+def situation(base: Base, settings: Mapping[str, Value], factors: Mapping[str, float], seed: int) -> Situation:
     """What a trial runs. Raises ``ConfigError``."""
-    own = {key.removeprefix(f"{VEHICLE}."): value for key, value in settings.items() if key.startswith(f"{VEHICLE}.")}
-    rest = [f"{key}={_toml(value)}" for key, value in settings.items() if not key.startswith(f"{VEHICLE}.")]
-    here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*rest, f"run.seed={seed}"])])
-    if not own:
-        return here
-    vehicle = _with(here.vehicle, own)
-    solvers.make(vehicle, here.scenario.controller)
-    return replace(here, vehicle=vehicle)
+    plain = _with_settings(base, settings, seed)
+    if not factors:
+        return plain
+    scaled = dict(settings)
+    for key, factor in factors.items():
+        value = keys.value_of(plain, key)
+        if value is None:
+            raise ConfigError("campaign", key, "has no value in the base that could be scaled")
+        scaled[key] = float(value) * factor
+    return _with_settings(base, scaled, seed)
+
+
+def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> Situation:
+    own = [f"{key}={_toml(value)}" for key, value in keys.of_scenario(settings).items()]
+    here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
+    if of_vehicle := keys.of(keys.VEHICLE, settings):
+        here = replace(here, vehicle=keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE))
+        solvers.make(here.vehicle, here.scenario.controller)
+    if of_reference := keys.of(keys.REFERENCE, settings):
+        here = replace(here, reference=keys.with_values(here.reference, Reference, of_reference, keys.REFERENCE))
+    return here
 
 
 def flat(summary: Summary) -> Row:
@@ -108,25 +125,11 @@ def flat(summary: Summary) -> Row:
 def _row(base: Base, version: str, trial: Trial) -> Row:
     started = time.perf_counter()
     try:
-        result = flat(locked.run(situation(base, trial.settings, trial.seed)))
+        result = flat(locked.run(situation(base, trial.settings, trial.factors, trial.seed)))
     except Exception as error:  # of this run alone: the campaign goes on, and says so
         problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         return row_of(trial, version, one_line(problem)[:500])
     return row_of(trial, version) | result | {"wall_s": time.perf_counter() - started}
-
-
-def _with(vehicle: Vehicle, values: Mapping[str, Value]) -> Vehicle:
-    """The vehicle with other values at dotted keys."""
-    table = msgspec.to_builtins(vehicle)
-    for key, value in values.items():
-        *outer, last = key.split(".")
-        inner = table
-        for name in outer:
-            if inner.get(name) is None:
-                raise ConfigError("campaign", f"{VEHICLE}.{key}", "the scenario's vehicle has no such table")
-            inner = inner[name]
-        inner[last] = value
-    return config.parse({k: v for k, v in table.items() if v is not None}, Vehicle, source="campaign: vehicle")
 
 
 def _toml(value: Value) -> str:

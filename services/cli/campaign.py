@@ -59,7 +59,7 @@ def campaign(
     wanted = files.load(file)
     made = plan(wanted, f"campaign {file}")
     place = out or folder.fresh(file.stem)
-    columns = ["point", "seed", "failed", wanted.minimise, *wanted.vary]
+    columns = ["point", "seed", "failed", wanted.minimise, *wanted.varied]
     with opened(place, made) as parts, stop_on_signals() as request:
         there = list(parts.rows(columns))
         missing = made.runs - len(there)
@@ -79,7 +79,7 @@ def campaign(
         page.write(place)
     except NoPlotly as missing:
         typer.echo(f"no {page.NAME}: {missing}, the extra viz brings it", err=True)
-    best: list[Standing] = ranked(scores(rows, wanted.minimise, wanted.vary), text.SHOWN)
+    best: list[Standing] = ranked(scores(rows, wanted.minimise, wanted.varied), text.SHOWN)
     failed = [row for row in rows if row["failed"] is not None]
     if as_json:
         result = {

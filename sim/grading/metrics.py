@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Applied, Array, Clock, CycleTiming, Estimate, Pair, Plan, Signal, Truth
+from ltv_mpc.signals import Applied, Array, Clock, ClockState, CycleTiming, Estimate, Pair, Plan, Signal, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.grading.summary import Quantiles, Spread, Thrust
 
@@ -68,6 +68,8 @@ class Grader:
         self.plan_origin: Counter[str] = Counter()
         self._box = np.array([[t.min_N, t.max_N] for t in vehicle.thrusters[:2]])  # (2, 2): thruster, bound
         self._speed = speed
+        self._first_clock: Clock | None = None
+        self._newest_clock: Clock | None = None
         self._truth: list[tuple[int, float, float]] = []
         self._estimate: list[tuple[int, float, float]] = []
         self._reference: list[_Target] = []
@@ -134,6 +136,13 @@ class Grader:
             max_slew_N_per_s=float(np.max(rows[1:, 3])),
         )
 
+    def speed_reached(self) -> float | None:
+        """Vehicle seconds per second of the wall, from the clock's start to its last change, pauses included."""
+        first, newest = self._first_clock, self._newest_clock
+        if first is None or newest is None or newest.at_monotonic_us <= first.at_monotonic_us:
+            return None
+        return (newest.vehicle_ns - first.vehicle_ns) / 1e3 / (newest.at_monotonic_us - first.at_monotonic_us)
+
     def compute_delay(self, *, wall: bool = False) -> Quantiles:
         """From the start of a cycle to its plan's publication (s)."""
         return quantiles([(t.compute_wall_ns if wall else t.compute_ns) / 1e9 for t, _ in self._timing])
@@ -197,6 +206,9 @@ class Grader:
 
     def _hear_clock(self, clock: Clock, *_: int) -> None:
         self._speed = clock.speed_num / clock.speed_den
+        if self._first_clock is None and clock.state is ClockState.RUNNING:
+            self._first_clock = clock
+        self._newest_clock = clock
 
 
 def quantiles(values: list[float]) -> Quantiles:

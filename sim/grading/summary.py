@@ -50,6 +50,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     mode: str  # "services" or "lockstep"
     seed: int
     speed: float | None  # times real time that was asked for; null in lock step
+    speed_reached: float | None  # what the machine did of it, pauses included
     duration_s: float  # how far it came after t = 0
     cycles: int  # of the controller
     tracking_error_m: Spread  # estimate to reference: the controller's part

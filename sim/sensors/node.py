@@ -67,8 +67,18 @@ class Sensors:
     schedule = OnMessage((Truth,))
     reads: tuple[type[Signal], ...] = (Truth,)
 
-    def __init__(self, scenario: Scenario, suite: Suite, water: WaterColumn) -> None:
-        """Each sensor draws from its own stream of the scenario's seed."""
+    def __init__(
+        self,
+        scenario: Scenario,
+        suite: Suite,
+        water: WaterColumn,
+        *,
+        heard: frozenset[type[Signal]] | None = None,
+    ) -> None:
+        """Each sensor draws from its own stream of the scenario's seed.
+
+        So those whose messages are not among ``heard`` may be left out, and what the others say stays the same.
+        """
         seed, bottom_m = scenario.run.seed, scenario.water.bottom_m
         writes: list[type[Signal]] = []
         # In this order they speak at one instant: the IMU's interval is over before anyone measures at its end.
@@ -76,6 +86,8 @@ class Sensors:
         self._latencies_ns: list[int] = []
 
         def mount(kind: type[Signal], period_ns: int, sensor: Sensor, latency_ns: int = 0) -> None:
+            if heard is not None and kind not in heard:
+                return
             writes.append(kind)
             self._sensors.append((Phases(period_ns), sensor))
             self._latencies_ns.append(latency_ns)

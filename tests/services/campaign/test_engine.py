@@ -12,7 +12,7 @@ import pytest
 from services.campaign.engine import MOST_LOSSES, Local, batches, done
 from services.campaign.trial import Row, Trial
 
-TRIALS = [Trial(place, place, 0, {}) for place in range(40)]
+TRIALS = [Trial(place, place, 0, {}, {}, {}) for place in range(40)]
 
 
 class Fragile:
@@ -105,7 +105,7 @@ def killed_once(trials: tuple[Trial, ...]) -> list[Row]:
 
 
 def test_a_process_that_is_killed_costs_no_row(tmp_path) -> None:
-    trials = [Trial(place, place, 0, {"mark": str(tmp_path / "mark")}) for place in range(6)]
+    trials = [Trial(place, place, 0, {"mark": str(tmp_path / "mark")}, {}, {}) for place in range(6)]
     engine = Local(2)
     try:
         rows = [row for some in done(engine, killed_once, batches(trials, 2), "v", stop=lambda: False) for row in some]

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from services.campaign.design import points
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.campaign.campaign import plan
+from services.campaign.design import Point, points
 from services.campaign.file import load
+from services.campaign.trial import situation
 
 GRID = """
 title = "t"
@@ -30,6 +33,20 @@ water.correlation_length_m = { low = 1.0, high = 100.0, scale = "log" }
 controller.most_stages = { low = 10, high = 40 }
 sensors = ["paper", "realistic"]
 """
+
+
+CROSSED = (
+    SOBOL
+    + """
+size = { low = 0.5, high = 2.0, scale = "log" }
+[cross]
+controller.horizon_s = [2.5, 5.1]
+reference.descent_rate_mps = [0.1, 0.2]
+[scale.size]
+vehicle.dry_mass_kg = 3
+vehicle.thruster.port.arm_m = 1
+"""
+)
 
 
 def written(folder: Path, text: str) -> Path:
@@ -57,6 +74,36 @@ def test_a_sobol_design_fills_each_range_evenly_and_is_the_same_again(tmp_path: 
     stages = [point["controller.most_stages"] for point in made]
     assert all(isinstance(n, int) and 10 <= n <= 40 for n in stages)
     assert [point["sensors"] for point in made].count("paper") == 32
+
+
+def test_every_point_is_crossed_with_every_combination_of_the_crossed_lists(tmp_path: Path) -> None:
+    made = points(load(written(tmp_path, CROSSED)))
+    assert len(made) == 64 * 4
+    crossed = [(point["controller.horizon_s"], point["reference.descent_rate_mps"]) for point in made[:4]]
+    assert crossed == [(2.5, 0.1), (2.5, 0.2), (5.1, 0.1), (5.1, 0.2)]
+    for one in range(0, len(made), 4):
+        (size,) = {point["size"] for point in made[one : one + 4]}
+        assert 0.5 <= float(size) <= 2.0
+    assert len({point["size"] for point in made}) == 64
+
+
+def test_a_factor_scales_what_a_point_has_otherwise_by_its_power(tmp_path: Path) -> None:
+    text = CROSSED.replace("[cross]", "[set]\n'vehicle.thruster.port.arm_m' = 0.3\nvehicle = 'surface'\n[cross]")
+    made = plan(load(written(tmp_path, text)), "test")
+    point: Point = {"size": 2.0, "water.sd_mps": 0.05}
+    assert made.factors(point) == {"vehicle.dry_mass_kg": 8.0, "vehicle.thruster.port.arm_m": 2.0}
+    settings = {**made.settings(point), "reference.descent_rate_mps": 0.1}
+    assert "size" not in settings
+    here = situation(made.base, settings, made.factors(point), 0)
+    assert here.vehicle.dry_mass_kg == 8.0 * Vehicle.load("surface").dry_mass_kg
+    assert here.vehicle.thruster.port.arm_m == 0.6
+    assert here.scenario.water.sd_mps == 0.05
+    assert here.reference.descent_rate_mps == 0.1
+    of_water = situation(made.base, settings, {"water.sd_mps": 2.0}, 0)
+    assert of_water.scenario.water.sd_mps == 0.1
+    trial = next(made.trials())
+    assert set(trial.varied) == set(made.campaign.varied)
+    assert trial.factors["vehicle.dry_mass_kg"] == pytest.approx(float(trial.varied["size"]) ** 3)
 
 
 def test_a_random_design_is_drawn_from_its_seed(tmp_path: Path) -> None:
@@ -98,3 +145,37 @@ def test_a_file_that_is_wrong_is_refused_by_field(tmp_path: Path, old: str, new:
 def test_a_range_that_is_none_is_refused(tmp_path: Path, old: str, new: str, problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         load(written(tmp_path, SOBOL.replace(old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        (
+            "controller.horizon_s = [2.5, 5.1]",
+            "controller.horizon = [2.5]",
+            r"\[cross\] controller.horizon: unknown key",
+        ),
+        (
+            "controller.horizon_s = [2.5, 5.1]",
+            "water.sd_mps = [0.1]",
+            r"\[cross\] water.sd_mps: stands in \[vary\] too",
+        ),
+        ("controller.horizon_s = [2.5, 5.1]", "controller.horizon_s = []", r"\[cross\] .*must have at least one value"),
+        ("low = 0.5", "low = -0.5", r"low = -0.5: must be > 0"),
+        ('low = 0.5, high = 2.0, scale = "log"', "low = -0.5, high = 2.0", r"size = -0.5: a factor must be > 0"),
+        ("vehicle.dry_mass_kg", "vehicle.dry_mass", r"\[scale.size\] vehicle.dry_mass.*did you mean"),
+        ("vehicle.dry_mass_kg", "vehicle.name", r"\[scale.size\] vehicle.name: must be a field with a number"),
+        ("[scale.size]", "[scale.mass]", r"\[vary\] size: unknown key"),
+        ("[scale.size]", "[scale.mass]\n[scale.size]", r"\[scale.mass\]: .*neither in \[vary\] nor in \[cross\]"),
+    ],
+)
+def test_what_is_wrong_with_crossed_lists_and_factors_is_said(tmp_path: Path, old: str, new: str, problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        load(written(tmp_path, CROSSED.replace(old, new)))
+
+
+def test_a_factor_of_what_the_base_has_not_is_refused(tmp_path: Path) -> None:
+    text = CROSSED.replace("vehicle.dry_mass_kg", "vehicle.thruster.vertical.max_N")
+    path = written(tmp_path, text.replace("[cross]", "[set]\nvehicle = 'surface'\n[cross]"))
+    with pytest.raises(ConfigError, match=r"\[vary\] size: .*vehicle.thruster.vertical.max_N: has no value"):
+        plan(load(path), str(path))

@@ -37,7 +37,7 @@ def made_up(folder: Path) -> list[Row]:
     rows = []
     for number, point in enumerate(points(campaign)):
         for seed in range(5):
-            row = row_of(Trial(number * 5 + seed, number, seed, point), "v")
+            row = row_of(Trial(number * 5 + seed, number, seed, point, {}, point), "v")
             value = point["controller.horizon_s"] / 10 + (point["sensors"] == "realistic") + hard[seed]
             rows.append(row | {"true_error_m.mean": value})
     rows[7] |= {"true_error_m.mean": None, "failed": "no <such> thing"}  # point 1, seed 2
