@@ -214,6 +214,9 @@ OF: Mapping[str, Mapping[str, str]] = {
         "schedule_s": "how far the target has come, by the reference's own schedule",
         "schedule_rate": "of that time to the vehicle's: below 1 the target waits",
         "progress": "along the reference; null where it has no end",
+        "depth_integral_N": "the depth law's integral: the vertical thrust that keeps a depth",
+        "plan_delays_ns": "of the last plans: from the start of the cycle to arrival at the actuators",
+        "cycle_times_ns": "of the last cycles: computing alone",
     },
     "DroppedNode": {
         "node": "of the grid of depths, from 0 at the surface",
@@ -251,6 +254,11 @@ OF: Mapping[str, Mapping[str, str]] = {
         "reason": "why, in words: the field and its bound",
         "payload_base64": "what arrived, at most 3072 bytes of it",
     },
+    "Handed": {
+        "t_ns": "when it came to the injector",
+        "key": "on which the node under test was given it, or said it",
+        "payload_base64": "the frame",
+    },
     "InboxEntry": {
         "epoch": "of the message's header",
         "sequence": "of the message's header",
@@ -268,8 +276,9 @@ OF: Mapping[str, Mapping[str, str]] = {
         "host_boot_id": "of the time-keeper's host: monotonic times are comparable within one boot only",
         "at_monotonic_us": "CLOCK_MONOTONIC from which this holds",
         "vehicle_ns": "vehicle time at that instant",
-        "speed_num": "speed, numerator",
-        "speed_den": "speed, denominator",
+        "speed_num": "speed in force, numerator",
+        "speed_den": "speed in force, denominator",
+        "asked_speed": "vehicle seconds per second of the wall that were asked for; a slow machine is given fewer",
         "state": "what vehicle time does from then on",
     },
     "ClockCommand": {
@@ -289,7 +298,7 @@ OF: Mapping[str, Mapping[str, str]] = {
         "dropped": "messages that never came so far, by gaps in the sequences",
         "rejected": "messages refused so far",
         "step_us": "mean wall time of a step since the last status",
-        "behind_us": "wall time that the message taken last had waited; the clock is slowed for who is far behind",
+        "behind_us": "least wall time that a message waited since the last word; the clock waits for who is far behind",
         "finished": "its last word",
     },
     "RunEvent": {"t_ns": "when it happened", "kind": "one word"},

@@ -24,6 +24,7 @@ from ltv_mpc.signals import (
     Estimate,
     EstimatorCheckpoint,
     GnssFix,
+    Handed,
     ImuSample,
     Injection,
     Kill,
@@ -106,6 +107,7 @@ TOPICS = (
     Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("launcher",)),
     Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
     Topic(Rejected,           "rejected",                         0, EVERY,    "*",          ()),
+    Topic(Handed,             "handed",                           0, EVERY,    "inject",     ()),
     Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("launcher",)),
 )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -29,6 +30,9 @@ def replay(
     The nodes are built from the run's own settings and fed the recorded inputs in the recorded order. Exit code 0 where
     every step that can be compared is identical.
     """
+    from contextlib import ExitStack
+    from functools import cache
+
     import msgspec
 
     from services.replay import replay as nodes
@@ -38,7 +42,16 @@ def replay(
 
     made = nodes.Run(folder.find(run))
     scenario = made.situation.scenario
-    with progress_for(scenario.start_ns, scenario.end_ns) as progress:
+    with ExitStack() as shown:
+
+        @cache
+        def bar() -> Callable[[int], None]:
+            """From the first word on: it has a thread, and nobody forks a process of several."""
+            return shown.enter_context(progress_for(scenario.start_ns, scenario.end_ns))
+
+        def progress(t_ns: int) -> None:
+            bar()(t_ns)
+
         if with_ is not None:
             would = nodes.what_if(made, with_, only=node, progress=progress)
         else:

@@ -50,7 +50,7 @@ def children(parent: int) -> Iterator[tuple[int, str]]:
 
 
 def pid_of(node: str, parent: int) -> int:
-    """The process of a node that is at work: a spare has another name. Raises ``NotFound``."""
+    """The process of a node. Raises ``NotFound``."""
     for pid, name in children(parent):
         if name == f"ltv-{node}":
             return pid

@@ -1,9 +1,12 @@
-"""The whole campaign: faults drawn, runs made in lock step on all cores and in processes side by side, each judged."""
+"""The whole campaign: faults drawn, runs made in lock step on all cores and in processes side by side, each judged.
+
+What has been found of a run is written down as it ends (``kept.py``); a campaign that goes on makes what is missing.
+"""
 
 from __future__ import annotations
 
 import os
-import tempfile
+import shutil
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
@@ -12,6 +15,7 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc.errors import ConfigError
+from services.campaign.trial import version_of
 from services.faults import bench, draw, inside, outside, recorded
 from services.faults.attacks import ATTACKS
 from services.faults.draw import Pace, Run
@@ -19,8 +23,11 @@ from services.faults.fault import Place, Seen
 from services.faults.judge import Errors, errors, judge
 from services.faults.judge_outside import OfProcesses
 from services.faults.judge_outside import judge as judge_processes
+from services.faults.kept import Asked, Kept
 from services.faults.kinds import KINDS, NAMES, Kind
+from services.faults.result import problems
 from services.measure.batch import each
+from services.run.made_by import made_by
 
 SEVERAL, SEVERAL_QUICK = 8, 10
 SEVERAL_IN_PROCESSES = 5
@@ -30,13 +37,15 @@ A_SEED = 100
 """Faults for each seed of the scenario: every seed needs a run without faults."""
 
 SEEDS_IN_PROCESSES = 2
-SHARE_IN_PROCESSES = 0.22
+SHARE_IN_PROCESSES = 0.2
 
 PACE = Pace(afloat_s=30.0, first_s=50.0, after_s=61.0)
 PACE_IN_PROCESSES = Pace(afloat_s=10.0, first_s=20.0, after_s=61.0)
-QUICK = Pace(afloat_s=5.0, first_s=8.0, after_s=4.0, longest_s=4.0)
-QUICK_IN_PROCESSES = Pace(afloat_s=5.0, first_s=8.0, after_s=10.0, longest_s=3.0)
-"""Without a judgement of the error that is left a minute later."""
+QUICK = Pace(afloat_s=3.0, first_s=5.0, after_s=2.5, longest_s=2.0, pause_s=0.3)
+QUICK_IN_PROCESSES = Pace(afloat_s=4.0, first_s=5.0, after_s=2.5, longest_s=1.5, pause_s=0.3)
+"""Without a judgement of the error that is left a minute later. What is done to processes themselves is left out, if
+not asked for: a run in which they are started anew takes a minute by itself.
+"""
 
 LAST_S = 10.0
 """In processes the run goes on so much longer after what is asked of the last fault: 70 s after its end."""
@@ -46,6 +55,10 @@ LOAD = 0.7
 """What a run of processes at twice real time takes of a core, and how much of all of them runs may take."""
 
 Tell = Callable[[int], None]
+
+
+class Unmeasured(RuntimeError):
+    """What faults are to be held against could not be measured."""
 
 
 class Plan(NamedTuple):
@@ -61,13 +74,26 @@ class Plan(NamedTuple):
         """All of them."""
         return self.n_inside + self.n_outside
 
+    def asked(self, *, seed: int, quick: bool) -> Asked:
+        """What decides which faults these are."""
+        names = tuple(f"{kind.name} in {kind.place}" for kind in (*self.inside, *self.outside))
+        return Asked(
+            classes=names,
+            in_lockstep=self.n_inside,
+            in_processes=self.n_outside,
+            seed=seed,
+            quick=quick,
+            version=version_of(made_by()),
+        )
 
-def plan(classes: str, where: str, n: int) -> Plan:
+
+def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
     """From the command's words: classes, names joined by commas, all if empty. Raises ``ConfigError``."""
-    wanted = [name.strip() for name in classes.split(",") if name.strip()] or list(NAMES)
+    wanted = [name.strip() for name in classes.split(",") if name.strip()]
     for name in wanted:
         if name not in NAMES:
             raise ConfigError("option --classes", "", f"must be of {', '.join(NAMES)}", value=name)
+    wanted = wanted or [name for name in NAMES if not (quick and name in ATTACKS)]
     places = {"both": set(Place), **{place.value: {place} for place in Place}}
     if where not in places:
         raise ConfigError("option --where", "", "must be lockstep, processes or both", value=where)
@@ -80,15 +106,13 @@ def plan(classes: str, where: str, n: int) -> Plan:
     return Plan(here, there, n - in_processes, in_processes)
 
 
-def run(asked: Plan, *, seed: int, quick: bool, keep: Path | None, progress: Tell = lambda _: None) -> list[Seen]:
-    """All of it. ``keep`` is the folder in which the runs of processes stay; None: they are removed."""
+def run(asked: Plan, kept: Kept, *, seed: int, quick: bool, progress: Tell = lambda _: None) -> list[Seen]:
+    """All of it that ``kept`` does not know yet; what was seen of all faults. ``progress`` is told of faults done."""
     seen: list[Seen] = []
     if asked.n_inside:
-        seen += in_lockstep(asked.inside, asked.n_inside, seed=seed, quick=quick, progress=progress)
+        seen += in_lockstep(asked.inside, asked.n_inside, kept, seed=seed, quick=quick, progress=progress)
     if asked.n_outside:
-        with tempfile.TemporaryDirectory(prefix="ltv-mpc-faults-") as temporary:
-            folder = keep or Path(temporary)
-            seen += in_processes(asked.outside, asked.n_outside, folder, seed=seed, quick=quick, progress=progress)
+        seen += in_processes(asked.outside, asked.n_outside, kept, seed=seed, quick=quick, progress=progress)
     return seen
 
 
@@ -113,38 +137,44 @@ def undisturbed(run: Run) -> Errors:
 
 
 def in_lockstep(
-    kinds: Sequence[Kind],
-    n: int,
-    *,
-    seed: int,
-    quick: bool = False,
-    workers: int | None = None,
-    progress: Tell = lambda _: None,
+    kinds: Sequence[Kind], n: int, kept: Kept, *, seed: int, quick: bool = False, progress: Tell = lambda _: None
 ) -> list[Seen]:
-    """``n`` faults of these classes, in lock step; ``progress`` is told of faults that are done."""
-    pace = QUICK if quick else PACE
-    runs = draw.runs(
-        kinds, n, seed=seed, several=SEVERAL_QUICK if quick else SEVERAL, seeds=max(1, n // A_SEED), pace=pace
-    )
-    baselines: dict[int, Errors] = {}
-    if not quick:
-        alone = _alone(runs)
+    """``n`` faults of these classes, in lock step on all cores that this process may use; a few quick ones in itself,
+    sooner than other processes would have started.
+    """
+    pace, workers = (QUICK, 1) if quick else (PACE, _cores())
+    several = SEVERAL_QUICK if quick else SEVERAL
+    runs = draw.runs(kinds, n, seed=seed, several=several, seeds=max(1, n // A_SEED), pace=pace)
+    names = [f"lockstep-{i:03d}" for i in range(len(runs))]
+    missing = [i for i, name in enumerate(names) if kept.seen(name) is None]
+    progress(sum(len(run.faults) for i, run in enumerate(runs) if i not in missing))
+    if missing and not quick:
+        alone = [run for run in _alone(runs) if kept.errors(_without("lockstep", run.seed)) is None]
         for place, result in each(undisturbed, alone, workers=workers):
-            baselines[alone[place].seed] = result
-    seen: dict[int, list[Seen]] = {}
-    for place, of_run in each(judged, [Job(run, baselines.get(run.seed)) for run in runs], workers=workers):
-        seen[place] = of_run
-        progress(len(runs[place].faults))
-    return [one for place in sorted(seen) for one in seen[place]]
+            kept.add_errors(_without("lockstep", alone[place].seed), result)
+    jobs = [Job(runs[i], None if quick else kept.errors(_without("lockstep", runs[i].seed))) for i in missing]
+    for place, seen in each(judged, jobs, workers=workers):
+        kept.add(names[missing[place]], seen)
+        progress(len(jobs[place].run.faults))
+    return [one for name in names for one in kept.seen(name) or ()]
+
+
+def _cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _without(way: str, seed: int) -> str:
+    """The name of the run of a seed without faults."""
+    return f"without-{way}-{seed}"
 
 
 def _alone(runs: Sequence[Run]) -> list[Run]:
     """For each seed a run without faults, as long as its longest one with."""
-    longest: dict[int, float] = {}
-    for run in runs:
-        longest[run.seed] = max(run.duration_s, longest.get(run.seed, 0.0))
-    afloat_s = runs[0].afloat_s
-    return [Run(seed=seed, faults=(), duration_s=longest[seed], afloat_s=afloat_s) for seed in longest]
+    longest: dict[int, Run] = {}
+    for run in sorted(runs, key=lambda run: run.duration_s):
+        longest[run.seed] = run
+    return [msgspec.structs.replace(longest[seed], faults=()) for seed in sorted(longest)]
 
 
 # --- in processes ----------------------------------------------------------------------------------------------------
@@ -152,60 +182,89 @@ def _alone(runs: Sequence[Run]) -> list[Run]:
 Make = Callable[[Run, Path], OfProcesses]
 
 
+class Task(NamedTuple):
+    """A run of processes to be made."""
+
+    name: str
+    way: str  # of ``WAYS``
+    run: Run
+
+
 def in_processes(
-    kinds: Sequence[Kind],
-    n: int,
-    folder: Path,
-    *,
-    seed: int,
-    quick: bool = False,
-    side_by_side: int | None = None,
-    progress: Tell = lambda _: None,
+    kinds: Sequence[Kind], n: int, kept: Kept, *, seed: int, quick: bool = False, progress: Tell = lambda _: None
 ) -> list[Seen]:
-    """``n`` faults of these classes in real processes, each run in a folder of its own below ``folder``."""
-    pace = QUICK_IN_PROCESSES if quick else PACE_IN_PROCESSES
-    of_processes = [kind for kind in kinds if kind.name in ATTACKS]
-    of_messages = [kind for kind in kinds if kind not in of_processes]
-    seen: list[Seen] = []
-    for name, group, make in (("bus", of_messages, behind_injector), ("node", of_processes, under_supervisor)):
-        if not group:
-            continue
-        count = n - len(of_processes) * n // len(kinds) if group is of_messages else len(of_processes) * n // len(kinds)
-        runs = [
-            run if quick else msgspec.structs.replace(run, duration_s=run.duration_s + LAST_S)
-            for run in draw.runs(
-                group, count, seed=seed, several=SEVERAL_IN_PROCESSES, seeds=SEEDS_IN_PROCESSES, pace=pace
-            )
+    """``n`` faults of these classes in real processes, each run in a folder of its own beside what is kept."""
+    tasks = [task for way in WAYS for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
+    missing = [task for task in tasks if kept.seen(task.name) is None]
+    progress(sum(len(task.run.faults) for task in tasks if task not in missing))
+    vehicle = inside.situation(tasks[0].run).vehicle
+    if missing and not quick:
+        alone = [
+            Task(name, way, run)
+            for way in WAYS
+            for run in _alone([task.run for task in tasks if task.way == way])
+            if kept.errors(name := _without(way, run.seed)) is None
         ]
-        seen += _side_by_side(name, runs, make, folder, quick=quick, most=side_by_side, progress=progress)
-    return seen
+
+        def keep_errors(task: Task, ended: OfProcesses) -> None:
+            if not (recording := ended.folder / "run.mcap").exists():
+                raise Unmeasured(f"{ended.folder}: the run without faults has no recording ({ended.uncontrolled})")
+            kept.add_errors(task.name, errors(recorded.read(recording, vehicle).log))
+            remove(ended.folder)
+
+        _side_by_side(alone, kept.path, keep_errors)
+
+    def keep(task: Task, ended: OfProcesses) -> None:
+        baseline = None if quick else kept.errors(_without(task.way, task.run.seed))
+        seen = judge_processes(ended, vehicle, baseline)
+        kept.add(task.name, seen)
+        progress(len(task.run.faults))
+        if not any(map(problems, seen)):
+            remove(ended.folder)
+
+    _side_by_side(missing, kept.path, keep)
+    return [one for task in tasks for one in kept.seen(task.name) or ()]
 
 
-def _side_by_side(
-    name: str, runs: Sequence[Run], make: Make, folder: Path, *, quick: bool, most: int | None, progress: Tell
-) -> list[Seen]:
-    alone = [] if quick else _alone(runs)
-    count = most or max(1, int(LOAD * (os.cpu_count() or 1) / CORES_A_RUN))
-    with ThreadPoolExecutor(count) as pool:
-        places = {
-            pool.submit(make, run, folder / f"{name}-{i:03d}{'-without' if not run.faults else ''}"): i
-            for i, run in enumerate([*alone, *runs])
-        }
-        ended: dict[int, OfProcesses] = {}
-        for future in as_completed(places):
-            ended[places[future]] = future.result()
-            progress(len(ended[places[future]].run.faults))
-    vehicle = inside.situation(runs[0]).vehicle
-    baselines: dict[int, Errors] = {}
-    for i, run in enumerate(alone):
-        recording = ended[i].folder / "run.mcap"
-        if recording.exists():
-            baselines[run.seed] = errors(recorded.read(recording, vehicle).log)
+def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -> list[Task]:
+    """The runs of a way, which has those of the ``n`` faults that are of its classes."""
+    own = [kind for kind in kinds if (kind.name in ATTACKS) is (way == "node")]
+    to_nodes = sum(kind.name in ATTACKS for kind in kinds) * n // len(kinds)
+    count = to_nodes if way == "node" else n - to_nodes
+    if not own or not count:
+        return []
+    pace = QUICK_IN_PROCESSES if quick else PACE_IN_PROCESSES
+    runs = draw.runs(own, count, seed=seed, several=SEVERAL_IN_PROCESSES, seeds=SEEDS_IN_PROCESSES, pace=pace)
+    longer_s = 0.0 if quick else LAST_S
     return [
-        one
-        for i, run in enumerate(runs, start=len(alone))
-        for one in judge_processes(ended[i], vehicle, baselines.get(run.seed))
+        Task(f"{way}-{i:03d}", way, msgspec.structs.replace(run, duration_s=run.duration_s + longer_s))
+        for i, run in enumerate(runs)
     ]
+
+
+def _side_by_side(tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None]) -> None:
+    """As many at a time as the machine bears; ``ended`` is called with each as it ends."""
+    if not tasks:
+        return
+    with ThreadPoolExecutor(max(1, int(LOAD * (os.cpu_count() or 1) / CORES_A_RUN))) as pool:
+        made = {pool.submit(WAYS[task.way], task.run, _empty(folder / task.name)): task for task in tasks}
+        try:
+            for future in as_completed(made):
+                ended(made[future], future.result())
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _empty(folder: Path) -> Path:
+    """Without what an interrupted run has left there."""
+    remove(folder)
+    return folder
+
+
+def remove(folder: Path) -> None:
+    """A run of processes, and what it said."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.with_suffix(".log").unlink(missing_ok=True)
 
 
 def under_supervisor(run: Run, folder: Path) -> OfProcesses:
@@ -224,3 +283,7 @@ def behind_injector(run: Run, folder: Path) -> OfProcesses:
     failed = {name: code for name, code in account.codes.items() if code != 0}
     uncontrolled = f"exit codes {failed}: {account.words}" if failed else ""
     return OfProcesses(run, folder, injected, account.harmed, uncontrolled)
+
+
+WAYS: dict[str, Make] = {"bus": behind_injector, "node": under_supervisor}
+"""How runs of processes are made: those whose messages are harmed, and those that are attacked themselves."""

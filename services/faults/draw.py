@@ -16,9 +16,6 @@ import numpy as np
 from services.faults.fault import Fault
 from services.faults.kinds import AFLOAT, Kind
 
-PAUSE_S = 3.0
-"""At most so much is drawn on top."""
-
 LAST_S = 75.0
 """From a permanent fault's start to the run's end."""
 
@@ -31,13 +28,15 @@ AFLOAT_S = (-24.0, -16.0)
 
 class Pace(NamedTuple):
     """How long a run is afloat, when its first fault under water begins, how long after a fault's end the next one
-    does, and how long one may last. Where it is not afloat for long nothing is broken there.
+    does, at least and by how much more at most, and how long one may last. Where it is not afloat for long nothing is
+    broken there.
     """
 
     afloat_s: float
     first_s: float
     after_s: float
     longest_s: float = math.inf
+    pause_s: float = 3.0
 
     def targets(self, kind: Kind) -> Sequence[str]:
         """Of a class."""
@@ -56,11 +55,12 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 def runs(kinds: Sequence[Kind], n: int, *, seed: int, several: int, seeds: int, pace: Pace) -> list[Run]:
     """``n`` faults of these classes in runs of ``several``, the runs over ``seeds`` seeds of the scenario."""
     rng = np.random.default_rng([seed, len(kinds), n])
-    drawn = [_drawn(kinds[i % len(kinds)], i // len(kinds), rng, pace) for i in range(n)]
+    # Each class begins with another of its targets, so that few faults of many classes meet all targets.
+    drawn = [_drawn(kinds[i % len(kinds)], i // len(kinds) + i % len(kinds), rng, pace) for i in range(n)]
     order = rng.permutation(n)
     afloat = [drawn[i] for i in order if drawn[i].target in AFLOAT]
-    lasting = [drawn[i] for i in order if _lasts(drawn[i])]
-    others = [drawn[i] for i in order if not _lasts(drawn[i]) and drawn[i].target not in AFLOAT]
+    lasting = [drawn[i] for i in order if _lasts(drawn[i], pace)]
+    others = [drawn[i] for i in order if not _lasts(drawn[i], pace) and drawn[i].target not in AFLOAT]
     count = max(math.ceil(n / several), len(afloat), len(lasting))
     # Dealt in turn: at most one of each that must come first or last in a run.
     return [
@@ -69,9 +69,11 @@ def runs(kinds: Sequence[Kind], n: int, *, seed: int, several: int, seeds: int, 
     ]
 
 
-def _lasts(fault: Fault) -> bool:
-    """Whether it is the last of its run: what it does to the estimate would be held against those after it."""
-    return fault.permanent or fault.target == "imu"
+def _lasts(fault: Fault, pace: Pace) -> bool:
+    """Whether it is the last of its run: what it does to the estimate would be held against those after it, where that
+    is judged at all.
+    """
+    return fault.permanent or (fault.target == "imu" and math.isinf(pace.longest_s))
 
 
 def _drawn(kind: Kind, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:
@@ -102,7 +104,9 @@ def _run(seed: int, faults: Sequence[Fault], rng: np.random.Generator, pace: Pac
     placed = []
     next_s = pace.first_s
     for fault in faults:
-        start_s = float(rng.uniform(*AFLOAT_S)) if fault.target in AFLOAT else next_s + float(rng.uniform(0, PAUSE_S))
+        start_s = (
+            float(rng.uniform(*AFLOAT_S)) if fault.target in AFLOAT else next_s + float(rng.uniform(0, pace.pause_s))
+        )
         end_s = start_s + (LAST_S if fault.permanent else fault.end_s)
         placed.append(msgspec.structs.replace(fault, start_s=start_s, end_s=end_s))
         if fault.target not in AFLOAT:

@@ -6,6 +6,9 @@ import enum
 
 import msgspec
 
+RECOVERED = 2.0
+"""Mean tracking error after a fault over that without: at most."""
+
 
 class Place(enum.StrEnum):
     """Where a fault is injected."""
@@ -36,7 +39,10 @@ class Seen(msgspec.Struct, frozen=True, kw_only=True):
     reaction_s: float | None  # from when a reaction was due to the reaction
     late: str  # why the reaction was late; empty: it was in time
     worst_error_m: float | None  # true horizontal error until a minute after its end
+    grown_m: float | None  # by how much that error moved, at most, from what it was at the start
+    bound_m: float | None  # of ``grown_m``: where an instrument or a thruster is lost
     ratio: float | None  # mean tracking error 30 to 60 s after its end over that of the same seed without
+    window_ratio: float | None  # the same over that in the same half minute alone
     outside_s: float  # the true error was outside 3 sigma and nothing said so
     uncounted: int  # messages harmed that nobody counted
     bad_thrusts: int  # commands not finite, or outside box or slew, in the plant's own record

@@ -217,6 +217,7 @@ class Observed(NamedTuple):
     dropped: list[tuple[int, int]]  # when, and how many losses the doors knew of by then
     uncontrolled: str
     until_ns: int
+    unheard: int = 0  # plans that were published, and lost on their way to whoever observed
 
 
 def situation(run: Run) -> Situation:

@@ -50,15 +50,16 @@ def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Se
         return blamed([_nothing(of, one.fault) for one in of.injected])
     read = recorded.read(of.folder / "run.mcap", vehicle)
     here = errors(read.log)
-    lost = max(0, _lost(read) - _counted(read, of.folder))
+    lost = max(0, _lost(read) - _counted(read, of.folder) - read.unreadable)
     seen = []
     for place, one in enumerate(of.injected):
         fault = one.fault
+        harmed = of.harmed[place] if place < len(of.harmed) else 0
         case = Case(
             fault=fault,
             start_ns=one.at_ns,
             end_ns=max(one.at_ns, round(fault.end_s * 1e9)),
-            harmed=of.harmed[place] if place < len(of.harmed) else 0,
+            harmed=harmed,
             of=Observed(
                 log=read.log,
                 harmed={},
@@ -66,6 +67,7 @@ def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Se
                 dropped=_dropped(read, READ_BY.get(fault.target, "")),
                 uncontrolled=of.uncontrolled,
                 until_ns=read.until_ns,
+                unheard=min(harmed, _holes(read, PLAN)) if fault.target == PLAN else 0,
             ),
             back=_back(read, one),
         )
@@ -83,7 +85,10 @@ def _nothing(of: OfProcesses, fault: Fault) -> Seen:
         reaction_s=None,
         late="",
         worst_error_m=None,
+        grown_m=None,
+        bound_m=None,
         ratio=None,
+        window_ratio=None,
         outside_s=0.0,
         uncounted=0,
         bad_thrusts=0,
@@ -124,6 +129,15 @@ def _again(read: Recorded, one: Injected) -> int | None:
 def _lost(read: Recorded) -> int:
     """Messages that were published and are not in the recording, of processes that said how many there were."""
     return sum(max(0, word.published - read.messages[epoch]) for epoch, word in read.last.items())
+
+
+def _holes(read: Recorded, key: str) -> int:
+    """Sequence numbers of a key that are not in the recording, between the first and the last of each epoch."""
+    by_epoch: dict[int, set[int]] = {}
+    for sent in read.sent:
+        if sent.key == key:
+            by_epoch.setdefault(sent.epoch, set()).add(sent.sequence)
+    return sum(max(numbers) - min(numbers) + 1 - len(numbers) for numbers in by_epoch.values())
 
 
 def _counted(read: Recorded, folder: Path) -> int:

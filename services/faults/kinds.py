@@ -22,7 +22,7 @@ from ltv_mpc.signals import (
     Signal,
     TdcpFix,
 )
-from services.faults.fault import Place
+from services.faults.fault import Fault, Place
 
 LOCKSTEP, PROCESSES = Place.LOCKSTEP, Place.PROCESSES
 
@@ -107,9 +107,40 @@ KINDS = (
 )  # fmt: skip
 """Every class; one of messages on their way has a row in each place."""
 
+ADRIFT_M = 15.0
+"""0.2 m/s of water for 75 s: a vehicle that nothing drives goes with it."""
+
+INERTIAL_M = 25.0
+"""3 sigma of an inertial unit alone for 75 s, its level and biases as the profiler has told of them before."""
+
+AIDED_M = 2.0
+"""With the profiler: 3 sigma of a velocity of 5 mm/s over two minutes."""
+
+BOUNDS_M: Mapping[tuple[str, str], float] = {
+    ("sensor_off", "imu"): ADRIFT_M,
+    ("sensor_off", "adcp"): INERTIAL_M,
+    ("sensor_off", "compass"): AIDED_M,
+    ("sensor_off", "pressure"): AIDED_M,
+    ("sensor_off", "gnss"): AIDED_M,
+    ("sensor_off", "tdcp"): AIDED_M,
+    ("thruster_loss", "port"): ADRIFT_M,
+    ("thruster_loss", "starboard"): ADRIFT_M,
+    ("thruster_loss", "both"): ADRIFT_M,
+}
+"""By class and target: how far what is lost may move the true horizontal error (m) while it is gone, 75 s where it is
+for good, and in the minute after.
+"""
+
 NAMES = tuple(dict.fromkeys(kind.name for kind in KINDS))
 
 
 def of(name: str, place: Place) -> Kind:
     """The row of a class in a place."""
     return next(kind for kind in KINDS if kind.name == name and kind.place is place)
+
+
+def bound_m(fault: Fault) -> float | None:
+    """Of the true error, where an instrument is lost or something is lost for good; None: none is asked for."""
+    if fault.permanent or fault.kind == "sensor_off":
+        return BOUNDS_M[fault.kind, fault.target]
+    return None

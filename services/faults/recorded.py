@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Estimate, NodeStatus, Plan, Rejected, Signal, StepRecord, Truth
+from ltv_mpc.signals import Estimate, NodeStatus, Plan, Rejected, StepRecord, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_SIGNAL
-from services.bus.wire import Header, WireError
+from services.bus.wire import WireError
 from services.faults.inside import Log
 from services.recording.reader import Recording
 
@@ -45,6 +44,7 @@ class Recorded(NamedTuple):
     words: list[NodeStatus]  # all of them, in order
     last: dict[int, NodeStatus]  # by epoch, of those that have said their last word
     messages: Counter[int]  # recorded, by epoch
+    unreadable: int  # recorded too: harmed on their way, and refused by whoever read them
     until_ns: int
 
 
@@ -57,8 +57,16 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     messages: Counter[int] = Counter()
     steps: list[StepRecord] = []
     stamps: dict[tuple[int, int], int] = {}
-    until_ns = 0
-    for key, t_ns, signal, header in _messages(path):
+    until_ns = unreadable = 0
+    for message in Recording(path):
+        if message.kind is None:
+            continue
+        try:
+            signal, header = message.typed()
+        except WireError:
+            unreadable += 1
+            continue
+        key, t_ns = message.key, message.t_ns
         until_ns = max(until_ns, t_ns)
         messages[header.epoch] += 1
         match signal:
@@ -85,14 +93,4 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
                 if entry.key == ESTIMATE and (entry.epoch, entry.sequence) in stamps
             ]
     taken = frozenset(Taken(entry.key, entry.epoch, entry.sequence) for step in steps for entry in step.inbox)
-    return Recorded(log, taken, sent, words, last, messages, until_ns)
-
-
-def _messages(path: Path) -> Iterator[tuple[str, int, Signal, Header]]:
-    for recorded in Recording(path):
-        if recorded.kind is not None:
-            try:
-                signal, header = recorded.typed()
-            except WireError:  # what was refused on its way is in ``rejected``
-                continue
-            yield recorded.key, recorded.t_ns, signal, header
+    return Recorded(log, taken, sent, words, last, messages, unreadable, until_ns)

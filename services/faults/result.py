@@ -7,11 +7,8 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from services.faults.fault import Place, Seen
+from services.faults.fault import RECOVERED, Place, Seen
 from services.faults.kinds import KINDS
-
-MOST_RATIO = 2.0
-"""Mean tracking error 30 to 60 s after a fault's end over that of the same seed without."""
 
 UNSAID_S = 10.0
 """A window of innovations: so long an error may be outside 3 sigma before somebody must have said so."""
@@ -30,6 +27,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     worst_error_m: float | None
     worst_ratio: float | None
     not_recovered: int
+    grown_m: float | None  # of what is lost: how far the true error moved at most,
+    bound_m: float | None  # the largest bound of that,
+    beyond_bound: int  # and how often the fault's own bound was exceeded
     unsaid: int  # longer than UNSAID_S outside 3 sigma, and nothing said so
     uncounted: int
     bad_thrusts: int
@@ -49,6 +49,10 @@ class Campaign(msgspec.Struct, frozen=True, kw_only=True):
     uncounted_losses: int
     late_reactions: int
     not_recovered: int
+    window_over: int  # faults with a ``window_ratio`` over the same limit,
+    window_asked: int  # of so many that have one,
+    window_chance: float | None  # and the share of half minutes without any fault that are, by chance
+    beyond_bound: int
     unsaid: int
     wall_s: float
     load: float  # of the machine over its last minute, for each core: what is asked by the wall needs one below 1
@@ -56,8 +60,11 @@ class Campaign(msgspec.Struct, frozen=True, kw_only=True):
     not_kept: tuple[Seen, ...]  # each fault for which a promise was not kept
 
 
-def campaign(seen: Sequence[Seen], *, seed: int, quick: bool, wall_s: float, load: float) -> Campaign:
+def campaign(
+    seen: Sequence[Seen], *, seed: int, quick: bool, wall_s: float, load: float, window_chance: float | None = None
+) -> Campaign:
     """The figures of all that was seen."""
+    windows = [s.window_ratio for s in seen if s.window_ratio is not None]
     names = dict.fromkeys(kind.name for kind in KINDS)
     rows = tuple(row for name in names if (row := _row(name, [s for s in seen if s.fault.kind == name])).injected)
     return Campaign(
@@ -71,6 +78,10 @@ def campaign(seen: Sequence[Seen], *, seed: int, quick: bool, wall_s: float, loa
         uncounted_losses=sum(row.uncounted for row in rows),
         late_reactions=sum(row.late for row in rows),
         not_recovered=sum(row.not_recovered for row in rows),
+        window_over=sum(not ratio <= RECOVERED for ratio in windows),
+        window_asked=len(windows),
+        window_chance=window_chance,
+        beyond_bound=sum(row.beyond_bound for row in rows),
         unsaid=sum(row.unsaid for row in rows),
         wall_s=wall_s,
         load=load,
@@ -85,12 +96,17 @@ def problems(seen: Seen) -> list[str]:
     found.append(f"{seen.bad_thrusts} bad thrusts" if seen.bad_thrusts else "")
     found.append(f"{seen.uncounted} messages that nobody counted" if seen.uncounted else "")
     found.append(f"tracking error {seen.ratio:.1f} times that without it" if _not_recovered(seen) else "")
+    found.append(f"true error moved by {seen.grown_m:.1f} m, bound {seen.bound_m:g} m" if _beyond_bound(seen) else "")
     found.append(f"outside 3 sigma for {seen.outside_s:.0f} s, unsaid" if seen.outside_s > UNSAID_S else "")
     return [text for text in found if text]
 
 
 def _not_recovered(seen: Seen) -> bool:
-    return seen.ratio is not None and not seen.ratio <= MOST_RATIO
+    return seen.ratio is not None and not seen.ratio <= RECOVERED
+
+
+def _beyond_bound(seen: Seen) -> bool:
+    return seen.bound_m is not None and seen.grown_m is not None and not seen.grown_m <= seen.bound_m
 
 
 def _row(name: str, seen: Sequence[Seen]) -> Row:
@@ -106,6 +122,9 @@ def _row(name: str, seen: Sequence[Seen]) -> Row:
         worst_error_m=_worst(s.worst_error_m for s in seen),
         worst_ratio=_worst(s.ratio for s in seen),
         not_recovered=sum(_not_recovered(s) for s in seen),
+        grown_m=_worst(s.grown_m for s in seen if s.bound_m is not None),
+        bound_m=_worst(s.bound_m for s in seen),
+        beyond_bound=sum(map(_beyond_bound, seen)),
         unsaid=sum(s.outside_s > UNSAID_S for s in seen),
         uncounted=sum(s.uncounted for s in seen),
         bad_thrusts=sum(s.bad_thrusts for s in seen),

@@ -1,53 +1,40 @@
-"""How the supervisor's children begin: ``python -P -m services.launch.child PARENT COMMAND... PULSE [TURN]``.
+"""How the supervisor's children begin: ``python -P -m services.launch.child PARENT COMMAND... PULSE``, or forked.
 
 They bind themselves to their parent's life, and are then the command that a person would type. PULSE is ``pulse=FD``,
-the pipe for their pulse. With TURN, ``turn=now`` or ``turn=later``, they wait on their standard input for the word to
-begin; who has time until then loads what it will need as gently as possible.
+the pipe for their pulse; on their standard input stands the state to go on from.
 """
 
 from __future__ import annotations
 
 import ctypes
 import sys
-from functools import partial
+from collections.abc import Sequence
+from pathlib import Path
 
-from services.launch import spare
 from services.launch.orphans import die_with_parent, stop_at_end_of_input
 
 PR_SET_NAME = 15
-PULSE, TURN = "pulse=", "turn="
-NOW, LATER = "now", "later"
+PULSE = "pulse="
+RECORDER = "recorder"
 
 
-def main() -> None:
-    """``sys.argv``: the parent's pid, a command line of ``ltv-mpc``, then what is between parent and child alone."""
-    parent, *command = sys.argv[1:]
-    turn = command.pop().removeprefix(TURN) if command[-1].startswith(TURN) else ""
-    pulse = int(command.pop().removeprefix(PULSE))
+def run(words: Sequence[str]) -> None:
+    """The parent's pid, a command line of ``ltv-mpc``, then what is between parent and child alone. To the end of it.
+
+    The recorder does not die with its parent: it finishes its file.
+    """
+    parent, *command, pulse = words
     node = command[0]
-    if node != "recorder":
+    if node != RECORDER:
         die_with_parent(int(parent))
-    if turn:
-        call_oneself("ltv-spare")
-        if turn == LATER:
-            spare.load_gently(node)
-    begin = partial(_begin, node)
-    if not turn:
-        begin()
+    call_oneself(f"ltv-{node}")
 
     from services.process.supervised import SUPERVISED
 
-    SUPERVISED.by(pulse, on_turn=begin if turn else None)
+    SUPERVISED.by(int(pulse.removeprefix(PULSE)), restored=stop_at_end_of_input if node == RECORDER else None)
     from services.cli.app import main as command_line
 
     command_line(command)
-
-
-def _begin(node: str) -> None:
-    """It is this process's turn."""
-    call_oneself(f"ltv-{node}")
-    if node == "recorder":
-        stop_at_end_of_input()
 
 
 def call_oneself(name: str) -> None:
@@ -57,5 +44,19 @@ def call_oneself(name: str) -> None:
         libc.prctl(PR_SET_NAME, name.encode())
 
 
+class Room:
+    """The memory that holds this process's command line, of which ``/proc/PID/cmdline`` is a window."""
+
+    def __init__(self) -> None:
+        numbers = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        self._first, self._last = (int(numbers[field - 3]) for field in (48, 49))  # arg_start, arg_end of proc(5)
+
+    def write(self, words: Sequence[str]) -> None:
+        """Be known by another one; what does not fit is left out."""
+        size = self._last - self._first
+        text = b"".join(word.encode() + b"\0" for word in words)[: size - 1]
+        ctypes.memmove(self._first, text.ljust(size, b"\0"), size)
+
+
 if __name__ == "__main__":
-    main()
+    run(sys.argv[1:])

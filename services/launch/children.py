@@ -1,4 +1,4 @@
-"""One child process of the supervisor: spawned in a session of its own, its words in a log, its end never missed."""
+"""One child process of the supervisor: in a session of its own, its words in a log, its end never missed."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import IO
+from typing import Protocol
 
-from services.launch.child import PULSE, TURN
+from services.launch import child
+from services.launch.forks import ForkServer
 from services.launch.heartbeat import HUNG_S, Heartbeat
 from services.launch.orphans import Guard
-from services.process.supervised import FORMAT, LAST, LENGTH, READY
+from services.process.supervised import FORMAT, LAST, LENGTH
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
@@ -22,11 +24,22 @@ BEATS = 4096  # bytes taken at once
 EXIT_S = 0.2  # from the end of its pipes to that of the process
 
 
-class Child:
-    """Spawn from the main thread only: a child dies with the thread that spawned it.
+class Process(Protocol):
+    """What was forked or spawned."""
 
-    ``turn``: None for one that begins at once; NOW or LATER for one that waits for ``take_turn``, and until then loads
-    what it will need as fast as it can, or only while nobody else wants the processor.
+    pid: int
+
+    def poll(self) -> int | None: ...
+    def wait(self, timeout: float | None = None) -> int: ...
+    def send_signal(self, sig: int, /) -> None: ...
+    def kill(self) -> None: ...
+
+
+class Child:
+    """Start it from the main thread only: a child dies with the thread that spawned it, or has adopted it.
+
+    ``restore`` is the state to go on from, as it travels, or nothing. It is forked where ``forks`` can, and else
+    spawned, which takes some two seconds longer.
     """
 
     def __init__(
@@ -36,55 +49,58 @@ class Child:
         *,
         log: Path,
         guard: Guard,
-        turn: str | None = None,
+        forks: ForkServer | None = None,
+        restore: bytes = b"",
         patience_s: float = HUNG_S,
     ) -> None:
         self.name = name
-        self.ready = False  # a spare has loaded all that it will need
         self.gone = False  # it has closed its pulse: nothing more comes from it
         self.heartbeat = Heartbeat(patience_s)
         self._log = log
         self._guard = guard
         self._released = False
-        self.pulse, beats = os.pipe()
+        self._stdin = -1
+        self.pulse = -1
         """To be watched: it can be read when the child beats, and when it is no more."""
+        process: Process | None = None
+        if forks is not None:
+            process = self._start(lambda stdin, beats: forks.fork(command, log, stdin, beats))
+        if process is None:
+            process = self._start(lambda stdin, beats: _spawn(command, log, stdin, beats))
+        assert process is not None
+        self._process = process
+        guard.watch(self.pid)
+        with contextlib.suppress(BrokenPipeError):  # it is dead itself, which shows elsewhere
+            os.write(self._stdin, LENGTH.pack(len(restore)) + restore)
+
+    def _start(self, start: Callable[[int, int], Process | None]) -> Process | None:
+        """By ``start``, which is given the child's ends of two new pipes. Where it gives nothing, both are closed: one
+        that was forked nonetheless, too late, ends at the end of its input.
+        """
+        stdin, self._stdin = os.pipe()
+        _widen(self._stdin)
+        self.pulse, beats = os.pipe()
         os.set_blocking(self.pulse, False)
-        words = [f"{PULSE}{beats}", *([] if turn is None else [f"{TURN}{turn}"])]
         try:
-            with log.open("wb") as output:
-                self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", "services.launch.child", str(os.getpid()), *command, *words],
-                    stdin=subprocess.PIPE,
-                    stdout=output,
-                    stderr=subprocess.STDOUT,
-                    start_new_session=True,
-                    pass_fds=(beats,),
-                )
+            process = start(stdin, beats)
         finally:
             os.close(beats)
-        _widen(self._process.stdin)
-        guard.watch(self.pid)
+            os.close(stdin)
+        if process is None:
+            self.close()
+        return process
 
     @property
     def pid(self) -> int:
         """Of the process."""
         return self._process.pid
 
-    def take_turn(self, restore: bytes) -> None:
-        """It takes a dead one's place; ``restore`` is the state to go on from, as it travels, or nothing."""
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # it is dead itself, which shows elsewhere
-            self._process.stdin.write(LENGTH.pack(len(restore)) + restore)
-            self._process.stdin.flush()
-
     def listen(self) -> None:
         """Take the pulses that have come; after the last one of all, wait for the exit, which is not far."""
         with contextlib.suppress(BlockingIOError):
             while beats := os.read(self.pulse, BEATS):
                 for (at_us,) in FORMAT.iter_unpack(beats):
-                    if at_us == READY:
-                        self.ready = True
-                    elif at_us == LAST:
+                    if at_us == LAST:
                         self.heartbeat.end()
                     else:
                         self.heartbeat.beat(at_us / 1e6)
@@ -138,19 +154,32 @@ class Child:
         if self.pulse >= 0:
             os.close(self.pulse)
             self.pulse = -1
-        if self._process.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):  # what could not be said is said once more
-                self._process.stdin.close()
+        if self._stdin >= 0:
+            os.close(self._stdin)
+            self._stdin = -1
 
     def last_lines(self) -> tuple[str, ...]:
         """The end of what it said."""
         return last_lines(self._log)
 
 
-def _widen(pipe: IO[bytes] | None) -> None:
+def _spawn(command: Sequence[str], log: Path, stdin: int, beats: int) -> Process:
+    words = [str(os.getpid()), *command, f"{child.PULSE}{beats}"]
+    with log.open("wb") as output:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", child.__name__, *words],
+            stdin=stdin,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            pass_fds=(beats,),
+        )
+
+
+def _widen(pipe: int) -> None:
     import fcntl
 
-    if pipe is not None and hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
+    if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux
         with contextlib.suppress(OSError):  # beyond what this user may have
             fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 

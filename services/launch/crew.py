@@ -1,4 +1,4 @@
-"""The processes of a run: each at its work, behind each that may be started anew a spare."""
+"""The processes of a run, each at its work; all are forked from one that has loaded what they need."""
 
 from __future__ import annotations
 
@@ -7,83 +7,61 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from services.launch import table
-from services.launch.child import LATER, NOW
+from services.launch import forks, table
 from services.launch.children import Child
+from services.launch.forks import ForkServer
 from services.launch.heartbeat import HUNG_S
 from services.launch.orphans import Guard
 
 WORLD_PATIENCE_S = 10.0
 """Plant and sensors are not started anew: a machine that is busy for a while shall not end the run."""
 
-SPARE_S = 10.0
-"""So long at most one spare has the processor to itself."""
-
 
 class Crew:
     """``children`` are by name, in the order of their start; each started anew takes its former self's place."""
 
-    def __init__(self, logs: Path, guard: Guard) -> None:
+    def __init__(self, scenario: Path, logs: Path, guard: Guard) -> None:
         self.children: dict[str, Child] = {}
+        self.forks: ForkServer | None = None
+        """None where the system has no such thing, and everyone is spawned."""
+        self._scenario = scenario
         self._logs = logs
         self._guard = guard
         self._rows: dict[str, table.Process] = {}
         self._commands: dict[str, list[str]] = {}
         self._starts: dict[str, int] = {}
-        self._spares: dict[str, Child] = {}
-        self._without_spare: set[str] = set()
-        self._spare_due_s = 0.0
+
+    def load(self) -> None:
+        """Begin to load what everyone needs."""
+        if forks.possible():
+            self.forks = ForkServer(self._scenario, self._log("forkserver"), self._guard)
+
+    def keep_loaded(self) -> None:
+        """Another fork server in the place of one that is dead; until it has loaded, whoever is to begin is spawned."""
+        if self.forks is not None and self.forks.exit_code() is not None:
+            self.forks.close()
+            self.load()
 
     def start(self, row: table.Process, places: Mapping[str, str]) -> None:
         """The first of its name."""
         self._rows[row.name] = row
         self._commands[row.name] = table.command(row, places)
-        self.children[row.name] = self._spawn(row.name, None)
+        self.children[row.name] = self._begin(row.name, b"")
 
     def restart(self, name: str, restore: bytes) -> None:
-        """Another in the place of one that is dead: its spare, or where that is not ready yet one from nothing, which
-        has the processor sooner.
-        """
+        """Another in the place of one that is dead; ``restore``: the state to go on from, as it travels, or nothing."""
         self.children[name].close()
-        child = self._spares.pop(name, None)
-        if child is not None:
-            child.listen()
-            if not child.ready or child.gone:
-                child.kill()
-                child.close()
-                child = None
-        self.children[name] = child or self._spawn(name, NOW)
-        self.children[name].take_turn(restore)
+        self.children[name] = self._begin(name, restore)
 
     def restartable(self, name: str) -> bool:
         """Whether it may be started anew."""
         return self._rows[name].restartable
 
-    def keep_spares(self, now_s: float) -> None:
-        """One spare after the other, where one is missing. Who has lost one that did nothing gets no other."""
-        for name, spare in tuple(self._spares.items()):
-            spare.listen()
-            if spare.gone:
-                spare.kill()
-                self._spares.pop(name).close()
-                self._without_spare.add(name)
-        if not all(spare.ready for spare in self._spares.values()) and now_s < self._spare_due_s:
-            return
-        rows = self._rows.values()
-        # The router's is soon loaded, and everyone hangs on it; then the controller's and the estimator's.
-        for row in (*(row for row in rows if not row.needs), *(row for row in reversed(rows) if row.needs)):
-            if row.restartable and row.name not in self._spares and row.name not in self._without_spare:
-                self._spares[row.name] = self._spawn(row.name, LATER)
-                self._spare_due_s = now_s + SPARE_S
-                return
-
-    def dismiss_spares(self) -> None:
-        """They have nothing to finish."""
-        for spare in self._spares.values():
-            spare.kill()
-            spare.close()
-        self._spares.clear()
-        self._without_spare.update(self._rows)
+    def close(self) -> None:
+        """Nobody begins any more."""
+        if self.forks is not None:
+            self.forks.close()
+            self.forks = None
 
     def listen(self, timeout_s: float, stop: Callable[[], bool]) -> None:
         """Take pulses for so long, or until one has ended."""
@@ -98,13 +76,17 @@ class Crew:
     def _living(self) -> Iterable[Child]:
         return (child for child in self.children.values() if child.pulse >= 0 and not child.gone)
 
-    def _spawn(self, name: str, turn: str | None) -> Child:
-        count = self._starts[name] = self._starts.get(name, 0) + 1
+    def _begin(self, name: str, restore: bytes) -> Child:
         return Child(
             name,
             self._commands[name],
-            log=self._logs / (f"{name}.log" if count == 1 else f"{name}.{count}.log"),
+            log=self._log(name),
             guard=self._guard,
-            turn=turn,
+            forks=self.forks,
+            restore=restore,
             patience_s=HUNG_S if self._rows[name].restartable else WORLD_PATIENCE_S,
         )
+
+    def _log(self, name: str) -> Path:
+        count = self._starts[name] = self._starts.get(name, 0) + 1
+        return self._logs / (f"{name}.log" if count == 1 else f"{name}.{count}.log")

@@ -42,7 +42,6 @@ BACK_S = READY_S  # from a restart to the first message; beyond it has failed ag
 LISTENING = {"router", "recorder"}
 """Without whom no event is recorded."""
 RECONNECTED_S = 1.0  # from a router's return until all others have found it again
-SHORT_S = 20.0  # runs that are over sooner, by the wall, have no spares: they would cost as much as the run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,9 +145,10 @@ class Supervisor:
         in_order = False
         with ExitStack() as sessions:
             self._guard = Guard()
-            self._crew = Crew(self._logs, self._guard)
+            self._crew = Crew(self._folder.scenario, self._logs, self._guard)
             try:
                 self._warm()
+                self._load()
                 self._start(sessions)
                 self._await(self._plant_is_done, None, "")
                 in_order = True
@@ -159,7 +159,7 @@ class Supervisor:
                 code = INTERRUPTED if self._request.interrupted else FAILED
                 return Outcome(completed=False, exit_code=code, why="stopped; what was recorded until then is kept")
             finally:
-                self._crew.dismiss_spares()
+                self._crew.close()
                 killed = ending.stop(self._crew.children, in_order=in_order, close_session=sessions.close)
                 self._guard.close()
                 if self._watch is not None and (word := self._watch.newest(NodeStatus, "recorder")) is not None:
@@ -197,6 +197,15 @@ class Supervisor:
             process.kill()
             process.wait()
             self._guard.release(process.pid)
+
+    def _load(self) -> None:
+        self._crew.load()
+        if (forks := self._crew.forks) is None:
+            return
+        while not forks.is_loaded():
+            if (code := forks.exit_code()) is not None:
+                raise _Failed(f"loading {how_it_ended(code)}; its last lines:", last_lines(forks.log))
+            self._tick()
 
     def _start(self, sessions: ExitStack) -> None:
         endpoint = f"{SECURE if self._certs else 'tcp'}/127.0.0.1:{loopback.free_port()}"
@@ -266,17 +275,12 @@ class Supervisor:
             if name in self._crew.children:  # and then it is a fault as any other
                 self._crew.children[name].kill()
         self._look_after_recoveries(self._watch, now_s)
-        if self._working and self._is_long and self._watch.running():
-            self._crew.keep_spares(now_s)
+        if not self._recovering:  # whoever is being mended needs the processor sooner
+            self._crew.keep_loaded()
         for event in self._watch.events():
             if event.node != LAUNCHER:
                 self._show(event)
         self._screen.update(view_of(self._situation, self._watch, self._states(), now_s - self._started))
-
-    @property
-    def _is_long(self) -> bool:
-        scenario = self._situation.scenario
-        return (scenario.end_ns - scenario.start_ns) / 1e9 / scenario.run.speed >= SHORT_S
 
     # --- who is dead -------------------------------------------------------------------------------------------------
 

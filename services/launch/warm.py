@@ -26,16 +26,21 @@ def fill(scenario: Path, log: Path) -> subprocess.Popen[bytes]:
         )
 
 
-def main() -> None:
-    """Rehearse every node of the scenario that is named."""
+def rehearse(scenario: str) -> None:
+    """Every node of it: all their compiled code and solvers are loaded then."""
     from services.nodes import controller, estimator, plant, sensors
     from services.run.situation import resolve
 
-    situation = resolve(sys.argv[1])
+    situation = resolve(scenario)
     plant.rehearse(situation)
     sensors.rehearse(situation)
     estimator.rehearse(situation.suite, situation.scenario.estimator)
     controller.rehearse(situation.vehicle, situation.reference, situation.scenario.controller)
+
+
+def main() -> None:
+    """Of the scenario that is named; then nothing is left to compile."""
+    rehearse(sys.argv[1])
     (CACHE / MARK).touch()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple, TypeVar
@@ -23,6 +22,7 @@ from ltv_mpc.signals import (
     Truth,
 )
 from services.bus.mailbox import Mailbox
+from services.bus.newest import Newest
 from services.bus.roles import ROUTER
 from services.bus.session import Session
 from services.bus.topics import BY_SIGNAL, Topic
@@ -43,25 +43,6 @@ class Sign(NamedTuple):
 
     epoch: int  # of the process
     arrived_s: float  # monotonic
-
-
-class Newest:
-    """Takes frames as a ``Mailbox`` does, and keeps the newest of each key."""
-
-    def __init__(self) -> None:
-        self._frames: dict[str, tuple[Topic, bytes, float]] = {}
-        self.arrived_s = 0.0
-        """When the newest of all came."""
-
-    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        """Replace; called on Zenoh's thread."""
-        if topic is not None:
-            self.arrived_s = time.monotonic()
-            self._frames[key] = (topic, payload, self.arrived_s)
-
-    def get(self, key: str) -> tuple[Topic, bytes, float] | None:
-        """Topic, payload, monotonic time of arrival (s)."""
-        return self._frames.get(key)
 
 
 class _Plans(Newest):
@@ -99,7 +80,7 @@ class Watch:
         if frame is None:
             return None
         try:
-            return decode(kind, frame[1])[0]
+            return decode(kind, frame.payload)[0]
         except WireError:  # its readers count it
             return None
 
@@ -130,13 +111,13 @@ class Watch:
             return Sign(0, self._newest.arrived_s)
         if node == "controller" and self.running():
             applied, frame = self.newest(Applied), self._newest.get(BY_SIGNAL[Applied].key)
-            return None if applied is None or frame is None else Sign(applied.plan_epoch, frame[2])
+            return None if applied is None or frame is None else Sign(applied.plan_epoch, frame.arrived_s)
         works_by = BY_SIGNAL[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
         frame = self._newest.get(works_by)
         if frame is None:
             return None
         try:
-            return Sign(header_of(unpack(frame[1])).epoch, frame[2])
+            return Sign(header_of(unpack(frame.payload)).epoch, frame.arrived_s)
         except WireError:
             return None
 

@@ -8,6 +8,7 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter import Aiding
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.node import Arrival
 from ltv_mpc.signals import (
@@ -18,7 +19,6 @@ from ltv_mpc.signals import (
     ImuSample,
     LblRange,
     PressureDepth,
-    Signal,
     TdcpFix,
     UsblFix,
 )
@@ -48,15 +48,16 @@ def rehearse(suite: Suite, config: EstimatorConfig) -> None:
     adcp = suite.adcp
     range_m = adcp.blanking_m + adcp.cell_m * np.arange(0.5, max(1.0, (adcp.range_m - adcp.blanking_m) // adcp.cell_m))
     still = {"north_m": 0.0, "east_m": 0.0}
-    messages: list[Signal] = [
+    messages: list[ImuSample | Aiding] = [
         GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0),
         CompassHeading(t_ns=0, heading_rad=0.0),
         PressureDepth(t_ns=0, depth_m=0.0),
     ]
 
     def sample(t_ns: int) -> ImuSample:
+        rate = (0.0, 0.0, 1e-9 * (t_ns // imu_ns))  # the same again and again would be refused
         force = (0.0, 0.0, -GRAVITY_MPS2)
-        return ImuSample(t_ns=t_ns, interval_ns=imu_ns, angular_rate_radps=(0.0, 0.0, 0.0), specific_force_mps2=force)
+        return ImuSample(t_ns=t_ns, interval_ns=imu_ns, angular_rate_radps=rate, specific_force_mps2=force)
 
     messages += map(sample, range(imu_ns, second + 1, imu_ns))
     messages += [
@@ -72,4 +73,4 @@ def rehearse(suite: Suite, config: EstimatorConfig) -> None:
         UsblFix(t_ns=second // 2, **still),
     ]
     for message in messages:
-        estimator.step(0, [Arrival(message, 1, 0, 0)])
+        estimator.step(message.t_ns, [Arrival(message, 1, 0, message.t_ns)])

@@ -9,6 +9,7 @@ a fault begins and ends, and how many messages it has harmed. Times are vehicle 
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import heapq
 import json
@@ -18,13 +19,13 @@ from collections.abc import Callable, Iterable, Sequence
 import msgspec
 
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Clock, Injection, NodeStatus, RunEvent, Signal
+from ltv_mpc.signals import Clock, Handed, Injection, NodeStatus, RunEvent, Signal
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Publisher, Session, Stopped, open_session
 from services.bus.topics import BY_SIGNAL, TOPICS, Topic, topic_at
-from services.bus.wire import Header, WireError, decode, encode
+from services.bus.wire import Header, WireError, crc, decode, encode
 from services.faults.schedule import problem
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
@@ -164,7 +165,7 @@ class Injector:
             side_a = _Side(at_a, self._mailbox, lambda key: key not in own)
             side_b = _Side(at_b, self._mailbox, lambda key: key in own)
             self._sides = side_a, side_b
-            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent,))
+            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent, Handed))
             for key, topic in others.items():
                 side_a.subscribe(key, topic)
             side_a.subscribe(BY_SIGNAL[Injection].key, BY_SIGNAL[Injection])
@@ -190,7 +191,11 @@ class Injector:
         if now_ns is None:  # nothing happens before there is a time
             self._send(frame.key, frame.payload)
             return
-        for due_ns, payload in self._interference.carry(frame.topic, frame.payload, now_ns):
+        come = self._interference.carry(frame.topic, frame.payload, now_ns)
+        for payload in unlike_at_a(frame.payload, come, now_ns, said_at_b=frame.key in self._own):
+            text = base64.b64encode(payload).decode()
+            self._out.publish(Handed(t_ns=now_ns, key=frame.key, crc=crc(payload), payload_base64=text))
+        for due_ns, payload in come:
             if due_ns <= now_ns:
                 self._send(frame.key, payload)
             else:
@@ -241,6 +246,16 @@ class Injector:
         dues = [heap[0][0] for heap in (self._on_the_way, self._marks) if heap]
         due_us = self._clock.due_us(min(dues)) if dues else None
         return WAIT_S if due_us is None else min(max((due_us - monotonic_us()) / 1e6, 0.0), WAIT_S)
+
+
+def unlike_at_a(payload: bytes, come: Sequence[tuple[int, bytes]], now_ns: int, *, said_at_b: bool) -> list[bytes]:
+    """Frames at B that nobody hears at A, or not yet: ``come`` is what comes of ``payload``, and when it goes on.
+
+    A recording made at A holds with them all that the node under test was given and said.
+    """
+    if said_at_b:
+        return [] if (now_ns, payload) in come else [payload]
+    return [other for _, other in come if other != payload]
 
 
 def _written_by(node: str) -> dict[str, Topic]:

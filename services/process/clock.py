@@ -23,6 +23,9 @@ LEAD_US = 50_000
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
 MAX_SPEED_DENOMINATOR = 1_000_000
+MOST_LINES = 100
+"""Announcements that are kept: 50 ms ahead at most a few are on their way."""
+
 EARLIEST_NS = -(2**63)
 
 
@@ -111,15 +114,16 @@ class VehicleClock:
             raise ClockError("another plant has started a clock of its own: start this process again to follow it")
         if message.clock_sequence <= self._sequence:
             return False
-        kept = Fraction(message.speed_num, message.speed_den)
-        if not self._lines and self._speed not in (None, kept):
+        if not self._lines and self._speed not in (None, fraction_of(message.asked_speed)):
             raise ClockError(
-                f"run.speed is {float(self._speed):g} here and {float(kept):g} at the plant, where alone it counts: "
-                "start both with one scenario"
+                f"run.speed is {float(self._speed):g} here and {message.asked_speed:g} at the plant, where alone it "
+                "counts: start both with one scenario"
             )
         self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
         line = Line(message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state)
         self._lines.append(line)
+        if len(self._lines) > MOST_LINES:
+            del self._lines[-2]  # neither one that is soon in force nor the newest
         return True
 
     @property
@@ -163,7 +167,7 @@ class TimeKeeper:
     """The one who says what time it is. Its messages are repeated as they are, so that late joiners hear them."""
 
     def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
-        self._speed = fraction_of(speed)
+        self._speed = self._asked = fraction_of(speed)
         self.slowed_ns = 0  # vehicle time that the wall could not keep up with, in all
         self.slowed = 0  # how many times
         self.message = Clock(
@@ -174,13 +178,14 @@ class TimeKeeper:
             vehicle_ns=start_ns,
             speed_num=self._speed.numerator,
             speed_den=self._speed.denominator,
+            asked_speed=float(self._asked),
             state=ClockState.WAITING,
         )
 
     @property
     def speed(self) -> Fraction:
-        """Vehicle seconds per second."""
-        return self._speed
+        """Vehicle seconds per second, as asked for."""
+        return self._asked
 
     def run(self, now_us: int) -> Clock:
         """Start, or go on after a pause."""
@@ -192,7 +197,12 @@ class TimeKeeper:
 
     def set_speed(self, now_us: int, speed: float) -> Clock:
         """Go on at another speed."""
-        self._speed = fraction_of(speed)
+        self._speed = self._asked = fraction_of(speed)
+        return self._announce(now_us, self.message.state)
+
+    def pace(self, now_us: int, speed: Fraction) -> Clock:
+        """Go on at what the machine can do of the speed that was asked for."""
+        self._speed = speed
         return self._announce(now_us, self.message.state)
 
     def slow(self, now_us: int, late_us: int) -> Clock:
@@ -214,6 +224,7 @@ class TimeKeeper:
             vehicle_ns=line.read(at_us) - slip_ns,
             speed_num=self._speed.numerator,
             speed_den=self._speed.denominator,
+            asked_speed=float(self._asked),
             state=state,
         )
         return self.message

@@ -11,12 +11,13 @@ from services.bus.door import rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, open_session
-from services.bus.wire import Header, WireError, crc, header_of, typed, unpack
+from services.bus.wire import WireError, crc, header_of, typed, unpack
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.process.status import StatusReport
 from services.process.stopping import Say, StopRequest
 from services.process.supervised import SUPERVISED
 from services.recording.losses import Losses
+from services.recording.promises import Promises
 from services.recording.segments import SegmentWriter
 
 NAME = "recorder"
@@ -39,9 +40,7 @@ class RecordingLoop:
         stop.wakes(self.mailbox.wake)
         self._clock = VehicleClock()
         self._losses = Losses()
-        self._of_source: dict[int, int] = {}  # messages by epoch
-        self._promised: dict[int, NodeStatus] = {}  # last words by epoch
-        self._older: set[int] = set()  # epochs that had spoken before this recorder, who was started anew
+        self._promises = Promises()
         self.received = 0
         self.rejected = 0
         self._out: Outbox
@@ -55,12 +54,7 @@ class RecordingLoop:
     @property
     def missing(self) -> dict[str, int]:
         """By process: what it says it has published, minus what is in the file; only where that is not 0."""
-        gaps = {
-            status.node: status.published - self._of_source[epoch]
-            for epoch, status in self._promised.items()
-            if epoch not in self._older
-        }
-        return {node: gap for node, gap in gaps.items() if gap}
+        return self._promises.missing
 
     def serve(self, bus: BusOptions) -> None:
         """Open, subscribe to everything, write, say the last word, close."""
@@ -86,7 +80,7 @@ class RecordingLoop:
         """Until every process has said how much it has published and all of that is here, or nothing more comes."""
         started_us = heard_us = monotonic_us()
         while self._take(0.0) or (
-            (self._unfinished or self.missing)
+            (self._promises.unfinished(self._out.epoch) or self.missing)
             and monotonic_us() - heard_us < SILENCE_US
             and monotonic_us() - started_us < LAST_WORDS_US
         ):
@@ -106,14 +100,10 @@ class RecordingLoop:
         for key, epoch in self._writer.refused():
             self.received -= 1
             self._losses.lost(key, epoch)
-            self._of_source[epoch] -= 1
+            self._promises.lost(epoch)
         for text in self._writer.news():
             self._say(text)
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
-
-    @property
-    def _unfinished(self) -> bool:
-        return any(epoch not in self._promised for epoch in self._of_source if epoch != self._out.epoch)
 
     @property
     def _now_ns(self) -> int:
@@ -142,26 +132,23 @@ class RecordingLoop:
         kind = frame.topic.signal
         message = unpack(frame.payload)
         header = header_of(message)
-        if kind in (Clock, NodeStatus):
-            signal, _ = typed(kind, message)
-            self._heed(signal, header)
+        signal = typed(kind, message)[0] if kind in (Clock, NodeStatus) else None
+        if isinstance(signal, Clock):
+            self._follow(signal)
         # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.
         t_ns = self._clock.at(min(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us))
         self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns, crc(frame.payload))
         self.received += 1
-        if self._writer.resumes and header.epoch not in self._of_source and header.sequence:
-            self._older.add(header.epoch)
-        if header.epoch in self._older:
+        # Who had spoken before this recorder, who was started anew, is counted from its next message on.
+        if not self._promises.saw(header.epoch, late=self._writer.resumes and header.sequence > 0):
             self._losses.begins(frame.key, header.epoch, header.sequence)
         self._losses.saw(frame.key, header.epoch, header.sequence)
         self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
-        self._of_source[header.epoch] = self._of_source.get(header.epoch, 0) + 1
-
-    def _heed(self, signal: object, header: Header) -> None:
         if isinstance(signal, NodeStatus) and signal.finished:
-            self._promised[header.epoch] = signal
-        elif isinstance(signal, Clock):
-            try:
-                self._clock.hear(signal)
-            except ClockError as error:  # it records what is said, by whomever
-                self._say(str(error))
+            self._promises.promise(header.epoch, signal.node, signal.published)
+
+    def _follow(self, clock: Clock) -> None:
+        try:
+            self._clock.hear(clock)
+        except ClockError as error:  # it records what is said, by whomever
+            self._say(str(error))

@@ -16,7 +16,7 @@ def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]
     say = sayer(name)
     with stop_on_signals() as request:
         try:
-            restore = SUPERVISED.turn()
+            restore = SUPERVISED.restore()
             make(request, say).serve(bus, restore)
         except Stopped:
             pass

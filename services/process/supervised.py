@@ -1,17 +1,15 @@
-"""What a process owes its supervisor, and gets from it: a pulse from its own loop, and its turn where it is a spare.
+"""What a process owes its supervisor, and gets from it: a pulse from its own loop, and the state to go on from.
 
 Pulse   the monotonic time, written to a pipe by the loop that does the work, at least every ``PULSE_US``. A process
         that is stopped, or whose loop does not come round, has none, however well its other threads live; and it does
         not take the way of the messages, whose router may be what has failed.
-Turn    a spare has done all that takes time (imports, compiled code, its settings) and waits on its standard input for
-        the word to take a dead process's place, with the state to go on from.
-A process that nobody supervises owes nothing, and it is its turn at once.
+State   of a process that is started anew in the place of a dead one; it stands on its standard input from the start.
+A process that nobody supervises owes nothing, and begins anew.
 """
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import struct
 from collections.abc import Callable
@@ -23,8 +21,6 @@ PULSE_US = 50_000
 FORMAT = struct.Struct("<q")
 LAST = -1
 """In place of a time: the loop has come to its end, and what follows is waited for by another clock."""
-READY = -2
-"""In place of a time: a spare waits for its turn."""
 
 LENGTH = struct.Struct("<I")
 STDIN = 0
@@ -35,14 +31,15 @@ class Supervised:
 
     def __init__(self) -> None:
         self._pulse: int | None = None
-        self._on_turn: Callable[[], None] | None = None
+        self._restored: Callable[[], None] | None = None
+        self._has_state = False
         self.due_us: int | None = None
         """When the next pulse is due, monotonic; None where nobody listens."""
 
-    def by(self, pulse: int, *, on_turn: Callable[[], None] | None = None) -> None:
-        """A supervisor reads from the pipe ``pulse``. With ``on_turn``, which is called then, it says when to begin."""
+    def by(self, pulse: int, *, restored: Callable[[], None] | None = None) -> None:
+        """A supervisor reads from the pipe ``pulse``. ``restored`` is called once the state was read."""
         os.set_blocking(pulse, False)
-        self._pulse, self._on_turn, self.due_us = pulse, on_turn, 0
+        self._pulse, self._restored, self._has_state, self.due_us = pulse, restored, True, 0
 
     def beat(self, now_us: int) -> None:
         """The loop has come round."""
@@ -56,20 +53,18 @@ class Supervised:
             self.due_us = None
             self._write(LAST)
 
-    def turn(self) -> Restore | None:
-        """Wait for it; the state to go on from, if there is any. At once where this is no spare.
+    def restore(self) -> Restore | None:
+        """The state to go on from; None where there is none.
 
         Raises ``SystemExit`` where the supervisor is no more.
         """
-        if self._on_turn is None:
+        if not self._has_state:
             return None
-        gc.collect()
-        gc.freeze()  # now, for later every millisecond counts
-        self._write(READY)
+        self._has_state = False
         (length,) = LENGTH.unpack(_read(LENGTH.size))
         restore = decode(Restore, _read(length))[0] if length else None
-        self._on_turn()
-        self._on_turn = None
+        if self._restored is not None:
+            self._restored()
         return restore
 
     def _write(self, word: int) -> None:

@@ -8,6 +8,7 @@ import msgspec
 
 from ltv_mpc.signals import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
 from services.process.clock import TimeKeeper, VehicleClock, fraction_of
+from services.process.pace import Pace
 from services.process.status import MOST_BEHIND_US
 
 REPEAT_US = 100_000
@@ -38,6 +39,8 @@ class TimeKeeping:
         publish: Callable[[Clock | RunEvent], object],
     ) -> None:
         self._keeper = TimeKeeper(epoch=epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=now_us)
+        self._pace = Pace(self._keeper.speed)
+        self._still_until_us = 0  # by then what was given up has passed
         self._clock = clock
         self._publish = publish
         self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
@@ -56,7 +59,7 @@ class TimeKeeping:
         if status.ready and not status.finished:
             self._missing.pop(status.node, None)
         if self._keeper.message.state is ClockState.RUNNING:
-            self._give_up(status.behind_us - MOST_BEHIND_US, now_us, node)
+            self._give_up(status.behind_us if status.behind_us > MOST_BEHIND_US else 0, now_us, node)
 
     def asked(self, command: ClockCommand, now_us: int, node: str) -> None:
         """An operator wants time to go on otherwise; who waits for the start keeps waiting, and an end is an end."""
@@ -65,6 +68,7 @@ class TimeKeeping:
         said = []
         if fraction_of(command.speed) != self._keeper.speed:
             self._change(self._keeper.set_speed(now_us, command.speed), now_us)
+            self._pace.ask(self._keeper.speed)
             said.append(f"at {command.speed:g} x real time")
         if command.paused and self._keeper.message.state is ClockState.RUNNING:
             self._change(self._keeper.pause(now_us), now_us)
@@ -72,6 +76,7 @@ class TimeKeeping:
         elif not command.paused and self._keeper.message.state is ClockState.PAUSED:
             self._change(self._keeper.run(now_us), now_us)
             said.append("goes on")
+        self._pace.begin_anew()
         if said:
             text = f"clock {', '.join(said)}, as asked"
             self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="clock", text=text))
@@ -80,6 +85,8 @@ class TimeKeeping:
         """What is due by the wall: the start, the repetition."""
         if self._keeper.message.state is ClockState.WAITING and not self._missing:
             self._change(self._keeper.run(now_us), now_us)
+        elif self._keeper.message.state is ClockState.RUNNING and self._pace.window_over(now_us):
+            self._change(self._keeper.pace(now_us, self._pace.speed), now_us)
         elif now_us >= self.due_us:
             self._send(now_us)
 
@@ -87,16 +94,19 @@ class TimeKeeping:
         """A step of the grid that was due at ``due_us`` starts only now."""
         self._give_up(now_us - due_us - MOST_CATCH_UP_US, now_us, node)
 
-    def _give_up(self, beyond_us: int, now_us: int, node: str) -> None:
+    def _give_up(self, us: int, now_us: int, node: str) -> None:
         """So much of wall time that nobody catches up with."""
-        if beyond_us <= 0 or self._keeper.message.at_monotonic_us > now_us:  # a change is on its way already
+        if us <= 0 or now_us < self._still_until_us:  # it is waited for already
             return
-        self._change(self._keeper.slow(now_us, beyond_us), now_us)
+        self._change(self._keeper.slow(now_us, us), now_us)
+        self._pace.gave_up(us)
+        self._still_until_us = self._keeper.message.at_monotonic_us + us
         if now_us - self._told_us < TELL_US:
             return
         self._told_us = now_us
         text = (
-            f"clock slowed {self._keeper.slowed} times, by {self._keeper.slowed_ns / 1e9:.2f} s of vehicle time in all"
+            f"clock slowed {self._keeper.slowed} times, by {self._keeper.slowed_ns / 1e9:.2f} s of vehicle time in all;"
+            f" now at {float(self._pace.speed):.3g} x real time"
         )
         self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
 

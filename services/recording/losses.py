@@ -1,52 +1,106 @@
-"""What was published and what of it is missing, proved by the sequence numbers of each key and epoch."""
+"""What was published and what of it is missing, proved by the sequence numbers of each key and epoch.
+
+Memory is bounded, whoever speaks under however many epochs: of the sources that were silent longest only the sums are
+kept. One that is heard again after that counts from where it is heard then.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
+
+MOST_SOURCES = 10_000
+"""Keys times epochs that are counted apart. A run has some fifty, and ten more for each restart."""
+
+MOST_KEYS = 1_000
+OTHER = "others"
+"""In place of the key, where there are too many keys as well."""
+
+
+class _Source:
+    __slots__ = ("before", "published", "seen")
+
+    def __init__(self, before: int) -> None:
+        self.before = before  # messages that were not ours to hear
+        self.published = before
+        self.seen = 0
+
+
+class _Sum(NamedTuple):
+    """Of the sources of one key that are not counted apart any more."""
+
+    sources: int = 0
+    published: int = 0
+    seen: int = 0
 
 
 class Losses:
     """Fed with every message that is there. Sequences count from 0 without a gap, by key and epoch of the source."""
 
     def __init__(self) -> None:
-        self._seen: dict[tuple[str, int], int] = {}
-        self._published: dict[tuple[str, int], int] = {}
-        self._first: dict[tuple[str, int], int] = {}
+        self._sources: dict[tuple[str, int], _Source] = {}  # who was heard last is the last
+        self._sums: dict[str, _Sum] = {}
+        self._forgot = False
 
     def saw(self, key: str, epoch: int, sequence: int) -> None:
         """A message that is there."""
-        source = (key, epoch)
-        self._seen[source] = self._seen.get(source, 0) + 1
-        self._published[source] = max(self._published.get(source, 0), sequence + 1)
+        name = key, epoch
+        source = self._sources.pop(name, None)
+        if source is None:
+            source = _Source(sequence if self._forgot else 0)
+        self._sources[name] = source
+        source.seen += 1
+        source.published = max(source.published, sequence + 1)
+        if len(self._sources) > MOST_SOURCES:
+            self._forget_oldest()
 
     def begins(self, key: str, epoch: int, sequence: int) -> None:
         """Count this source from here, if it is new: what it said before was not ours to hear."""
-        if (key, epoch) not in self._seen:
-            self._first[key, epoch] = sequence
+        self._sources.setdefault((key, epoch), _Source(sequence))
 
     def lost(self, key: str, epoch: int) -> None:
         """One that was there is not."""
-        self._seen[key, epoch] -= 1
+        source = self._sources.get((key, epoch))
+        if source is not None:
+            source.seen -= 1
+        else:
+            name = self._sum_of(key)
+            of = self._sums.get(name, _Sum())
+            self._sums[name] = of._replace(seen=of.seen - 1)
 
     @property
     def published(self) -> int:
         """How many there were, up to the last one seen of each source."""
-        return sum(self._published.values()) - sum(self._first.values())
+        there = sum(source.published - source.before for source in self._sources.values())
+        return there + sum(of.published for of in self._sums.values())
 
     @property
     def missing(self) -> int:
         """How many of them are not there."""
-        return self.published - sum(self._seen.values())
+        there = sum(source.seen for source in self._sources.values())
+        return self.published - there - sum(of.seen for of in self._sums.values())
 
     def by_key(self) -> dict[str, int]:
         """Missing messages of each key that misses any."""
-        missing: dict[str, int] = {}
-        for source, published in self._published.items():
-            if gap := published - self._seen[source] - self._first.get(source, 0):
-                missing[source[0]] = missing.get(source[0], 0) + gap
-        return missing
+        missing = {name: of.published - of.seen for name, of in self._sums.items()}
+        for (key, _), source in self._sources.items():
+            missing[key] = missing.get(key, 0) + source.published - source.before - source.seen
+        return {key: gap for key, gap in missing.items() if gap}
 
     def epochs(self) -> dict[str, int]:
         """How many starts of its source each key has seen."""
-        epochs: dict[str, int] = {}
-        for key, _ in self._seen:
+        epochs = {name: of.sources for name, of in self._sums.items()}
+        for key, _ in self._sources:
             epochs[key] = epochs.get(key, 0) + 1
         return epochs
+
+    def _forget_oldest(self) -> None:
+        name = next(iter(self._sources))
+        source = self._sources.pop(name)
+        key = self._sum_of(name[0])
+        of = self._sums.get(key, _Sum())
+        published = of.published + source.published - source.before
+        self._sums[key] = _Sum(of.sources + 1, published, of.seen + source.seen)
+        self._forgot = True
+
+    def _sum_of(self, key: str) -> str:
+        return key if key in self._sums or len(self._sums) < MOST_KEYS else OTHER

@@ -13,7 +13,7 @@ from ltv_mpc.signals import NodeStatus, StepRecord
 from services.bus.topics import key_of
 from services.recording.reader import Recording, Stored
 from services.replay.epoch import REACH, Epoch, Outcome, Record
-from services.replay.frames import Frames, Header
+from services.replay.frames import HANDED, Frames, Header, unwrapped
 
 SWEEP = 10_000
 """Messages between two looks at what is too old to be asked for."""
@@ -118,21 +118,22 @@ def feed(
         for key in node.keys:
             readers.setdefault(key, []).append(node)
     every = list(dict.fromkeys(node for of_key in readers.values() for node in of_key))
-    at, stored = 0, None
-    for stored in chain.from_iterable(recording.stored(readers) for recording in recordings):
-        if not at:
+    t_ns = None
+    stream = chain.from_iterable(recording.stored({*readers, HANDED}) for recording in recordings)
+    for at, stored in enumerate(stream, 1):
+        if t_ns is None:
             progress(stored.t_ns)
-        at += 1
-        header = _read(_header, stored)
-        if header is None:
-            continue
-        for node in readers[stored.key]:
-            node.take(stored, header, at)
+        t_ns = stored.t_ns
+        frame = stored if stored.key != HANDED else unwrapped(stored)
+        header = None if frame is None else _read(_header, frame)
+        if frame is not None and header is not None:
+            for node in readers.get(frame.key, ()):
+                node.take(frame, header, at)
         if at % SWEEP == 0:
-            progress(stored.t_ns)
+            progress(t_ns)
             for node in every:
                 node.sweep(at)
     for node in every:
         node.close()
-    if stored is not None:
-        progress(stored.t_ns)
+    if t_ns is not None:
+        progress(t_ns)

@@ -7,16 +7,45 @@ tells which one the node was given.
 
 from __future__ import annotations
 
+import base64
+
 import msgspec
 
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import InboxEntry
+from ltv_mpc.signals import Handed, InboxEntry
 from services.bus import wire
+from services.bus.topics import BY_SIGNAL, topic_at
 from services.recording.reader import Stored
 
 
 class Header(wire.Header, frozen=True, kw_only=True, forbid_unknown_fields=False):
     """Of any message in a file; its other fields are skipped."""
+
+
+HANDED = BY_SIGNAL[Handed].key
+"""On which a recording has the frames that travelled between an injector and the node under test alone."""
+
+
+class _Handed(msgspec.Struct, frozen=True):
+    """Of such a message, what a replay reads."""
+
+    key: str
+    payload_base64: str
+
+
+_handed = msgspec.json.Decoder(_Handed).decode
+
+
+def unwrapped(stored: Stored) -> Stored | None:
+    """The frame that a ``Handed`` holds, as if it had been recorded on its own key; None where nobody can read it."""
+    try:
+        handed = _handed(stored.data)
+        payload = base64.b64decode(handed.payload_base64)
+        data = msgspec.json.encode(wire.unpack(payload))
+    except (ValueError, TypeError, RecursionError):  # a damaged frame: the node's door could not read it either
+        return None
+    topic = topic_at(handed.key)
+    return Stored(handed.key, topic.signal if topic else None, stored.t_ns, wire.crc(payload), data)
 
 
 class Frames:

@@ -1,8 +1,9 @@
 """``ltv-mpc replay RUN``: the nodes of a run fed again what they were fed, and what came of it.
 
 Nodes know nothing of one another, so each can be replayed alone: on two cores what is aboard has one for itself, and
-the simulated world the other; each is half of the work. Memory does not grow with the length of a run: the file is read
-once, and what is kept of it is bounded (``epoch.REACH``).
+the simulated world the other; each is half of the work. On three the estimator, which has most to do, has one of its
+own. Memory does not grow with the length of a run: a process reads the file once, and what is kept of it is bounded
+(``epoch.REACH``).
 """
 
 from __future__ import annotations
@@ -30,7 +31,13 @@ from services.replay.verdict import MOST_GAPS, NodeVerdict, Verdict, WhatIfVerdi
 from services.replay.what_if import WhatIf
 
 WORTH_A_PROCESS_BYTES = 2_000_000
-"""A second process takes a second to start: for a file that is read faster than that it is not worth it."""
+"""A second process may take a second to start: for a file that is read faster than that it is not worth it."""
+
+TOGETHER: Mapping[int, tuple[tuple[str, ...], ...]] = {
+    2: ((Estimator.name, ControllerNode.name),),
+    3: ((Estimator.name,), (ControllerNode.name,)),
+}
+"""By the number of cores: nodes that have a process of their own. All others are replayed by the caller's."""
 
 Progress = Callable[[int], None]
 """Told the vehicle time that was reached."""
@@ -74,18 +81,26 @@ def replay(run: Run, *, only: str | None = None, progress: Progress = lambda _: 
     names = run.only(only)
     began = time.monotonic()
     apart = _apart(run, names)
-    here = tuple(name for name in names if name not in apart)
+    here = tuple(name for name in names if not any(name in group for group in apart))
     if not apart:
         done = _compared(run, here, progress)
     else:
-        # spawn: a forked child would inherit threads
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-            theirs: Future[_Done] = pool.submit(_compared_alone, run.path, apart)
-            mine = _compared(run, here, progress)
-            done = mine.with_(theirs.result())
+        with ProcessPoolExecutor(len(apart), mp_context=multiprocessing.get_context(_way())) as pool:
+            theirs: list[Future[_Done]] = [pool.submit(_compared_alone, run.path, group) for group in apart]
+            done = _compared(run, here, progress)
+            for others in theirs:
+                done = done.with_(others.result())
     wall_s = time.monotonic() - began
     verdicts = tuple(sorted(done.nodes, key=lambda verdict: names.index(verdict.node)))
     return _verdict(run, verdicts, done, wall_s)
+
+
+def _way() -> str:
+    """Forked from a process of one thread, another has all loaded; of several, some may hold a lock for ever."""
+    try:
+        return "fork" if len(os.listdir("/proc/self/task")) == 1 else "spawn"
+    except OSError:  # not Linux
+        return "spawn"
 
 
 class _Done(msgspec.Struct, frozen=True):
@@ -102,13 +117,15 @@ class _Done(msgspec.Struct, frozen=True):
         return _Done(self.nodes + other.nodes, self.cut or other.cut, since_ns, until_ns)
 
 
-def _apart(run: Run, names: Sequence[str]) -> tuple[str, ...]:
-    """Nodes that are better done by a second process at the same time."""
+def _apart(run: Run, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Nodes that are better done by other processes at the same time."""
     size = sum(part.stat().st_size for part in run.parts)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    worth = cores > 1 and size > WORTH_A_PROCESS_BYTES and len(names) > 1
-    aboard = tuple(name for name in names if name in (Estimator.name, ControllerNode.name))
-    return aboard if worth and aboard != tuple(names) else ()
+    if cores < min(TOGETHER) or size <= WORTH_A_PROCESS_BYTES:
+        return []
+    groups = [tuple(name for name in group if name in names) for group in TOGETHER[min(cores, max(TOGETHER))]]
+    there = [group for group in groups if group]
+    return there if sum(map(len, there)) < len(names) else there[1:]
 
 
 def _compared_alone(path: Path, names: tuple[str, ...]) -> _Done:

@@ -29,6 +29,7 @@ from ltv_mpc.signals import (
     EstimatorCheckpoint,
     FilterStatus,
     GnssFix,
+    Handed,
     Harm,
     Health,
     ImuSample,
@@ -74,6 +75,9 @@ CONTROLLER_CHECKPOINT = ControllerCheckpoint(
     schedule_s=12.5,
     schedule_rate=0.75,
     progress=0.5,
+    depth_integral_N=-3.5,
+    plan_delays_ns=(81_000_000, 79_500_001),
+    cycle_times_ns=(4_000_000,),
 )
 DROPPED = DroppedNode(
     node=3,
@@ -230,6 +234,7 @@ EXAMPLES: tuple[Signal, ...] = (
         vehicle_ns=-1_000_000_000,
         speed_num=21,
         speed_den=2,
+        asked_speed=10.5,
         state=ClockState.RUNNING,
     ),
     ClockCommand(paused=True, speed=2.5),
@@ -264,5 +269,6 @@ EXAMPLES: tuple[Signal, ...] = (
         estimator=ESTIMATOR_CHECKPOINT,
     ),
     Rejected(t_ns=0, node="plant", key="plan", reason="no map", crc=1, payload_base64="AAA="),
+    Handed(t_ns=5, key="plan", crc=1, payload_base64="AAA="),
     RunEvent(t_ns=0, node="plant", kind="slowed", text="by 0.4 s"),
 )

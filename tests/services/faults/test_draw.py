@@ -69,6 +69,14 @@ def test_of_a_thousand_faults_two_hundred_are_in_processes_and_ten_of_every_clas
     assert len({kind.name for kind in (*asked.inside, *asked.outside)}) >= 15
 
 
+def test_a_quick_one_leaves_processes_themselves_alone_unless_they_are_asked_for():
+    asked = campaign.plan("", "both", 25, quick=True)
+    assert (asked.n_inside, asked.n_outside) == (20, 5)
+    assert all(kind.name.startswith("message_") for kind in asked.outside)
+    (kind,) = campaign.plan("process_hang", "both", 1, quick=True).outside
+    assert kind.name == "process_hang"
+
+
 @pytest.mark.parametrize(
     ("classes", "where", "said"),
     [

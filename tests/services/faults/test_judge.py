@@ -12,7 +12,9 @@ from services.faults import result
 from services.faults.draw import Run
 from services.faults.fault import Fault, Seen
 from services.faults.inside import INTRUDERS_EPOCH, GateSeen, Log, Observed, PlanSeen, ReportSeen
-from services.faults.judge import errors, judge
+from services.faults.judge import chance, errors, judge
+from services.faults.kinds import BOUNDS_M, KINDS
+from services.faults.reactions import Case, reaction
 from services.views import faults_text
 
 MS, S = 1_000_000, 1_000_000_000
@@ -185,7 +187,53 @@ def test_a_bad_thrust_is_counted():
 def test_what_is_left_of_the_error_is_held_against_the_same_seed_without():
     of = log()
     of.estimate = [(t, 0.35 if t > 71 * S else n, e, *v) for t, n, e, *v in of.estimate]
-    assert seen(of, fault("external_force")).ratio == pytest.approx(3.4, abs=0.1)  # most of 70 to 100 s
+    one = seen(of, fault("external_force"))
+    assert one.ratio == one.window_ratio == pytest.approx(3.4, abs=0.1)  # most of 70 to 100 s
+    assert campaign(one).not_recovered == campaign(one).window_over == 1
+
+
+def test_a_half_minute_that_was_calmer_than_usual_without_the_fault_is_not_what_is_asked_for():
+    """0.1 m off as ever; without the fault it happened to be 0.02 m, and 0.08 m over the whole run."""
+    calm = log()
+    calm.estimate = [(t, 0.02 if 70 * S <= t < 100 * S else n, e, *v) for t, n, e, *v in calm.estimate]
+    observed = Observed(log(), {}, [], [], "", UNTIL_NS)
+    (one,) = judge(Run(seed=1, faults=(fault("external_force"),), duration_s=120.0), observed, errors(calm))
+    assert one.window_ratio == pytest.approx(5.0, abs=0.1)
+    assert one.ratio == pytest.approx(1.25, abs=0.01)
+    of = campaign(one)
+    assert (of.not_recovered, of.window_over, of.window_asked) == (0, 1, 1)
+    assert chance([errors(calm)]) == pytest.approx(2 / 6)  # 60 to 90 s, two thirds of it calm, against both others
+    assert chance([errors(log())]) == 0.0
+    assert chance([]) is None
+
+
+def test_what_is_lost_may_move_the_true_error_so_far_and_no_further():
+    """Compared with what it was when the fault began, however far off the vehicle was by then."""
+    what = fault("sensor_off", "compass")
+    bound_m = BOUNDS_M["sensor_off", "compass"]
+    one = seen(log(off_m=bound_m + 0.1, off_s=(START_S + 1, END_S), sd_m=9.0), what)
+    assert one.grown_m == pytest.approx(bound_m + 0.1)
+    assert f"bound {bound_m:g} m" in "; ".join(result.problems(one))
+    assert campaign(one).beyond_bound == 1
+    inside = seen(log(off_m=bound_m - 0.1, off_s=(START_S + 1, END_S), sd_m=9.0), what)
+    before = seen(log(off_m=bound_m + 0.1, off_s=(START_S - 1, 200.0), sd_m=9.0), what)
+    assert campaign(inside, before).beyond_bound == 0
+    assert seen(log(), fault("external_force")).bound_m is None
+    assert seen(log(), fault("thruster_loss", "both", permanent=True)).bound_m is not None
+
+
+def test_whatever_is_lost_has_a_bound():
+    lost = [kind for kind in KINDS if kind.may_last]
+    assert {(kind.name, target) for kind in lost for target in kind.targets} == set(BOUNDS_M)
+
+
+def test_a_plan_that_the_fault_itself_kept_from_the_recording_was_a_command_all_the_same():
+    of = log()
+    of.plans = [plan for plan in of.plans if plan.cycle_ns not in (33 * S, 36 * S)]
+    what = fault("message_loss", "plan")
+    case = Case(what, 30 * S, 40 * S, 2, Observed(of, {}, None, [], "", UNTIL_NS, unheard=2))
+    assert reaction(case).late == ""
+    assert "1 cycles" in reaction(case._replace(of=case.of._replace(unheard=1))).late
 
 
 def test_an_error_beyond_three_sigma_must_be_said():

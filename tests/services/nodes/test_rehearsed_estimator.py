@@ -38,16 +38,16 @@ before = compiled()
 estimator = Estimator(full if sys.argv[1] == "full" else base, config)
 said = []
 def feed(message):
-    said.extend(estimator.step(0, [Arrival(message, 1, 0, 0)]))
+    said.extend(estimator.step(message.t_ns, [Arrival(message, 1, 0, message.t_ns)]))
 still = {"north_m": 0.0, "east_m": 0.0}
 feed(GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0))
 feed(CompassHeading(t_ns=0, heading_rad=1.0))
 feed(PressureDepth(t_ns=0, depth_m=0.1))
 rng = np.random.default_rng(0)
-moving = {"angular_rate_radps": (0.01, 0.0, 0.02), "specific_force_mps2": (0.0, 0.1, -9.8)}
 for k in range(1, 301):
     t = k * 10_000_000
-    feed(ImuSample(t_ns=t, interval_ns=10_000_000, **moving))
+    rate = (0.01, 0.0, 0.02 + 1e-6 * k)
+    feed(ImuSample(t_ns=t, interval_ns=10_000_000, angular_rate_radps=rate, specific_force_mps2=(0.0, 0.1, -9.8)))
     if k % 30 == 0:
         z = 0.02 * rng.standard_normal((4, 15))
         z[0, k // 30] = 5.0  # one beyond the gate
@@ -60,8 +60,9 @@ for k in range(1, 301):
         feed(PressureDepth(t_ns=t, depth_m=0.1))
     if k % 100 == 0:
         feed(CompassHeading(t_ns=t, heading_rad=1.0))
-        feed(TdcpFix(t_ns=t, from_t_ns=t - 10**9, **still))
-        feed(GnssFix(t_ns=t, **still, velocity_north_mps=0.0, velocity_east_mps=0.0))
+        here = {"north_m": 1e-6 * k, "east_m": 0.0}  # the same again would be refused
+        feed(TdcpFix(t_ns=t, from_t_ns=t - 10**9, **here))
+        feed(GnssFix(t_ns=t, **here, velocity_north_mps=0.0, velocity_east_mps=0.0))
 assert said and said[-1].t_ns == 3 * 10**9
 used = {name for name, count in estimator.account.items() if count and name.endswith(".used")}
 assert len(used) == (8 if sys.argv[1] == "full" else 5), used

@@ -72,6 +72,7 @@ def clock(at_us: int) -> Clock:
         vehicle_ns=0,
         speed_num=1,
         speed_den=1,
+        asked_speed=1.0,
         state=ClockState.RUNNING,
     )
 

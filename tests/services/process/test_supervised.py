@@ -1,4 +1,4 @@
-"""What passes between a process and its supervisor: a pulse one way, the turn of a spare the other."""
+"""What passes between a process and its supervisor: a pulse one way, the state to go on from the other."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from ltv_mpc.signals import Restore
 from services.bus.wire import Header, encode
 from services.process import stopwatch, supervised
-from services.process.supervised import FORMAT, LAST, LENGTH, PULSE_US, READY, Supervised
+from services.process.supervised import FORMAT, LAST, LENGTH, PULSE_US, Supervised
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() 
     process.beat(1)
     process.last_beat()
     assert process.due_us is None
-    assert process.turn() is None
+    assert process.restore() is None
 
 
 def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]) -> None:
@@ -79,33 +79,30 @@ def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]
     assert 0 < len(words(pipe)) <= (1 << 16) // FORMAT.size
 
 
-def test_a_spare_says_that_it_is_ready_and_begins_with_the_state_that_comes_with_its_turn(
-    pipe: tuple[int, int], stdin: Path
-) -> None:
+def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(pipe: tuple[int, int], stdin: Path) -> None:
     restore = encode(Restore(t_ns=7, node="estimator"), Header(epoch=1, sequence=0))
     stdin.write_bytes(LENGTH.pack(len(restore)) + restore)
-    begun: list[None] = []
+    read: list[None] = []
     process = Supervised()
-    process.by(pipe[1], on_turn=lambda: begun.append(None))
-    handed = process.turn()
+    process.by(pipe[1], restored=lambda: read.append(None))
+    handed = process.restore()
     assert handed is not None
-    assert (handed.t_ns, handed.node, len(begun)) == (7, "estimator", 1)
-    assert words(pipe) == [READY]
-    assert process.turn() is None  # it has had it
+    assert (handed.t_ns, handed.node, len(read)) == (7, "estimator", 1)
+    assert process.restore() is None  # it has had it
 
 
-def test_a_turn_may_come_without_any_state(pipe: tuple[int, int], stdin: Path) -> None:
+def test_there_may_be_no_state_to_go_on_from(pipe: tuple[int, int], stdin: Path) -> None:
     stdin.write_bytes(LENGTH.pack(0))
     process = Supervised()
-    process.by(pipe[1], on_turn=lambda: None)
-    assert process.turn() is None
+    process.by(pipe[1])
+    assert process.restore() is None
 
 
-def test_a_spare_ends_with_its_supervisor_and_never_begins(pipe: tuple[int, int], stdin: Path) -> None:
+def test_a_process_whose_supervisor_is_no_more_never_begins(pipe: tuple[int, int], stdin: Path) -> None:
     stdin.write_bytes(LENGTH.pack(100) + b"half")
-    begun: list[None] = []
+    read: list[None] = []
     process = Supervised()
-    process.by(pipe[1], on_turn=lambda: begun.append(None))
+    process.by(pipe[1], restored=lambda: read.append(None))
     with pytest.raises(SystemExit):
-        process.turn()
-    assert begun == []
+        process.restore()
+    assert read == []

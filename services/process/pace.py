@@ -1,0 +1,60 @@
+"""How fast the clock may go on a machine that cannot keep the speed that was asked for.
+
+A clock that stands still now and then is no cure for a machine that does three seconds of work in one of the wall: as
+soon as it goes on, messages wait again, and each waiting is ``speed`` times as long in vehicle time. So what had to be
+given up over a window says what the machine can do, and the next window is gone at that pace:
+
+    speed  <-  speed x (1 - given up / window)      where it was more than ``MOST_GIVEN_UP`` of the window
+    speed  <-  min(asked, GROWTH x speed)           where nothing was given up
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+WINDOW_US = 500_000
+MOST_GIVEN_UP = Fraction(1, 20)
+"""One hiccup of the machine: the clock waits for it, and goes on as before."""
+GROWTH = Fraction(51, 50)  # 2 % a window: 10 s from half the speed to most of it again
+REAL_TIME = Fraction(1)
+"""Below it no pace is kept: who asks for real time or less gets it, with what has to be given up now and then."""
+
+
+class Pace:
+    """Told of every standstill; asked for the speed once a window is over."""
+
+    def __init__(self, asked: Fraction) -> None:
+        self.asked = asked
+        self.speed = asked
+        self._since_us: int | None = None
+        self._given_up_us = 0
+
+    def ask(self, speed: Fraction) -> None:
+        """Go at this speed, whatever was found out about another."""
+        self.asked = self.speed = speed
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget the window: the clock stood still for another reason."""
+        self._since_us, self._given_up_us = None, 0
+
+    def gave_up(self, standstill_us: int) -> None:
+        """The clock stands still so long (wall time)."""
+        self._given_up_us += standstill_us
+
+    def window_over(self, now_us: int) -> bool:
+        """Whether a window has ended with another ``speed``."""
+        if self._since_us is None:
+            self._since_us = now_us
+        window_us = now_us - self._since_us
+        if window_us < WINDOW_US:
+            return False
+        share = min(Fraction(self._given_up_us, window_us), Fraction(1, 2))
+        before = self.speed
+        if share > MOST_GIVEN_UP:
+            self.speed = max(min(self.asked, REAL_TIME), self.speed * (1 - share))
+        elif not self._given_up_us:
+            self.speed = min(self.asked, self.speed * GROWTH)
+        self.speed = self.speed.limit_denominator(1000)
+        self._since_us, self._given_up_us = now_us, 0
+        return self.speed != before

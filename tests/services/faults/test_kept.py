@@ -1,0 +1,132 @@
+"""A campaign that is interrupted goes on with what is missing, and with nothing else."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ltv_mpc.errors import ConfigError
+from services.faults import campaign, kept
+from services.faults.fault import Fault, Place, Seen
+from services.faults.judge import Errors
+from services.faults.judge_outside import OfProcesses
+
+ASKED = campaign.plan("external_force", "lockstep", 40).asked(seed=3, quick=False)
+NOTHING = Errors(np.arange(3), np.ones(3), np.zeros((3, 2)), np.zeros(3, dtype=bool))
+
+
+def seen(fault: Fault, **changes) -> Seen:
+    values = {"harmed": 0, "reaction_s": None, "late": "", "worst_error_m": 0.1, "grown_m": 0.1, "bound_m": None}
+    values |= {"ratio": 1.0, "window_ratio": 1.0, "outside_s": 0.0, "uncounted": 0, "bad_thrusts": 0}
+    return Seen(fault=fault, place=Place.LOCKSTEP, run_seed=1, **(values | changes))
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Runs that take no time: which of them were made, with and without faults; it stops at the third."""
+    made: list[int] = []
+
+    def judged(job):
+        if len(made) == 2 and job.run.faults[0].seed not in made:
+            raise KeyboardInterrupt
+        made.append(job.run.faults[0].seed)
+        return [seen(fault) for fault in job.run.faults]
+
+    def undisturbed(run):
+        made.append(-run.seed)
+        return NOTHING
+
+    monkeypatch.setattr(campaign, "_cores", lambda: 1)
+    monkeypatch.setattr(campaign, "judged", judged)
+    monkeypatch.setattr(campaign, "undisturbed", undisturbed)
+    return made
+
+
+def go(folder) -> list[Seen]:
+    plan = campaign.plan("external_force", "lockstep", 40)
+    return campaign.run(plan, kept.opened(folder, ASKED, force=False), seed=3, quick=False)
+
+
+def test_what_an_interrupted_campaign_has_found_is_not_made_again(made, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        go(tmp_path)
+    assert made[0] == -3000
+    first = made[1]
+    with (tmp_path / kept.SEEN).open("a") as file:
+        file.write('{"name":"lockstep-001","se')  # cut off as it was written
+    made.clear()
+    with pytest.raises(KeyboardInterrupt):
+        go(tmp_path)
+    assert len(made) == 2
+    assert -3000 not in made
+    assert first not in made
+
+
+def test_runs_of_processes_are_made_once_and_stay_only_if_something_was_not_as_promised(monkeypatch, tmp_path):
+    made: list[str] = []
+    recorded = True
+
+    def make(run, folder):
+        folder.mkdir()
+        made.append(folder.name)
+        if recorded and not run.faults:
+            (folder / "run.mcap").touch()
+        return OfProcesses(run, folder, (), (), "")
+
+    def judged(of, _vehicle, _baseline):
+        late = "never back" if of.folder.name == "node-001" else ""
+        return [seen(fault, late=late) for fault in of.run.faults]
+
+    monkeypatch.setattr(campaign, "WAYS", {"bus": make, "node": make})
+    monkeypatch.setattr(campaign, "judge_processes", judged)
+    monkeypatch.setattr(campaign.recorded, "read", lambda *_: SimpleNamespace(log=None))
+    monkeypatch.setattr(campaign, "errors", lambda _: NOTHING)
+    plan = campaign.plan("process_crash,message_loss", "processes", 12)
+    asked = plan.asked(seed=3, quick=False)
+    found = campaign.run(plan, kept.opened(tmp_path, asked, force=False), seed=3, quick=False)
+    assert sorted(made) == [
+        *("bus-000", "bus-001", "node-000", "node-001"),
+        *(f"without-{way}-{seed}" for way in ("bus", "node") for seed in (3000, 3001)),
+    ]
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["node-001"]
+    made.clear()
+    (tmp_path / "node-001" / "run.mcap").write_text("of the first time")
+    lines = (tmp_path / kept.SEEN).read_text().splitlines()
+    (tmp_path / kept.SEEN).write_text("".join(f"{line}\n" for line in lines if "node-001" not in line))
+    again = campaign.run(plan, kept.opened(tmp_path, asked, force=False), seed=3, quick=False)
+    assert made == ["node-001"]
+    assert not (tmp_path / "node-001" / "run.mcap").exists()
+    assert again == found
+    assert len(found) == 12
+    recorded = False
+    with pytest.raises(campaign.Unmeasured, match=r"without-\w+-300\d: the run"):
+        campaign.run(plan, kept.opened(tmp_path, asked, force=True), seed=3, quick=False)
+
+
+def test_all_that_was_seen_comes_back_as_it_was(tmp_path):
+    """An infinite ratio too: there was no estimate left to measure."""
+    fault = Fault(kind="external_force", target="vehicle", start_s=1.0, end_s=2.0, size=3.0, seed=4)
+    found = [seen(fault), seen(fault, ratio=math.inf, window_ratio=None, late="never back")]
+    one = kept.opened(tmp_path, ASKED, force=False)
+    one.add("lockstep-000", found)
+    one.add_errors("without-lockstep-3000", NOTHING)
+    again = kept.opened(tmp_path, ASKED, force=False)
+    assert again.seen("lockstep-000") == found
+    assert again.seen("lockstep-001") is None
+    (errors,) = again.all_errors()
+    for a, b in zip(errors, NOTHING, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert kept.opened(tmp_path, ASKED, force=True).seen("lockstep-000") is None
+
+
+def test_the_folder_of_other_faults_is_refused(tmp_path):
+    kept.opened(tmp_path / "one", ASKED, force=False)
+    other = campaign.plan("external_force", "lockstep", 41).asked(seed=4, quick=False)
+    with pytest.raises(ConfigError, match=r"another campaign \(in_lockstep, seed\)"):
+        kept.opened(tmp_path / "one", other, force=False)
+    (tmp_path / "something").write_text("else")
+    with pytest.raises(ConfigError, match="not empty"):
+        kept.opened(tmp_path, ASKED, force=False)

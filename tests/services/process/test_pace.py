@@ -1,0 +1,123 @@
+"""The clock goes as fast as the machine can, and again as fast as was asked for when it can do that."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import pytest
+
+from ltv_mpc.signals import Clock, NodeStatus, RunEvent
+from services.process.clock import VehicleClock
+from services.process.pace import GROWTH, MOST_GIVEN_UP, WINDOW_US, Pace
+from services.process.status import MOST_BEHIND_US
+from services.process.timekeeping import KeepsTime, TimeKeeping
+
+ASKED = Fraction(10)
+
+
+def windows(pace: Pace, *given_up_us: int) -> list[float]:
+    """The speed after each window."""
+    pace.begin_anew()
+    pace.window_over(0)
+    speeds = []
+    for i, us in enumerate(given_up_us, 1):
+        pace.gave_up(us)
+        pace.window_over(i * WINDOW_US)
+        speeds.append(float(pace.speed))
+    return speeds
+
+
+def test_what_was_given_up_says_what_the_machine_can_do() -> None:
+    assert windows(Pace(ASKED), int(0.3 * WINDOW_US)) == [pytest.approx(7.0)]
+    assert windows(Pace(ASKED), 10 * WINDOW_US) == [5.0]  # at most half at once
+
+
+def test_a_hiccup_changes_nothing_and_quiet_brings_the_speed_back() -> None:
+    few = int(MOST_GIVEN_UP * WINDOW_US)
+    pace = Pace(ASKED)
+    assert windows(pace, few, few + 1) == [10.0, pytest.approx(9.5, abs=1e-3)]
+    speeds = windows(pace, *[0] * 10)
+    assert speeds[0] == pytest.approx(9.5 * float(GROWTH), abs=1e-2)
+    assert speeds[-1] == 10.0
+    pace = Pace(ASKED)
+    assert windows(pace, 0, 0) == [10.0, 10.0]
+
+
+def test_nobody_is_kept_below_real_time_who_did_not_ask_for_it() -> None:
+    assert windows(Pace(Fraction(3, 2)), WINDOW_US, WINDOW_US) == [1.0, 1.0]
+    assert windows(Pace(Fraction(1, 2)), WINDOW_US) == [0.5]
+
+
+def test_another_speed_that_is_asked_for_begins_anew() -> None:
+    pace = Pace(ASKED)
+    windows(pace, WINDOW_US)
+    pace.ask(Fraction(4))
+    assert pace.speed == 4
+    assert not pace.window_over(10 * WINDOW_US)  # where the window begins
+    assert not pace.window_over(11 * WINDOW_US - 1)
+
+
+class Machine:
+    """Does ``can`` vehicle seconds of work in one of the wall; its node says every 50 ms how long messages wait."""
+
+    def __init__(self, can: float) -> None:
+        self._can = can
+        self.said: list[Clock | RunEvent] = []
+        self.clock = VehicleClock()
+        settings = KeepsTime(start_ns=0, end_ns=10**15, speed=float(ASKED), expects=())
+        self.keeping = TimeKeeping(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
+        self.keeping.tend(0)
+        self.now_us = 0
+        self._done_ns = 0.0
+        self.waits_us: list[float] = []
+
+    def run(self, wall_us: int, step_us: int = 5_000) -> None:
+        """Wall time passes."""
+        for _ in range(wall_us // step_us):
+            self.now_us += step_us
+            self.keeping.tend(self.now_us)
+            asked_ns = self.clock.read(self.now_us) or 0
+            self._done_ns = min(asked_ns, self._done_ns + self._can * step_us * 1000)
+            behind_us = (asked_ns - self._done_ns) / self._can / 1000
+            self.waits_us.append(behind_us)
+            if behind_us > MOST_BEHIND_US and not self.now_us % 50_000:
+                self.keeping.heard(_status(int(behind_us)), self.now_us, "plant")
+
+
+def _status(behind_us: int) -> NodeStatus:
+    return NodeStatus(
+        node="estimator",
+        behind_us=behind_us,
+        t_ns=0,
+        ready=True,
+        waiting_for="",
+        steps=0,
+        published=1,
+        received=0,
+        dropped=0,
+        rejected=0,
+        step_us=0.0,
+    )
+
+
+def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> None:
+    """Standing still now and then alone leaves a third of a second of waiting in the median."""
+    machine = Machine(3.0)
+    machine.run(3_000_000)
+    begun_ns, begun_us = machine.clock.read(machine.now_us), machine.now_us
+    machine.waits_us.clear()
+    machine.run(10_000_000)
+    ended_ns = machine.clock.read(machine.now_us)
+    assert begun_ns is not None
+    assert ended_ns is not None
+    waits = sorted(machine.waits_us)
+    assert waits[len(waits) // 2] < MOST_BEHIND_US
+    assert waits[-len(waits) // 100] < 5 * MOST_BEHIND_US
+    assert (ended_ns - begun_ns) / 1e3 / (machine.now_us - begun_us) > 0.9 * 3.0
+
+
+def test_on_a_machine_that_can_do_it_the_speed_is_the_one_asked_for() -> None:
+    machine = Machine(12.0)
+    machine.run(3_000_000)
+    newest = next(one for one in reversed(machine.said) if isinstance(one, Clock))
+    assert (newest.speed_num, newest.speed_den, newest.asked_speed) == (10, 1, 10.0)

@@ -1,0 +1,76 @@
+"""However many sources speak, what is remembered of them is bounded, and nothing that was missed is forgotten."""
+
+from __future__ import annotations
+
+import pytest
+
+from services.recording import losses, promises
+from services.recording.losses import Losses
+from services.recording.promises import Promises
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(losses, "MOST_SOURCES", 10)
+    monkeypatch.setattr(losses, "MOST_KEYS", 3)
+    monkeypatch.setattr(promises, "MOST_EPOCHS", 10)
+
+
+def test_what_forgotten_sources_have_lost_stays_counted() -> None:
+    of = Losses()
+    for epoch in range(1000):
+        of.saw("plan", epoch, 0)
+        of.saw("plan", epoch, 3)  # two are missing
+        of.saw("applied", 7, epoch)  # never silent
+    assert len(of._sources) == 10
+    assert (of.published, of.missing) == (4 * 1000 + 1000, 2 * 1000)
+    assert of.by_key() == {"plan": 2000}
+    assert of.epochs() == {"plan": 1000, "applied": 1}
+    of.lost("plan", 0)
+    of.lost("plan", 999)
+    assert of.by_key() == {"plan": 2002}
+
+
+def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> None:
+    of = Losses()
+    for epoch in range(20):
+        of.saw("plan", epoch, 0)
+    of.saw("plan", 0, 500)
+    of.saw("plan", 0, 502)
+    assert of.missing == 1
+
+
+def test_of_too_many_keys_the_sums_are_one() -> None:
+    of = Losses()
+    for k in range(100):
+        of.saw(f"status/{k}", 1, 0)
+        of.saw(f"status/{k}", 1, 2)  # one is missing
+    assert len(of._sources) == 10
+    assert len(of._sums) == 3 + 1
+    assert (of.missing, sum(of.by_key().values())) == (100, 100)
+
+
+def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> None:
+    of = Promises()
+    for epoch in range(1000):
+        of.saw(epoch)
+        of.promise(epoch, f"node {epoch % 2}", 3)  # two are missing
+        of.saw(5000)
+    assert len(of._accounts) == 10
+    assert of.missing == {"node 0": 1000, "node 1": 1000}
+    assert of.unfinished(0)
+    assert not of.unfinished(5000)
+
+
+def test_who_spoke_before_anybody_counted_keeps_every_word() -> None:
+    of = Promises()
+    assert not of.saw(1, late=True)
+    assert not of.saw(1)
+    assert of.saw(2)
+    assert of.saw(2, late=True)  # only the first one tells
+    of.promise(1, "plant", 900)
+    of.promise(2, "sensors", 2)
+    assert of.missing == {}
+    of.lost(2)
+    of.lost(1)
+    assert of.missing == {"sensors": 1}
