@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache
+from typing import Annotated
 
 import typer
 from typer.core import TyperOption
@@ -44,8 +46,16 @@ processes.register(app, "One process each")
 
 
 @app.callback(invoke_without_command=True)
-def _commands(context: typer.Context) -> None:
+def _commands(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Of this program, with its commit in a checkout.")] = False,
+) -> None:
     """Model predictive control of an underactuated AUV in an estimated water current, over Zenoh."""
+    if version:
+        from services.run.version import version as ours
+
+        typer.echo(f"ltv-mpc {ours()}")
+        raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -60,10 +70,8 @@ def run(arguments: Sequence[str]) -> int:
 
     Typer itself turns Ctrl-C into 130.
     """
-    command = get_command(app)
-    _left_out_of_help(command.params)
     try:
-        code = command(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
+        code = _tree()(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
         return _refuse(f"{context.command_path if context else 'ltv-mpc'}: {error.format_message()}")
@@ -78,6 +86,14 @@ def run(arguments: Sequence[str]) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(f"ltv-mpc: {where}{error.strerror or error}", NOT_COMPLETED)
     return code if isinstance(code, int) else 0
+
+
+@cache
+def _tree() -> Callable[..., object]:
+    """All commands, built once: a process that is forked finds them built."""
+    command = get_command(app)
+    _left_out_of_help(command.params)
+    return command
 
 
 def _left_out_of_help(parameters: Iterable[object]) -> None:

@@ -26,8 +26,9 @@ from ltv_mpc.signals import (
 )
 from ltv_mpc.vehicle.parameters import Thruster
 from services.bus.mailbox import Mailbox
+from services.bus.newest import Heard, Newest
 from services.bus.session import Session
-from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.topics import BY_SIGNAL
 from services.bus.wire import Header, WireError, decode
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.views.plots.collector import Collector
@@ -38,18 +39,6 @@ NEWEST = (Clock, Truth, Estimate, Applied, ControllerStatus, LocalisationReport)
 EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledged)
 WAITING = 200
 """Frames of these between two looks; at 20 times real time there are 14."""
-
-
-class _Newest:
-    """The newest frame of each key, and when it came; nothing is decoded for it."""
-
-    def __init__(self) -> None:
-        self.frames: dict[str, tuple[type[Signal], bytes, float]] = {}
-
-    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        """Replace; called on Zenoh's thread."""
-        if topic is not None:
-            self.frames[key] = (topic.signal, payload, time.monotonic())
 
 
 class Process(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,7 +58,8 @@ class Moment(msgspec.Struct, frozen=True, kw_only=True):
 
     t_s: float | None
     clock: str  # waiting, running, paused; "silent" where nothing was heard
-    speed: float
+    speed: float  # of the clock, times real time
+    asked_speed: float  # more than that where the machine cannot keep up
     authority: str
     health: str
     origin: str
@@ -91,7 +81,7 @@ class Ears:
         self.collector = Collector(thrusters)
         self.run = 0
         """Grows when another run begins on the same keys: what was collected before has gone."""
-        self._newest = _Newest()
+        self._newest = Newest()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, bytes] = {}
         self._signals: dict[type[Signal], Signal] = {}
@@ -104,13 +94,13 @@ class Ears:
 
     def look(self) -> None:
         """Take what has come since the last look."""
-        for key, (kind, payload, came_s) in sorted(self._newest.frames.items(), key=_clock_first):
-            if self._seen.get(key) is payload:
+        for key, newest in sorted(self._newest.items(), key=_clock_first):
+            if self._seen.get(key) is newest.payload:
                 continue
-            self._seen[key] = payload
-            heard = _decoded(kind, payload)
+            self._seen[key] = newest.payload
+            heard = _decoded(newest.topic.signal, newest.payload)
             if heard is not None:
-                self._hear(*heard, came_s)
+                self._hear(*heard, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
             heard = None if frame.topic is None else _decoded(frame.topic.signal, frame.payload)
             if heard is not None:
@@ -133,6 +123,7 @@ class Ears:
             t_s=None if t_ns is None else t_ns / 1e9,
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
+            asked_speed=1.0 if clock is None else clock.asked_speed,
             authority="" if plan is None else plan.authority.value,
             health="" if plan is None else plan.health.value,
             origin="" if plan is None else plan.origin.value,
@@ -194,9 +185,9 @@ class Ears:
         )
 
 
-def _clock_first(item: tuple[str, tuple[type[Signal], bytes, float]]) -> tuple[bool, bool]:
+def _clock_first(item: tuple[str, Heard]) -> tuple[bool, bool]:
     """A truth before its estimate: the error at the start needs both."""
-    kind = item[1][0]
+    kind = item[1].topic.signal
     return kind is not Clock, kind is not Truth
 
 

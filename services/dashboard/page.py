@@ -116,7 +116,7 @@ async def _answer(text: str, ears: Ears, token: Token, command: Do) -> Answer:
     moment = ears.moment()
     if asked.button in SIMULATED and not moment.simulated:
         return Answer(number=asked.number, done=False, text=f"{asked.button.value} is for simulations")
-    return await asyncio.to_thread(command, asked, ears.t_ns(), moment.speed)
+    return await asyncio.to_thread(command, asked, ears.t_ns(), moment.asked_speed)
 
 
 def commander(bus: BusOptions) -> Do:

@@ -37,7 +37,7 @@ WORST_SLEEP_S = 5e-3
 LITTLE_SPACE, TOO_LITTLE_SPACE = 1_000_000_000, 100_000_000
 """Bytes; a recorded descent of 200 s has 15 MB."""
 FEWEST_FILES = 256
-TOOLS = ("dev", "peers", "mutation")
+TOOLS = ("dev", "bench", "docs", "mutation")
 """Extras that are for this project's own work."""
 
 MODULES = {"eclipse-zenoh": "zenoh", "tomli-w": "tomli_w"}

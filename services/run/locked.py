@@ -29,15 +29,18 @@ PROGRESS_NS = 1_000_000_000
 """Vehicle time between two words about how far the run is."""
 
 
-def nodes(situation: Situation) -> list[Node]:
-    """Every node of the situation, in the order of the launch table."""
+def nodes(situation: Situation, *, unheard: bool = True) -> list[Node]:
+    """Every node of the situation, in the order of the launch table.
+
+    ``unheard``: measure too what no node reads, for a recording.
+    """
     scenario = situation.scenario
     plant = Plant(scenario, situation.vehicle, situation.water)
-    sensors = Sensors(scenario, situation.suite, situation.water)
-    controller = ControllerNode(situation.vehicle, situation.reference, scenario.controller)
-    if scenario.run.perfect_state:  # the sensors themselves write the estimate
-        return [plant, sensors, controller]
-    return [plant, sensors, Estimator(situation.suite, scenario.estimator, situation.prior), controller]
+    aboard: list[Node] = [ControllerNode(situation.vehicle, situation.reference, scenario.controller)]
+    if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
+        aboard.insert(0, Estimator(situation.suite, scenario.estimator, situation.prior))
+    heard = None if unheard else frozenset(kind for node in aboard for kind in node.reads)
+    return [plant, Sensors(scenario, situation.suite, situation.water, heard=heard), *aboard]
 
 
 def run(
@@ -69,7 +72,7 @@ def _go(
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer)
     lockstep = LockStep(
-        nodes(situation),
+        nodes(situation, unheard=writer is not None),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observe=log,

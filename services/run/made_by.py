@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import ctypes
 import platform
-import subprocess
 import zlib
+from functools import cache
 from importlib import metadata
 from pathlib import Path
+
+from services.run.version import commit, version
 
 PACKAGES = (
     *("numpy", "scipy", "osqp", "daqp", "piqp", "numba", "llvmlite"),
@@ -24,8 +26,8 @@ KERNEL_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename",
 def made_by() -> dict[str, str]:
     """The table ``[made_by]`` of a run's scenario.toml."""
     table = {
-        "ltv_mpc": _version("auv-ltv-mpc"),
-        "commit": _commit(),
+        "ltv_mpc": version(),
+        "commit": commit(),
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
@@ -35,30 +37,12 @@ def made_by() -> dict[str, str]:
     return table | {package: _version(package) for package in PACKAGES}
 
 
+@cache  # it reads and parses a file for each, and a process keeps what it has imported
 def _version(package: str) -> str:
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
         return "not installed"
-
-
-def _commit() -> str:
-    here = Path(__file__).resolve().parents[2]
-    if not (here / ".git").exists():
-        return "unknown"
-    try:
-        git = ["git", "-C", str(here)]
-        head = subprocess.run([*git, "rev-parse", "HEAD"], capture_output=True, text=True, timeout=5, check=True)
-        changed = subprocess.run(
-            [*git, "status", "--porcelain", "--untracked-files=no"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return head.stdout.strip() + (" and changes" if changed.stdout.strip() else "")
 
 
 def _processor() -> str:

@@ -38,6 +38,7 @@ def summarise(situation: Situation, grader: Grader, *, mode: str, messages: Mess
         mode=mode,
         seed=scenario.run.seed,
         speed=scenario.run.speed if measured else None,
+        speed_reached=grader.speed_reached() if measured else None,
         duration_s=_duration_ns(grader.until_ns, scenario.end_ns) / 1e9,
         cycles=grader.cycles,
         tracking_error_m=tracking,

@@ -22,7 +22,7 @@ class Distances:
 
     def update(self, view: LiveView) -> None:
         """Look at this moment."""
-        if view.t_ns < 0 or view.truth is None or view.estimate is None:
+        if view.truth is None or view.estimate is None or view.estimate.t_ns < 0:  # a fix may still move it by metres
             return
         north, east = _difference(view.truth, view.estimate)
         if self._at_start is None:

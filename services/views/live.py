@@ -16,7 +16,8 @@ class LiveView:
     t_ns: int  # vehicle time
     start_ns: int
     end_ns: int
-    speed: float
+    speed: float  # of the clock, times real time
+    asked_speed: float  # more than that where the machine cannot keep up
     wall_s: float  # since the start of the run
     phase: str  # what the run does in one word: starting, afloat, diving, stopping
     truth: Truth | None = None

@@ -165,12 +165,17 @@ def bar(thrust_N: float, least_N: float, most_N: float, width: int = BAR) -> str
     return f"|{left:>{half}}+{right:<{half}}|"
 
 
+def times(speed: float, asked: float) -> str:
+    """``10x``, or ``3.1 of 10x`` on a machine that cannot do more."""
+    return f"{asked:g}x" if speed == asked else f"{speed:.3g} of {asked:g}x"
+
+
 def _progress(view: LiveView) -> Text:
     share = (view.t_ns - view.start_ns) / max(1, view.end_ns - view.start_ns)
     done = round(30 * min(max(share, 0.0), 1.0))
     return Text(
         f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<30}]"
-        f"  {view.speed:g}x  {view.phase}  {view.wall_s:.0f} s",
+        f"  {times(view.speed, view.asked_speed)}  {view.phase}  {view.wall_s:.0f} s",
         no_wrap=True,
     )
 

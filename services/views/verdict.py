@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+LEAST_SHARE = 0.95
+"""Of the speed that was asked for; a machine that reached less is said."""
+
 
 def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[str] = ()) -> str:
     """The lines, without a line break at the end."""
-    how = "in lock step" if summary["mode"] == "lockstep" else f"as processes at {summary['speed']:g} x real time"
     rows = [
-        ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how}, seed {summary['seed']}"),
+        ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {_how(summary)}, seed {summary['seed']}"),
         ("tracking", _error(summary["tracking_error_m"], "estimate from the line")),
         ("true error", _error(summary["true_error_m"], "vehicle from the line")),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
@@ -25,6 +27,14 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
     if next_commands:
         lines += ["", "next:", *(f"  {command}" for command in next_commands)]
     return "\n".join([*lines, "", str(folder)])
+
+
+def _how(summary: Mapping[str, Any]) -> str:
+    if summary["mode"] == "lockstep":
+        return "in lock step"
+    asked, reached = summary["speed"], summary["speed_reached"]
+    short = reached is not None and reached < LEAST_SHARE * asked
+    return f"as processes at {f'{reached:.1f} of ' if short else ''}{asked:g} x real time"
 
 
 def _error(spread: Mapping[str, float | None], of: str) -> str:

@@ -89,13 +89,17 @@
     link.textContent = text;
   }
 
+  /** "10×", or "3.1× of 10×" on a machine that cannot do more. */
+  const times = ({ speed, asked_speed: asked }) =>
+    (speed === asked ? `${asked}×` : `${Number(speed.toPrecision(3))}× of ${asked}×`);
+
   const number_ = (value, digits) => (value === null ? "–" : value.toFixed(digits));
 
   function words() {
     const degrees = moment.heading_rad === null ? null : (((moment.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
     const rows = [
       ["t", `${number_(moment.t_s, 1)} s`],
-      ["clock", moment.clock === "own" ? "its own" : `${moment.clock}, ${moment.speed}×`],
+      ["clock", moment.clock === "own" ? "its own" : `${moment.clock}, ${times(moment)}`],
       ["in charge", moment.authority || "–"],
       ["health", moment.health || "–"],
       ["plan", moment.origin || "–"],
@@ -179,7 +183,7 @@
     byId("pause").textContent = paused ? "Go on" : "Pause";
     byId("pause").dataset.button = paused ? "resume" : "pause";
     const speed = byId("speed");
-    if (document.activeElement !== speed) speed.value = String(moment.speed);
+    if (document.activeElement !== speed) speed.value = String(moment.asked_speed);
     if (!token) say("read-only: the printed address has the token", false);
   }
 

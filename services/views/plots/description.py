@@ -1,6 +1,7 @@
 """The description of a plot: which columns of which table are drawn, how, and in what units.
 
-Nothing here knows a number of any run, nor who draws: ``static/plots.js`` on page and in report.
+Nothing here knows a number of any run, nor who draws: ``static/plots.js`` on page and in report,
+``figures/renderer.py`` in pictures.
 """
 
 from __future__ import annotations

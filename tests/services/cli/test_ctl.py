@@ -18,13 +18,13 @@ import pytest
 
 from ltv_mpc import config, references
 from ltv_mpc.signals import Authority, Estimate, Plan
+from services.bus.newest import Newest
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import decode
 from services.cli.app import run
 from services.launch import loopback
-from services.launch.watch import Newest
 from services.process.stopping import StopRequest
 
 PATIENCE_S = 240.0  # a controller that has to compile first, on a machine that is busy

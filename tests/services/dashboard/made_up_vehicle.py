@@ -103,6 +103,7 @@ class MadeUpVehicle:
             vehicle_ns=vehicle_ns,
             speed_num=num,
             speed_den=den,
+            asked_speed=num / den,
             state=state,
         )
 

@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import CycleTiming, StepRecord
+from ltv_mpc.signals import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
 from services.bus import topics, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording
@@ -179,6 +179,16 @@ def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(
 def test_recording_changes_nothing_of_the_run(recorded: tuple[Situation, RunFolder, Summary]) -> None:
     here, _, summary = recorded
     alone = locked.run(here)
+    assert msgspec.structs.replace(alone, messages=summary.messages) == summary
+
+
+def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing(tmp_path: Path) -> None:
+    here = situation("run.duration_s=2", "run.perfect_state=true")
+    _, sensors, _ = locked.nodes(here, unheard=False)
+    assert sensors.writes == (Estimate,)
+    place = folder.make("descent", here.files, out=tmp_path / "run")
+    summary, alone = locked.run(here, place), locked.run(here)
+    assert {ImuSample, AdcpPing} <= {message.kind for message in Recording(place.recording)}
     assert msgspec.structs.replace(alone, messages=summary.messages) == summary
 
 

@@ -50,7 +50,7 @@ def visit(here: Situation) -> Visit:
     for node in nodes:
         listen(node, said)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(locked, "nodes", lambda _: nodes)
+        patch.setattr(locked, "nodes", lambda _, **_every: nodes)
         _, saved = locked._go(here, None, None, lambda: False)
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None

@@ -141,6 +141,7 @@ def clock(t_ns: int, *, speed: int = 10, state: ClockState = ClockState.RUNNING)
         vehicle_ns=t_ns,
         speed_num=speed,
         speed_den=1,
+        asked_speed=float(speed),
         state=state,
     )
 

@@ -241,20 +241,38 @@ def test_wall_delays_are_vehicle_delays_divided_by_the_speed_of_the_clock_at_the
     feed(grader, plan(0, start_ns=S, estimate_t_ns=0), sequence=0)
     feed(grader, applied(S, taken=(1, 0, 0)))
     assert grader.end_to_end_delay(wall=True).max == pytest.approx(0.1)
-    clock = Clock(
-        clock_epoch=1,
-        clock_sequence=1,
-        host_boot_id="",
-        at_monotonic_us=0,
-        vehicle_ns=0,
-        speed_num=5,
-        speed_den=2,
-        state=ClockState.RUNNING,
-    )
-    feed(grader, clock, plan(2 * S, start_ns=3 * S, estimate_t_ns=S), sequence=1)
+    slower = clock(at_us=0, vehicle_ns=0, state=ClockState.RUNNING)
+    feed(grader, slower, plan(2 * S, start_ns=3 * S, estimate_t_ns=S), sequence=1)
     feed(grader, applied(3 * S, taken=(1, 1, 0)))
     assert grader.end_to_end_delay(wall=True).max == pytest.approx(2.0 / 2.5)
     assert grader.end_to_end_delay().max == pytest.approx(2.0)
+
+
+def test_the_speed_reached_is_that_from_the_start_to_the_last_change_of_the_clock(vehicle: Vehicle) -> None:
+    grader = Grader(vehicle, speed=10.0)
+    assert grader.speed_reached() is None
+    waiting = clock(at_us=0, vehicle_ns=-S, state=ClockState.WAITING)
+    feed(grader, waiting)
+    assert grader.speed_reached() is None
+    feed(grader, clock(at_us=3_000_000, vehicle_ns=-S, state=ClockState.RUNNING))
+    feed(grader, clock(at_us=4_000_000, vehicle_ns=4 * S, state=ClockState.RUNNING))
+    feed(grader, clock(at_us=5_000_000, vehicle_ns=5 * S, state=ClockState.PAUSED))
+    assert grader.speed_reached() == pytest.approx(3.0)
+
+
+def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
+    """At two and a half times real time, of ten."""
+    return Clock(
+        clock_epoch=1,
+        clock_sequence=1,
+        host_boot_id="",
+        at_monotonic_us=at_us,
+        vehicle_ns=vehicle_ns,
+        speed_num=5,
+        speed_den=2,
+        asked_speed=10.0,
+        state=state,
+    )
 
 
 def test_compute_delay_has_median_99th_percentile_and_maximum_in_vehicle_and_wall_seconds(grader: Grader) -> None:

@@ -1,0 +1,1 @@
+"""Plots as PNG and SVG: by matplotlib, from the descriptions that page and report are drawn from."""
