@@ -16,7 +16,8 @@ import numpy as np
 
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Plan, Times
+from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.situation import Override, Situation, resolve
 from sim import motion
 from sim.plant import level_to_ned, mismatched
@@ -36,9 +37,25 @@ class Outcome:
     """One run from t = 0 on, sampled each 10 ms."""
 
     distance_m: Array  # (K,) truth to reference
+    commands_N: Array  # (K, 2) port, starboard
     mean_abs_N: float  # commands, over time and both lateral thrusters
     saturated: float  # fraction of the time with either of them at its minimum or maximum
     origins: dict[str, int]  # plans by where they came from
+
+    @classmethod
+    def of(
+        cls,
+        vehicle: Vehicle,
+        tracks: Sequence[Array],
+        commands: Sequence[Array],
+        target_m: Pair,
+        origins: dict[str, int] | None = None,
+    ) -> Outcome:
+        """Of positions (M, 2) and commands (M, 2), piece by piece."""
+        off, F = np.concatenate(tracks) - np.array(target_m), np.concatenate(commands)
+        low, high = (np.array([getattr(t, side) for t in vehicle.thrusters[:2]]) for side in SIDES)
+        at_box = ((low + 1e-6 >= F) | (high - 1e-6 <= F)).any(axis=1)
+        return cls(np.hypot(*off.T), F, float(np.abs(F).mean()), float(at_box.mean()), origins or {})
 
     @property
     def mean_m(self) -> float:
@@ -56,6 +73,7 @@ class Loop:
     """One situation, flown by one controller.
 
     ``share`` (3,): of what they report, the part that port, starboard and vertical thruster really deliver.
+    ``compensates`` false: the controller is told that its plans are there at once, and each comes in its delay later.
     """
 
     situation: Situation
@@ -63,14 +81,16 @@ class Loop:
     told: Told = lambda estimate: estimate
     seen: Callable[[Estimate, Plan], None] = lambda _estimate, _plan: None
     share: Array = field(default_factory=lambda: np.ones(3))
+    compensates: bool = True
 
     def fly(self) -> Outcome:
         """The whole run. ``seen`` is shown each cycle's estimate and plan after t = 0."""
         scenario, water, controller = self.situation.scenario, self.situation.water, self.controller
-        plant = _Vehicle(self.situation, self.share)
-        cells = round(scenario.estimator.deepest_m / scenario.estimator.cell_m)
-        depths = scenario.estimator.cell_m * np.arange(cells + 1, dtype=np.float64)
+        plant = TrueVehicle(self.situation, self.share)
+        depths = told_depths(self.situation)
         period_ns, delay_ns = scenario.controller.period_ns, round(scenario.run.compute_delay_s * 1e9)
+        told_ns = delay_ns if self.compensates else 0
+        late_ns = delay_ns - told_ns
         t_ns, next_ns = scenario.start_ns, -(-scenario.start_ns // period_ns) * period_ns
         plans: list[Plan] = []
         states, commands = [], []
@@ -78,7 +98,7 @@ class Loop:
             until_ns = min(next_ns, scenario.end_ns)
             times = np.append(np.arange(t_ns, until_ns, STEP_NS), until_ns)
             # Plans arrive when they were expected to: what was sent is what is in force.
-            u = np.where(times[:, None] >= 0, controller._commands.at(times), 0.0)
+            u = np.where(times[:, None] >= 0, controller._commands.at(times - late_ns), 0.0)
             track = plant.go(times, u)
             if t_ns >= 0:
                 states.append(track)
@@ -86,21 +106,19 @@ class Loop:
             t_ns = until_ns
             if t_ns >= scenario.end_ns:
                 break
-            controller.report(_applied(t_ns, plant.thrust / self.share, u[-1], plans, delay_ns))
-            estimate = self.told(_estimate(t_ns, plant.state, water, depths))
+            controller.report(_applied(t_ns, plant.thrust / self.share, u[-1], plans, told_ns))
+            estimate = self.told(known(t_ns, plant.state, water, depths))
             plans.append(controller.plan(estimate, t_ns=t_ns))
             next_ns = t_ns + max(period_ns, delay_ns)
             if plans[-1].reference_m is not None:
                 self.seen(estimate, plans[-1])
-        off = np.concatenate(states) - np.array(plans[-1].reference_m)
-        F = np.concatenate(commands)
-        low, high = (np.array([getattr(t, side) for t in controller.vehicle.thrusters[:2]]) for side in SIDES)
-        at_box = ((low + 1e-6 >= F) | (high - 1e-6 <= F)).any(axis=1)
         origins = Counter(plan.origin.value for plan in plans if plan.reference_m is not None)
-        return Outcome(np.hypot(*off.T), float(np.abs(F).mean()), float(at_box.mean()), dict(origins))
+        target_m = plans[-1].reference_m
+        assert target_m is not None  # it has begun
+        return Outcome.of(controller.vehicle, states, commands, target_m, dict(origins))
 
 
-class _Vehicle:
+class TrueVehicle:
     """The true vehicle: the plant's motion, without its node and its gate."""
 
     def __init__(self, situation: Situation, share: Array) -> None:
@@ -152,7 +170,13 @@ def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], de
     )
 
 
-def _estimate(t_ns: int, state: Array, water: WaterColumn, depths_m: Array) -> Estimate:
+def told_depths(of: Situation) -> Array:
+    """Depths (m) of the profile that an estimate has."""
+    estimator = of.scenario.estimator
+    return estimator.cell_m * np.arange(round(estimator.deepest_m / estimator.cell_m) + 1, dtype=np.float64)
+
+
+def known(t_ns: int, state: Array, water: WaterColumn, depths_m: Array) -> Estimate:
     """The truth, with the whole current at ``depths_m`` (K,)."""
     n, e, u, v, psi, r, z, w = state.tolist()
     here, current = water.at(z, t_ns), water.over(depths_m, t_ns)

@@ -3,7 +3,7 @@
     .venv/bin/python -m benchmarks.peers [--cycles N] [--seeds N] [--out FILE.md]
 
 A peer is a solver in this project's own controller: prediction, guess and the step along the exact flow are the same
-for all, so that what differs is the tool. The extra ``peers`` installs them; nothing in the package imports them.
+for all, so that what differs is the tool. The extra ``bench`` installs them; nothing in the package imports them.
 """
 
 import benchmarks as benchmarks  # one BLAS thread, said before numpy is imported

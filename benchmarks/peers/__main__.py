@@ -59,7 +59,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
     loops = [episode for seed in range(seeds) for episode in profile_problems.simulated(stages, cycles, 1000 * seed)]
     peers, missing = known.installed()
     for file in missing:
-        console.print(f"not installed: what benchmarks/peers/{file}.py needs (extra peers)")
+        console.print(f"not installed: what benchmarks/peers/{file}.py needs (extra bench)")
     who: dict[Contestant, str] = {pair: name for pair, name in OURS.items() if _there(pair, episodes[0])}
     who |= {Entry(peer): peer.name for peer in peers}
     load = profile_machine.load()

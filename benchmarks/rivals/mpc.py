@@ -1,0 +1,61 @@
+"""The controller itself, whole and without one of its parts.
+
+preview        without: the current at its own depth is taken to be that of all depths
+water          without: it is told no current; and, besides, may not estimate one as a disturbance
+compensation   without: a plan that took D to compute is made for the state at the start of its cycle, and its first
+               command is given when it is ready, so everything comes D late
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+
+from benchmarks.loop import Loop, Outcome, Told
+from benchmarks.preview import without_preview
+from benchmarks.rivals.search import Span
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.signals import Estimate
+from services.run.situation import Situation
+
+SPANS = {
+    "terminal_position_per_m2": Span(1.0, 1000.0),
+    "terminal_velocity_s2_per_m2": Span(10.0, 10_000.0),
+    "thrust": Span(1e-5, 0.3),
+    "thrust_change": Span(1e-5, 0.3),
+}
+
+
+class Variant(NamedTuple):
+    """What is left of it."""
+
+    preview: bool = True
+    told_of_water: bool = True
+    estimates_water: bool = True
+    delay_s: float = 0.0
+    compensates: bool = True
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """KEY=VALUE on top of the scenario."""
+        disturbance = () if self.estimates_water else ("controller.disturbance.sd_mps=0.0",)
+        return (f"run.compute_delay_s={self.delay_s}", *disturbance)
+
+    @property
+    def told(self) -> Told:
+        """What it is told of the truth."""
+        if not self.told_of_water:
+            return without_water
+        return (lambda estimate: estimate) if self.preview else without_preview
+
+
+def without_water(estimate: Estimate) -> Estimate:
+    """The estimate without any current."""
+    return msgspec.structs.replace(estimate, current=None)
+
+
+def fly(situation: Situation, variant: Variant) -> Outcome:
+    """The whole run."""
+    controller = Controller(situation.vehicle, situation.reference, situation.scenario.controller)
+    return Loop(situation=situation, controller=controller, told=variant.told, compensates=variant.compensates).fly()

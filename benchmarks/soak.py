@@ -1,0 +1,202 @@
+"""A long run of processes: does anything grow that should not? Memory, file handles and threads of each process, and
+misses by quarter.
+
+    .venv/bin/python -m benchmarks.soak [--minutes 60] [--speed 10] [--every-s 10] [--out DIR] [--json]
+
+`hover` by `ltv-mpc sim`, looked at from outside (/proc) all the while, and ended by Ctrl-C after so much wall time.
+Memory is the resident set, what several processes share divided among them (Pss of smaps_rollup): forks share much.
+
+    growth   of a process: median of its last quarter minus that of its second one; the first is for warming up
+    misses   from the run's recording: cycles whose plan was not solved, plans that came late, messages missing by their
+             sequence numbers; in each quarter of the vehicle's time
+
+Exit 1 where memory grew by more than 2 MB and 2 % of it, a process has more handles or threads in its last quarter than
+ever in its second, or a last quarter missed more than twice what the second and third did, and more than five.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.signals import Applied, Plan, PlanOrigin
+from services.faults.attacks import children
+from services.recording.losses import Losses
+from services.recording.reader import Recording
+
+MOST_GROWTH_MB, MOST_GROWTH = 2.0, 0.02
+FEW = 5
+QUARTERS = 4
+SUPERVISOR = "supervisor"
+
+
+class Look(NamedTuple):
+    """One process at one moment."""
+
+    at_s: float
+    memory_mb: float
+    handles: int
+    threads: int
+
+
+class Grown(NamedTuple):
+    """One process over the run."""
+
+    process: str
+    looks: int
+    memory_mb: list[float]  # median of each quarter
+    handles: list[int]  # most in each quarter
+    threads: list[int]
+    flat: bool
+
+
+class Missed(NamedTuple):
+    """One quarter of the vehicle's time."""
+
+    cycles: int
+    not_solved: int
+    late: int
+    missing: int
+
+    @property
+    def all(self) -> int:
+        """Of whatever kind."""
+        return self.not_solved + self.late + self.missing
+
+
+def look(pid: int, at_s: float) -> Look | None:
+    """None where it has just ended."""
+    folder = Path("/proc", str(pid))
+    try:
+        rollup = (folder / "smaps_rollup").read_text(encoding="utf-8")
+        (pss,) = (line.split()[1] for line in rollup.splitlines() if line.startswith("Pss:"))
+        return Look(at_s, int(pss) / 1024, len(os.listdir(folder / "fd")), len(os.listdir(folder / "task")))
+    except (OSError, ValueError):
+        return None
+
+
+def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) -> dict[str, list[Look]]:
+    """All looks by process, a process that was started anew being another."""
+    looks: dict[int, list[Look]] = {}
+    names: dict[int, str] = {}
+    began = time.monotonic()
+    while (at_s := time.monotonic() - began) < wall_s and supervisor.poll() is None:
+        for pid, name in [(supervisor.pid, SUPERVISOR), *children(supervisor.pid)]:
+            seen = look(pid, at_s)
+            if seen is not None:
+                names[pid] = name
+                looks.setdefault(pid, []).append(seen)
+        sys.stderr.write(f"\r{at_s / 60:.1f} of {wall_s / 60:g} min")
+        time.sleep(every_s)
+    sys.stderr.write("\n")
+    return {f"{name} {pid}": looks[pid] for pid, name in names.items()}
+
+
+def grown(process: str, looks: Sequence[Look], wall_s: float) -> Grown:
+    """By quarters of the run."""
+    quarters = [[one for one in looks if int(QUARTERS * one.at_s / wall_s) == k] for k in range(QUARTERS)]
+    memory = [float(np.median([one.memory_mb for one in of])) if of else float("nan") for of in quarters]
+    handles = [max((one.handles for one in of), default=0) for of in quarters]
+    threads = [max((one.threads for one in of), default=0) for of in quarters]
+    growth_mb = memory[-1] - memory[1]
+    lasting = all(quarters[1:])  # else it was started or ended in between
+    flat = not lasting or (
+        growth_mb <= max(MOST_GROWTH_MB, MOST_GROWTH * memory[1])
+        and handles[-1] <= handles[1]
+        and threads[-1] <= threads[1]
+    )
+    return Grown(process, len(looks), memory, handles, threads, flat)
+
+
+def missed(recording: Path) -> list[Missed]:
+    """By quarters of what is recorded."""
+    rows: list[tuple[int, int, int, int]] = []  # time, not solved, late, missing in all
+    losses, late_before, lost_before = Losses(), 0, 0
+    for message in Recording(recording):
+        losses.saw(message.key, message.plain["epoch"], message.plain["sequence"])
+        if message.kind is Plan and message.plain["cycle_t_ns"] >= 0:
+            rows.append((message.t_ns, int(message.plain["origin"] != PlanOrigin.SOLVED), 0, 0))
+        elif message.kind is Applied:
+            late, lost = int(message.plain["plans_late"]), losses.missing
+            rows.append((message.t_ns, -1, late - late_before, lost - lost_before))
+            late_before, lost_before = late, lost
+    if not rows:
+        return []
+    first, last = rows[0][0], rows[-1][0]
+    quarters: list[list[tuple[int, int, int, int]]] = [[] for _ in range(QUARTERS)]
+    for row in rows:
+        quarters[min(QUARTERS - 1, QUARTERS * (row[0] - first) // max(1, last - first))].append(row)
+    return [_of_quarter(quarter) for quarter in quarters]
+
+
+def _of_quarter(rows: Iterable[tuple[int, int, int, int]]) -> Missed:
+    rows = list(rows)
+    plans = [solved for _, solved, _, _ in rows if solved >= 0]
+    return Missed(len(plans), sum(plans), sum(row[2] for row in rows), sum(row[3] for row in rows))
+
+
+def steady(quarters: Sequence[Missed]) -> bool:
+    """Whether the last quarter was no worse than those before."""
+    return bool(quarters) and quarters[-1].all <= max(FEW, 2 * max(quarter.all for quarter in quarters[1:-1]))
+
+
+def main() -> int:
+    """Run it, and say what grew."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--minutes", type=float, default=60.0, help="of wall time")
+    parser.add_argument("--speed", type=float, default=10.0)
+    parser.add_argument("--every-s", type=float, default=10.0)
+    parser.add_argument("--out", type=Path, help="keep the run here")
+    parser.add_argument("--json", action="store_true")
+    of = parser.parse_args()
+    wall_s = 60.0 * of.minutes
+    with tempfile.TemporaryDirectory() as place:
+        out = of.out or Path(place, "run")
+        options = ["--duration-s", f"{2 * of.speed * wall_s:g}", "--speed", f"{of.speed:g}", "--no-dashboard"]
+        command = [sys.executable, "-P", "-m", "services.cli", "sim", "hover", *options, "--out", str(out)]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            looks = watch(process, wall_s, of.every_s)
+            code = process.poll()
+            if code is None:
+                process.send_signal(signal.SIGINT)
+        if code is not None:
+            sys.stderr.write(f"the run ended before its time, with exit code {code}\n")
+            return 1
+        quarters = missed(out / "run.mcap")
+    processes = [grown(name, seen, wall_s) for name, seen in looks.items()]
+    good = all(one.flat for one in processes) and steady(quarters)
+    if of.json:
+        rows = {"processes": [one._asdict() for one in processes], "quarters": [one._asdict() for one in quarters]}
+        print(json.dumps({"minutes": of.minutes, "speed": of.speed, "flat": good, **rows}))
+    else:
+        _show(processes, quarters, good)
+    return 0 if good else 1
+
+
+def _show(processes: Sequence[Grown], quarters: Sequence[Missed], good: bool) -> None:
+    print(f"{'process':<26}{'MB, median by quarter':>34}{'handles':>16}{'threads':>16}")
+    for one in processes:
+        memory = " ".join(f"{value:8.1f}" for value in one.memory_mb)
+        counts = (" ".join(map(str, values)) for values in (one.handles, one.threads))
+        print(f"{one.process:<26}{memory:>34}" + "".join(f"{text:>16}" for text in counts), "" if one.flat else " grew")
+    for k, quarter in enumerate(quarters, 1):
+        print(
+            f"quarter {k}: {quarter.cycles} cycles, {quarter.not_solved} not solved, {quarter.late} plans late, "
+            f"{quarter.missing} messages missing"
+        )
+    print("flat" if good else "not flat")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+"""The analysis of the horizon map: a law that is put in comes out, and a campaign's folder is read as it was flown."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import horizon_map
+from benchmarks.horizon_map import Place
+from ltv_mpc.control.scales import scales_of
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.cli.app import run
+
+HORIZONS = np.geomspace(1.0, 32.0, 21)
+LAW = np.array([0.2, -0.3, 0.4, -0.8, 0.5])
+
+
+def made_up(count: int) -> list[Place]:
+    """Errors are smallest at the law's horizon, jump below it and grow above it."""
+    rng = np.random.default_rng(3)
+    places = []
+    for _ in range(count):
+        groups = np.array([*np.exp(rng.uniform(-1, 1, 2)), *rng.uniform(0, 0.5, 2)])
+        time_s = float(rng.uniform(4, 8))
+        enough = time_s * math.exp(float(horizon_map.features(groups[None])[0] @ LAW))
+        errors = np.where(enough <= HORIZONS, np.sqrt(HORIZONS / enough), 1.3 * (enough / HORIZONS) ** 2)
+        places.append(Place(time_s, groups, HORIZONS, errors))
+    return places
+
+
+def test_the_rule_that_was_put_in_is_found_and_beats_constants_where_it_was_not_fitted() -> None:
+    places = made_up(200)
+    found = horizon_map.fitted(places)
+    # what is enough is the next horizon of the design above the law's: half a step of it, in the mean
+    np.testing.assert_allclose(found[1:], LAW[1:], atol=0.1)
+    assert found[0] - LAW[0] == pytest.approx(0.5 * math.log(HORIZONS[1] / HORIZONS[0]), abs=0.1)
+    judged = horizon_map.judged(places)
+    assert judged["rule"]["p90"] < 0.5 * judged["constant H / T"]["p90"]
+    assert judged["constant H / T"]["p90"] < judged["5 s"]["p90"]
+
+
+def test_what_is_enough_is_the_shortest_within_a_tenth_of_the_best() -> None:
+    place = Place(7.0, np.ones(4), np.array([1.0, 2.0, 4.0]), np.array([1.11, 1.09, 1.0]))
+    assert place.enough == 1
+    assert place.excess(2.2) == pytest.approx(0.09)
+    assert place.excess(100.0) == 0.0
+
+
+def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> None:
+    file = tmp_path / "map.toml"
+    file.write_text(
+        'title = "t"\n[seeds]\ncount = 1\n[design]\nkind = "sobol"\npoints = 2\n[set]\nrun.perfect_state = true\n'
+        "run.duration_s = 0.9\n[vary]\nsize = { low = 0.5, high = 2.0 }\n"
+        "run.compute_delay_s = { low = 0.1, high = 0.2 }\n"
+        "[cross]\ncontroller.horizon_s = [0.9, 1.8]\n[scale.size]\nvehicle.surge.mass_kg = 1\n"
+    )
+    out = tmp_path / "out"
+    assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
+    first, second = horizon_map.places(out)
+    assert first.horizons_s.tolist() == [0.9, 1.8]
+    assert first.time_s != second.time_s != scales_of(Vehicle.load("paper")).time_s
+    assert first.groups[1] == pytest.approx(8.0 / (0.2 * first.time_s))
+    assert 0.1 <= first.groups[3] * first.time_s <= 0.2
+    (part, *_) = sorted((out / "parts").glob("*.parquet"))
+    part.unlink()
+    assert len(horizon_map.places(out)) < 2
+    assert json.dumps(horizon_map.summary(made_up(32)))

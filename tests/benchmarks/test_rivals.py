@@ -1,0 +1,92 @@
+"""What the controller is compared with does its work: a rival that cannot fly proves nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import pytest
+
+from benchmarks.loop import situation
+from benchmarks.rivals import law, lqr, mpc, pid
+from benchmarks.rivals.search import Span, search
+from ltv_mpc.signals import CurrentProfile, Estimate
+from ltv_mpc.vehicle.parameters import Vehicle
+
+GAINS = {"kp": 200.0, "kd": 600.0, "ki": 5.0, "k_psi": 100.0, "k_r": 200.0, "hold_N": 2.0}
+WEIGHTS = {
+    "thrust": 1e-2,
+    "velocity": 1.0,
+    "heading": 1e-2,
+    "yaw_rate": 0.1,
+    "sway_mps": 0.03,
+    "least_mps": 0.02,
+    "most_m": 0.3,
+}
+SETTINGS = ("run.seed=400", "run.duration_s=40.0")
+
+
+@pytest.fixture(scope="module")
+def uncontrolled_m() -> float:
+    return law.fly(situation(*SETTINGS), law.Nothing()).mean_m
+
+
+def test_pid_and_lqr_hold_the_vehicle_that_is_carried_away_without_them(uncontrolled_m: float) -> None:
+    here = situation(*SETTINGS)
+    by_pid = law.fly(here, pid.Pid(here.vehicle, GAINS))
+    by_lqr = law.fly(here, lqr.Lqr(here.vehicle, WEIGHTS))
+    assert by_pid.mean_m < 0.2 * uncontrolled_m
+    assert by_lqr.mean_m < 0.5 * uncontrolled_m
+    assert max(by_pid.mean_abs_N, by_lqr.mean_abs_N) <= 62.5
+
+
+def test_a_plan_that_comes_late_and_was_made_for_earlier_costs_distance() -> None:
+    means = []
+    for compensates in (True, False):
+        variant = mpc.Variant(delay_s=0.71, compensates=compensates)
+        means.append(mpc.fly(situation(*SETTINGS, *variant.settings), variant).mean_m)
+    assert means[1] > 2.0 * means[0]
+
+
+def test_the_gain_is_stable_at_every_speed_of_the_water_and_does_nothing_at_the_trim() -> None:
+    vehicle = Vehicle.load("paper")
+    made = lqr.Lqr(vehicle, WEIGHTS)
+    still = Estimate.at_rest(heading_rad=math.pi, depth_m=1.0)
+    current = CurrentProfile(depth_m=np.array([0.0, 2.0]), north_mps=np.full(2, 0.1), east_mps=np.zeros(2))
+    pair = made.thrust(msgspec.structs.replace(still, current=current), (0.0, 0.0))
+    assert pair == pytest.approx((0.5 * 500.0 * 0.1**2,) * 2, abs=1e-9)  # head into the current, against the drag
+    north = made.thrust(msgspec.structs.replace(still, current=current), (-0.1, 0.0))
+    assert min(north) > max(pair)  # the target is ahead
+
+
+def test_a_pid_turns_the_shorter_way_and_pushes_astern_for_what_is_behind() -> None:
+    vehicle = Vehicle.load("paper")
+    ahead, behind, to_starboard = (
+        pid.Pid(vehicle, GAINS).thrust(Estimate.at_rest(), target) for target in ((0.1, 0.0), (-0.1, 0.0), (0.1, 0.05))
+    )
+    assert ahead[0] == ahead[1] == pytest.approx(0.5 * 200.0 * 0.1)
+    assert behind[0] == behind[1] == pytest.approx(-0.5 * 200.0 * 0.1)
+    assert to_starboard[0] > to_starboard[1]
+
+
+def test_the_actuators_take_a_law_no_further_than_their_slew() -> None:
+    u = law.ramped(np.array([0.0, 10.0, 0.0]), np.array([5.0, -50.0, 1.0]), np.full(3, 100.0), np.array([0.0, 0.1]))
+    np.testing.assert_allclose(u, [[0.0, 10.0, 0.0], [5.0, 0.0, 1.0]])
+
+
+def test_the_search_finds_a_minimum_over_decades_within_its_budget() -> None:
+    asked = 0
+
+    def costs(trials: Sequence[dict[str, float]]) -> list[float]:
+        nonlocal asked
+        asked += len(trials)
+        costs = [math.log10(one["a"] / 30.0) ** 2 + math.log10(one["b"] / 0.02) ** 2 for one in trials]
+        return [math.nan if one["a"] > 5000.0 else cost for one, cost in zip(trials, costs, strict=True)]
+
+    found = search({"a": Span(0.1, 10_000.0), "b": Span(1e-4, 1.0)}, costs, budget=64, seed=1)
+    assert asked == len(found.history) == 64
+    assert found.history == sorted(found.history, reverse=True)
+    assert found.cost == found.history[-1] < 0.01 < found.history[10]
+    assert found.values["a"] == pytest.approx(30.0, rel=0.3)
