@@ -2,7 +2,7 @@
 
 SHELL := /bin/sh
 .DEFAULT_GOAL := help
-.PHONY: help setup sim sim-secure test figures bench fuzz protocol link mutants clean
+.PHONY: help setup sim sim-secure test figures docs package bench map fuzz protocol link mutants clean
 
 # Passed through to `ltv-mpc sim`; empty: the scenario's own value.
 SCENARIO =
@@ -37,27 +37,37 @@ sim-secure: setup  ## the same under mTLS and access control, with certificates 
 		&& $(BIN)/ltv-mpc sim $(SIM_OPTIONS) --certs "$$certs"
 
 test: setup  ## lint, types, import contracts, all tests
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
+	@$(BIN)/python -P -m tests.warm & warm=$$!; trap 'kill $$warm 2>/dev/null' EXIT; set -ex; \
+	$(BIN)/ruff check .; \
+	$(BIN)/ruff format --check .; \
+	$(BIN)/mypy; \
+	$(BIN)/lint-imports; \
+	wait $$warm; trap - EXIT; \
 	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15
 
-DESCENT := --seed 1 --surface-time-s 30
+figures: setup  ## the paper's figures and tables: docs/figures/, docs/paper.md; README's picture
+	$(BIN)/python -P -m services.measure.paper
 
-figures: setup  ## docs/descent.png: no control, 2.5 s and 5 s horizon, from three runs in lock step
-	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/none $(DESCENT) --no-control
-	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/2.5s $(DESCENT) --horizon-s 2.5
-	$(BIN)/ltv-mpc sim --lockstep --force --out runs/figures/5s $(DESCENT) --horizon-s 5
-	$(BIN)/python -P -m services.views.figures docs/descent.png runs/figures/none runs/figures/2.5s runs/figures/5s
-
-bench: setup .venv/peers  ## tables of the README: errors over 20 seeds, latency of a cycle, other tools beside it
+bench: setup .venv/bench  ## tables of the README: errors over 20 seeds, latency of a cycle, other tools beside it
 	$(BIN)/python -m benchmarks.descents
 	$(BIN)/ltv-mpc profile
 	$(BIN)/python -m benchmarks.peers
 
+map: setup  ## docs/horizon.md's figures: 5,376 descents, hours; interrupted it goes on where it was
+	$(BIN)/ltv-mpc campaign benchmarks/horizon_known.toml --out runs/horizon/known
+	$(BIN)/ltv-mpc campaign benchmarks/horizon_realistic.toml --out runs/horizon/realistic
+	$(BIN)/python -m benchmarks.horizon_map --known runs/horizon/known --realistic runs/horizon/realistic \
+		--figures docs/figures --out docs/horizon.json
+
 fuzz: setup  ## a million damaged frames and files at every decoder and reader
 	$(BIN)/python -m benchmarks.fuzz --frames 1000000
+
+docs: .venv/docs  ## the site in build/docs, from docs/ and the docstrings; every warning an error
+	$(BIN)/python -P -m sphinx -W --keep-going -E -q -b html -d build/doctrees docs build/docs
+	@echo build/docs/index.html
+
+package: .venv/installed  ## the wheel in dist/, tried in an empty environment of each Python that is here
+	$(BIN)/python -m tests.package.trial
 
 protocol: setup  ## docs/protocol.md and docs/schemas/, from the table of what travels
 	$(BIN)/ltv-mpc topics --write docs
@@ -94,9 +104,14 @@ clean:  ## remove .venv and caches; runs/ stays
 	@touch $@
 
 # Into .venv itself: what is compared has the same Python, numpy and solvers, and the kernels are compiled already.
-.venv/peers: .venv/installed
+.venv/bench: .venv/installed
 	@echo "installing what is compared with"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[peers]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bench]'
+	@touch $@
+
+.venv/docs: .venv/installed
+	@echo "installing what makes the site"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	@touch $@
 
 .venv/mutation: .venv/installed
@@ -104,6 +119,6 @@ clean:  ## remove .venv and caches; runs/ stays
 	@touch $@
 
 .venv/compiled: .venv/installed $(KERNELS)
-	@echo "compiling, once (under a minute)"
+	@echo "compiling, once (a minute or two)"
 	@$(BIN)/python -P -m services.launch.warm descent
 	@touch $@

@@ -1,0 +1,45 @@
+"""The site: `make docs` builds it from these pages into build/docs, every warning an error.
+
+Nothing in it leaves the machine of who reads it: Furo brings its own styles and has no fonts, formulas become MathML
+when the site is built, and ``extensions/offline.py`` looks at every file for an address that a browser would fetch.
+"""
+
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE / "extensions"), str(HERE.parent)]
+
+from services.run.version import version as installed_version  # noqa: E402  (from this checkout)
+
+project = "ltv-mpc"
+copyright = "the authors of ltv-mpc"
+version = release = installed_version()
+
+extensions = [
+    *("sphinx.ext.autodoc", "sphinx.ext.viewcode", "myst_parser"),
+    *("commands", "docstrings", "mathml", "offline", "settings"),  # docs/extensions
+]
+exclude_patterns = ["extensions"]
+smartquotes = False  # two dashes are an option
+nitpicky = False  # types in signatures are numpy's and msgspec's, whose pages are elsewhere
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4  # as GitHub makes them, so that the same links work there
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {"Array": "Array", "Reference": "Reference", "Pair": "Pair", "Stopwatch": "Stopwatch"}
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 80
+add_module_names = False
+
+html_theme = "furo"
+html_title = "ltv-mpc"
+html_static_path = ["extensions/static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
+html_show_sphinx = False
+html_copy_source = False

@@ -1,0 +1,142 @@
+"""Docstrings as the code has them, for autodoc: plain text with ``code`` and indented equations, tables of fields.
+
+The docstrings are prose that is read in an editor first: ``|F|`` and ``x*`` mean what they say, and are no markup. Of
+a struct the signature is left out; its fields stand in a table with their types, bounds, defaults and the comments
+beside them in the source.
+"""
+
+from __future__ import annotations
+
+import ast
+import enum
+import inspect
+import io
+import re
+import textwrap
+import tokenize
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+from msgspec import inspect as struct
+
+from ltv_mpc.fields import wanted
+from ltv_mpc.signals import Signal
+from services.bus import schema
+from services.bus.protocol import unit, words
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Sphinx's entry."""
+    app.connect("autodoc-process-docstring", _docstring)
+    app.connect("autodoc-process-signature", _signature)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _docstring(_app: Sphinx, _what: str, _name: str, thing: object, _options: object, lines: list[str]) -> None:
+    lines[:] = text(lines)
+    if isinstance(thing, type) and issubclass(thing, msgspec.Struct):
+        lines += ["", *table(*_fields(thing))]
+    elif isinstance(thing, type) and issubclass(thing, enum.Enum):
+        said = comments(thing)
+        lines += ["", *table(("value", ""), [(literal(x.value), escaped(said.get(x.name, ""))) for x in thing])]
+
+
+def _signature(
+    _app: Sphinx, _what: str, _name: str, thing: object, _options: object, _signature: str, _returns: str
+) -> tuple[str, str] | None:
+    is_table = isinstance(thing, type) and issubclass(thing, (msgspec.Struct, enum.Enum))
+    return ("", "") if is_table else None
+
+
+# --- text -------------------------------------------------------------------------------------------------------------
+
+
+def text(lines: Iterable[str]) -> list[str]:
+    """A docstring's lines as reStructuredText: paragraphs as they are read, what is indented word for word."""
+    made: list[str] = []
+    for paragraph in re.split(r"\n\s*\n", textwrap.dedent("\n".join(lines)).strip("\n")):
+        if paragraph.startswith(" "):
+            made += ["::", "", *textwrap.indent(textwrap.dedent(paragraph), "   ").splitlines(), ""]
+        else:
+            made += [*escaped(paragraph).splitlines(), ""]
+    return made
+
+
+def escaped(words: str) -> str:
+    """Prose, in which `code` and ``code`` are literals and no other character means anything."""
+    parts = re.split(r"(``.+?``|`.+?`)", words, flags=re.DOTALL)
+    return "".join(
+        literal(part.strip("`")) if i % 2 else re.sub(r"([\\*|_`<>])", r"\\\1", part) for i, part in enumerate(parts)
+    )
+
+
+def literal(words: object) -> str:
+    """``code``."""
+    return f"``{words}``"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A table, cell by cell."""
+    made = [".. list-table::", "   :header-rows: 1", ""]
+    for row in (head, *rows):
+        for i, cell in enumerate(row):
+            made.append(f"   {'*' if i == 0 else ' '} - {' '.join(cell.split())}")
+    return [*made, ""]
+
+
+# --- fields -----------------------------------------------------------------------------------------------------------
+
+
+def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[str]]]:
+    """Of a message what the protocol says of it; of settings bounds, default and the comment in the source."""
+    if issubclass(kind, Signal):
+        return ("field", "type", "unit, bounds", ""), [
+            (
+                literal(name),
+                escaped(words(field.value) + ("" if field.required else ", may be left out")),
+                escaped(unit(field)),
+                escaped(field.value.get("description", "")),
+            )
+            for name, field in schema.fields(kind).items()
+        ]
+    said, info = comments(kind), struct.type_info(kind)
+    assert isinstance(info, struct.StructType)
+    return ("field", "what it must be", "default", ""), [
+        (literal(field.name), escaped(wanted(field.type)), default(field), escaped(said.get(field.name, "")))
+        for field in info.fields
+    ]
+
+
+def default(field: struct.Field) -> str:
+    """What a field is that is left out; empty where it must be there, and of a table, whose own fields have theirs."""
+    value = field.default
+    if field.required or value is msgspec.NODEFAULT or isinstance(value, msgspec.Struct):
+        return ""
+    return "" if value is None or value == "" else literal(str(value).lower() if isinstance(value, bool) else value)
+
+
+def comments(kind: type) -> dict[str, str]:
+    """The comment beside each field of a class and of those that it is made of."""
+    found: dict[str, str] = {}
+    for part in reversed(kind.__mro__):
+        if part.__module__.partition(".")[0] in ("ltv_mpc", "sim"):
+            found |= _comments(inspect.getsource(part))
+    return found
+
+
+def _comments(source: str) -> dict[str, str]:
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    beside = {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
+    (body,) = ast.parse(source).body
+    assert isinstance(body, ast.ClassDef)
+    found = {}
+    for line in body.body:
+        if isinstance(line, ast.AnnAssign | ast.Assign):
+            (target,) = [line.target] if isinstance(line, ast.AnnAssign) else line.targets
+            if isinstance(target, ast.Name) and line.end_lineno in beside:
+                found[target.id] = beside[line.end_lineno]
+    return found

@@ -1,0 +1,65 @@
+"""Every key of a scenario with its bounds, default and meaning: where a page says ``<!-- settings -->``."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import msgspec
+from docstrings import comments, default
+from msgspec import inspect as struct
+
+from ltv_mpc.fields import wanted
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+MARK = "<!-- settings -->"
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Sphinx's entry."""
+    app.connect("source-read", _fill)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _fill(_app: Sphinx, _page: str, source: list[str]) -> None:
+    if MARK in source[0]:
+        from sim.scenario import Scenario
+
+        source[0] = source[0].replace(MARK, "\n".join(tables(Scenario, ())))
+
+
+def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:
+    """A section for each table of the file, those inside it after it."""
+    info, said = struct.type_info(kind), comments(kind)
+    assert isinstance(info, struct.StructType)
+    inner = {field.name: part for field in info.fields if (part := table(field.type)) is not None}
+    own = [field for field in info.fields if field.name not in inner and field.name != "made_by"]
+    if place:
+        yield f"## `[{'.'.join(place)}]`\n"
+        yield f"{markdown(inspect.cleandoc(kind.__doc__ or ''))}\n"
+    if own:
+        yield "| key | must be | default | |\n|---|---|---|---|"
+        for field in own:
+            cells = (f"`{field.name}`", markdown(wanted(field.type)), default(field).replace("``", "`"))
+            yield f"| {' | '.join((*cells, markdown(said.get(field.name, ''))))} |"
+        yield ""
+    for name, part in inner.items():
+        yield from tables(part, (*place, name))
+
+
+def table(kind: struct.Type) -> type[msgspec.Struct] | None:
+    """The struct that a field is, if it is one, or may be left out and is one."""
+    if isinstance(kind, struct.UnionType):
+        return next((found for part in kind.types if (found := table(part)) is not None), None)
+    return kind.cls if isinstance(kind, struct.StructType) else None
+
+
+def markdown(words: str) -> str:
+    """Prose in which a star, a bracket and a bar are themselves."""
+    text = words.replace("``", "`")
+    parts = text.split("`")
+    plain = [part if i % 2 else part.translate({ord(c): f"\\{c}" for c in "*_<[|"}) for i, part in enumerate(parts)]
+    return "`".join(plain)

@@ -1,0 +1,143 @@
+"""README.md and docs/**/*.md as their readers see them: fenced blocks, lines of a shell, words between backticks."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
+NAMES = tuple(page.relative_to(ROOT).as_posix() for page in PAGES)
+
+FENCE = re.compile(r"^ {0,3}(```+)([^`]*)$")
+
+
+@dataclass(frozen=True)
+class Block:
+    """What stands between two fences."""
+
+    page: str
+    line: int  # of the opening fence
+    language: str
+    text: str
+
+    @property
+    def place(self) -> str:
+        """Where an editor finds it."""
+        return f"{self.page}:{self.line}"
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command of a shell block: ``NAME=value`` before it left out, comments gone, continued lines joined."""
+
+    place: str
+    words: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """As one line."""
+        return " ".join(self.words)
+
+    @property
+    def ltv_mpc(self) -> tuple[str, ...] | None:
+        """What follows our own program; None of any other."""
+        return self.words[1:] if self.words[0] in ("ltv-mpc", ".venv/bin/ltv-mpc") else None
+
+
+def blocks(page: str) -> list[Block]:
+    """Every fenced block of a page, in order."""
+    found: list[Block] = []
+    opened: tuple[int, str, str] | None = None
+    lines: list[str] = []
+    for number, line in enumerate((ROOT / page).read_text(encoding="utf-8").splitlines(), start=1):
+        fence = FENCE.match(line)
+        if opened is None and fence:
+            opened, lines = (number, fence[1], fence[2].strip()), []
+        elif opened is not None and fence and fence[1] == opened[1] and not fence[2].strip():
+            found.append(Block(page, opened[0], opened[2].partition(" ")[0], "\n".join(lines) + "\n"))
+            opened = None
+        elif opened is not None:
+            lines.append(line)
+    assert opened is None, f"{page}:{opened and opened[0]}: a block without an end"
+    return found
+
+
+def prose(page: str) -> list[tuple[int, str]]:
+    """The lines outside of all blocks, with their numbers; a block is as many empty ones."""
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    for block in blocks(page):
+        length = block.text.count("\n") + 2
+        lines[block.line - 1 : block.line - 1 + length] = [""] * length
+    return list(enumerate(lines, start=1))
+
+
+def commands(block: Block) -> Iterator[Command]:
+    """Each command of a shell block."""
+    number = block.line
+    for line in block.text.replace("\\\n", "\0").splitlines():
+        number += 1
+        words = shlex.split(line.replace("\0", " "), comments=True)
+        place = f"{block.page}:{number}"
+        number += line.count("\0")
+        for part in _split(words):
+            while part and re.match(r"^[A-Z_]+=", part[0]):
+                part.pop(0)
+            if part:
+                yield Command(place, tuple(part))
+
+
+def _split(words: list[str]) -> Iterator[list[str]]:
+    """At ``&&``."""
+    part: list[str] = []
+    for word in words:
+        if word == "&&":
+            yield part
+            part = []
+        else:
+            part.append(word)
+    yield part
+
+
+def spoken(page: str) -> list[tuple[int, str]]:
+    """What stands between single backticks outside of all blocks, with its line."""
+    return [
+        (number, " ".join(found.split()))
+        for number, text in _paragraphs(page)
+        for found in re.findall(r"(?<!`)`([^`]+)`(?!`)", text)
+    ]
+
+
+def _paragraphs(page: str) -> Iterator[tuple[int, str]]:
+    """Words between backticks may go on in the next line."""
+    begun, lines = 0, []
+    for number, line in [*prose(page), (0, "")]:
+        if line.strip():
+            begun = begun or number
+            lines.append(line)
+        elif lines:
+            yield begun, "\n".join(lines)
+            begun, lines = 0, []
+
+
+def slug(heading: str) -> str:
+    """The anchor that GitHub makes of a heading, and the site with it."""
+    words = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
+    return re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+
+
+def anchors(page: str) -> set[str]:
+    """Of all headings of a page."""
+    return {slug(found[1]) for _, line in prose(page) if (found := re.match(r"^#{1,6} +(.*)$", line))}
+
+
+def links(page: str) -> list[tuple[int, str]]:
+    """Targets of links and pictures, with their lines."""
+    return [
+        (number, target)
+        for number, line in prose(page)
+        for target in re.findall(r"\]\(([^()\s]+)\)", re.sub(r"`[^`]*`", "", line))
+    ]

@@ -1,0 +1,281 @@
+"""Whatever README and docs/ print to be typed is run here, page by page, in the page's own order and one folder.
+
+A page is a session: its Python shares one set of names, its files lie where its commands look for them, and what a
+command writes the next one finds. Runs are taken from one short run in lock step: `sim` resolves its options, makes its
+folder and is then given that recording. What is not run at all stands in ``NOT_RUN`` with the reason, and its options
+are held against the command line all the same. A block that is neither fails.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import tomllib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+import pytest
+from pyarrow import parquet
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from services.campaign import file as campaigns
+from services.cli import start
+from services.cli.app import app, run
+from services.faults import schedule
+from services.process.stopping import DONE
+from services.run.folder import RunFolder
+from services.run.situation import Situation
+from tests.docs.pages import NAMES, ROOT, Command, blocks, commands, prose, spoken
+
+RUN_HERE = {"sh", "python", "toml"}
+SHOWN = {"text", "{toctree}", "{eval-rst}", "{include}"}
+"""Outputs, equations and drawings; the site's own directives."""
+
+UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/services/launch start it"
+MINUTES = "takes minutes; a short one is run by"
+ELSEWHERE = "needs another host, or somebody else's program"
+NOT_RUN = (
+    (r"ltv-mpc (router|plant|sensors|estimator|controller|recorder|inject|ros2|dashboard)\b", UNTIL_STOPPED),
+    (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
+    (r"ltv-mpc faults\b", f"{MINUTES} tests/services/faults"),
+    (r"ltv-mpc campaign\b", f"{MINUTES} tests/services/campaign"),
+    (r"ltv-mpc profile\b", f"{MINUTES} tests/services/measure/test_profile.py"),
+    (r"ltv-mpc vehicle identify\b", "needs a rich run; tests/services/cli/test_vehicle_file.py has one"),
+    (r"make \w+", "the Makefile's targets: that they exist is looked at"),
+    (
+        r"\.venv/bin/python -m benchmarks\.",
+        f"{MINUTES} whoever needs its figures: that it has these options is looked at",
+    ),
+    (r"python3? \S*publisher\.py", f"{UNTIL_STOPPED}: tests/examples"),
+    (
+        r"python3 -m venv|pip install|\. \S+/activate|git clone|cd ",
+        "makes environments; `make package` does it for real",
+    ),
+    (r"dask |zenoh-bridge-ros2dds ", ELSEWHERE),
+)
+
+ONCE = r"ltv-mpc (replay latest$|report latest$|doctor|log info latest$|log export latest --format perfetto)"
+"""What needs nothing of its page and leaves nothing that the page reads: run on the first one that has it."""
+
+ran_already: set[tuple[str, ...]] = set()
+
+TOML: dict[str, Callable[[Path], object]] = {
+    "docs/campaigns.md": campaigns.load,
+    "docs/faults.md": schedule.load,
+}
+"""Who reads the files that a page shows; what a page's own commands read needs nobody else."""
+
+
+def shipped(path: str) -> str:
+    return (ROOT / path).read_text(encoding="utf-8")
+
+
+FILES = {
+    "otter.toml": lambda: shipped("ltv_mpc/vehicle/files/surface.toml"),
+    "lawn.toml": lambda: shipped("ltv_mpc/references/files/lawnmower.toml"),
+    "my_sensors.toml": lambda: shipped("examples/sensors/own_adcp.toml"),
+    "profile.csv": lambda: "depth_m,v_north_mps,u_east_mps\n0,0.04,0\n50,0,0.02\n",
+    "other/controller.toml": lambda: "horizon_s = 9.0\n",
+}
+"""What readers have of their own."""
+
+RUNS = ("first", "second")
+"""Below runs/; the last one is the newest."""
+
+
+# --- what every page holds to ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_every_block_says_what_it_is(page: str) -> None:
+    for block in blocks(page):
+        assert block.language in RUN_HERE | SHOWN, f"{block.place}: {block.language!r}"
+    before = ""
+    for number, line in prose(page):
+        indented = line.startswith("    ") and not before.strip()
+        assert not indented, f"{page}:{number}: a block without fences, which nobody would run"
+        before = line if not line.startswith("    ") else before
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_no_command_hides_in_a_block_that_is_not_run(page: str) -> None:
+    for block in blocks(page):
+        if block.language in SHOWN:
+            hidden = re.search(r"^\s*(\.venv/bin/|ltv-mpc |make |python3? -m )", block.text, re.MULTILINE)
+            assert hidden is None or block.text.startswith("ltv-mpc: "), f"{block.place}: {hidden and hidden[0]}"
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_every_command_between_backticks_exists_with_its_options(page: str) -> None:
+    targets = set(re.findall(r"^([a-z-]+):", shipped("Makefile"), re.MULTILINE))
+    for number, words in spoken(page):
+        text = words.removeprefix(".venv/bin/")
+        if text.startswith("ltv-mpc "):
+            mentioned(text.split()[1:], f"{page}:{number}")
+        elif found := re.match(r"make ([a-z-]+)\b", text):
+            assert found[1] in targets, f"{page}:{number}: {text}"
+        elif found := re.match(r"python -m (benchmarks\.[\w.]+)(.*)", text):
+            benchmark(found[1], found[2].split(), f"{page}:{number}")
+
+
+def test_everything_that_is_not_run_is_there_to_be_not_run() -> None:
+    """An entry that no page needs any more would hide the next command that looks like it."""
+    typed = [command.text.removeprefix(".venv/bin/") for command in every_command()]
+    whole = [command.text for command in every_command()]
+    for pattern, _ in NOT_RUN:
+        assert any(re.match(pattern, text) for text in (*typed, *whole)), pattern
+
+
+# --- what is typed ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """The run that stands for all runs."""
+    folder = tmp_path_factory.mktemp("runs") / "recorded"
+    assert run(["sim", "--lockstep", "--duration-s", "3", "--out", str(folder)]) == 0
+    return RunFolder(folder)
+
+
+@pytest.fixture
+def session(recorded: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder with a run in it, where `sim` is quick."""
+
+    def simulated(_situation: Situation, folder: RunFolder, *_: object, **__: object) -> int:
+        for path in recorded.path.iterdir():
+            if path.is_file() and path.name != "scenario.toml":
+                shutil.copy(path, folder.path)
+        return DONE
+
+    monkeypatch.setattr(start, "_locked", simulated)
+    monkeypatch.setattr(start, "_processes", simulated)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    for name in RUNS:
+        shutil.copytree(recorded.path, tmp_path / "runs" / name)
+    (tmp_path / "runs" / "latest").symlink_to(RUNS[-1])
+    (tmp_path / "runs" / "latest" / "scenario.toml").touch()
+    (tmp_path / "runs" / "horizon").mkdir()
+    parquet.write_table(pyarrow.table({"point": [0], "seed": [0]}), tmp_path / "runs" / "horizon" / "results.parquet")
+    for name, text in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text(), encoding="utf-8")
+    return tmp_path
+
+
+TYPED = [page for page in NAMES if any(block.language in RUN_HERE for block in blocks(page))]
+
+
+@pytest.mark.parametrize("page", TYPED)
+def test_what_a_page_says_to_type_works(page: str, session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, Any] = {}
+    for block in blocks(page):
+        if block.language == "python":
+            code = compile("\n" * block.line + block.text, str(ROOT / page), "exec")
+            exec(code, names)
+        elif block.language == "toml":
+            write_toml(block.text, session, page, block.place)
+        elif block.language == "sh":
+            for command in commands(block):
+                typed(command, capsys)
+
+
+def typed(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
+    """Run it, or hold it against what there is to run."""
+    plain = command.text.removeprefix(".venv/bin/")
+    kept = any(re.match(pattern, text) for pattern, _ in NOT_RUN for text in (plain, command.text))
+    ours = command.ltv_mpc
+    if ours is not None:
+        parsed(list(ours), command.place)
+        if not kept and ours not in ran_already:
+            if re.match(ONCE, plain):
+                ran_already.add(ours)
+            code = run(list(ours))
+            said = capsys.readouterr()
+            assert code == 0, f"{command.place}: {command.text}\n{said.out[-1000:]}\n{said.err[-1000:]}"
+        return
+    assert kept, f"{command.place}: {command.text}: neither run nor in NOT_RUN"
+    if command.words[0] == "make":
+        assert re.search(rf"^{command.words[1]}:", shipped("Makefile"), re.MULTILINE), command.place
+        for word in command.words[2:]:
+            assert re.search(rf"^{word.partition('=')[0]} =", shipped("Makefile"), re.MULTILINE), command.place
+    elif "-m" in command.words and command.words[2].startswith("benchmarks."):
+        benchmark(command.words[2], list(command.words[3:]), command.place)
+
+
+def write_toml(text: str, folder: Path, page: str, place: str) -> None:
+    """A file of the reader's: its first line says how it is called."""
+    tomllib.loads(text)
+    named = re.match(r"# ([\w/-]+\.toml)\b", text)
+    assert named, f"{place}: the first line must be a comment with the file's name"
+    path = folder / named[1]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    if page in TOML:
+        TOML[page](path)
+
+
+# --- the command line ------------------------------------------------------------------------------------------------
+
+
+def every_command() -> list[Command]:
+    return [
+        command for page in NAMES for block in blocks(page) if block.language == "sh" for command in commands(block)
+    ]
+
+
+@cache
+def tree() -> Any:
+    """All commands, as typer makes them."""
+    return get_command(app)
+
+
+def parsed(words: list[str], place: str) -> None:
+    """As the program reads them: every option is there, every argument, each of its type."""
+    command = tree()
+    if not words or words[0].startswith("-"):
+        return
+    while isinstance(command, TyperGroup):
+        assert words, f"{place}: a command is missing"
+        assert words[0] in command.commands, f"{place}: ltv-mpc has no {words[0]}"
+        command = command.commands[words.pop(0)]
+    command.make_context(place, words)
+
+
+def mentioned(words: list[str], place: str) -> None:
+    """A command in a sentence: its name and its options are there, its arguments may be words."""
+    command = tree()
+    options = {"--help", "-h", "--install-completion", "--show-completion", "--version"}
+    while isinstance(command, TyperGroup) and words and not words[0].startswith("-"):
+        if words[0].isupper() or words[0] == "...":
+            return
+        several = [word.strip() for word in words[0].split("|")]
+        for name in several:
+            assert name in command.commands, f"{place}: ltv-mpc has no {name}"
+        command = command.commands[several[0]]
+        words = words[1:]
+    options |= {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    for word in words:
+        option = word.strip("[]").partition("=")[0]
+        assert not re.match(r"--?[a-z]", option) or option in options, f"{place}: {word}"
+
+
+def benchmark(module: str, words: list[str], place: str) -> None:
+    """The module is there, and its own code knows the options."""
+    folder = ROOT.joinpath(*module.split("."))
+    source = next((path for path in (folder.with_suffix(".py"), folder / "__main__.py") if path.is_file()), None)
+    assert source is not None, f"{place}: no {module}"
+    nodes = list(ast.walk(ast.parse(source.read_text(encoding="utf-8"))))
+    for node in list(nodes):  # options that several benchmarks share stand in a module of theirs
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("benchmarks."):
+            shared = ROOT.joinpath(*str(node.module).split(".")).with_suffix(".py")
+            nodes += ast.walk(ast.parse(shared.read_text(encoding="utf-8"))) if shared.is_file() else ()
+    known = {node.value for node in nodes if isinstance(node, ast.Constant)}
+    for word in words:
+        if word.startswith("--"):
+            assert word.partition("=")[0] in known, f"{place}: {module} has no {word}"

@@ -1,0 +1,42 @@
+"""Every page is found from the first one, every link leads somewhere, and the reference leaves no name out."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import ltv_mpc
+from tests.docs.pages import NAMES, ROOT, anchors, blocks, links
+
+PAGES_OF_THE_SITE = {name.removeprefix("docs/").removesuffix(".md") for name in NAMES if name.startswith("docs/")}
+
+
+def test_every_page_stands_once_in_the_navigation() -> None:
+    listed = [
+        line
+        for block in blocks("docs/index.md")
+        if block.language == "{toctree}"
+        for line in block.text.split()
+        if not line.startswith(":") and line in PAGES_OF_THE_SITE
+    ]
+    assert sorted(listed) == sorted(PAGES_OF_THE_SITE - {"index"})
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_every_link_inside_the_project_leads_somewhere(page: str) -> None:
+    here = (ROOT / page).parent
+    for number, link in links(page):
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (here / path).resolve() if path else ROOT / page
+        assert target.exists(), f"{page}:{number}: {link}"
+        if anchor:
+            assert anchor in anchors(target.relative_to(ROOT).as_posix()), f"{page}:{number}: {link}"
+
+
+def test_the_reference_has_every_public_name() -> None:
+    (names,) = (block.text for block in blocks("docs/python.md") if block.language == "{eval-rst}")
+    documented = set(re.findall(r"^\.\. auto\w+:: +(?:ltv_mpc\.)?(\w+)$", names, re.MULTILINE))
+    assert set(ltv_mpc.__all__) <= documented

@@ -1,0 +1,109 @@
+"""What the site takes from the code is all there, read as it was written, and fetches nothing."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
+
+from ltv_mpc import fields
+from services.cli.app import app
+from sim.scenario import Scenario
+from tests.docs.pages import ROOT
+
+
+def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """One of the site's own, as conf.py has it found; it is no package."""
+    monkeypatch.syspath_prepend(ROOT / "docs" / "extensions")
+    for own in ("commands", "docstrings", "offline", "settings"):
+        monkeypatch.delitem(sys.modules, own, raising=False)
+    return importlib.import_module(name)
+
+
+def test_every_command_and_every_option_is_on_the_page_of_options_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = "\n".join(extension("commands", monkeypatch).page())
+    sections = dict(re.findall(r"^### ltv-mpc ([\w -]+)\n(.*?)(?=^##|\Z)", page, re.MULTILINE | re.DOTALL))
+    assert page.count("\n### ") == len(sections)
+    panels = re.findall(r"^## (.+)$", page, re.MULTILINE)
+    assert len(set(panels)) == len(panels)
+
+    def all_of(group: TyperGroup, words: tuple[str, ...]) -> int:
+        count = 0
+        for name, command in group.commands.items():
+            if isinstance(command, TyperGroup):
+                count += all_of(command, (*words, name))
+                continue
+            text = sections[" ".join((*words, name))]
+            for parameter in command.params:
+                if parameter.param_type_name == "option":
+                    assert all(option in text for option in (*parameter.opts, *parameter.secondary_opts)), name
+            count += 1
+        return count
+
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    assert all_of(group, ()) == len(sections) >= 24
+
+
+def test_the_page_of_commands_has_a_word_for_each() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    for name in get_command(app).commands:  # type: ignore[attr-defined]
+        assert re.search(rf"^\|[^|]*`{name}\b", page, re.MULTILINE), name
+
+
+def test_every_key_of_a_scenario_is_on_the_page_of_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = "\n".join(extension("settings", monkeypatch).tables(Scenario, ()))
+    shown, table = set(), ""
+    for line in page.splitlines():
+        if heading := re.match(r"## `\[(.+)\]`", line):
+            table = f"{heading[1]}."
+        elif row := re.match(r"\| `(\w+)` \|", line):
+            shown.add(f"{table}{row[1]}")
+    assert set(fields.settings(Scenario)) - {"made_by"} <= shown
+    assert "| `horizon_s` | a number >= 0.3 and \\<= 120 | `5.0` |" in page
+
+
+def test_docstrings_are_read_as_they_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bars, stars and underscores mean nothing; what is indented is taken word for word."""
+    text = extension("docstrings", monkeypatch).text
+    assert text(["The |F|, x* and a_b of ``code_`` and `ltv-mpc`."]) == [
+        r"The \|F\|, x\* and a\_b of ``code_`` and ``ltv-mpc``.",
+        "",
+    ]
+    assert text(["An equation:", "", "    x' = |u| u", "", "and on."]) == [
+        *("An equation:", ""),
+        *("::", "", "   x' = |u| u", ""),
+        *("and on.", ""),
+    ]
+
+
+def test_the_comment_beside_a_field_is_what_the_table_says_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    from sim.scenario import Run
+
+    assert extension("docstrings", monkeypatch).comments(Run)["perfect_state"] == "the controller is given the truth"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fetched"),
+    [
+        ("a.html", '<script async src="https://cdn.example/x.js"></script>', ["https://cdn.example/x.js"]),
+        ("a.html", '<link href="//fonts.example/f.css" rel="stylesheet">', ["//fonts.example/f.css"]),
+        ("a.html", '<img alt="" src="http://example/x.png">', ["http://example/x.png"]),
+        ("a.html", '<a href="https://zenoh.io">Zenoh</a> <script src="_static/x.js"></script>', []),
+        ("a.css", "@font-face { src: url(https://fonts.example/f.woff2) }", ["https://fonts.example/f.woff2"]),
+        ("a.css", "a { background: url(data:image/svg+xml;utf8,x) }", []),
+        ("a.js", 'fetch("https://example/data.json")', ["https://example/data.json"]),
+        ("a.js", "// see https://example/", []),
+    ],
+)
+def test_an_address_that_a_browser_would_fetch_is_found(
+    name: str, text: str, fetched: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / name).write_text(text)
+    assert list(extension("offline", monkeypatch).fetched(tmp_path / name)) == fetched
