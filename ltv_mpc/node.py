@@ -8,7 +8,6 @@ replays through the nodes without tolerances.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
 import msgspec
@@ -80,15 +79,3 @@ Progress: TypeAlias = Callable[[], None]
 
 def no_progress() -> None:
     """Tell nobody."""
-
-
-@dataclass(frozen=True, slots=True)
-class Phases:
-    """A grid of a period that need not divide the truth's: t_ns = k x period_ns."""
-
-    period_ns: int
-
-    def between(self, after_ns: int, until_ns: int) -> range:
-        """Sample times t with after_ns < t <= until_ns."""
-        first = (after_ns // self.period_ns + 1) * self.period_ns
-        return range(first, until_ns + 1, self.period_ns)

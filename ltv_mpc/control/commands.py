@@ -84,7 +84,10 @@ def supersede(
     end = len(plan_t) - 1
     # One knot where each thruster comes to rest, in their order.
     seconds = np.abs(plan_thrust[end] - rest) / slew
-    corners = np.unique(seconds[seconds > 0.0])
+    corners, latest = np.empty(0), 0.0
+    while latest < seconds.max():
+        latest = seconds[seconds > latest].min()
+        corners = np.append(corners, latest)
     kept, ahead = max(until - first, 0), len(plan_t)
     out_t = np.empty(kept + ahead + len(corners), dtype=np.int64)
     out = np.empty((len(out_t), 3))

@@ -184,7 +184,7 @@ class Supervisor:
     def _warm(self) -> None:
         if warm.is_warm():
             return
-        self._screen.say("compiling, once after a change of the sources: about half a minute")
+        self._screen.say("compiling, once after a change of the sources: a minute or two")
         log = self._logs / "compiling.log"
         process = warm.fill(self._folder.scenario, log)
         self._guard.watch(process.pid)

@@ -13,19 +13,21 @@ from ltv_mpc.signals import Array
 
 
 class Drift:
-    """Independent biases of one standard deviation and one time constant."""
+    """Independent biases, each with its standard deviation and time constant."""
 
-    def __init__(self, sd: float, tau_s: float, size: int, draws: np.random.Generator) -> None:
-        """The first values are drawn at once."""
-        self._sd, self._tau, self._draws = sd, tau_s, draws
-        self._steps: dict[float, tuple[float, float]] = {}
-        self.value: Array = sd * draws.standard_normal(size)
+    def __init__(self, sd: float | Array, tau_s: float | Array, size: int, draws: np.random.Generator) -> None:
+        """One number for all, or one for each. The first values are drawn at once."""
+        self._draws = draws
+        self._sd, self._tau_s = (np.broadcast_to(x, (size,)).tolist() for x in (sd, tau_s))
+        self._steps: dict[float, tuple[Array, Array]] = {}
+        self.value: Array = np.array(self._sd) * draws.standard_normal(size)
 
     def advance(self, dt_s: float) -> Array:
         """The biases dt_s later, shape (size,)."""
         if dt_s not in self._steps:
-            kept = math.exp(-dt_s / self._tau)
-            self._steps[dt_s] = kept, self._sd * math.sqrt(-math.expm1(-2.0 * dt_s / self._tau))
-        kept, fresh = self._steps[dt_s]
-        self.value = kept * self.value + fresh * self._draws.standard_normal(len(self.value))
+            kept = [math.exp(-dt_s / tau) for tau in self._tau_s]
+            fresh = [sd * math.sqrt(-math.expm1(-2.0 * dt_s / t)) for sd, t in zip(self._sd, self._tau_s, strict=True)]
+            self._steps[dt_s] = np.array(kept), np.array(fresh)
+        kept_share, fresh_sd = self._steps[dt_s]
+        self.value = kept_share * self.value + fresh_sd * self._draws.standard_normal(len(self.value))
         return self.value

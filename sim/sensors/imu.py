@@ -31,9 +31,11 @@ class InertialUnit:
     def __init__(self, settings: Imu, latitude_rad: float, seed: int) -> None:
         """Biases and noise are drawn from the unit's own stream."""
         self._draws = generator(seed, Stream.IMU)
-        self._gyro = Drift(settings.gyro_bias_sd_radps, settings.gyro_bias_tau_s, 3, self._draws)
-        self._accelerometer = Drift(
-            settings.accelerometer_bias_sd_mps2, settings.accelerometer_bias_tau_s, 3, self._draws
+        self._bias = Drift(
+            np.repeat([settings.gyro_bias_sd_radps, settings.accelerometer_bias_sd_mps2], 3),
+            np.repeat([settings.gyro_bias_tau_s, settings.accelerometer_bias_tau_s], 3),
+            6,
+            self._draws,
         )
         self._walks = np.repeat([settings.angle_random_walk_rad_per_rts, settings.velocity_random_walk_mps_per_rts], 3)
         self._earth_rate = earth_rate(latitude_rad) if settings.senses_earth_rate else np.zeros(3)
@@ -42,12 +44,12 @@ class InertialUnit:
     @property
     def gyro_bias_radps(self) -> Array:
         """True bias of the last sample, (3,)."""
-        return self._gyro.value
+        return self._bias.value[:3]
 
     @property
     def accelerometer_bias_mps2(self) -> Array:
         """True bias of the last sample, (3,)."""
-        return self._accelerometer.value
+        return self._bias.value[3:]
 
     def sample(self, now: Instant) -> list[ImuSample]:
         """The mean over the interval that ends now."""
@@ -58,8 +60,7 @@ class InertialUnit:
         dt = interval_ns * 1e-9
         means = increments(last.rotation, last.velocity_mps, now.rotation, now.velocity_mps, self._earth_rate, dt)
         means += self._walks / math.sqrt(dt) * self._draws.standard_normal(6)
-        means[:3] += self._gyro.advance(dt)
-        means[3:] += self._accelerometer.advance(dt)
+        means += self._bias.advance(dt)
         p, q, r, x, y, z = means.tolist()
         return [
             ImuSample(

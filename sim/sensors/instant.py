@@ -36,13 +36,17 @@ class Instant(msgspec.Struct, frozen=True, eq=False):
 class Motion:
     """Between two truths, ``earlier`` and ``later``."""
 
-    def __init__(self, earlier: Truth, later: Truth) -> None:
-        """``later`` must be after ``earlier``."""
+    def __init__(self, earlier: Truth, later: Truth, before: Motion | None = None) -> None:
+        """``later`` must be after ``earlier``. ``before``: the motion that ended with it, if it is at hand."""
         self._earlier, self._later = earlier, later
         self._h_ns = later.t_ns - earlier.t_ns
-        self._R1, self._R2 = rotation(*earlier.attitude_rad), rotation(*later.attitude_rad)
-        self._phi = turn(self._R1, self._R2)
-        self._rate = self._phi / (self._h_ns * 1e-9)
+        self._R1: Array
+        self._R2: Array
+        if before is not None and before._later is earlier:
+            self._R1 = before._R2
+        else:
+            self._R1 = rotation(*earlier.attitude_rad)
+        self._R2, self._phi, self._rate = turned_to(self._R1, later.attitude_rad, self._h_ns * 1e-9)
 
     def at(self, t_ns: int) -> Instant:
         """The instant ``t_ns``, from that of the earlier truth to that of the later one."""
@@ -70,9 +74,11 @@ def _mix(a: Triple, b: Triple, s: float) -> Triple:
 
 
 @kernel
-def turn(R1: Array, R2: Array) -> Array:
-    """phi = log(R1^T R2), shape (3,)."""
-    return rotation_log(R1.T @ R2)
+def turned_to(R1: Array, attitude: Triple, h: float) -> tuple[Array, Array, Array]:
+    """R2 of the attitude, phi = log(R1^T R2), and w = phi / h."""
+    R2 = rotation(*attitude)
+    phi = rotation_log(R1.T @ R2)
+    return R2, phi, phi / h
 
 
 @kernel

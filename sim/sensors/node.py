@@ -10,10 +10,11 @@ of validity; of one validity, in the order of the list of sensors. What has not 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Inbox, OnMessage, Phases
+from ltv_mpc.node import Inbox, OnMessage
 from ltv_mpc.signals import (
     AdcpPing,
     BottomTrack,
@@ -51,6 +52,16 @@ class Sensor(Protocol):
         ...
 
 
+@dataclass(slots=True)
+class _Mounted:
+    """A sensor, and the time k x ``period_ns`` of its next sample; the period need not divide the truth's."""
+
+    sensor: Sensor
+    period_ns: int
+    latency_ns: int
+    next_ns: int = 0
+
+
 class _OnTheWay(NamedTuple):
     """A message that has not been published yet."""
 
@@ -82,15 +93,13 @@ class Sensors:
         seed, bottom_m = scenario.run.seed, scenario.water.bottom_m
         writes: list[type[Signal]] = []
         # In this order they speak at one instant: the IMU's interval is over before anyone measures at its end.
-        self._sensors: list[tuple[Phases, Sensor]] = []
-        self._latencies_ns: list[int] = []
+        self._mounted: list[_Mounted] = []
 
         def mount(kind: type[Signal], period_ns: int, sensor: Sensor, latency_ns: int = 0) -> None:
             if heard is not None and kind not in heard:
                 return
             writes.append(kind)
-            self._sensors.append((Phases(period_ns), sensor))
-            self._latencies_ns.append(latency_ns)
+            self._mounted.append(_Mounted(sensor, period_ns, latency_ns))
 
         imu, gnss, tdcp, adcp = suite.imu, suite.gnss, suite.tdcp, suite.adcp
         instrument = Instrument(adcp, seed)
@@ -114,12 +123,13 @@ class Sensors:
         self.writes: tuple[type[Signal], ...] = tuple(writes)
         self._on_the_way: list[_OnTheWay] = []
         self._last: Truth | None = None
-        self._sampled_ns = 0
+        self._motion: Motion | None = None  # the newest that was looked at
+        self._next_ns = 0  # of the sample to come
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
         """The sensors, in the order in which they speak at one instant."""
-        return tuple(sensor for _, sensor in self._sensors)
+        return tuple(mounted.sensor for mounted in self._mounted)
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each truth carries its own)
         """What has arrived since the last truth, in order of validity."""
@@ -132,25 +142,37 @@ class Sensors:
     def _measure(self, truth: Truth) -> list[Signal]:
         last, self._last = self._last, truth
         if last is None:
-            self._sampled_ns = truth.t_ns - 1
+            for mounted in self._mounted:
+                mounted.next_ns = -(-truth.t_ns // mounted.period_ns) * mounted.period_ns
+            self._next_ns = truth.t_ns  # whatever of it is due comes with the next truth
             return []
-        motion, after_ns, self._sampled_ns = Motion(last, truth), self._sampled_ns, truth.t_ns
+        if truth.t_ns >= self._next_ns or self._lbl is not None:
+            self._motion = Motion(last, truth, self._motion)
+            self._sample(self._motion, truth.t_ns)
+        return self._arrived(truth.t_ns) if self._on_the_way else []
+
+    def _sample(self, motion: Motion, until_ns: int) -> None:
+        """Every sample up to ``until_ns``, in order of time, then of the sensors."""
         due = [
-            (t, order, sensor)
-            for order, (phases, sensor) in enumerate(self._sensors)
-            for t in phases.between(after_ns, truth.t_ns)
+            (t, order)
+            for order, mounted in enumerate(self._mounted)
+            if mounted.next_ns <= until_ns
+            for t in range(mounted.next_ns, until_ns + 1, mounted.period_ns)
         ]
-        due.sort(key=lambda entry: entry[:2])
-        for t, order, sensor in due:
-            arrives_ns = t + self._latencies_ns[order]
-            self._on_the_way += [_OnTheWay(t, order, arrives_ns, signal) for signal in sensor.sample(motion.at(t))]
+        due.sort()
+        for t, order in due:
+            mounted = self._mounted[order]
+            mounted.next_ns = t + mounted.period_ns
+            arrives_ns = t + mounted.latency_ns
+            self._on_the_way += [_OnTheWay(t, order, arrives_ns, said) for said in mounted.sensor.sample(motion.at(t))]
         if self._lbl is not None:
-            answers = self._lbl.answers(motion, truth.t_ns)
-            self._on_the_way += [_OnTheWay(x.t_ns, len(self._sensors), arrival_ns(x), x) for x in answers]
-        return self._arrived(truth.t_ns)
+            answers = self._lbl.answers(motion, until_ns)
+            self._on_the_way += [_OnTheWay(x.t_ns, len(self._mounted), arrival_ns(x), x) for x in answers]
+        self._next_ns = min((mounted.next_ns for mounted in self._mounted), default=until_ns)
 
     def _arrived(self, until_ns: int) -> list[Signal]:
         here = [message for message in self._on_the_way if message.arrival_ns <= until_ns]
         self._on_the_way = [message for message in self._on_the_way if message.arrival_ns > until_ns]
-        here.sort(key=lambda message: message[:2])
+        if len(here) > 1:
+            here.sort(key=lambda message: message[:2])
         return [message.signal for message in here]
