@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from ltv_mpc.node import Node, OnMessage
 from ltv_mpc.signals import (
@@ -50,6 +50,14 @@ LONGEST_TAKING_US = 20_000
 
 LAST_FRAMES_US = 300_000
 """At most so long a process that is told to stop takes what has arrived before."""
+
+
+@runtime_checkable
+class Waiting(Protocol):
+    """A node that knows what it cannot begin without, in words; empty once it has begun."""
+
+    @property
+    def waiting_for(self) -> str: ...
 
 
 class Report(Protocol):
@@ -359,6 +367,7 @@ class Runner:
             reads=ports.inputs(node),
             say=self._say,
             foreign=self.foreign is not None,
+            missing=(lambda: node.waiting_for) if isinstance(node, Waiting) else None,
         )
         of_all: list[type[Signal]] = [] if keeps_time is None else [NodeStatus, ClockCommand]
         for_itself = [Clock] if self._follows else of_all

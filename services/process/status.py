@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from ltv_mpc.signals import ClockState, NodeStatus, Signal
@@ -47,8 +47,12 @@ class StatusReport:
         reads: Iterable[type[Signal]],
         say: Say,
         foreign: bool = False,
+        missing: Callable[[], str] | None = None,
     ) -> None:
-        """``foreign``: without a clock it goes by the stamps of its inputs."""
+        """``foreign``: without a clock it goes by the stamps of its inputs.
+
+        ``missing``: the node's own word for what it needs and has not; without one, whatever it never heard of.
+        """
         self._node = node
         self._no_time = "an estimate, or a clock" if foreign else "the clock, which `ltv-mpc plant` keeps"
         self._outbox = outbox
@@ -57,6 +61,7 @@ class StatusReport:
         self._clock = clock
         self._say = say
         self._said = ""
+        self._missing = missing
         self._never_heard = dict.fromkeys(kind for kind in reads if BY_SIGNAL[kind].written_by != OPERATOR)
         self._clock_heard_us: int | None = None
         self._said_us = 0
@@ -139,4 +144,6 @@ class StatusReport:
             return "the clock, which stands still"
         if self._clock_heard_us is not None and now_us - self._clock_heard_us > SILENCE_US:
             return "the clock, which has fallen silent"
+        if self._missing is not None:
+            return self._missing()
         return ", ".join(BY_SIGNAL[kind].key for kind in self._never_heard)

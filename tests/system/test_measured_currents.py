@@ -8,10 +8,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from ltv_mpc.currents import read_profile
+from services.run import locked
+from services.run.situation import Override, Situation, resolve
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 FILES = (
@@ -49,24 +50,23 @@ def test_processes_run_through_a_measured_current_without_a_message_rejected_or_
     assert summary["thrust"]["max_slew_N_per_s"] <= 100.0 + 1e-6
 
 
-def test_a_strong_measured_current_is_held_where_an_uncontrolled_vehicle_is_carried_away(tmp_path):
-    path = str(measured("kolumbo_dive_e_mean.csv"))
-    options = ("--lockstep", "--perfect-state", "--currents", path, "--duration-s", "60")
-    held = sim(tmp_path / "held", *options)
-    carried = sim(tmp_path / "carried", *options, "--no-control")
-    assert carried["true_error_m"]["final"] > 3.0
-    assert held["true_error_m"]["final"] < 0.2
+def in_current(path: Path, *settings: str) -> Situation:
+    return resolve("descent", [Override("test", ["water.kind=measured", f"water.file={path}", *settings])])
+
+
+def test_a_strong_measured_current_is_held_where_an_uncontrolled_vehicle_is_carried_away():
+    path, known = measured("kolumbo_dive_e_mean.csv"), ("run.perfect_state=true", "run.duration_s=60")
+    held = locked.run(in_current(path, *known))
+    carried = locked.run(in_current(path, *known, "controller.lateral=false"))
+    assert carried.true_error_m.final > 3.0
+    assert held.true_error_m.final < 0.2
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_profile_is_held_constant_beyond_both_ends_and_the_run_says_so(name, tmp_path):
-    """Said only where the descent, or what the ADCP sees below it, leaves the profile."""
-    profile = read_profile(measured(name))
-    command = [
-        *(sys.executable, "-P", "-m", "services.cli", "sim", "--lockstep", "--duration-s", "1"),
-        *("--currents", str(measured(name)), "--out", str(tmp_path / "run")),
-    ]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
-    assert done.returncode == 0, done.stderr
-    assert np.all(np.diff(profile.depth_m) > 0)
-    assert "constant" in done.stdout + done.stderr
+def test_a_profile_is_held_constant_beyond_both_ends_and_the_run_says_so(name):
+    profile, here = read_profile(measured(name)), in_current(measured(name))
+    for end, beyond_m in ((0, -1.0), (-1, 30.0)):
+        velocity = profile.north_mps[end], profile.east_mps[end]
+        assert here.water.at(profile.depth_m[end], 0) == pytest.approx(velocity)
+        assert here.water.at(profile.depth_m[end] + beyond_m, 10**11) == pytest.approx(velocity)
+    assert any(name in note and "constant" in note for note in here.notes)

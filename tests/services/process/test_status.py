@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from ltv_mpc.signals import ClockState
+from ltv_mpc.signals import ClockState, GnssFix, NodeStatus, UsblFix
 from services.process.clock import Line, VehicleClock
 from services.process.status import HURRIED_PERIOD_US, LONGEST_WAY_US, MOST_BEHIND_US, StatusReport
 
@@ -50,3 +52,32 @@ def test_what_one_long_step_has_kept_waiting_is_no_queue_that_stands() -> None:
     report.waited(SENT, SENT + WAY, SENT + WAY + 2 * MS)
     report.waited(SENT, SENT + WAY, SENT + WAY + 300 * MS)
     assert report.behind_us == 2 * MS
+
+
+@pytest.mark.parametrize(
+    ("missing", "says"),
+    [
+        (None, "sensor/gnss, sensor/usbl"),  # all that it never heard of
+        (lambda: "imu", "imu"),
+        (lambda: "", ""),  # begun: that this vehicle has no acoustic fixes is nothing to wait for
+    ],
+)
+def test_a_node_that_knows_what_it_needs_is_asked(missing: Callable[[], str] | None, says: str) -> None:
+    clock = VehicleClock()
+    clock.go_by(Line(0, 0, 1, 1, ClockState.RUNNING))
+    said: list[NodeStatus] = []
+    outbox: Any = SimpleNamespace(publish=said.append, published=0)
+    counts: Any = SimpleNamespace(received=0, dropped=0, rejected=0)
+    mailbox: Any = SimpleNamespace(overflowed=0)
+    report = StatusReport(
+        "n",
+        outbox=outbox,
+        counts=counts,
+        mailbox=mailbox,
+        clock=clock,
+        reads=(GnssFix, UsblFix),
+        say=lambda _: None,
+        missing=missing,
+    )
+    report.publish(SENT)
+    assert said[0].waiting_for == says
