@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
+from pathlib import Path
 
 from services.cli.app import main as command_line
 from services.launch.orphans import die_with_parent
 
-NICE = 5
+NICE = 10
+AUTOGROUP = Path("/proc/self/autogroup")
+"""Where Linux shares the processor out by sessions, of which each process of a run is one, first."""
 
 
 def main() -> None:
@@ -19,6 +23,8 @@ def main() -> None:
     parent, *options = sys.argv[1:]
     die_with_parent(int(parent))
     os.nice(NICE)
+    with suppress(OSError):  # there is none where it is shared out by processes alone
+        AUTOGROUP.write_text(str(NICE))
     command_line(["dashboard", *options])
 
 

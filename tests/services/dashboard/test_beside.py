@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import os
 import sys
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -12,6 +13,7 @@ import pytest
 from services.bus.session import BusOptions, open_session
 from services.dashboard import beside
 from services.dashboard.beside import Beside
+from services.dashboard.child import NICE
 from services.views.plots.recorded import VEHICLE as VEHICLE_FILE
 from tests.services.dashboard.made_up_vehicle import until
 from tests.services.views import made_up
@@ -24,6 +26,13 @@ def page_of(folder: Path) -> tuple[Beside, list[str]]:
     vehicle.parent.mkdir()
     vehicle.write_text(made_up.VEHICLE)
     return Beside(said.append, folder=folder, vehicle=vehicle, open_browser=False), said
+
+
+def gives_way(pid: int) -> None:
+    """To processes of its own session, and with its session to those of others."""
+    assert os.getpriority(os.PRIO_PROCESS, pid) == NICE
+    if (group := Path(f"/proc/{pid}/autogroup")).exists():
+        assert group.read_text().split()[-2:] == ["nice", str(NICE)]
 
 
 def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free_port: int) -> None:
@@ -40,6 +49,8 @@ def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free
             connection.request("GET", "/")
             assert connection.getresponse().status == 200
             connection.close()
+            assert page._process is not None
+            gives_way(page._process.pid)
         finally:
             page.stop()
     page.stop()  # of one that has ended
