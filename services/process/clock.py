@@ -195,14 +195,11 @@ class TimeKeeper:
         """Stand still."""
         return self._announce(now_us, ClockState.PAUSED)
 
-    def set_speed(self, now_us: int, speed: float) -> Clock:
-        """Go on at another speed."""
-        self._speed = self._asked = fraction_of(speed)
-        return self._announce(now_us, self.message.state)
-
-    def pace(self, now_us: int, speed: Fraction) -> Clock:
-        """Go on at what the machine can do of the speed that was asked for."""
+    def pace(self, now_us: int, speed: Fraction, *, asked: float | None = None) -> Clock:
+        """Go on at what the machine can do of the speed that was asked for, or is ``asked`` for now."""
         self._speed = speed
+        if asked is not None:
+            self._asked = fraction_of(asked)
         return self._announce(now_us, self.message.state)
 
     def slow(self, now_us: int, late_us: int) -> Clock:

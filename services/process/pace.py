@@ -6,6 +6,10 @@ given up over a window says what the machine can do, and the next window is gone
 
     speed  <-  speed x (1 - given up / window)      where it was more than ``MOST_GIVEN_UP`` of the window
     speed  <-  min(asked, GROWTH x speed)           where nothing was given up
+
+What it can do is not known at first, and a run that begins too fast begins with seconds of vehicle time in which
+nothing is of now. So it begins in real time and doubles, window by short window, until that was too much or enough;
+likewise when more speed is asked for.
 """
 
 from __future__ import annotations
@@ -13,6 +17,8 @@ from __future__ import annotations
 from fractions import Fraction
 
 WINDOW_US = 500_000
+FIRST_WINDOW_US = 150_000
+"""While it doubles. Who cannot keep up says so within 50 ms."""
 MOST_GIVEN_UP = Fraction(1, 20)
 """One hiccup of the machine: the clock waits for it, and goes on as before."""
 GROWTH = Fraction(51, 50)  # 2 % a window: 10 s from half the speed to most of it again
@@ -25,13 +31,16 @@ class Pace:
 
     def __init__(self, asked: Fraction) -> None:
         self.asked = asked
-        self.speed = asked
+        self.speed = min(asked, REAL_TIME)
+        self._doubles = self.speed < asked
         self._since_us: int | None = None
         self._given_up_us = 0
 
     def ask(self, speed: Fraction) -> None:
-        """Go at this speed, whatever was found out about another."""
-        self.asked = self.speed = speed
+        """Go at this speed, as soon as it is known to be possible."""
+        self.asked = speed
+        self.speed = min(speed, max(self.speed, REAL_TIME))
+        self._doubles = self.speed < speed
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -47,14 +56,16 @@ class Pace:
         if self._since_us is None:
             self._since_us = now_us
         window_us = now_us - self._since_us
-        if window_us < WINDOW_US:
+        if window_us < (FIRST_WINDOW_US if self._doubles else WINDOW_US):
             return False
-        share = min(Fraction(self._given_up_us, window_us), Fraction(1, 2))
         before = self.speed
+        share = min(Fraction(self._given_up_us, window_us), Fraction(1, 2))
         if share > MOST_GIVEN_UP:
             self.speed = max(min(self.asked, REAL_TIME), self.speed * (1 - share))
+            self._doubles = False
         elif not self._given_up_us:
-            self.speed = min(self.asked, self.speed * GROWTH)
+            self.speed = min(self.asked, self.speed * (2 if self._doubles else GROWTH))
+            self._doubles = self._doubles and self.speed < self.asked
         self.speed = self.speed.limit_denominator(1000)
         self._since_us, self._given_up_us = now_us, 0
         return self.speed != before

@@ -47,7 +47,7 @@ class TimeKeeping:
         self.due_us = 0
         self._told_us = -TELL_US
         self._ended = False
-        clock.hear(self._keeper.message)
+        clock.hear(self._keeper.pace(now_us, self._pace.speed))
 
     @property
     def waiting_for(self) -> str:
@@ -67,8 +67,8 @@ class TimeKeeping:
             return
         said = []
         if fraction_of(command.speed) != self._keeper.speed:
-            self._change(self._keeper.set_speed(now_us, command.speed), now_us)
-            self._pace.ask(self._keeper.speed)
+            self._pace.ask(fraction_of(command.speed))
+            self._change(self._keeper.pace(now_us, self._pace.speed, asked=command.speed), now_us)
             said.append(f"at {command.speed:g} x real time")
         if command.paused and self._keeper.message.state is ClockState.RUNNING:
             self._change(self._keeper.pause(now_us), now_us)

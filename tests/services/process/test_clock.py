@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.signals import ClockState, NodeStatus
-from services.process.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock
+from ltv_mpc.signals import Clock, ClockState, NodeStatus
+from services.process.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock, fraction_of
 from services.process.status import MOST_BEHIND_US
 from services.process.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
 
@@ -58,11 +58,15 @@ def test_a_pause_freezes_it_and_it_goes_on_where_it_stood() -> None:
     assert clock.read(T0_US + 9_000_000 + LEAD_US + 100) == frozen + 1_000_000
 
 
+def at_speed(k: TimeKeeper, now_us: int, speed: float) -> Clock:
+    return k.pace(now_us, fraction_of(speed), asked=speed)
+
+
 def test_a_change_of_speed_bends_the_line_without_a_jump() -> None:
     k = keeper(1)
     clock = follower(k)
     clock.hear(k.run(T0_US))
-    clock.hear(k.set_speed(T0_US + 1_000_000, 20))
+    clock.hear(at_speed(k, T0_US + 1_000_000, 20))
     bend = T0_US + 1_000_000 + LEAD_US
     at_bend = START_NS + 1_000_000_000
     assert [clock.read(bend + d) for d in (-1000, 0, 1000)] == [at_bend - 1_000_000, at_bend, at_bend + 20_000_000]
@@ -95,7 +99,7 @@ def test_the_time_at_an_instant_does_not_depend_on_what_was_read_before() -> Non
     clock, fresh = follower(k), follower(k)
     for c in (clock, fresh):
         c.hear(k.message)
-    for message in (k.run(T0_US), k.slow(T0_US + 1_000_000, 300_000), k.set_speed(T0_US + 2_000_000, 3)):
+    for message in (k.run(T0_US), k.slow(T0_US + 1_000_000, 300_000), at_speed(k, T0_US + 2_000_000, 3)):
         clock.hear(message)
         fresh.hear(message)
     begin = T0_US + LEAD_US
@@ -134,7 +138,7 @@ def test_no_follower_ever_steps_back_however_late_it_hears_and_whatever_it_misse
     for wait, what, speed, delay, lost in changes:
         now_us += wait
         if what == "speed":
-            message = k.set_speed(now_us, speed)
+            message = at_speed(k, now_us, speed)
         elif what == "slow":
             message = k.slow(now_us, int(speed * 100))
         else:
@@ -165,7 +169,7 @@ def test_who_hears_in_time_reads_what_the_keeper_reads(changes: list[tuple[int, 
         now_us += LEAD_US + wait
         own.read(now_us)
         message = (
-            k.set_speed(now_us, speed) if what == "speed" else k.pause(now_us) if what == "pause" else k.run(now_us)
+            at_speed(k, now_us, speed) if what == "speed" else k.pause(now_us) if what == "pause" else k.run(now_us)
         )
         own.hear(message)
         other.hear(msgspec.structs.replace(message))
@@ -216,7 +220,7 @@ def test_a_speed_that_differs_from_the_time_keepers_is_an_error_that_names_both(
     told = VehicleClock(speed=2.5)
     k = keeper(2.5)
     told.hear(k.message)
-    told.hear(k.set_speed(T0_US, 7))  # a change on the way is none
+    told.hear(at_speed(k, T0_US, 7))  # a change on the way is none
 
 
 def keeping_time(clock: VehicleClock, sent: list[object], *expects: str) -> TimeKeeping:
@@ -273,7 +277,7 @@ def test_who_cannot_keep_up_is_waited_for() -> None:
     after = clock.at(now_us + 10 * LEAD_US)
     assert before is not None
     assert after is not None
-    assert before - after == 500_000_000  # 50 ms of wall time at speed 10
+    assert before - after == 50_000_000  # 50 ms of wall time at the speed that it begins with
 
 
 def status(node: str, behind_us: int = 0) -> NodeStatus:

@@ -8,11 +8,20 @@ import pytest
 
 from ltv_mpc.signals import Clock, NodeStatus, RunEvent
 from services.process.clock import VehicleClock
-from services.process.pace import GROWTH, MOST_GIVEN_UP, WINDOW_US, Pace
+from services.process.pace import FIRST_WINDOW_US, GROWTH, MOST_GIVEN_UP, WINDOW_US, Pace
 from services.process.status import MOST_BEHIND_US
 from services.process.timekeeping import KeepsTime, TimeKeeping
 
 ASKED = Fraction(10)
+
+
+def found(asked: Fraction) -> Pace:
+    """On a machine that can do what is asked for, once that is known."""
+    pace, now_us = Pace(asked), 0
+    while pace.speed < asked:
+        now_us += FIRST_WINDOW_US
+        pace.window_over(now_us)
+    return pace
 
 
 def windows(pace: Pace, *given_up_us: int) -> list[float]:
@@ -28,28 +37,60 @@ def windows(pace: Pace, *given_up_us: int) -> list[float]:
 
 
 def test_what_was_given_up_says_what_the_machine_can_do() -> None:
-    assert windows(Pace(ASKED), int(0.3 * WINDOW_US)) == [pytest.approx(7.0)]
-    assert windows(Pace(ASKED), 10 * WINDOW_US) == [5.0]  # at most half at once
+    assert windows(found(ASKED), int(0.3 * WINDOW_US)) == [pytest.approx(7.0)]
+    assert windows(found(ASKED), 10 * WINDOW_US) == [5.0]  # at most half at once
 
 
 def test_a_hiccup_changes_nothing_and_quiet_brings_the_speed_back() -> None:
     few = int(MOST_GIVEN_UP * WINDOW_US)
-    pace = Pace(ASKED)
+    pace = found(ASKED)
     assert windows(pace, few, few + 1) == [10.0, pytest.approx(9.5, abs=1e-3)]
     speeds = windows(pace, *[0] * 10)
     assert speeds[0] == pytest.approx(9.5 * float(GROWTH), abs=1e-2)
     assert speeds[-1] == 10.0
-    pace = Pace(ASKED)
+    pace = found(ASKED)
     assert windows(pace, 0, 0) == [10.0, 10.0]
 
 
 def test_nobody_is_kept_below_real_time_who_did_not_ask_for_it() -> None:
-    assert windows(Pace(Fraction(3, 2)), WINDOW_US, WINDOW_US) == [1.0, 1.0]
-    assert windows(Pace(Fraction(1, 2)), WINDOW_US) == [0.5]
+    assert windows(found(Fraction(3, 2)), WINDOW_US, WINDOW_US) == [1.0, 1.0]
+    assert windows(found(Fraction(1, 2)), WINDOW_US) == [0.5]
+
+
+def test_it_begins_in_real_time_and_doubles_until_it_was_too_much_or_enough() -> None:
+    def speeds(asked: Fraction, *given_up_us: int) -> list[float]:
+        pace, now_us, of = Pace(asked), 0, []
+        pace.window_over(now_us)
+        for us in given_up_us:
+            of.append(float(pace.speed))
+            pace.gave_up(us)
+            now_us += FIRST_WINDOW_US
+            pace.window_over(now_us)
+        return [*of, float(pace.speed)]
+
+    assert speeds(ASKED, 0, 0, 0, 0) == [1.0, 2.0, 4.0, 8.0, 10.0]
+    too_much = FIRST_WINDOW_US // 4
+    assert speeds(ASKED, 0, 0, too_much, 0) == [1.0, 2.0, 4.0, 3.0, 3.0]  # from there by long windows
+    assert speeds(ASKED, 0, 1, 0) == [1.0, 2.0, 2.0, 4.0]  # a hiccup is waited for
+    assert speeds(ASKED, too_much, 0) == [1.0, 1.0, 1.0]
+    assert speeds(Fraction(1, 2), 0, 0) == [0.5, 0.5, 0.5]
+
+
+def test_more_speed_is_gone_up_to_likewise_and_less_at_once() -> None:
+    pace = found(Fraction(4))
+    pace.ask(Fraction(20))
+    assert pace.speed == 4
+    pace.window_over(0)
+    assert pace.window_over(FIRST_WINDOW_US)
+    assert pace.speed == 8
+    pace.ask(Fraction(3))
+    assert pace.speed == 3
+    assert not pace.window_over(10**9)
+    assert not pace.window_over(2 * 10**9)
 
 
 def test_another_speed_that_is_asked_for_begins_anew() -> None:
-    pace = Pace(ASKED)
+    pace = found(ASKED)
     windows(pace, WINDOW_US)
     pace.ask(Fraction(4))
     assert pace.speed == 4
@@ -114,6 +155,13 @@ def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> N
     assert waits[len(waits) // 2] < MOST_BEHIND_US
     assert waits[-len(waits) // 100] < 5 * MOST_BEHIND_US
     assert (ended_ns - begun_ns) / 1e3 / (machine.now_us - begun_us) > 0.9 * 3.0
+
+
+def test_from_the_first_second_on_no_message_waits_long() -> None:
+    """At ten times real time from the first: 0.3 s, three seconds of the vehicle's."""
+    machine = Machine(3.0)
+    machine.run(3_000_000)
+    assert max(machine.waits_us) < 150_000
 
 
 def test_on_a_machine_that_can_do_it_the_speed_is_the_one_asked_for() -> None:

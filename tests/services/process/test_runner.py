@@ -274,6 +274,7 @@ def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bu
     for timing, following in pairwise(timings):
         assert timing.compute_ns >= delay_ns
         assert following.t_ns >= timing.t_ns + timing.compute_ns - 1_000_000
+    for timing in timings[2:]:  # by then the clock has come to its speed
         assert timing.compute_wall_ns == pytest.approx(timing.compute_ns / 4, rel=0.2)
 
 
