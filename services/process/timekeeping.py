@@ -12,7 +12,9 @@ from services.process.pace import Pace
 from services.process.status import MOST_BEHIND_US
 
 REPEAT_US = 100_000
-TELL_US = 1_000_000  # at most so often it is said that the clock was slowed; it is counted always
+TELL_US = 1_000_000
+"""At most so often it is said that the clock was slowed, when that has come to twice as many times as at the last word,
+or the pace to less than half of it; it is counted always."""
 MOST_CATCH_UP_US = 100_000
 """By how much wall time the grid may be behind; what is beyond that the clock gives up."""
 
@@ -45,7 +47,7 @@ class TimeKeeping:
         self._publish = publish
         self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
         self.due_us = 0
-        self._told_us = -TELL_US
+        self._told_us, self._told_times, self._told_speed = -TELL_US, 0, self._keeper.speed
         self._ended = False
         clock.hear(self._keeper.pace(now_us, self._pace.speed))
 
@@ -101,9 +103,10 @@ class TimeKeeping:
         self._change(self._keeper.slow(now_us, us), now_us)
         self._pace.gave_up(us)
         self._still_until_us = self._keeper.message.at_monotonic_us + us
-        if now_us - self._told_us < TELL_US:
+        much_more = self._keeper.slowed >= 2 * self._told_times or 2 * self._pace.speed < self._told_speed
+        if now_us - self._told_us < TELL_US or not much_more:
             return
-        self._told_us = now_us
+        self._told_us, self._told_times, self._told_speed = now_us, self._keeper.slowed, self._pace.speed
         text = (
             f"clock slowed {self._keeper.slowed} times, by {self._keeper.slowed_ns / 1e9:.2f} s of vehicle time in all;"
             f" now at {float(self._pace.speed):.3g} x real time"

@@ -19,6 +19,7 @@ from services.views.plots import palette
 from services.views.plots.catalogue import PLOTS
 from services.views.plots.collector import ROWS
 from services.views.plots.recorded import Picture, read
+from services.views.verdict import how
 
 NAME = "report.html"
 
@@ -91,15 +92,10 @@ def _lines(runs: Sequence[Run], pictures: Sequence[Picture]) -> list[str]:
 
 
 def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
-    """In which way it was run."""
-    mode = summary.get("mode", metadata.get("mode", ""))
-    if mode == "lockstep":
-        how = "in lock step"
-    else:
-        speed = summary.get("speed")
-        how = f"as processes at {speed:g} x real time" if isinstance(speed, int | float) else "as processes"
+    """In which way it was run, and its seed."""
+    ran = how({"mode": metadata.get("mode"), **summary})
     seed = summary.get("seed", metadata.get("seed"))
-    return html.escape(f"{how}, seed {seed}" if seed is not None else how)
+    return html.escape(f"{ran}, seed {seed}" if seed is not None else ran)
 
 
 def _tables(runs: Sequence[Run], pictures: Sequence[Picture], figures: Sequence[differences.Row]) -> list[str]:

@@ -13,7 +13,7 @@ LEAST_SHARE = 0.95
 def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[str] = ()) -> str:
     """The lines, without a line break at the end."""
     rows = [
-        ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {_how(summary)}, seed {summary['seed']}"),
+        ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how(summary)}, seed {summary['seed']}"),
         ("tracking", _error(summary["tracking_error_m"], "estimate from the line")),
         ("true error", _error(summary["true_error_m"], "vehicle from the line")),
         ("localisation", _error(summary["localisation_error_m"], "estimate from the vehicle")),
@@ -29,10 +29,13 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
     return "\n".join([*lines, "", str(folder)])
 
 
-def _how(summary: Mapping[str, Any]) -> str:
-    if summary["mode"] == "lockstep":
+def how(summary: Mapping[str, Any]) -> str:
+    """In which way it was run, as far as its summary says; that of a run that was cut off says nothing."""
+    if summary.get("mode") == "lockstep":
         return "in lock step"
-    asked, reached = summary["speed"], summary["speed_reached"]
+    asked, reached = summary.get("speed"), summary.get("speed_reached")
+    if asked is None:
+        return "as processes"
     short = reached is not None and reached < LEAST_SHARE * asked
     return f"as processes at {f'{reached:.1f} of ' if short else ''}{asked:g} x real time"
 

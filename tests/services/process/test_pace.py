@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import pairwise
 
 import pytest
 
@@ -169,3 +170,13 @@ def test_on_a_machine_that_can_do_it_the_speed_is_the_one_asked_for() -> None:
     machine.run(3_000_000)
     newest = next(one for one in reversed(machine.said) if isinstance(one, Clock))
     assert (newest.speed_num, newest.speed_den, newest.asked_speed) == (10, 1, 10.0)
+
+
+def test_that_the_clock_is_slowed_again_and_again_is_said_ever_more_seldom() -> None:
+    """Each is a mark on the time axis of every picture."""
+    machine = Machine(3.0)
+    machine.run(60_000_000)
+    told = [one.text for one in machine.said if isinstance(one, RunEvent)]
+    times = [int(text.split()[2]) for text in told]
+    assert all(later >= 2 * earlier for earlier, later in pairwise(times))
+    assert len(times) >= 4

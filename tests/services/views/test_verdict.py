@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from services.views.verdict import verdict
+from services.views.verdict import how, verdict
 
 NOTHING = {"mean": None, "max": None, "final": None, "median": None, "p99": None}
 THRUST = {"saturated_fraction": None, "max_abs_N": None, "mean_abs_N": None, "max_slew_N_per_s": None}
@@ -41,3 +41,8 @@ SUMMARY: dict[str, Any] = {
 )
 def test_the_first_line_says_how_the_run_went(changed: dict[str, Any], words: str) -> None:
     assert words in verdict(SUMMARY | changed, Path("somewhere")).splitlines()[0]
+
+
+def test_a_run_that_was_cut_off_has_no_speed_to_tell() -> None:
+    assert how({}) == how({"mode": "services"}) == "as processes"
+    assert how({"mode": "lockstep"}) == "in lock step"
