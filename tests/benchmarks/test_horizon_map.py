@@ -39,8 +39,8 @@ def test_the_rule_that_was_put_in_is_found_and_beats_constants_where_it_was_not_
     np.testing.assert_allclose(found[1:], LAW[1:], atol=0.1)
     assert found[0] - LAW[0] == pytest.approx(0.5 * math.log(HORIZONS[1] / HORIZONS[0]), abs=0.1)
     judged = horizon_map.judged(places)
-    assert judged["rule"]["p90"] < 0.5 * judged["constant H / T"]["p90"]
-    assert judged["constant H / T"]["p90"] < judged["5 s"]["p90"]
+    assert judged["four groups"]["p90"] < 0.5 * judged["best H / T"]["p90"]
+    assert judged["best H / T"]["p90"] < judged["5 s"]["p90"]
 
 
 def test_what_is_enough_is_the_shortest_within_a_tenth_of_the_best() -> None:

@@ -49,9 +49,18 @@ def test_a_check_says_what_the_vehicle_would_do(capsys: pytest.CaptureFixture[st
     said = json.loads(capsys.readouterr().out)
     assert said["performance"]["top_speed_ahead_mps"] == pytest.approx(0.5)
     assert said["weights"]["terminal_velocity_s2_per_m2"] == 600.0
-    can = said["performance"]
-    assert said["horizon_s"] == pytest.approx(can["turn_90deg_s"] + can["stopping_time_s"], abs=0.31)
+    assert said["horizon_s"] == pytest.approx(1.9 * said["time_scale_s"], abs=0.31)
     assert said["warnings"] == []
+
+
+def test_the_proposed_horizon_sees_a_turn_and_a_stop(capsys: pytest.CaptureFixture[str]) -> None:
+    """Of half a turn, where it goes astern much slower than ahead: longer than 1.9 of its time."""
+    assert run(["vehicle", "check", "weak-reverse", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    can = said["performance"]
+    both = can["turn_90deg_s"] + can["stopping_time_s"]
+    assert both + 3.0 < said["horizon_s"] < 2.0 * both
+    assert said["horizon_s"] > 1.9 * said["time_scale_s"] + 0.31
 
 
 def test_what_looks_wrong_is_a_warning_and_exit_code_0(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
