@@ -103,6 +103,13 @@ def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
     return recording, count, losses.by_key() | {node: gap for node, gap in missing.items() if gap}
 
 
+def dives(recording: Path) -> bool:
+    """Whether a plan for the descent is in the file as far as it has been written."""
+    if recording.stat().st_size < 100_000:
+        return False
+    return any(message.kind is Plan and message.plain["cycle_t_ns"] > 0 for message in Recording(recording))
+
+
 @pytest.fixture
 def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     """``ltv-mpc sim`` in a process of its own, running: the vehicle dives and is recorded."""
@@ -113,7 +120,7 @@ def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     )
     try:
         recording = out / "run.mcap"
-        until(lambda: process.poll() is not None or (recording.exists() and recording.stat().st_size > 100_000))
+        until(lambda: process.poll() is not None or (recording.exists() and dives(recording)))
         assert process.poll() is None, (tmp_path / "launcher.log").read_text()
         yield process, out
     finally:
