@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.signals import Clock, ClockState, NodeStatus
+from ltv_mpc.signals import Clock, ClockState
 from services.process.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock, fraction_of
 from services.process.status import MOST_BEHIND_US
 from services.process.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
+from tests.services.process.words import status
 
 START_NS = -1_000_000_000
 T0_US = 50_000_000
@@ -278,19 +279,3 @@ def test_who_cannot_keep_up_is_waited_for() -> None:
     assert before is not None
     assert after is not None
     assert before - after == 50_000_000  # 50 ms of wall time at the speed that it begins with
-
-
-def status(node: str, behind_us: int = 0) -> NodeStatus:
-    return NodeStatus(
-        node=node,
-        behind_us=behind_us,
-        t_ns=0,
-        ready=True,
-        waiting_for="",
-        steps=0,
-        published=1,
-        received=0,
-        dropped=0,
-        rejected=0,
-        step_us=0.0,
-    )
