@@ -100,25 +100,24 @@ clean:  ## remove .venv and caches; runs/ stays
 
 .venv/installed: .venv/made pyproject.toml
 	@echo "installing into .venv"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,viz]'
+	@$(BIN)/python .ci/install.py dev viz
 	@touch $@
 
 # Into .venv itself: what is compared has the same Python, numpy and solvers, and the kernels are compiled already.
 .venv/bench: .venv/installed
 	@echo "installing what is compared with"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[bench]'
+	@$(BIN)/python .ci/install.py bench
 	@touch $@
 
 .venv/docs: .venv/installed
 	@echo "installing what makes the site"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@$(BIN)/python .ci/install.py docs
 	@touch $@
 
 .venv/mutation: .venv/installed
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[mutation]'
+	@$(BIN)/python .ci/install.py mutation
 	@touch $@
 
 .venv/compiled: .venv/installed $(KERNELS)
-	@echo "compiling, once (a minute or two)"
 	@$(BIN)/python -P -m services.launch.warm descent
 	@touch $@

@@ -17,6 +17,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import ParamSpec, TypeVar, cast
 
+import numpy as np
+import numpy.typing as npt
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -80,7 +83,22 @@ os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 
 import numba  # noqa: E402  (the variable above must be set first)
 
+DECORATED: list[str] = []
+"""Names of the functions that this process may come to compile, as far as they are imported."""
+
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile at the first call; floating-point operations keep their order (no fast-math), so that runs repeat."""
+    DECORATED.append(f"{function.__module__}.{function.__qualname__}")
     return cast("Callable[P, R]", numba.njit(cache=True, fastmath=False, error_model="numpy")(function))
+
+
+@kernel
+def assign(to: npt.NDArray[np.float64], of: npt.NDArray[np.float64]) -> None:
+    """``to[:] = of`` for arrays of one shape, (n,) or (n, m).
+
+    numba looks whether shapes agree, and for the words that it would say then it compiles strings, lists of strings and
+    their joining: seconds in each process that fills the cache.
+    """
+    for i in range(to.size):
+        to.flat[i] = of.flat[i]

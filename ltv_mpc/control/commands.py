@@ -84,16 +84,28 @@ def supersede(
     end = len(plan_t) - 1
     # One knot where each thruster comes to rest, in their order.
     seconds = np.abs(plan_thrust[end] - rest) / slew
-    corners, latest = np.empty(0), 0.0
-    while latest < seconds.max():
-        latest = seconds[seconds > latest].min()
-        corners = np.append(corners, latest)
+    corners, count, latest = np.empty(3), 0, 0.0
+    while True:
+        soonest = np.inf
+        for j in range(3):
+            if latest < seconds[j] < soonest:
+                soonest = seconds[j]
+        if soonest == np.inf:
+            break
+        corners[count] = latest = soonest
+        count += 1
     kept, ahead = max(until - first, 0), len(plan_t)
-    out_t = np.empty(kept + ahead + len(corners), dtype=np.int64)
+    out_t = np.empty(kept + ahead + count, dtype=np.int64)
     out = np.empty((len(out_t), 3))
-    out_t[:kept], out[:kept] = t[first : first + kept], thrust[first : first + kept]
-    out_t[kept : kept + ahead], out[kept : kept + ahead] = plan_t, plan_thrust
-    for i in range(len(corners)):
+    for i in range(kept):
+        out_t[i] = t[first + i]
+        for j in range(3):
+            out[i, j] = thrust[first + i, j]
+    for i in range(ahead):
+        out_t[kept + i] = plan_t[i]
+        for j in range(3):
+            out[kept + i, j] = plan_thrust[i, j]
+    for i in range(count):
         at = kept + ahead + i
         out_t[at] = plan_t[end] + np.int64(np.ceil(corners[i] * 1e9))
         for j in range(3):

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.constants import Constants, Objective, length
 from ltv_mpc.control.limits import bounds
 from ltv_mpc.signals import Array
@@ -64,7 +64,8 @@ def steer(X0: Array, U0: Array, C: Array, target: Array, astern: bool, c: Consta
     """
     N, p, o = len(target) - 1, c.p, c.objective
     X, U = np.empty((N + 1, STATES)), np.empty((N + 1, 2))
-    X[0], U[0] = X0, U0
+    assign(X[0], X0)
+    assign(U[0], U0)
     fastest = speed_at(o.high[0] + o.high[1], p)
     sign = -1.0 if astern else 1.0
     for k in range(N):

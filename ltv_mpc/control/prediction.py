@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.commands import SentCommands, command_at
 from ltv_mpc.control.constants import coefficients
 from ltv_mpc.control.horizon import views
@@ -209,7 +209,7 @@ def roll_to(
             for j in range(2):
                 u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
             advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)
-            c0[:] = c1
+            assign(c0, c1)
             since = at
         knot += 1
     for j in range(3):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.constants import Constants, Objective, constants, length
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.guess import steer
@@ -69,7 +69,8 @@ def shifted(numbers: Array, start: Array, old: Array, stages: float, C: Array, X
     """X (N+1, 8) and U (N+1, 2): the previous plan on the new knots, inside box and slew; arguments as in ``begin``."""
     c = constants(numbers)
     o = c.objective
-    X[0], U[0] = start[:STATES], start[STATES:]
+    assign(X[0], start[:STATES])
+    assign(U[0], start[STATES:])
     carry(old, o.t, stages, U)
     bring_in(U, o.t, o.low, o.high, o.change)
     roll(X, U, C, c)
@@ -87,7 +88,8 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
-    X[0], U[0] = start[:STATES], start[STATES:]
+    assign(X[0], start[:STATES])
+    assign(U[0], start[STATES:])
     kind, least = AHEAD, np.inf
     if not np.isnan(stages):
         shifted(numbers, start, old, stages, lin.C, X, U)
@@ -96,7 +98,8 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
         steered_X, steered_U = steer(X[0], U[0], lin.C, target, astern, c)
         other = cost(steered_X, steered_U, lin.C, target, o)
         if other < least or np.isinf(least):
-            X[:], U[:] = steered_X, steered_U
+            assign(X, steered_X)
+            assign(U, steered_U)
             kind, least = ASTERN if astern else AHEAD, other
     linearise_along(lin, o.t, c.stage_s, c.p)
     return kind
@@ -106,7 +109,8 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
 def again(numbers: Array, flat: Array, N: int, X: Array, U: Array) -> None:
     """Linearise once more, along X (N+1, 8) and U (N+1, 2)."""
     c, lin = constants(numbers), views(flat, N)
-    lin.X[:], lin.U[:] = X, U
+    assign(lin.X, X)
+    assign(lin.U, U)
     linearise_along(lin, c.objective.t, c.stage_s, c.p)
 
 
@@ -120,7 +124,7 @@ def step(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, 
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
-    X[0] = lin.X[0]
+    assign(X[0], lin.X[0])
     for part in STEPS:
         for k in range(U.shape[0]):
             for i in range(2):
@@ -129,7 +133,8 @@ def step(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, 
         roll(X, U, lin.C, c)
         if cost(X, U, lin.C, target, o) <= before:
             return part
-    X[:], U[:] = lin.X, lin.U
+    assign(X, lin.X)
+    assign(U, lin.U)
     return 0.0
 
 
@@ -139,9 +144,9 @@ def release(numbers: Array, start: Array, goal: Array, C: Array, X: Array, U: Ar
     ``begin``.
     """
     c = constants(numbers)
-    X[0] = start[:STATES]
-    U[:] = goal
-    U[0] = start[STATES:]
+    assign(X[0], start[:STATES])
+    assign(U, goal)
+    assign(U[0], start[STATES:])
     o = c.objective
     bring_in(U, o.t, o.low, o.high, o.change)
     roll(X, U, C, c)

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import GRAVITY_MPS2, rotation_exp
 from ltv_mpc.localisation.suite import Imu
 from ltv_mpc.signals import Array, Triple
@@ -97,7 +97,7 @@ def integrate(
     x[5] += dt * GRAVITY_MPS2
     for i in range(3):
         x[i] += 0.5 * dt * (v[i] + x[3 + i])
-    R[:, :] = rotation_exp(-dt * W) @ R @ rotation_exp(dt * w)
+    assign(R, rotation_exp(-dt * W) @ R @ rotation_exp(dt * w))
     keep_g = math.exp(-dt / noise[3])
     keep_a = math.exp(-dt / noise[5])
     for i in range(3):
@@ -107,7 +107,7 @@ def integrate(
     _transition(Phi, C, a, W, dt, keep_g, keep_a)
     # Q := Phi_k Q Phi_k^T + Q_k, by rows, then by columns (Q is symmetric, so its transpose serves)
     _transition(Q, C, a, W, dt, keep_g, keep_a)
-    Q[:, :] = Q.T.copy()
+    assign(Q, Q.T.copy())
     _transition(Q, C, a, W, dt, keep_g, keep_a)
     s_g = noise[0] * noise[0] * dt
     s_a = noise[1] * noise[1] * dt

@@ -9,9 +9,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
+from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.scales import settled
+from ltv_mpc.control.solvers import make
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Reference
 from ltv_mpc.signals import (
@@ -21,8 +26,12 @@ from ltv_mpc.signals import (
     ControllerStatus,
     Estimate,
     Manual,
+    Plan,
+    PlanOrigin,
     Restore,
     Signal,
+    Solve,
+    SolveStatus,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import BusOptions
@@ -140,3 +149,22 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
     node.controller.rehearse()
     for missed_s in (2.0, 20.0):  # hold, and then failsafe
         node.step(t_ns + round(missed_s * 1e9), [])
+
+
+def rehearse_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
+    """Have compiled what ``rehearse`` comes to last: for a process that runs beside the one that does."""
+    settings = settled(config, vehicle)
+    solver, lin = make(vehicle, settings), Linearisation.empty(settings.stages)
+    lin.flat[:] = 0.0
+    solver.build(lin, np.zeros((settings.stages + 1, 2)))
+    solver.update()
+    solver.solve()
+    plan = Plan(
+        cycle_t_ns=0,
+        t_ns=np.arange(2, dtype=np.int64),
+        thrust_N=np.ones((2, 3)),
+        states=np.zeros((2, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+    )
+    SentCommands(vehicle).sent(plan)

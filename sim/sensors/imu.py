@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation_exp, rotation_log
 from ltv_mpc.localisation.suite import Imu
 from ltv_mpc.signals import Array, ImuSample, Triple
@@ -80,6 +80,6 @@ def increments(R1: Array, v1: Triple, R2: Array, v2: Triple, W: Array, dt: float
     a[1] = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)
     a[2] = (v2[2] - v1[2]) / dt + 2.0 * (W[0] * y - W[1] * x) - GRAVITY_MPS2
     means = np.empty(6)
-    means[:3] = w
-    means[3:] = R_mid.T @ a
+    assign(means[:3], w)
+    assign(means[3:], R_mid.T @ a)
     return means

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.constants import length, objective, state_scale
 from ltv_mpc.control.grid import position
@@ -269,7 +269,7 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
         times(lin.A, k, last, d)
         for i in range(STATES):
             d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
-        last[:] = d
+        assign(last, d)
         for i in range(STATES):
             x[k * WIDTH + i] = d[i] / state_scale(i, c)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
@@ -292,7 +292,7 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * state_scale(i, c)
         transposed_times(lin.A, k, costate, before)
-        costate[:] = before
+        assign(costate, before)
 
 
 @kernel
