@@ -191,6 +191,7 @@ class Supervisor:
         try:
             while process.poll() is None:
                 self._tick()
+                self._screen.wait("compiling", warm.share())
             if process.returncode != 0:
                 raise _Failed(f"compiling {how_it_ended(process.returncode)}; its last lines:", last_lines(log))
         finally:

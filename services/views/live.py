@@ -36,6 +36,10 @@ class Screen(Protocol):
         """Show this moment."""
         ...
 
+    def wait(self, what: str, share: float) -> None:
+        """What is done before there is anything to show, and which share of it, 0 .. 1."""
+        ...
+
     def say(self, text: str) -> None:
         """One line that stays: a phase, a loss, a restart."""
         ...

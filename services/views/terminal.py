@@ -14,9 +14,9 @@ from rich.markup import escape
 from rich.progress import (
     BarColumn,
     Progress,
+    ProgressColumn,
     TaskProgressColumn,
     TextColumn,
-    TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.table import Table
@@ -54,6 +54,7 @@ class LiveScreen:
         self._live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
         self._live.start()
         self._next = 0.0
+        self._waiting: Progress | None = None
 
     def update(self, view: LiveView) -> None:
         """Draw, at most eight times a second."""
@@ -62,6 +63,17 @@ class LiveScreen:
         if now >= self._next:
             self._next = now + REDRAW_S
             self._live.update(self.picture(view), refresh=True)
+
+    def wait(self, what: str, share: float) -> None:
+        """A bar with the time left where the picture will be."""
+        if self._waiting is None:
+            self._waiting = Progress(*_columns(), console=self._live.console)
+            self._waiting.add_task(escape(what), total=1.0)
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + REDRAW_S
+            self._waiting.update(self._waiting.task_ids[0], completed=share)
+            self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:
         """A line above the picture."""
@@ -103,6 +115,13 @@ class PlainScreen:
             self._next = now + LINE_S
             self.say(line(view, self._distances))
 
+    def wait(self, what: str, share: float) -> None:
+        """A line, if the last one is long enough ago."""
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + LINE_S
+            self.say(f"{what}: {share:.0%}")
+
     def say(self, text: str) -> None:
         """A line."""
         self._console.print(Text(text), soft_wrap=True)
@@ -115,9 +134,8 @@ class PlainScreen:
 def progress_for(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
     """A bar on stderr for a run in lock step, told the vehicle time; nothing where there is no screen."""
     console = console or Console(stderr=True)
-    columns = (BarColumn(40), TaskProgressColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=_plain(console)) as bars:
-        task = bars.add_task("", total=end_ns - start_ns)
+    with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
+        task = bars.add_task(f"t {_seconds(start_ns)} s", total=end_ns - start_ns)
 
         def told(t_ns: int) -> None:
             bars.update(task, completed=t_ns - start_ns, description=f"t {_seconds(t_ns)} s")
@@ -129,10 +147,14 @@ def progress_for(start_ns: int, end_ns: int, console: Console | None = None) -> 
 def share_for(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
     """A bar on stderr with the time left, told which share is done; nothing where there is no screen."""
     console = console or Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=_plain(console)) as bars:
+    with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
         task = bars.add_task(escape(what), total=1.0)
         yield lambda share: bars.update(task, completed=share)
+
+
+def _columns() -> tuple[ProgressColumn, ...]:
+    """Of a bar with the time left."""
+    return TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn()
 
 
 def line(view: LiveView, distances: Distances) -> str:

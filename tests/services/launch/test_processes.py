@@ -41,6 +41,9 @@ class Screen:
             self._on_diving()
         self.views.append(view)
 
+    def wait(self, what: str, share: float) -> None:
+        pass
+
     def say(self, text: str) -> None:
         self.said.append(text)
 
@@ -219,6 +222,9 @@ class Mischief:
         elif not self._harm and back and not self.supervisor._unsaid and not self._over:
             self._over = True
             self.supervisor._crew.children["plant"].ask_to_stop()
+
+    def wait(self, what: str, share: float) -> None:
+        pass
 
     def say(self, text: str) -> None:
         self.said.append(text)

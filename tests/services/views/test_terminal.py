@@ -160,6 +160,29 @@ def test_a_plain_line_is_one_line_without_control_characters() -> None:
     assert second == "[bold]a phase"
 
 
+def test_what_is_waited_for_has_a_bar_with_the_time_left_until_there_is_a_picture() -> None:
+    file = io.StringIO()
+    screen = LiveScreen("x", LIMITS, Console(file=file, width=80, force_terminal=True))
+    screen.wait("compiling", 0.25)
+    waiting = file.getvalue()
+    screen.update(FULL)
+    screen._next = 0.0
+    screen.update(FULL)
+    screen.close()
+    assert "compiling" in waiting
+    assert "25%" in waiting
+    assert "-:--:--" in waiting  # nobody knows yet
+    assert "depth" in file.getvalue()[len(waiting) :]
+
+
+def test_in_a_pipe_what_is_waited_for_is_a_line_now_and_then() -> None:
+    file = io.StringIO()
+    screen = PlainScreen(Console(file=file, width=80))
+    screen.wait("compiling", 0.25)
+    screen.wait("compiling", 0.26)  # too soon for another
+    assert file.getvalue() == "compiling: 25%\n"
+
+
 def test_progress_in_a_pipe_is_silent() -> None:
     file = io.StringIO()
     with progress_for(0, 10, Console(file=file)) as told:
