@@ -52,6 +52,7 @@ def fleet(
     from services.measure import profile_machine
     from services.process.stopping import DONE, FAILED
     from services.run import folder as folders
+    from services.views.terminal import share_for
 
     place = None if out is None else folders.make("fleet", {}, out=out, force=force).path
     load = profile_machine.load()
@@ -59,18 +60,20 @@ def fleet(
     for count in counts:
         typer.echo(f"{count} vehicles: {warm_up_s:g} s to warm up, {seconds:g} s measured", err=True)
         try:
-            made = trial.run(
-                Fleet(
-                    vehicles=count,
-                    vehicle=vehicle,
-                    rate_hz=rate_hz,
-                    seconds=seconds,
-                    warm_up_s=warm_up_s,
-                    horizon_s=horizon_s,
-                    router=f"tcp/127.0.0.1:{free_port()}",
-                ),
-                processes,
-            )
+            with share_for(f"{count} vehicles") as told:
+                made = trial.run(
+                    Fleet(
+                        vehicles=count,
+                        vehicle=vehicle,
+                        rate_hz=rate_hz,
+                        seconds=seconds,
+                        warm_up_s=warm_up_s,
+                        horizon_s=horizon_s,
+                        router=f"tcp/127.0.0.1:{free_port()}",
+                    ),
+                    processes,
+                    told=told,
+                )
         except trial.TrialFailed as error:
             typer.echo(f"fleet: {error}", err=True)
             return FAILED

@@ -45,8 +45,10 @@ def localise(
     from services.measure import localise as dive
     from services.run import folder
     from services.views import dive_text
+    from services.views.terminal import share_for
 
-    outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m)
+    with share_for(file.name) as told:
+        outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, told=told)
     written = None if out is None else folder.make("localise", {}, out=out, force=force)
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
     typer.echo(plain if as_json else dive_text.text(outcome.result))

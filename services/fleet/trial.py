@@ -54,12 +54,16 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     limit: str  # what gave way first; "none"
 
 
+TELL_S = 0.5
+"""How often it is told how far a trial is."""
+
+
 class TrialFailed(RuntimeError):
     """A process of the fleet ended without its figures."""
 
 
-def run(fleet: Fleet, processes: int) -> Row:
-    """Start all, measure, stop all. Raises ``TrialFailed``."""
+def run(fleet: Fleet, processes: int, *, told: Callable[[float], None] = lambda _share: None) -> Row:
+    """Start all, measure, stop all. ``told``: which share of its time is over. Raises ``TrialFailed``."""
     processes = min(processes, fleet.vehicles)
     with _started() as start:
         way = start("router", _router, fleet.router)
@@ -72,9 +76,15 @@ def run(fleet: Fleet, processes: int) -> Row:
         start_ns = time.monotonic_ns() + round(LEAD_S * 1e9)
         for child in (*minds, world):
             child.send(start_ns)
-        _sleep_until(start_ns + round(fleet.warm_up_s * 1e9))
+        measured_ns = start_ns + round(fleet.warm_up_s * 1e9)
+        end_ns = measured_ns + round(fleet.seconds * 1e9)
+
+        def tell(left_ns: int) -> None:
+            told(1.0 - left_ns / (end_ns - start_ns))
+
+        _sleep_until(measured_ns, lambda left_ns: tell(left_ns + end_ns - measured_ns))
         before_s = way.cpu_s()
-        _sleep_until(start_ns + round((fleet.warm_up_s + fleet.seconds) * 1e9))
+        _sleep_until(end_ns, tell)
         routed_s = way.cpu_s() - before_s
         wait_s = 10.0 + fleet.seconds
         return _row(fleet, [mind.receive(wait_s) for mind in minds], world.receive(wait_s), routed_s)
@@ -193,6 +203,8 @@ def _router(endpoint: str, wire: Wire, parent: int) -> None:
             wire.recv()
 
 
-def _sleep_until(instant_ns: int) -> None:
+def _sleep_until(instant_ns: int, tell: Callable[[int], None]) -> None:
+    """``tell``: how long it is still, now and then."""
     while (left_ns := instant_ns - time.monotonic_ns()) > 0:
-        time.sleep(left_ns / 1e9)
+        tell(left_ns)
+        time.sleep(min(left_ns / 1e9, TELL_S))

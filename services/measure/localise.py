@@ -8,7 +8,7 @@ are all of the file's first such stretch, wherever the track begins.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,9 +47,14 @@ class Outcome:
 
 
 def localise(
-    path: Path, *, fixes: int = 10, start_depth_m: float | None = None, parameters: DiveParameters | None = None
+    path: Path,
+    *,
+    fixes: int = 10,
+    start_depth_m: float | None = None,
+    parameters: DiveParameters | None = None,
+    told: Callable[[float], None] = lambda _share: None,
 ) -> Outcome:
-    """Read, filter, compare. Raises ``ConfigError``."""
+    """Read, filter, compare. ``told``: which share of it is done. Raises ``ConfigError``."""
     parameters = parameters or DiveParameters()
     recording = reader.read(path)
     first = _first(recording.ensembles, start_depth_m, recording.source)
@@ -71,7 +76,7 @@ def localise(
         instrument=_instrument(settings, instrument),
         track=_track(track, dive, recording.ensembles[first].number),
         error=_error(dive, ground, track, fixes),
-        study=_study(recording.ensembles, seen, parameters, fixes),
+        study=_study(recording.ensembles, seen, parameters, fixes, told),
         notes=tuple(_notes(settings, dive, track, why)),
         parameters=parameters,
     )
@@ -154,14 +159,20 @@ def _error(dive: Sequence[BeamEnsemble], ground: Ground, track: Track, fixes: in
 
 
 def _study(
-    ensembles: Sequence[Ensemble], seen: Sequence[BeamEnsemble], parameters: DiveParameters, fixes: int
+    ensembles: Sequence[Ensemble],
+    seen: Sequence[BeamEnsemble],
+    parameters: DiveParameters,
+    fixes: int,
+    told: Callable[[float], None],
 ) -> StudyRow | None:
     end, _ = stretch(ensembles, 0, parameters.longest_gap_s)
     dive = seen[:end]
     ground = dead_reckoned(dive)
     instrument = Instrument.of(dive, ensembles[0].settings, parameters)
     rows = []
-    for start in study.starts(dive)[:MOST_STARTS]:
+    starts = study.starts(dive)[:MOST_STARTS]
+    for done, start in enumerate(starts):
+        told(done / len(starts))
         trial = study.trial(dive, ground, instrument, parameters, start=start, fixes=fixes)
         if trial is not None:
             rows.append(trial)
