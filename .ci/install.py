@@ -52,7 +52,7 @@ def sources(settings: str) -> dict[str, str]:
 def main() -> int:
     """The extras are the arguments."""
     project = f".[{','.join(sys.argv[1:])}]"
-    if subprocess.run([*PIP, "uv>=0.9"], check=False).returncode == 0:
+    if subprocess.run([*PIP, "--quiet", "uv>=0.9"], check=False).returncode == 0:
         listing = [sys.executable, "-m", "pip", "config", "list"]
         settings = subprocess.run(listing, capture_output=True, text=True, check=False).stdout
         quiet = () if sys.stderr.isatty() else ("--quiet",)  # its bars, or nothing but what goes wrong

@@ -18,9 +18,14 @@ from services.cli.ctl import ctl
 from services.cli.dashboard import dashboard
 from services.cli.doctor import doctor
 from services.cli.log import log
+from services.cli.overview import overview
 from services.cli.replay import replay
 from services.cli.report import report
 from services.cli.ros2 import ros2
+
+HELP = ((), ("--help",), ("-h",))
+COMPLETION = "_LTV_MPC_COMPLETE"
+"""Set by a shell that asks what could come next."""
 
 NOT_COMPLETED = 1
 BAD_INPUT = 2
@@ -57,7 +62,7 @@ def _commands(
         typer.echo(f"ltv-mpc {ours()}")
         raise typer.Exit
     if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
+        typer.echo(_overview())
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -70,6 +75,9 @@ def run(arguments: Sequence[str]) -> int:
 
     Typer itself turns Ctrl-C into 130.
     """
+    if tuple(arguments) in HELP and COMPLETION not in os.environ:
+        typer.echo(_overview())
+        return 0
     try:
         code = _tree()(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
     except typer.TyperException as error:
@@ -86,6 +94,10 @@ def run(arguments: Sequence[str]) -> int:
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(f"ltv-mpc: {where}{error.strerror or error}", NOT_COMPLETED)
     return code if isinstance(code, int) else 0
+
+
+def _overview() -> str:
+    return overview(app, "ltv-mpc", _commands.__doc__ or "")
 
 
 @cache

@@ -31,8 +31,9 @@ def campaign(
         typer.Option("--out", metavar="DIR", help="Its folder; one of the same campaign is gone on with."),
     ] = None,
 ) -> int:
-    """A design of many runs in lock step: on all cores or a Dask cluster, interrupted and gone on with at will.
+    """A design of many runs in lock step, on all cores or Dask.
 
+    Interrupted and started again it goes on.
     DIR/results.parquet has a row a run, and is the same to the byte whoever computed it.
     """
     import importlib.util

@@ -34,7 +34,7 @@ def faults(
         typer.Option("--out", metavar="DIR", help="Its folder; one of the same campaign is gone on with."),
     ] = None,
 ) -> int:
-    """Inject faults from outside, by the thousand, and count what got through.
+    """Inject faults by the thousand, count what got through.
 
     Most of them in lock step, a fifth in real processes on a bus; each with a seeded time and size. What has been found
     is in DIR as runs end, so that a campaign may be made in several sittings. Exit code 1: a promise was not kept, and

@@ -25,8 +25,9 @@ def inject(
     namespace: Namespace = "",
     certs: Certs = None,
 ) -> int:
-    """Faults on the bus: stands between two routers, copies what passes, and harms some of it.
+    """Faults on the bus, injected between two routers.
 
+    What passes is copied, and some of it harmed.
     Messages are lost, delayed, reordered, doubled, damaged, made NaN, stale, or stamped by a clock that jumped. Faults
     come from --schedule, from --fault and from the topic `inject`, while it runs. Times are vehicle times. With neither
     it copies everything, byte for byte.

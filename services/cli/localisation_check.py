@@ -26,8 +26,9 @@ def localisation_check(
         Path | None, typer.Option("--out", metavar="DIR", help="Also write localisation-check.json and .png here.")
     ] = None,
 ) -> int:
-    """Drift after a descent against the bound of theory, and errors against what the filter says of them.
+    """Drift against the bound of theory, errors against sigma.
 
+    Of the drift after a descent; and whether errors are as large as the filter says.
     Full-loop runs in lock step on all cores. Exit code 1: a figure is not as it should be, which few runs may show of a
     good filter too.
     """

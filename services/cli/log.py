@@ -27,7 +27,7 @@ class Format(enum.StrEnum):
 
 @log.callback()
 def _about() -> None:
-    """A run's recording: info | recover | export --format csv|parquet|perfetto."""
+    """A run's recording: info, recover, export."""
 
 
 @log.command()

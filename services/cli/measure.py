@@ -50,8 +50,9 @@ def profile(
         Path | None, typer.Option("--out", metavar="DIR", help="Also write profile.json and .png into this folder.")
     ] = None,
 ) -> int:
-    """How long a controller cycle and its stages take, by solver, formulation and horizon.
+    """How long a cycle takes, by solver, form and horizon.
 
+    And each of its stages.
     On closed loops in lock step with the true state: half of the cycles the paper's descent, a quarter in a current of
     4 cm/s that the controller is not told of, a quarter 2 m off with the heading up to 3 rad off. Each cycle is solved
     by all, in an order drawn anew, and compared with PIQP on the sparse QP.

@@ -25,8 +25,9 @@ def replay(
     ] = None,
     as_json: Json = False,
 ) -> int:
-    """Every output of a run again, byte for byte; or, with other settings, what would have changed.
+    """A run again, byte for byte, or with other settings.
 
+    Every output is compared; with ``--with`` it is told what would have changed.
     The nodes are built from the run's own settings and fed the recorded inputs in the recorded order. Exit code 0 where
     every step that can be compared is identical.
     """

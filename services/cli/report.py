@@ -35,7 +35,7 @@ def report(
     as_json: Json = False,
     force: Force = False,
 ) -> int:
-    """One run: its report. Several: overlay and differences to the first.
+    """One run: its report. Several: overlay and differences.
 
     report.html holds everything and opens without a network. Works on the recording of a run that was cut off.
     """
