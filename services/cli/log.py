@@ -39,8 +39,11 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
     from services.recording import info as figures
     from services.recording.recover import segments
     from services.run import folder
+    from services.views.terminal import reading
 
-    found = figures.read(segments(folder.find(run)))
+    recording = folder.find(run)
+    with reading(recording):
+        found = figures.read(segments(recording))
     if as_json:
         import msgspec
 
@@ -75,7 +78,10 @@ def recover(
         if as_json:
             typer.echo("null")
         return
-    made = recovery.recover(parts, out or recovery.recovered_path(recording))
+    from services.views.terminal import reading
+
+    with reading(recording):
+        made = recovery.recover(parts, out or recovery.recovered_path(recording))
     if as_json:
         import msgspec
 

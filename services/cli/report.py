@@ -43,6 +43,7 @@ def report(
     from services.run import folder
     from services.views import report as page
     from services.views.static_files import NoPlotly
+    from services.views.terminal import reading
 
     if runs is not None and len(runs) == 1 and (Path(runs[0]) / "campaign.toml").is_file():
         return _of_campaign(Path(runs[0]))
@@ -52,7 +53,8 @@ def report(
     shown = [_run(recording, name) for recording, name in zip(recordings, _names(recordings), strict=True)]
     target = _target(recordings, out, force=force)
     try:
-        figures = page.write(shown, target)
+        with reading(", ".join(run.name for run in shown)):
+            figures = page.write(shown, target)
     except NoPlotly as missing:
         typer.echo(f"report: {missing}: the extra viz brings it, as `make setup` does", err=True)
         return 1
@@ -90,10 +92,12 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
     from ltv_mpc.errors import ConfigError
     from services.views import report as page
     from services.views.static_files import NoPlotly
+    from services.views.terminal import reading
 
     target = recording.with_name(page.NAME)
     try:
-        page.write([page.Run(name=recording.parent.name, recording=recording, summary=summary)], target)
+        with reading(page.NAME):
+            page.write([page.Run(name=recording.parent.name, recording=recording, summary=summary)], target)
     except NoPlotly as missing:
         return f"no {page.NAME}: {missing}, the extra viz brings it"
     except (ConfigError, OSError) as error:

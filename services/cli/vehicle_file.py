@@ -84,7 +84,10 @@ def identify(
     believed = vehicle_identify.vehicle_of(held, name)
     if out is not None:
         _free(out, force=force)
-    result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)
+    from services.views.terminal import reading
+
+    with reading(held.recording):
+        result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)
     typer.echo(_json(result) if as_json else vehicle_identify.table(result))
     if out is not None:
         from ltv_mpc.vehicle.identification import improved

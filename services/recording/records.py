@@ -16,7 +16,9 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeAlias
@@ -41,6 +43,18 @@ RUBBISH = (McapError, ValueError, OverflowError, struct.error, zstandard.ZstdErr
 """What mcap, zstd and struct raise on damaged content; UnicodeDecodeError is a ValueError."""
 
 Record: TypeAlias = Schema | Channel | Message | Metadata
+
+_watcher: ContextVar[Callable[[float], None] | None] = ContextVar("watcher of readings", default=None)
+
+
+@contextmanager
+def watched(told: Callable[[float], None]) -> Iterator[None]:
+    """Who reads within it, however deep, tells which share of a file it has read."""
+    before = _watcher.set(told)
+    try:
+        yield
+    finally:
+        _watcher.reset(before)
 
 
 def start_of(metadata: dict[str, str]) -> int:
@@ -96,8 +110,11 @@ class Records:
 
     def _records(self, file: BinaryIO) -> Iterator[Record]:
         summary = False  # what follows DataEnd repeats what was there
+        told = _watcher.get()
         while True:
             start = self.position = file.tell()
+            if told is not None:
+                told(start / self.size)
             head = file.read(_HEAD.size)
             if len(head) < _HEAD.size:
                 if head:

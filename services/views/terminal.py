@@ -152,6 +152,15 @@ def share_for(what: str, console: Console | None = None) -> Iterator[Callable[[f
         yield lambda share: bars.update(task, completed=share)
 
 
+@contextmanager
+def reading(what: object) -> Iterator[None]:
+    """A bar on stderr with the time left while recordings are read, one after the other."""
+    from services.recording.records import watched
+
+    with share_for(str(what)) as told, watched(told):
+        yield
+
+
 def _columns() -> tuple[ProgressColumn, ...]:
     """Of a bar with the time left."""
     return TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn()

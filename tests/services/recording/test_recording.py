@@ -18,6 +18,7 @@ from ltv_mpc.signals import AdcpPing, Estimate, NodeStatus, PressureDepth, Signa
 from services.bus import schema, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording
+from services.recording.records import watched
 from services.recording.writer import RunWriter
 from tests.services.recording.recordings import foreign
 
@@ -285,3 +286,16 @@ def test_the_recording_package_starts_without_the_simulation() -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={"PATH": os.environ["PATH"]}
     )
     assert done.stdout.strip() == "[]"
+
+
+def test_who_waits_hears_how_much_was_read_and_nobody_else_does(path: Path) -> None:
+    write_depths(path, 5000)
+    shares: list[float] = []
+    with watched(shares.append):
+        assert len(list(Recording(path))) == 5000
+    heard = list(shares)
+    list(Recording(path))
+    assert heard == sorted(heard)
+    assert heard[0] < 0.001
+    assert 0.9 < heard[-1] < 1.0  # its end is no message
+    assert shares == heard
