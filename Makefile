@@ -57,7 +57,7 @@ map: setup  ## docs/horizon.md's figures: 5,376 descents, hours; interrupted it 
 	$(BIN)/ltv-mpc campaign benchmarks/horizon_known.toml --out runs/horizon/known
 	$(BIN)/ltv-mpc campaign benchmarks/horizon_realistic.toml --out runs/horizon/realistic
 	$(BIN)/python -m benchmarks.horizon_map --known runs/horizon/known --realistic runs/horizon/realistic \
-		--figures docs/figures --out docs/horizon.json
+		--page docs/horizon.md
 
 fuzz: setup  ## a million damaged frames and files at every decoder and reader
 	$(BIN)/python -m benchmarks.fuzz --frames 1000000

@@ -9,12 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import horizon_map
-from benchmarks.horizon_map import Place
+from benchmarks.horizon_map import rules
+from benchmarks.horizon_map.places import Place, places
+from benchmarks.horizon_map.summary import RULES, summary, tables
 from ltv_mpc.control.scales import scales_of
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
+from services.measure.page_tables import between
+from services.measure.vehicle_check import ENOUGH
 
+PAGE = Path(__file__).parents[2] / "docs" / "horizon.md"
 HORIZONS = np.geomspace(1.0, 32.0, 21)
 LAW = np.array([0.2, -0.3, 0.4, -0.8, 0.5])
 
@@ -22,23 +26,23 @@ LAW = np.array([0.2, -0.3, 0.4, -0.8, 0.5])
 def made_up(count: int) -> list[Place]:
     """Errors are smallest at the law's horizon, jump below it and grow above it."""
     rng = np.random.default_rng(3)
-    places = []
+    made = []
     for _ in range(count):
         groups = np.array([*np.exp(rng.uniform(-1, 1, 2)), *rng.uniform(0, 0.5, 2)])
         time_s = float(rng.uniform(4, 8))
-        enough = time_s * math.exp(float(horizon_map.features(groups[None])[0] @ LAW))
+        enough = time_s * math.exp(float(rules.features(groups[None])[0] @ LAW))
         errors = np.where(enough <= HORIZONS, np.sqrt(HORIZONS / enough), 1.3 * (enough / HORIZONS) ** 2)
-        places.append(Place(time_s, groups, HORIZONS, errors))
-    return places
+        made.append(Place(time_s, groups, HORIZONS, errors))
+    return made
 
 
 def test_the_rule_that_was_put_in_is_found_and_beats_constants_where_it_was_not_fitted() -> None:
-    places = made_up(200)
-    found = horizon_map.fitted(places)
+    of = made_up(200)
+    found = rules.fitted(of)
     # what is enough is the next horizon of the design above the law's: half a step of it, in the mean
     np.testing.assert_allclose(found[1:], LAW[1:], atol=0.1)
     assert found[0] - LAW[0] == pytest.approx(0.5 * math.log(HORIZONS[1] / HORIZONS[0]), abs=0.1)
-    judged = horizon_map.judged(places)
+    judged = rules.judged(of)
     assert judged["four groups"]["p90"] < 0.5 * judged["best H / T"]["p90"]
     assert judged["best H / T"]["p90"] < judged["5 s"]["p90"]
 
@@ -60,12 +64,33 @@ def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> 
     )
     out = tmp_path / "out"
     assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
-    first, second = horizon_map.places(out)
+    first, second = places(out)
     assert first.horizons_s.tolist() == [0.9, 1.8]
     assert first.time_s != second.time_s != scales_of(Vehicle.load("paper")).time_s
     assert first.groups[1] == pytest.approx(8.0 / (0.2 * first.time_s))
     assert 0.1 <= first.groups[3] * first.time_s <= 0.2
     (part, *_) = sorted((out / "parts").glob("*.parquet"))
     part.unlink()
-    assert len(horizon_map.places(out)) < 2
-    assert json.dumps(horizon_map.summary(made_up(32)))
+    assert len(places(out)) < 2
+
+
+def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:
+    of = made_up(32)
+    kept = {"state known": summary(of), "realistic": summary(of[:20])}
+    assert json.dumps(kept)
+    made = {table.name: table for table in tables(kept)}
+    assert made["flown"].rows == (("places", "32", "20"),)
+    assert sum(int(str(cell)) for cell in made["enough"].rows[0][1:]) == 32
+    assert made["errors"].head[1:] == tuple(f"{h:g} s" for h in HORIZONS)
+    worst = max(place.excess(5.0) for place in of)
+    assert str(made["rules"].rows[-1][1]).endswith(f", {worst:.0%}")
+    assert set(RULES) == set(rules.RULES)
+    page = PAGE.read_text(encoding="utf-8")
+    stored = tables(json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8")))
+    assert [between(page, table.name) for table in stored] == [table.markdown() for table in stored], "make map"
+
+
+def test_the_rule_that_vehicle_check_proposes_is_what_the_map_says() -> None:
+    """With the state known, at nine of ten places: to the first digit after the point."""
+    kept = json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8"))
+    assert round(kept["state known"]["enough_over_T"]["0.9"], 1) == ENOUGH

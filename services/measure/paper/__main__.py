@@ -17,7 +17,7 @@ from typing import NamedTuple
 import typer
 
 from ltv_mpc.errors import ConfigError
-from services.measure import profile_machine
+from services.measure import page_tables, profile_machine
 from services.measure.paper import descents, tables, timing, water
 from services.measure.paper.settings import RECORDED
 from services.run import folder
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parsed(arguments)
         page = checked(options)
         made = make(options)
-        options.page.write_text(tables.renewed(page, made.tables), encoding="utf-8")
+        options.page.write_text(page_tables.renewed(page, made.tables), encoding="utf-8")
     except ConfigError as error:
         typer.echo(str(error), err=True)
         return 2
@@ -97,7 +97,7 @@ def checked(options: Options) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError("option --page", "", f"cannot be read: {error}", value=str(options.page)) from None
     for name in TABLES:
-        tables.between(page, name)
+        page_tables.between(page, name)
     for setting in RECORDED:
         descents.Flight(setting, options.runs, options.duration_s, options.surface_s).situation()
     for path in (options.out, options.runs, options.readme.parent):

@@ -9,37 +9,15 @@ from pathlib import Path
 
 import msgspec
 
-from ltv_mpc.errors import ConfigError
+from services.measure.page_tables import Table
 from services.measure.paper.settings import AVERAGED, COMPUTING_S, RECORDED
 from services.measure.paper.timing import Timed
 from services.measure.paper.water import Profile, rms_difference_mps
 from services.views.figures.paper import NONE
 from sim.grading.summary import Summary
 
-BEGIN, END = "<!-- table {name} -->", "<!-- end of table -->"
 LAGS_M = (8.0, 24.0)
 """At which every profile has differences: the coarsest has cells of 8 m."""
-
-
-class Table(msgspec.Struct, frozen=True, kw_only=True):
-    """``digits`` of each column after the point; a text stands as it is, None as a dash."""
-
-    name: str
-    head: tuple[str, ...]
-    digits: tuple[int, ...]
-    rows: tuple[tuple[str | float | None, ...], ...]
-
-    def markdown(self) -> str:
-        """The table with a line break at the end."""
-        lines = [self.head, ("---",) * len(self.head)]
-        lines += [tuple(_cell(value, n) for value, n in zip(row, self.digits, strict=True)) for row in self.rows]
-        return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
-
-
-def _cell(value: str | float | None, digits: int) -> str:
-    if value is None:
-        return "–"
-    return value if isinstance(value, str) else f"{value:.{digits}f}"
 
 
 # --- what stands in them ---------------------------------------------------------------------------------------------
@@ -196,23 +174,3 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     def load(cls, path: Path) -> Figures:
         """What was written."""
         return msgspec.json.decode(path.read_bytes(), type=cls)
-
-
-def between(page: str, name: str) -> str:
-    """What stands at a table's mark in a page. Raises ``ConfigError`` where there is no such mark."""
-    _, begin, rest = page.partition(BEGIN.format(name=name) + "\n")
-    text, end, _ = rest.partition(END)
-    if not begin or not end:
-        raise ConfigError("page", BEGIN.format(name=name), f"must stand in it once, and {END} below it")
-    return text
-
-
-def renewed(page: str, tables: Sequence[Table]) -> str:
-    """The page with these tables at their marks. Raises ``ConfigError``."""
-    for table in tables:
-        page = page.replace(_marked(table.name, between(page, table.name)), _marked(table.name, table.markdown()))
-    return page
-
-
-def _marked(name: str, text: str) -> str:
-    return f"{BEGIN.format(name=name)}\n{text}{END}"

@@ -1,0 +1,1 @@
+"""Which horizon, when: docs/horizon.md."""

@@ -1,0 +1,52 @@
+"""Tables that a command makes and writes into a page of docs/, at their marks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+
+from ltv_mpc.errors import ConfigError
+
+BEGIN, END = "<!-- table {name} -->", "<!-- end of table -->"
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True):
+    """``digits`` of each column after the point; a text stands as it is, None as a dash."""
+
+    name: str
+    head: tuple[str, ...]
+    digits: tuple[int, ...]
+    rows: tuple[tuple[str | float | None, ...], ...]
+
+    def markdown(self) -> str:
+        """The table with a line break at the end."""
+        lines = [self.head, ("---",) * len(self.head)]
+        lines += [tuple(_cell(value, n) for value, n in zip(row, self.digits, strict=True)) for row in self.rows]
+        return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
+def _cell(value: str | float | None, digits: int) -> str:
+    if value is None:
+        return "–"
+    return value if isinstance(value, str) else f"{value:.{digits}f}"
+
+
+def between(page: str, name: str) -> str:
+    """What stands at a table's mark in a page. Raises ``ConfigError`` where there is no such mark."""
+    _, begin, rest = page.partition(BEGIN.format(name=name) + "\n")
+    text, end, _ = rest.partition(END)
+    if not begin or not end:
+        raise ConfigError("page", BEGIN.format(name=name), f"must stand in it once, and {END} below it")
+    return text
+
+
+def renewed(page: str, tables: Sequence[Table]) -> str:
+    """The page with these tables at their marks. Raises ``ConfigError``."""
+    for table in tables:
+        page = page.replace(_marked(table.name, between(page, table.name)), _marked(table.name, table.markdown()))
+    return page
+
+
+def _marked(name: str, text: str) -> str:
+    return f"{BEGIN.format(name=name)}\n{text}{END}"
