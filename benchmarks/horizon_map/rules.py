@@ -15,8 +15,8 @@ from typing import TypeAlias
 import numpy as np
 
 from benchmarks.horizon_map.places import Place, in_own_time
+from ltv_mpc.control.proposal import ENOUGH
 from ltv_mpc.signals import Array
-from services.measure.vehicle_check import ENOUGH
 
 FOLDS = 8
 RATIOS = tuple(np.geomspace(0.2, 4.0, 30).tolist())

@@ -35,7 +35,14 @@ def controller(
         typer.Option("--rate-hz", metavar="R", help="Cycles a second. Default 3.33.", min=1 / 60, max=50),
     ] = None,
     horizon_s: Annotated[
-        float | None, typer.Option("--horizon-s", metavar="H", help="How far a plan looks ahead.", min=0.3, max=120)
+        float | None,
+        typer.Option(
+            "--horizon-s",
+            metavar="H",
+            help="How far a plan looks ahead. Default: what `vehicle check` proposes.",
+            min=0.3,
+            max=120,
+        ),
     ] = None,
     metrics: Annotated[
         int | None,
@@ -71,12 +78,15 @@ def controller(
 
     from ltv_mpc import references
     from ltv_mpc.control.config import ControllerConfig, checked
+    from ltv_mpc.control.proposal import proposed_horizon_s
     from ltv_mpc.vehicle.parameters import Vehicle
 
     loaded = Vehicle.load(vehicle), references.load(reference)
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     if rate_hz is not None:
         control = replace(control, period_s=1.0 / rate_hz)
+    if horizon_s is None and settings is None:
+        horizon_s = proposed_horizon_s(loaded[0])
     if horizon_s is not None:
         control = replace(control, horizon_s=horizon_s)
     control = checked(control, source="options --rate-hz, --horizon-s")

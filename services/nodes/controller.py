@@ -106,6 +106,8 @@ def key_in(bus: BusOptions, topic: Topic) -> str:
 
 def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
     """The keys that it reads and writes, with rates; each number's unit is in its field's name."""
+    look = f"{config.horizon_s:g} s in {config.stages} stages"
+    yield f"looks {look} ahead, {1e9 / config.period_ns:.3g} times a second"
     yield "SI units and radians, north-east-down; each number's unit is in its name; `ltv-mpc topics KEY` says more"
     inputs = [kind for kind in ControllerNode.reads if BY_SIGNAL[kind].written_by != ControllerNode.name]
     outputs: list[type[Signal]] = [*ControllerNode.writes, ControllerStatus]

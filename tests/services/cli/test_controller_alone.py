@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from ltv_mpc import ControllerConfig, Vehicle, references
+from ltv_mpc.control.proposal import proposed_horizon_s
 from services.bus.session import BusOptions
 from services.cli.app import run
 from services.nodes import controller
@@ -45,6 +46,17 @@ def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_
     assert (first.period_ns, first.horizon_s, first.max_iterations) == (200_000_000, 3.0, 77)
     assert (second.period_ns, second.horizon_s, second.max_iterations) == (200_000_000, 6.0, 77)
     assert (options["metrics_port"], options["input_delay_s"]) == (9464, 0.05)
+
+
+def test_without_a_horizon_and_settings_it_is_the_vehicle_s_own(
+    started: list[tuple[tuple[Any, ...], dict[str, Any]]],
+) -> None:
+    for name in ("paper", "low-yaw"):
+        assert run(["controller", "--vehicle", name]) == 0
+    ((_, _, paper, _), _), ((_, _, slow, _), _) = started
+    assert paper.horizon_s == proposed_horizon_s(Vehicle.load("paper")) == 13.8
+    assert slow.horizon_s == proposed_horizon_s(Vehicle.load("low-yaw")) > paper.horizon_s
+    assert paper.stages == slow.stages == 34
 
 
 @pytest.mark.parametrize(
