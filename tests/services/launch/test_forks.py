@@ -125,7 +125,8 @@ def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
     server: ForkServer, watch: Guard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fork server that is not let: its answer comes when nobody waits for it any more."""
-    monkeypatch.setattr(forks, "ANSWER_S", 0.0)
+    until(server.is_loaded)
+    monkeypatch.setattr(server, "_answers", lambda _within_s: False)
     before = set(own_children())
     child = forked(server, tmp_path / "log", watch, "topics", "plan")
     assert child.end(PATIENCE_S)

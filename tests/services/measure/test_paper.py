@@ -26,7 +26,9 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "paper.md"
 FIGURES = ROOT / "docs" / "figures"
 
-EMPTY_PAGE = "# A page\n" + "".join(f"{page_tables.BEGIN.format(name=name)}\nold\n{page_tables.END}\n" for name in command.TABLES)
+EMPTY_PAGE = "# A page\n" + "".join(
+    f"{page_tables.BEGIN.format(name=name)}\nold\n{page_tables.END}\n" for name in command.TABLES
+)
 
 
 DPI = 50
