@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import stat
@@ -71,7 +72,7 @@ def read_text(path: Path, *, what: str) -> str:
         regular = stat.S_ISREG(status.st_mode)
         content = path.read_bytes() if regular and status.st_size <= LARGEST_FILE else b""
     except FileNotFoundError:
-        raise ConfigError(source, "", "no such file") from None
+        raise ConfigError(source, "", not_there(path)) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         why = getattr(error, "strerror", None) or str(error)
         raise ConfigError(source, "", f"cannot be read: {why}") from None
@@ -90,6 +91,18 @@ def read_text(path: Path, *, what: str) -> str:
     if "\0" in text:
         raise ConfigError(source, "", "no text but binary data: is it the right file?")
     return text
+
+
+def not_there(path: Path) -> str:
+    """That there is no such file, and what is there instead."""
+    folder = path.parent
+    try:
+        beside = [one.stem for one in folder.iterdir() if one.suffix == path.suffix]
+    except OSError:
+        return f"no such file: there is no folder {folder}"
+    if meant := difflib.get_close_matches(path.stem, beside, n=1):
+        return f"no such file; did you mean {folder / meant[0]}{path.suffix}?"
+    return "no such file: give one that is there"
 
 
 def is_path(name: str) -> bool:

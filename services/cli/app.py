@@ -82,7 +82,7 @@ def run(arguments: Sequence[str]) -> int:
         code = _tree()(list(arguments), prog_name="ltv-mpc", standalone_mode=False)
     except typer.TyperException as error:
         context = getattr(error, "ctx", None)
-        return _refuse(f"{context.command_path if context else 'ltv-mpc'}: {error.format_message()}")
+        return _refuse_usage(context.command_path if context else "ltv-mpc", error.format_message())
     except ValueError as error:
         if not _is_config_error(error):
             raise
@@ -119,6 +119,14 @@ def _is_config_error(error: ValueError) -> bool:
     from ltv_mpc.errors import ConfigError
 
     return isinstance(error, ConfigError)
+
+
+def _refuse_usage(command: str, problem: str) -> int:
+    """Nothing is said where there is nothing to say: a group alone has shown its help."""
+    if not problem:
+        return BAD_INPUT
+    end = problem if problem.endswith("?") else f"{problem.rstrip('.')};"
+    return _refuse(f"{command}: {end} `{command} --help` lists what there is")
 
 
 def _refuse(text: str, code: int = BAD_INPUT) -> int:

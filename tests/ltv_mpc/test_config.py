@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltv_mpc import config
+from ltv_mpc.config import not_there
 from ltv_mpc.control.config import ControllerConfig, GivenWeights
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -219,3 +220,14 @@ def test_one_changed_value_in_a_good_file_is_accepted_or_named(data: st.DataObje
     inner[key] = data.draw(tables)
     refusal = outcome(table, Vehicle)
     assert refusal == "" or key in refusal
+
+
+def test_a_file_that_is_not_there_names_the_one_that_was_meant_or_the_folder_that_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "hull.toml").write_text("x = 1\n")
+    (tmp_path / "other.toml").write_text("x = 1\n")
+    for name, said in (
+        ("hul.toml", f"no such file; did you mean {tmp_path / 'hull.toml'}?"),
+        ("something_else.toml", "no such file: give one that is there"),
+        ("nowhere/hull.toml", f"no such file: there is no folder {tmp_path / 'nowhere'}"),
+    ):
+        assert not_there(tmp_path / name) == said

@@ -19,6 +19,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.config import not_there
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.pd0 import records
 from ltv_mpc.localisation.pd0.records import HEADER, Bytes, Damaged, Ensemble
@@ -64,7 +65,7 @@ def read(path: str | Path) -> Recording:
             raise ConfigError(source, "", f"has {status.st_size} bytes: at most {LARGEST_FILE}")
         data = Path(path).read_bytes()
     except FileNotFoundError:
-        raise ConfigError(source, "", "no such file") from None
+        raise ConfigError(source, "", not_there(Path(path))) from None
     except OSError as error:
         raise ConfigError(source, "", f"cannot be read: {error.strerror or error}") from None
     return parse(data, source=source)

@@ -128,8 +128,9 @@ CASES = [
     ("sim --out rows.csv", 'option --out: "rows.csv": '),
     ("sim --out rows.csv/below", 'option --out: "rows.csv/below": '),
     # --- the command line itself ----------------------------------------------------------------------------------
-    ("smi", "No such command 'smi'"),
+    ("smi", "No such command 'smi'. Did you mean 'sim'? `ltv-mpc --help` lists what there is"),
     ("sim --horizonn 5", "No such option: --horizonn"),
+    ("doctor --bogus", "ltv-mpc doctor: No such option: --bogus; `ltv-mpc doctor --help` lists what there is"),
     ("sim --seed", "requires an argument"),
     ("sim descent hover", "unexpected extra argument"),
     ("topics plann", 'topic "plann": does not travel; did you mean "plan"?'),
