@@ -14,7 +14,7 @@ from ltv_mpc.signals import Clock, ClockState
 from services.process.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock, fraction_of
 from services.process.status import MOST_BEHIND_US
 from services.process.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
-from tests.services.process.words import status
+from tests.services.words import status
 
 START_NS = -1_000_000_000
 T0_US = 50_000_000

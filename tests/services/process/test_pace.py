@@ -12,7 +12,7 @@ from services.process.clock import VehicleClock
 from services.process.pace import FIRST_WINDOW_US, GROWTH, MOST_GIVEN_UP, WINDOW_US, Pace
 from services.process.status import MOST_BEHIND_US
 from services.process.timekeeping import KeepsTime, TimeKeeping
-from tests.services.process.words import status
+from tests.services.words import status
 
 ASKED = Fraction(10)
 
@@ -124,7 +124,7 @@ class Machine:
             behind_us = (asked_ns - self._done_ns) / self._can / 1000
             self.waits_us.append(behind_us)
             if behind_us > MOST_BEHIND_US and not self.now_us % 50_000:
-                self.keeping.heard(status("estimator", int(behind_us)), self.now_us, "plant")
+                self.keeping.heard(status("estimator", behind_us=int(behind_us)), self.now_us, "plant")
 
 
 def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> None:

@@ -26,13 +26,29 @@ from services.recording import segments
 from services.recording.reader import Recorded, Recording
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
+from tests.services.words import status
 
 S = 1_000_000_000
 KEY = BY_SIGNAL[PressureDepth].key
 EPOCH = 77
 
-QUIET_S = 1.0
-"""The others come right behind the first, on a busy machine too."""
+UNREAD = "read/by/nobody"
+"""A key of no topic: what comes on it is refused and counted."""
+
+
+class Listening(SegmentWriter):
+    """Says that the word of ``AFTER`` has been written: whatever was sent before it on the same link has come."""
+
+    AFTER = "after"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, start_ns=-S, metadata={})
+        self.heard = threading.Event()
+
+    def write_plain(self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
+        super().write_plain(key, kind, message, t_ns, crc)
+        if message.get("node") == self.AFTER:
+            self.heard.set()
 
 
 def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None]) -> list[Recorded]:
@@ -41,20 +57,20 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
     stop = StopRequest()
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
-        SegmentWriter(path, start_ns=-S, metadata={}) as writer,
+        Listening(path) as writer,
     ):
         loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
         thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
         thread.start()
         out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus))
         deadline = time.monotonic() + 20
-        while not loop.received and time.monotonic() < deadline:  # its own first word
+        knock = session.publisher(UNREAD).put
+        while not loop.rejected and time.monotonic() < deadline:  # until it has subscribed, and the router knows
+            knock(b"")
             time.sleep(0.01)
-        before = loop.received
         say(out, session.publisher(KEY).put)
-        while loop.received == before and time.monotonic() < deadline:
-            time.sleep(0.01)
-        time.sleep(QUIET_S)
+        out.publish(status(Listening.AFTER))
+        assert writer.heard.wait(20)
         stop.ask()
         thread.join(20)
         assert not thread.is_alive()
@@ -96,7 +112,9 @@ def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recor
     assert [message.plain["sequence"] for message in depths] == [0, 1, 2]
     assert all(0 <= message.t_ns < 5 * S for message in depths)
     assert all(message.t_ns < 5 * S for message in messages)
-    reasons = [message.plain["reason"] for message in messages if message.kind is Rejected]
+    reasons = [
+        message.plain["reason"] for message in messages if message.kind is Rejected and message.plain["key"] == KEY
+    ]
     assert [reason.partition(":")[0] for reason in reasons] == ["sent_monotonic_us", "sequence"]
 
 

@@ -14,13 +14,14 @@ import pytest
 from mcap.reader import make_reader
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import AdcpPing, Estimate, NodeStatus, PressureDepth, Signal
+from ltv_mpc.signals import AdcpPing, Estimate, PressureDepth, Signal
 from services.bus import schema, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording
 from services.recording.records import watched
 from services.recording.writer import RunWriter
 from tests.services.recording.recordings import foreign
+from tests.services.words import status
 
 S = 1_000_000_000
 START_NS = -S
@@ -32,21 +33,6 @@ def header(sequence: int) -> wire.Header:
 
 def depth(i: int) -> PressureDepth:
     return PressureDepth(t_ns=START_NS + i * 1_000_000, depth_m=i / 7)
-
-
-def status(node: str) -> NodeStatus:
-    return NodeStatus(
-        node=node,
-        t_ns=0,
-        ready=True,
-        waiting_for="",
-        steps=0,
-        published=0,
-        received=0,
-        dropped=0,
-        rejected=0,
-        step_us=0.0,
-    )
 
 
 def write_depths(path: Path, count: int, **options: Any) -> None:

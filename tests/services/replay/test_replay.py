@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Handed, NodeStatus, StepRecord
+from ltv_mpc.signals import Handed, StepRecord
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import Stored
@@ -22,6 +22,7 @@ from services.replay.compare import NOT_MADE, NOT_RECORDED
 from services.replay.verdict import NodeVerdict, Verdict
 from services.run.made_by import made_by
 from tests.services.replay.altered import Plain, messages, rewritten, without
+from tests.services.words import status
 
 
 def replayed(recording: Path, **options: Any) -> Verdict:
@@ -256,18 +257,7 @@ def test_steps_of_which_only_the_process_s_word_is_left_were_run_and_are_not_com
     recording: Path, tmp_path: Path
 ) -> None:
     steps = sum(stored.key == "record/controller" for stored, _ in messages(recording))
-    word = NodeStatus(
-        node="controller",
-        t_ns=3_000_000_000,
-        ready=True,
-        waiting_for="",
-        steps=steps + 100,
-        published=0,
-        received=0,
-        dropped=0,
-        rejected=0,
-        step_us=0.0,
-    )
+    word = status("controller", t_ns=3_000_000_000, steps=steps + 100)
     out = tmp_path / "run.mcap"
     with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(engine.metadata_of(recording))) as writer:
         for stored, plain in messages(recording):

@@ -6,21 +6,17 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.signals import CycleTiming, Estimate, NodeStatus, PressureDepth, Rejected
+from ltv_mpc.signals import CycleTiming, Estimate, PressureDepth, Rejected
 from services.bus import wire
 from services.recording.writer import RunWriter
 from services.run.situation import Override, resolve
 from services.run.summary import of_recording
 from sim.grading.summary import Messages, Summary
+from tests.services.words import status
 
 ESTIMATE = Estimate.at_rest()
 REJECTED = Rejected(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
 DEPTH = PressureDepth(t_ns=0, depth_m=1.0)
-
-
-def status(node: str) -> NodeStatus:
-    counts = dict.fromkeys(("steps", "published", "received", "dropped", "rejected"), 0)
-    return NodeStatus(node=node, t_ns=0, ready=True, waiting_for="", step_us=0.0, **counts)
 
 
 def timing(ms: int) -> CycleTiming:

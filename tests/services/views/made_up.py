@@ -22,7 +22,6 @@ from ltv_mpc.signals import (
     CurrentProfile,
     CycleTiming,
     Estimate,
-    NodeStatus,
     Plan,
     PlanOrigin,
     RunEvent,
@@ -143,21 +142,6 @@ def clock(t_ns: int, *, speed: int = 10, state: ClockState = ClockState.RUNNING)
         speed_den=1,
         asked_speed=float(speed),
         state=state,
-    )
-
-
-def status(node: str, t_ns: int = 0) -> NodeStatus:
-    return NodeStatus(
-        node=node,
-        t_ns=t_ns,
-        ready=True,
-        waiting_for="",
-        steps=100,
-        published=100,
-        received=100,
-        dropped=0,
-        rejected=0,
-        step_us=120.0,
     )
 
 

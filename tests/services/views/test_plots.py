@@ -19,6 +19,7 @@ from services.views.plots.recorded import read, thrusters
 from services.views.plots.table import Table
 from tests.services.views import made_up
 from tests.services.views.made_up import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
+from tests.services.words import status
 
 COLOURS = [value for name, value in vars(palette).items() if name.isupper() and isinstance(value, str)]
 
@@ -134,10 +135,10 @@ def test_events_and_changes_are_marks() -> None:
     collector = Collector()
     for signal in (
         *(made_up.ARM, made_up.ARMED, made_up.EVENT, made_up.plan(0), made_up.plan(S, origin=PlanOrigin.SHIFTED)),
-        *(made_up.plan(2 * S, origin=PlanOrigin.SHIFTED), made_up.plan(3 * S), made_up.status("plant")),
+        *(made_up.plan(2 * S, origin=PlanOrigin.SHIFTED), made_up.plan(3 * S), status("plant")),
     ):
         collector.hear(signal, EPOCH)
-    collector.hear(made_up.status("plant"), EPOCH + 1)  # it does not know the time yet
+    collector.hear(status("plant"), EPOCH + 1)  # it does not know the time yet
     assert [(mark.t_s, mark.node, mark.text) for mark in collector.marks.marks] == [
         (0.0, "controller", "arm accepted"),
         (5.0, "plant", made_up.EVENT.text),

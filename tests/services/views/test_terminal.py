@@ -13,6 +13,7 @@ from rich.console import Console
 from ltv_mpc.signals import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from services.views.live import LiveView
 from services.views.terminal import ORDER, LiveScreen, PlainScreen, bar, progress_for, screen_for
+from tests.services.words import status
 
 LIMITS = [(-62.5, 62.5)] * 3
 S = 1_000_000_000
@@ -58,19 +59,11 @@ TIMING = CycleTiming(
 )
 
 
-def status(node: str) -> NodeStatus:
-    return NodeStatus(
-        node=node,
-        t_ns=0,
-        ready=True,
-        waiting_for="sensors, estimator, controller, recorder to be ready" if node == "plant" else "",
-        steps=99_999_999,
-        published=99_999_999,
-        received=99_999_999,
-        dropped=9_999_999,
-        rejected=9_999_999,
-        step_us=123456.0,
-    )
+def long_status(node: str) -> NodeStatus:
+    waiting_for = "sensors, estimator, controller, recorder to be ready" if node == "plant" else ""
+    counts = dict.fromkeys(("steps", "published", "received"), 99_999_999)
+    lost = dict.fromkeys(("dropped", "rejected"), 9_999_999)
+    return status(node, waiting_for=waiting_for, step_us=123456.0, **counts, **lost)
 
 
 FULL = LiveView(
@@ -86,7 +79,7 @@ FULL = LiveView(
     plan=PLAN,
     applied=APPLIED,
     timing=TIMING,
-    status={name: status(name) for name in ORDER},
+    status={name: long_status(name) for name in ORDER},
     state=dict.fromkeys(ORDER, "running"),
 )
 EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, asked_speed=10.0, phase="starting")
