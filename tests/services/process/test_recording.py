@@ -63,14 +63,15 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
         thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
         thread.start()
         out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus))
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         knock = session.publisher(UNREAD).put
         while not loop.rejected and time.monotonic() < deadline:  # until it has subscribed, and the router knows
             knock(b"")
             time.sleep(0.01)
+        assert loop.rejected
         say(out, session.publisher(KEY).put)
         out.publish(status(Listening.AFTER))
-        assert writer.heard.wait(20)
+        assert writer.heard.wait(60)
         stop.ask()
         thread.join(20)
         assert not thread.is_alive()
