@@ -114,6 +114,13 @@ class Adaptation:
         other._until_ns, other._held_ns = dict(self._until_ns), dict(self._held_ns)
         return other
 
+    def forget(self) -> None:
+        """What pings have shown so far: it was the profiler's. What is granted stays."""
+        self._means, self._downward, self._slopes = Mean(_MEANS_S, 2), Mean(_MEANS_S, 1), Mean(_SLOPES_S, 2)
+        self._beyond_ns = None
+        self._moved, self._allowed = np.zeros_like(self._moved), np.zeros_like(self._allowed)
+        self._average = 1.0
+
     def change(self, t_ns: int) -> Change:
         """Granted at ``t_ns``."""
         return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=Change.NONE)

@@ -5,7 +5,8 @@ Order   Messages are used in order of their validity times. One that is newer th
         is used at its own time all the same (``late.py``). Older ones and late inertial samples are dropped (``gap.py``
         has what is done without them); so is a second message of one sensor and time, and what can be seen to be wrong
         by itself (``door.py``).
-Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew (``restart.py``).
+Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew (``restart.py``),
+        and comes back where it was right after all (``former.py``).
 Memory  A checkpoint every 5 s, and where the vehicle goes under or comes up; given one with its first messages, a node
         goes on from there (``resume.py``) where one that is started anew has to wait for satellites.
 Output  An estimate of t_ns = k x period holds everything measured up to and at t_ns that has come: it is published as
@@ -31,6 +32,7 @@ from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_o
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.door import Door
 from ltv_mpc.localisation.filter import Aiding, Filter
+from ltv_mpc.localisation.former import Former
 from ltv_mpc.localisation.health import Monitor, verdict_of
 from ltv_mpc.localisation.late import History, spacing_ns
 from ltv_mpc.localisation.measurements.compass import heading_partials
@@ -152,6 +154,8 @@ class Estimator:
         self._restarts = Restarts(suite, config, prior)
         self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MOST_RECENT)
         self._anew: Alignment | None = None  # of the filter that is to take the diverged one's place
+        self._former: Former | None = None  # as the filter was when it began to be doubted
+        self._returned_ns: int | None = None  # when that came back
         self._report_ns = 0  # of the report to come
         self._checkpoint_ns = 0  # of the checkpoint to come
         self._under = False  # water
@@ -223,9 +227,13 @@ class Estimator:
 
     def _begin(self, belief: Belief, adapts_from_ns: int | None = None) -> History:
         """A filter of its own from here on."""
-        self._filter = Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
-        self._filter.observers.append(self._monitor.hear)
-        self._history = History(self._filter, spacing_ns(self._suite), self._progress)
+        return self._go_on(Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns))
+
+    def _go_on(self, filter_: Filter) -> History:
+        """With this one."""
+        self._filter = filter_
+        filter_.observers[:] = [self._monitor.hear]
+        self._history = History(filter_, spacing_ns(self._suite), self._progress)
         return self._history
 
     def _use(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
@@ -240,10 +248,13 @@ class Estimator:
             self._anew = self._restarts.begin(history.filter.belief.t_ns, self._recent)
         if self._anew is not None and not self._anew.waiting_for:
             self._replace(history.filter, self._anew)
+        if self._former is not None:
+            self._look_back(history.filter, self._former)
 
     def _replace(self, old: Filter, alignment: Alignment) -> None:
         """The new filter takes over, at the time that the old one has reached; nothing is published on the way."""
         self._anew = None
+        former, self._former = self._former, None  # has had all of it
         self._account.update(old.account)
         self._monitor.forget()
         belief, since = alignment.belief()
@@ -255,6 +266,22 @@ class Estimator:
                 self._apply(history, earlier, [])
         self._next_ns, self._open = next_ns, open_
         history.filter.account.clear()  # counted when the old filter used it
+        self._former = former
+
+    def _look_back(self, current: Filter, former: Former) -> None:
+        """The filter from before the doubt is believed again once what it refused agrees with it, or forgotten."""
+        t_ns = current.belief.t_ns
+        if former.expired or not finite(former.filter.belief):
+            self._former = None
+        elif former.agrees and (self._restarts.doubts or self._restarts.recent(t_ns)):
+            self._former = self._anew = None
+            self._account.update(current.account)
+            self._monitor.forget()
+            former.filter.account.clear()  # counted by the one in its place
+            former.filter.water.forget()
+            self._go_on(former.filter)
+            self._restarts.recall(former.memory)
+            self._returned_ns = t_ns
 
     def _apply(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
         if isinstance(message, ImuSample):
@@ -275,6 +302,8 @@ class Estimator:
             history.insert(message)
             if isinstance(message, AdcpPing):
                 history.adapt()
+            if self._former is not None:
+                self._former.use(message)
             self._account[f"{sensor}.late_applied"] += 1
 
     def _move(self, history: History, sample: ImuSample, out: list[Signal]) -> None:
@@ -291,6 +320,8 @@ class Estimator:
                 stop_ns = min(stop_ns, self._waiting[0].t_ns)
             self._publish(filter_, out)
             history.advance(stop_ns, sample)
+            if self._former is not None:
+                self._former.advance(stop_ns, sample)
             if stop_ns == self._next_ns:
                 self._open = True
                 self._next_ns += self._period_ns
@@ -322,6 +353,8 @@ class Estimator:
             history.correct(message)
             if isinstance(message, AdcpPing):
                 history.adapt()
+            if self._former is not None:
+                self._former.use(message)
         if self._open:
             if type(message) in self._awaited:
                 self._awaited.remove(type(message))
@@ -358,10 +391,14 @@ class Estimator:
             status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
         if self._anew is None and self._restarts.watch(filter_.belief, status, broken=self._monitor.broken):
             self._anew = self._restarts.begin(t_ns, self._recent)
+        elif self._restarts.began_to_doubt(t_ns) and self._former is None:
+            self._former = Former(filter_, spacing_ns(self._suite), self._restarts.memory())
         elif self._restarts.is_belief_due(t_ns) and usable(filter_.belief):
             self._restarts.keep(filter_.settled())
         if self._resumed_ns is not None and t_ns - self._resumed_ns < GRACE_NS:
             status, why = FilterStatus.RESTARTED, why or "went on from a checkpoint"
+        elif self._returned_ns is not None and t_ns - self._returned_ns < GRACE_NS:
+            status, why = FilterStatus.RESTARTED, why or "went back to what it was before it was doubted"
         elif self._restarts.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:

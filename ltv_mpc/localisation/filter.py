@@ -181,11 +181,17 @@ class Filter:
 
     def settled(self) -> Belief:
         """A copy of the belief with its whole covariance at its time; the filter itself stays as it is, bit for bit."""
+        other = self.twin()
+        other.settle()
+        return other.belief
+
+    def twin(self) -> Filter:
+        """Another that stands where this one does; its account is empty and nobody observes it."""
         other = copy.copy(self)
         other.belief, other.water = self.belief.copy(), self.water.copy()
         other._Phi, other._Q = self._Phi.copy(), self._Q.copy()
-        other.settle()
-        return other.belief
+        other.account, other.observers = Counter(), []
+        return other
 
     def core_covariance(self) -> Array:
         """Of the core at the belief's time, (15, 15), without moving the rest."""

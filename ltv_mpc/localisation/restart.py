@@ -63,6 +63,15 @@ class Place(NamedTuple):
     variance_m2: float  # of the worse of both axes
 
 
+class Memory(NamedTuple):
+    """What is known of a filter and of restarts before it, for one that comes back (``former.py``)."""
+
+    places: tuple[Place, ...]
+    beliefs: tuple[Belief, ...]
+    last_ns: int | None
+    wider: float
+
+
 def finite(belief: Belief) -> bool:
     """A quick look, for every message: what is not finite anywhere is not finite here by the next."""
     x, P = belief.x, belief.P
@@ -96,6 +105,10 @@ class Restarts:
     def doubts(self) -> bool:
         """The filter's innovations are out of their band."""
         return self._bad_since_ns is not None
+
+    def began_to_doubt(self, t_ns: int) -> bool:
+        """At this second."""
+        return self._bad_since_ns == t_ns
 
     def recent(self, t_ns: int) -> bool:
         """It has begun anew a short while ago."""
@@ -157,6 +170,16 @@ class Restarts:
             if message.t_ns >= t_ns and not isinstance(message, GnssFix):
                 alignment.take(message)
         return alignment
+
+    def memory(self) -> Memory:
+        """Before a filter begins anew."""
+        return Memory(tuple(self._places), tuple(self._beliefs), self._last_ns, self._wider)
+
+    def recall(self, memory: Memory) -> None:
+        """That filter is believed again."""
+        self._places = deque(memory.places, maxlen=_KEPT)
+        self._beliefs = deque(memory.beliefs, maxlen=self._beliefs.maxlen)
+        self._last_ns, self._wider, self._bad_since_ns = memory.last_ns, memory.wider, None
 
     def graft(self, belief: Belief) -> bool:
         """Give ``belief``, which a new filter begins with, the water and the profiler of the last good one, as unsure
