@@ -5,8 +5,11 @@ What has been found of a run is written down as it ends (``kept.py``); a campaig
 
 from __future__ import annotations
 
+import math
 import os
+import resource
 import shutil
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
@@ -52,7 +55,9 @@ LAST_S = 10.0
 
 CORES_A_RUN = 0.4
 LOAD = 0.7
-"""What a run of processes at twice real time takes of a core, and how much of all of them runs may take."""
+"""What a run of processes at twice real time takes of a core where it is not measured, and how much of all of them runs
+may take: what is asked by the wall is not asked of a machine that has more to do than it can.
+"""
 
 Tell = Callable[[int], None]
 
@@ -212,7 +217,7 @@ def in_processes(
             kept.add_errors(task.name, errors(recorded.read(recording, vehicle).log))
             remove(ended.folder)
 
-        _side_by_side(alone, kept.path, keep_errors)
+        _side_by_side(alone, kept.path, keep_errors, measured=True)
 
     def keep(task: Task, ended: OfProcesses) -> None:
         baseline = None if quick else kept.errors(_without(task.way, task.run.seed))
@@ -222,7 +227,7 @@ def in_processes(
         if not any(map(problems, seen)):
             remove(ended.folder)
 
-    _side_by_side(missing, kept.path, keep)
+    _side_by_side(missing, kept.path, keep, measured=not quick)
     return [one for task in tasks for one in kept.seen(task.name) or ()]
 
 
@@ -242,17 +247,43 @@ def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -
     ]
 
 
-def _side_by_side(tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None]) -> None:
-    """As many at a time as the machine bears; ``ended`` is called with each as it ends."""
+def _side_by_side(
+    tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None], *, measured: bool
+) -> None:
+    """As many at a time as the machine bears; ``ended`` is called with each as it ends.
+
+    ``measured``: the first is made alone, and what it took of the machine decides.
+    """
+    cores = CORES_A_RUN
+    if measured and len(tasks) > 1:
+        first, *tasks = tasks
+        before = _work_s(), time.monotonic()
+        ended(first, _make(first, folder))
+        cores = (_work_s() - before[0]) / (time.monotonic() - before[1])
     if not tasks:
         return
-    with ThreadPoolExecutor(max(1, int(LOAD * (os.cpu_count() or 1) / CORES_A_RUN))) as pool:
-        made = {pool.submit(WAYS[task.way], task.run, _empty(folder / task.name)): task for task in tasks}
+    with ThreadPoolExecutor(at_a_time(cores)) as pool:
+        made = {pool.submit(_make, task, folder): task for task in tasks}
         try:
             for future in as_completed(made):
                 ended(made[future], future.result())
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def at_a_time(cores_a_run: float) -> int:
+    """Runs side by side, of which each takes so many cores."""
+    return max(1, math.floor(LOAD * (os.cpu_count() or 1) / max(cores_a_run, 0.01) + 1e-9))
+
+
+def _make(task: Task, folder: Path) -> OfProcesses:
+    return WAYS[task.way](task.run, _empty(folder / task.name))
+
+
+def _work_s() -> float:
+    """Processor time of all processes that this one has started and that have ended, and of theirs."""
+    of = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return of.ru_utime + of.ru_stime
 
 
 def _empty(folder: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -104,6 +105,38 @@ def test_runs_of_processes_are_made_once_and_stay_only_if_something_was_not_as_p
     recorded = False
     with pytest.raises(campaign.Unmeasured, match=r"without-\w+-300\d: the run"):
         campaign.run(plan, kept.opened(tmp_path, asked, force=True), seed=3, quick=False)
+
+
+@pytest.mark.parametrize(("busy", "most"), [(True, 1), (False, 4)])
+def test_the_first_run_of_processes_is_alone_and_what_it_takes_says_how_many_go_side_by_side(
+    monkeypatch, tmp_path, busy, most
+):
+    """On four cores of which 2.8 may be used: one at a time where a run takes three, four of 0.7 each."""
+    lock, running, together = threading.Lock(), [], []
+    meet = threading.Barrier(most)
+    times = iter([0.0, 30.0 if busy else 7.0])
+
+    def make(run, folder):
+        with lock:
+            running.append(folder.name)
+            together.append(len(running))
+        if len(together) > 1:
+            meet.wait(20)
+        with lock:
+            running.remove(folder.name)
+        return OfProcesses(run, folder, (), (), "")
+
+    monkeypatch.setattr(campaign, "WAYS", {"bus": make})
+    monkeypatch.setattr(campaign, "_work_s", lambda: next(times))
+    monkeypatch.setattr(campaign.time, "monotonic", iter([0.0, 10.0]).__next__)
+    monkeypatch.setattr(campaign.os, "cpu_count", lambda: 4)
+    tasks = [campaign.Task(f"bus-{i:03d}", "bus", None) for i in range(1 + 2 * most)]
+    ended: list[str] = []
+    campaign._side_by_side(tasks, tmp_path, lambda task, _: ended.append(task.name), measured=True)
+    assert sorted(ended) == [task.name for task in tasks]
+    assert together[0] == 1
+    assert max(together) == most
+    assert campaign.at_a_time(campaign.CORES_A_RUN) == 7
 
 
 def test_all_that_was_seen_comes_back_as_it_was(tmp_path):
