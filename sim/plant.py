@@ -33,9 +33,6 @@ REPORT_NS = 100_000_000
 ARMING = 1
 """The number of the one command that it gives."""
 
-UNDISTURBED: Triple = (1.0, 1.0, 1.0)
-"""All of the thrust that the propellers give."""
-
 
 class Plant:
     """Reads ``Plan`` and ``Disturbance``; writes ``Truth`` each step, ``Applied`` each 100 ms and with each message
@@ -143,7 +140,9 @@ class Plant:
         roll, pitch = self._attitude.at(t_ns)
         # [n', e'] = R(psi) [u, v] + c(z)
         north, east = level_to_ned(u, v, psi)
-        scale = UNDISTURBED if self._disturbance is None else self._disturbance.thrust_scale
+        delivered = self._factor * self._thrust
+        if self._disturbance is not None:
+            delivered *= self._disturbance.thrust_scale
         return Truth(
             t_ns=t_ns,
             position_m=(n, e, z),
@@ -152,7 +151,7 @@ class Plant:
             water_velocity_mps=(u, v, w),
             yaw_rate_radps=r,
             current_mps=current,
-            thrust_N=_triple(self._factor * self._thrust * np.array(scale)),
+            thrust_N=_triple(delivered),
         )
 
     def _report(self, t_ns: int) -> Applied:

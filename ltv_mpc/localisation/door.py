@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ltv_mpc.signals import AdcpPing, GnssFix, ImuSample, LblRange, Signal, TdcpFix
+from ltv_mpc.signals import AdcpPing, GnssFix, ImuSample, LblRange, Signal, TdcpFix, Triple
 
 AHEAD_NS = 250_000_000
 """The clocks of two computers may differ by some of it."""
@@ -88,15 +88,15 @@ class Door:
         if before is None or before.t_ns == sample.t_ns:
             return False
         seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, LEAST_S)
-        turned, pushed = (
-            max(abs(x - y) for x, y in zip(now, then, strict=True))
-            for now, then in (
-                (sample.angular_rate_radps, before.angular_rate_radps),
-                (sample.specific_force_mps2, before.specific_force_mps2),
-            )
-        )
+        turned = _apart(sample.angular_rate_radps, before.angular_rate_radps)
+        pushed = _apart(sample.specific_force_mps2, before.specific_force_mps2)
         if turned > TURN_RADPS2 * seconds or pushed > JERK_MPS3 * seconds:
             self._to_agree = AGREEING
         elif self._to_agree:
             self._to_agree -= 1
         return self._to_agree > 0
+
+
+def _apart(a: Triple, b: Triple) -> float:
+    """The largest difference of a part."""
+    return max(abs(a[0] - b[0]), abs(a[1] - b[1]), abs(a[2] - b[2]))
