@@ -127,7 +127,11 @@ class ControllerNode:
         refused = {"estimate": self.controller.guard.refused.total(), "applied": 0}
         ages = self.controller.config.ages
         return tuple(
-            InputReport(input=name, refused=refused[name] + of.out_of_order, **of.word(self._cycled_ns, ages)._asdict())
+            InputReport(
+                input=name,
+                refused=refused[name] + of.refused,
+                **of.word(self._cycled_ns, ages)._asdict(),
+            )
             for name, of in (("estimate", self.estimates), ("applied", self.reports))
         )
 

@@ -23,6 +23,11 @@ MOST_MISSING = 2.0
 SET_BACK_NS = 10_000_000_000
 """A stamp that is so much older than the one before means that the sender's clock was set back."""
 
+AHEAD_NS = 250_000_000
+"""The clocks of two computers may differ by some of it. What is stamped further ahead of its arrival is of a clock that
+has jumped; believed, it would make all that is true look old until its time has come.
+"""
+
 
 class Period:
     """The time between two messages of a kind."""
@@ -66,8 +71,8 @@ class Input:
     """One input: who sends it, in which order, and when it was heard last."""
 
     def __init__(self) -> None:
-        self.out_of_order = 0
-        """Messages that came after a newer one: not read."""
+        self.refused = 0
+        """Messages that came after a newer one, or are stamped later than they came: not read."""
         self.period = Period()
         self._epoch: int | None = None
         self._sequence = -1
@@ -75,15 +80,19 @@ class Input:
         self._heard_ns = 0
 
     def hear(self, *, epoch: int, sequence: int, stamp_ns: int, heard_ns: int) -> bool:
-        """Whether a message is news: the next of its source, or the first of another, and of a later time.
+        """Whether a message is news: the next of its source, or the first of another, and of a later time, not of one
+        that is still to come.
 
         A source is known by its epoch, which each start of a process draws anew.
         """
+        if stamp_ns > heard_ns + AHEAD_NS:
+            self.refused += 1
+            return False
         same = epoch == self._epoch
         older_ns = 0 if self._stamp_ns is None else self._stamp_ns - stamp_ns
         set_back = older_ns > SET_BACK_NS
         if (same and sequence <= self._sequence) or (older_ns > 0 and not set_back):
-            self.out_of_order += 1
+            self.refused += 1
             return False
         if set_back:
             self.period = Period()

@@ -15,11 +15,14 @@ from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.signals import (
     Acknowledged,
     Action,
+    Applied,
     Authority,
     Command,
     ControllerCheckpoint,
+    CurrentProfile,
     CycleTiming,
     Health,
+    ModelCheck,
     Restore,
     Signal,
 )
@@ -40,6 +43,7 @@ class Flight:
         self.plans: list[Plan] = []
         self.checkpoints: list[ControllerCheckpoint] = []
         self.answers: list[Acknowledged] = []
+        self.words: list[Signal] = []  # all
         self._sequence = 0
 
     def arrival(self, signal: Signal) -> Arrival:
@@ -51,6 +55,7 @@ class Flight:
         inbox = [self.arrival(word) for word in (*words, self.estimate)]
         for signal in self.node.step(self.estimate.t_ns, inbox):
             assert refusal(signal) is None
+            self.words.append(signal)
             match signal:
                 case Plan():
                     self.plans.append(signal)
@@ -231,6 +236,27 @@ def test_estimates_out_of_order_are_not_planned_on_and_are_counted():
         assert plan.estimate_t_ns == t
     word = node.inputs()[0]
     assert (word.input, word.refused, word.alive, word.valid) == ("estimate", 2, True, True)
+
+
+def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_old():
+    """By 200 s, once: the model is checked again from the next report on."""
+    still_water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
+    flight = armed(references.load("line"), 5)
+
+    def said(ahead_ns: int) -> Signal:
+        t_ns = flight.estimate.t_ns + ahead_ns
+        still = {"thrust_N": (0.0, 0.0, 0.0), "command_N": (0.0, 0.0, 0.0), "command_slew_N_per_s": (0.0, 0.0, 0.0)}
+        counts = {"plan_epoch": 0, "plan_sequence": -1, "plan_cycle_t_ns": 0, "plan_received_t_ns": 0}
+        late = {"plan_late": False, "plans_late": 0, "plans_refused": 0}
+        return Applied(t_ns=t_ns, **still, **counts, **late)
+
+    for ahead_ns in (0, 0, 200 * S, *[0] * 8):
+        flight.estimate = msgspec.structs.replace(flight.estimate, current=still_water)
+        flight.step(said(ahead_ns))
+    words = [signal.t_ns for signal in flight.words if isinstance(signal, ModelCheck)]
+    assert words[-1] > flight.estimate.t_ns - 2 * S
+    word = flight.node.inputs()[1]
+    assert (word.input, word.refused, word.alive, word.valid) == ("applied", 1, True, True)
 
 
 def test_health_follows_the_age_of_the_estimate_and_reports_that_fall_silent():

@@ -55,7 +55,7 @@ def test_what_comes_again_or_after_a_newer_one_is_counted_and_not_read():
     assert not of.hear(epoch=7, sequence=1, stamp_ns=300 * MS, heard_ns=300 * MS)
     assert not of.hear(epoch=7, sequence=3, stamp_ns=150 * MS, heard_ns=300 * MS)
     assert not of.hear(epoch=9, sequence=0, stamp_ns=150 * MS, heard_ns=300 * MS)
-    assert of.out_of_order == 4
+    assert of.refused == 4
     assert of.word(300 * MS) == before
 
 
@@ -67,12 +67,23 @@ def test_a_source_that_was_started_anew_goes_on_and_one_whose_clock_was_set_back
     assert of.word(1000 * MS).period_ns == 0
 
 
+def test_a_clock_that_jumps_ahead_and_comes_back_leaves_nothing_behind():
+    """By 5 s, which is no set back clock, and by 200 s."""
+    for jump_ms in (300, 5_000, 200_000):
+        of = heard(0, 100, 200)
+        assert not of.hear(epoch=7, sequence=3, stamp_ns=(300 + jump_ms) * MS, heard_ns=300 * MS)
+        assert of.refused == 1
+        assert of.hear(epoch=7, sequence=4, stamp_ns=400 * MS, heard_ns=400 * MS)
+        assert of.word(400 * MS).valid
+        assert of.silent_ns(450 * MS) == 50 * MS
+
+
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 9), st.integers(0, 2000)), max_size=30))
 def test_what_is_read_of_one_source_has_growing_sequences_and_stamps(messages):
     of, last = Input(), {}
     newest = -1
     for epoch, sequence, stamp_ms in messages:
-        if of.hear(epoch=epoch, sequence=sequence, stamp_ns=stamp_ms * MS, heard_ns=0):
+        if of.hear(epoch=epoch, sequence=sequence, stamp_ns=stamp_ms * MS, heard_ns=2000 * MS):
             if last and last["epoch"] == epoch:
                 assert sequence > last["sequence"]
             assert stamp_ms >= newest
