@@ -1,6 +1,6 @@
 """One QP a cycle against the converged optimum in closed loop: what is lost by not iterating.
 
-    PYTHON -m benchmarks.closed_loop --out FILE.json [--seeds N] [--duration-s T]
+    PYTHON -m benchmarks.closed_loop --out FILE.json [--seeds N] [--duration-s T] [--workers N]
 
 PYTHON has casadi beside what the project needs. The paper's descent, state known, 5 s of horizon. Each seed is flown
 twice, by the controller and by one that differs in this alone: its commands are those to which IPOPT converges on the
@@ -17,9 +17,10 @@ Seeds that FILE has already are not flown again.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -33,6 +34,7 @@ from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.signals import Array
+from services.measure.batch import each
 from services.run.situation import Situation
 
 FIRST_SEED = 500
@@ -104,30 +106,49 @@ def ratio(pairs: Array) -> tuple[float, float, float]:
     return float(pairs[:, 0].sum() / pairs[:, 1].sum()), float(low), float(high)
 
 
+class Job(NamedTuple):
+    """One seed, flown twice."""
+
+    seed: int
+    duration_s: float
+
+
+@functools.cache
+def _optimum() -> Optimum:
+    """Made once by each process: it takes IPOPT some seconds."""
+    here = situation()
+    return Optimum(here.vehicle, here.scenario.controller)
+
+
+def pair(job: Job) -> dict[str, float]:
+    """What FILE keeps of it."""
+    here = situation(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}")
+    (ours, flown, _), (theirs, best, share) = fly(here, None), fly(here, _optimum())
+    return {
+        "ours": ours,
+        "optimum": theirs,
+        "ours_m": flown.mean_m,
+        "optimum_m": best.mean_m,
+        "converged": share,
+    }
+
+
 def main() -> None:
     """Fly, keep, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--duration-s", type=float, default=200.0)
+    parser.add_argument("--workers", type=int)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     kept: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
-    optimum: Optimum | None = None
+    seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
+    jobs = [Job(seed, options.duration_s) for seed in seeds if str(seed) not in kept]
     with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("pairs of descents", total=options.seeds)
-        for seed in range(FIRST_SEED, FIRST_SEED + options.seeds):
-            if str(seed) not in kept:
-                here = situation(f"run.seed={seed}", f"run.duration_s={options.duration_s}")
-                optimum = optimum or Optimum(here.vehicle, here.scenario.controller)
-                (ours, flown, _), (theirs, best, share) = fly(here, None), fly(here, optimum)
-                kept[str(seed)] = {
-                    "ours": ours,
-                    "optimum": theirs,
-                    "ours_m": flown.mean_m,
-                    "optimum_m": best.mean_m,
-                    "converged": share,
-                }
-                options.out.write_text(json.dumps(kept, indent=1) + "\n")
+        task = progress.add_task("pairs of descents", total=options.seeds, completed=options.seeds - len(jobs))
+        for place, row in each(pair, jobs, workers=options.workers):
+            kept[str(jobs[place].seed)] = row
+            options.out.write_text(json.dumps(kept, indent=1) + "\n")
             progress.advance(task)
     pairs = np.array([[row["ours"], row["optimum"]] for row in kept.values()])
     mean, low, high = ratio(pairs)
