@@ -38,6 +38,11 @@ def everything(estimate: Estimate) -> Estimate:
     return estimate
 
 
+def no_depth(estimate: Estimate) -> Estimate:
+    """All of the current, and not where in it the vehicle is: as a publisher may who has no pressure gauge."""
+    return msgspec.structs.replace(estimate, depth_m=None, velocity_down_mps=None)
+
+
 def constant(depth_m: np.ndarray, seed: int) -> WaterColumn:
     """4 cm/s at all depths."""
     towards = np.array([np.cos(TURN_RAD * seed), np.sin(TURN_RAD * seed)])
@@ -51,6 +56,7 @@ TOLD: dict[str, tuple[Told, tuple[str, ...]]] = {
     "here": (without_preview, ()),
     "all": (everything, ()),
     "all, disturbance state": (everything, (STATE,)),
+    "all, and no depth": (no_depth, ()),
 }
 
 
