@@ -23,9 +23,10 @@ MOST_MISSING = 2.0
 SET_BACK_NS = 10_000_000_000
 """A stamp that is so much older than the one before means that the sender's clock was set back."""
 
-AHEAD_NS = 250_000_000
-"""The clocks of two computers may differ by some of it. What is stamped further ahead of its arrival is of a clock that
-has jumped; believed, it would make all that is true look old until its time has come.
+AHEAD_NS = 1_000_000_000
+"""What is stamped further ahead of its arrival is of a clock that has jumped; believed, it would make all that is true
+look old until its time has come. Another computer's clock is known to half a second while it is first heard through
+delays that jump.
 """
 
 

@@ -32,7 +32,7 @@ from services.bus.wire import WireError, crc
 from services.process import ports
 from services.process.clock import VehicleClock, monotonic_us
 from services.process.foreign_clock import Reading
-from services.process.foreign_time import OF_ALL, ForeignTime
+from services.process.foreign_time import OF_ALL, STAMPED, ForeignTime
 from services.process.inbox import PendingInbox
 from services.process.schedule import Timetable
 from services.process.status import StatusReport
@@ -309,7 +309,7 @@ class Runner:
             epoch=header.epoch,
             sequence=header.sequence,
             crc=crc(frame.payload),
-            received_t_ns=now_ns,
+            received_t_ns=self._received_ns(signal, frame.received_monotonic_us),
         )
         if kind is Command and self._timetable.next_ns is not None:
             self._asked = frame.key
@@ -388,6 +388,13 @@ class Runner:
 
     def _clock_reading(self, now_us: int) -> Reading:
         return OF_ALL if self.foreign is None else self.foreign.reading(now_us)
+
+    def _received_ns(self, signal: Signal, received_us: int) -> int:
+        """When it came; before there is a time, the one that it says itself."""
+        reading = self._clock.read(received_us)
+        if reading is None and isinstance(signal, STAMPED):
+            return signal.t_ns
+        return reading or 0
 
     def _now_ns(self, now_us: int) -> int:
         reading = self._clock.read(now_us)

@@ -37,6 +37,7 @@ from services.process.clock import fraction_of, monotonic_us
 from services.views.plots.recorded import thrusters
 from tests.services.views import made_up
 from tests.services.views.made_up import EPOCH, S
+from tests.services.words import status
 
 K = TypeVar("K", bound=Signal)
 
@@ -117,7 +118,7 @@ class MadeUpVehicle:
             self._obey()
             if turn % 10 == 1:
                 for node in NODES:
-                    self.say(node, made_up.status(node, self._now_ns()))
+                    self.say(node, status(node, t_ns=self._now_ns()))
             self.say("plant", self._clock)
             while waiting[2] <= self._now_ns():
                 if not isinstance(waiting[1], Clock):

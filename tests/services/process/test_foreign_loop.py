@@ -122,7 +122,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
                     here.send(_shifted(said, UNIX_NS), m_us)
         for signal, number, at_us in here.come(m_us):
             assert foreign.heard(signal, at_us) == ""
-            inbox.append(Arrival(signal, 5, number, clock.read(at_us) or 0))
+            inbox.append(Arrival(signal, 5, number, clock.read(at_us) or signal.t_ns))
         now_ns = clock.read(m_us)
         if now_ns is not None and now_ns >= (due_ns or now_ns):
             due_ns = now_ns + 300_000_000
