@@ -25,7 +25,8 @@ SPEED_MPS = 0.04
 TURN_RAD = 2.4
 """From seed to seed."""
 
-STATE = "controller.disturbance.sd_mps=0.1"
+STATE, NO_STATE = "controller.disturbance.sd_mps=0.1", "controller.disturbance.sd_mps=0.0"
+"""Always, never; as it is, where nobody tells of a current."""
 
 
 def nothing(estimate: Estimate) -> Estimate:
@@ -38,11 +39,6 @@ def everything(estimate: Estimate) -> Estimate:
     return estimate
 
 
-def no_depth(estimate: Estimate) -> Estimate:
-    """All of the current, and not where in it the vehicle is: as a publisher may who has no pressure gauge."""
-    return msgspec.structs.replace(estimate, depth_m=None, velocity_down_mps=None)
-
-
 def constant(depth_m: np.ndarray, seed: int) -> WaterColumn:
     """4 cm/s at all depths."""
     towards = np.array([np.cos(TURN_RAD * seed), np.sin(TURN_RAD * seed)])
@@ -51,12 +47,11 @@ def constant(depth_m: np.ndarray, seed: int) -> WaterColumn:
 
 WATERS = ("constant", "profile")
 TOLD: dict[str, tuple[Told, tuple[str, ...]]] = {
+    "nothing, none estimated": (nothing, (NO_STATE,)),
     "nothing": (nothing, ()),
-    "nothing, disturbance state": (nothing, (STATE,)),
     "here": (without_preview, ()),
     "all": (everything, ()),
     "all, disturbance state": (everything, (STATE,)),
-    "all, and no depth": (no_depth, ()),
 }
 
 

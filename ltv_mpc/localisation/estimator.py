@@ -247,11 +247,11 @@ class Estimator:
         if self._anew is None and not finite(history.filter.belief) and self._restarts.knows_a_place:
             self._anew = self._restarts.begin(history.filter.belief.t_ns, self._recent)
         if self._anew is not None and not self._anew.waiting_for:
-            self._replace(history.filter, self._anew)
+            history = self._replace(history.filter, self._anew)
         if self._former is not None:
             self._look_back(history.filter, self._former)
 
-    def _replace(self, old: Filter, alignment: Alignment) -> None:
+    def _replace(self, old: Filter, alignment: Alignment) -> History:
         """The new filter takes over, at the time that the old one has reached; nothing is published on the way."""
         self._anew = None
         former, self._former = self._former, None  # has had all of it
@@ -267,13 +267,15 @@ class Estimator:
         self._next_ns, self._open = next_ns, open_
         history.filter.account.clear()  # counted when the old filter used it
         self._former = former
+        return history
 
     def _look_back(self, current: Filter, former: Former) -> None:
         """The filter from before the doubt is believed again once what it refused agrees with it, or forgotten."""
         t_ns = current.belief.t_ns
-        if former.expired or not finite(former.filter.belief):
+        in_doubt = self._restarts.doubts or self._restarts.recent(t_ns)
+        if former.expired or not finite(former.filter.belief) or (former.agrees and not in_doubt):
             self._former = None
-        elif former.agrees and (self._restarts.doubts or self._restarts.recent(t_ns)):
+        elif former.agrees:
             self._former = self._anew = None
             self._account.update(current.account)
             self._monitor.forget()

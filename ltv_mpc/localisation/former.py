@@ -6,8 +6,9 @@ that is unsure of its velocity, may believe it. So a twin that grants nothing is
 the first doubt on: where what ties velocity and depth down agrees with it again while the filter in use is doubted or
 new, it was the instrument, and the twin takes its place.
 
-Agrees  of each tie the last ``ENOUGH`` messages have passed the gate, ``PASSED`` of their rows, within ``KEPT_NS``.
-        A filter that was wrong does not come to that by waiting: what it refuses cannot correct it.
+Agrees  of each tie the last ``ENOUGH`` messages have passed the gate, ``PASSED`` of their rows, within ``KEPT_NS``, and
+        at least one had not before. A filter that was wrong does not come to that by waiting: what it refuses cannot
+        correct it. One whose innovations are too large, and pass, has refused nothing and has nothing to come back to.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ class Former:
         self._history = History(twin, spacing_ns)
         self.memory = memory
         self._until_ns = twin.belief.t_ns + KEPT_NS
+        self._has_refused = False
         self._agreed: dict[str, deque[bool]] = {name: deque(maxlen=ENOUGH) for name in TIES}
 
     @property
@@ -53,7 +55,7 @@ class Former:
     def agrees(self) -> bool:
         """With what it refused before."""
         enough = all(len(self._agreed[name]) == ENOUGH for name in NEEDED)
-        return enough and all(all(said) for said in self._agreed.values())
+        return self._has_refused and enough and all(all(said) for said in self._agreed.values())
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
         """As the other does."""
@@ -68,4 +70,6 @@ class Former:
 
     def _hear(self, verdict: Verdict) -> None:
         if verdict.sensor in self._agreed and len(verdict.accepted):
-            self._agreed[verdict.sensor].append(verdict.definite and float(verdict.accepted.mean()) >= PASSED)
+            passed = float(verdict.accepted.mean()) if verdict.definite else 0.0
+            self._agreed[verdict.sensor].append(passed >= PASSED)
+            self._has_refused = self._has_refused or 2.0 * passed < 1.0

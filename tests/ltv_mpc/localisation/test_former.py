@@ -104,6 +104,21 @@ def test_a_filter_that_was_led_astray_or_is_refused_still_does_not_come_back(mak
     assert not said.came_back
 
 
+def test_innovations_that_are_too_large_and_pass_the_gate_are_nothing_to_come_back_to(make_dive, inbox_of):
+    """Twice the noise that it says: most of it passes, and it begins anew as ever."""
+    rng = np.random.default_rng(3)
+
+    def change(message: Signal) -> Signal:
+        if not isinstance(message, AdcpPing):
+            return message
+        noisy = message.beam_velocity_mps + 0.045 * rng.standard_normal(message.beam_velocity_mps.shape)
+        return msgspec.structs.replace(message, beam_velocity_mps=noisy)
+
+    said = Said(make_dive, inbox_of, change)
+    assert said.reports[34 * SECOND].restarts == 1
+    assert not said.came_back
+
+
 def test_it_is_forgotten_after_a_minute(make_dive, inbox_of, monkeypatch):
     monkeypatch.setattr(former, "KEPT_NS", 2 * SECOND)
     assert not Said(make_dive, inbox_of, profiler_off(30.0)).came_back
