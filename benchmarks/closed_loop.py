@@ -1,17 +1,17 @@
-"""One QP a cycle against the converged optimum in closed loop: what is lost by not iterating.
+"""One QP a cycle, or a few, against the converged optimum in closed loop: what is lost by not iterating.
 
     PYTHON -m benchmarks.closed_loop --out FILE.json [--seeds N] [--duration-s T] [--workers N]
 
 PYTHON has casadi beside what the project needs. The paper's descent, state known, 5 s of horizon. Each seed is flown
-twice, by the controller and by one that differs in this alone: its commands are those to which IPOPT converges on the
-nonlinear problem (``optimum.py``), started from what the QP came to, the best start that there is. The cost of a flight
-is the controller's own, summed over what really happened on its cycles' grid:
+by the controller with one QP a cycle, two and three, and by one that differs in this alone: its commands are those to
+which IPOPT converges on the nonlinear problem (``optimum.py``), started from what the QP came to, the best start that
+there is. The cost of a flight is the controller's own, summed over what really happened on its cycles' grid:
 
     J = sum over cycles of  w |p - ref|^2 + r |F / max|^2 + s |dF / max|^2
 
 The figure is the ratio of summed costs over all seeds, with its 95 % interval (bootstrap over pairs). Single seeds may
 fall below 1: the two go to other local optima, and none of them knows what lies beyond its horizon.
-Seeds that FILE has already are not flown again.
+Flights that FILE has already are not flown again.
 """
 
 from __future__ import annotations
@@ -39,6 +39,11 @@ from services.run.situation import Situation
 
 FIRST_SEED = 500
 RESAMPLES = 10_000
+SPREAD = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+OPTIMUM = "optimum"
+NAMES = ("1", "2", "3", OPTIMUM)
+"""QPs a cycle (``sqp_iterations``), and what IPOPT makes of the first."""
 
 
 class Converged:
@@ -82,8 +87,17 @@ def cost(of: Situation, flown: Outcome) -> float:
     return float(total + weights.thrust * np.sum(f * f) + weights.thrust_change * np.sum(change * change))
 
 
-def fly(of: Situation, optimum: Optimum | None) -> tuple[float, Outcome, float]:
-    """Cost, flight, and the share of cycles in which IPOPT converged."""
+class Flight(NamedTuple):
+    """One descent: the cost, the mean distance (m), the mean |F| (N), the share of cycles in which IPOPT converged."""
+
+    cost: float
+    mean_m: float
+    mean_abs_N: float
+    converged: float = 0.0
+
+
+def fly(of: Situation, optimum: Optimum | None) -> Flight:
+    """With IPOPT after the QP, if there is one."""
     controller = Controller(of.vehicle, of.reference, of.scenario.controller)
     made: list[Converged] = []
     if optimum is not None:
@@ -95,7 +109,8 @@ def fly(of: Situation, optimum: Optimum | None) -> tuple[float, Outcome, float]:
         controller.solve_with(converged)
     outcome = Loop(situation=of, controller=controller).fly()
     cycles = sum(one.cycles for one in made)
-    return cost(of, outcome), outcome, sum(one.converged for one in made) / cycles if cycles else 0.0
+    share = sum(one.converged for one in made) / cycles if cycles else 0.0
+    return Flight(cost(of, outcome), outcome.mean_m, outcome.mean_abs_N, share)
 
 
 def ratio(pairs: Array) -> tuple[float, float, float]:
@@ -107,10 +122,11 @@ def ratio(pairs: Array) -> tuple[float, float, float]:
 
 
 class Job(NamedTuple):
-    """One seed, flown twice."""
+    """The flights of one seed that are not known yet, by name."""
 
     seed: int
     duration_s: float
+    names: tuple[str, ...]
 
 
 @functools.cache
@@ -120,16 +136,14 @@ def _optimum() -> Optimum:
     return Optimum(here.vehicle, here.scenario.controller)
 
 
-def pair(job: Job) -> dict[str, float]:
-    """What FILE keeps of it."""
-    here = situation(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}")
-    (ours, flown, _), (theirs, best, share) = fly(here, None), fly(here, _optimum())
+def flights(job: Job) -> dict[str, Flight]:
+    """Each of them."""
+    settings = (f"run.seed={job.seed}", f"run.duration_s={job.duration_s}")
     return {
-        "ours": ours,
-        "optimum": theirs,
-        "ours_m": flown.mean_m,
-        "optimum_m": best.mean_m,
-        "converged": share,
+        name: fly(situation(*settings), _optimum())
+        if name == OPTIMUM
+        else fly(situation(*settings, f"controller.sqp_iterations={name}"), None)
+        for name in job.names
     }
 
 
@@ -141,23 +155,35 @@ def main() -> None:
     parser.add_argument("--workers", type=int)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    kept: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
+    kept: dict[str, dict[str, Any]] = json.loads(options.out.read_text()) if options.out.exists() else {}
     seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
-    jobs = [Job(seed, options.duration_s) for seed in seeds if str(seed) not in kept]
+    missing = {seed: tuple(name for name in NAMES if name not in kept.get(str(seed), {})) for seed in seeds}
+    jobs = [Job(seed, options.duration_s, names) for seed, names in missing.items() if names]
     with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("pairs of descents", total=options.seeds, completed=options.seeds - len(jobs))
-        for place, row in each(pair, jobs, workers=options.workers):
-            kept[str(jobs[place].seed)] = row
+        task = progress.add_task("seeds", total=options.seeds, completed=options.seeds - len(jobs))
+        for place, flown in each(flights, jobs, workers=options.workers):
+            row = kept.setdefault(str(jobs[place].seed), {})
+            row.update({name: flight._asdict() for name, flight in flown.items()})
             options.out.write_text(json.dumps(kept, indent=1) + "\n")
             progress.advance(task)
-    pairs = np.array([[row["ours"], row["optimum"]] for row in kept.values()])
-    mean, low, high = ratio(pairs)
-    single = np.quantile(pairs[:, 0] / pairs[:, 1], [0.0, 0.25, 0.5, 0.75, 1.0])
-    print(f"ratio of summed costs over {len(pairs)} seeds: {mean:.4f} (95 %: {low:.4f} to {high:.4f})")
-    print(f"by seed, least, quartiles, most: {', '.join(f'{x:.3f}' for x in single)}")
-    metres = [np.mean([row[name] for row in kept.values()]) for name in ("ours_m", "optimum_m")]
-    print(f"mean distance: {metres[0]:.4f} m, optimum {metres[1]:.4f} m")
-    print(f"IPOPT converged in {100 * np.mean([row['converged'] for row in kept.values()]):.1f} % of its cycles")
+    print(table(kept))
+
+
+def table(kept: dict[str, dict[str, Any]]) -> str:
+    """Ratios to the optimum, paired by seed."""
+    columns = "ratio of summed costs (95 %) | by seed: least, quartiles, most | distance (m) | abs F (N)"
+    lines = [f"| mean of {len(kept)} seeds | {columns} |", "|---|---|---|---|---|"]
+    for name in NAMES:
+        flown = [(row[name], row[OPTIMUM]) for row in kept.values()]
+        pairs = np.array([[one["cost"], best["cost"]] for one, best in flown])
+        mean, low, high = ratio(pairs)
+        said, spread = f"{mean:.3f} ({low:.3f} to {high:.3f})", np.quantile(pairs[:, 0] / pairs[:, 1], SPREAD)
+        metres, newtons = (np.mean([one[key] for one, _ in flown]) for key in ("mean_m", "mean_abs_N"))
+        quartiles = ", ".join(f"{x:.2f}" for x in spread)
+        title, said, quartiles = (name, "", "") if name == OPTIMUM else (f"{name} QP a cycle", said, quartiles)
+        lines.append(f"| {title} | {said} | {quartiles} | {metres:.4f} | {newtons:.1f} |")
+    share = np.mean([row[OPTIMUM]["converged"] for row in kept.values()])
+    return "\n".join([*lines, f"IPOPT converged in {100 * share:.1f} % of its cycles"])
 
 
 if __name__ == "__main__":

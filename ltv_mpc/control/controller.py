@@ -310,7 +310,7 @@ class Controller:
             if followed and np.array_equal(plan.t_ns - plan.t_ns[0], self._ahead_ns):
                 start_ns = int(plan.t_ns[0])
                 self._memory = _Memory(start_ns, plan.thrust_N[:, :2].copy(), start_ns + self._shifts_ns)
-                self._passes = 1
+                self._passes = self.config.sqp_iterations
         if checkpoint is None:
             return
         self._integral_N = checkpoint.depth_integral_N
@@ -422,7 +422,9 @@ class Controller:
         return self._fallback(start, solve) if lateral is None else lateral
 
     def _solved(self, start: Start) -> tuple[_Lateral | None, Solve]:
-        """One linearisation and one QP, several where there is no plan yet; None where that gives no plan."""
+        """A QP along the previous plan, and more of them, each along what the one before came to, as many as the
+        settings say, or where there is no plan yet; None where that gives no plan.
+        """
         lin, target, numbers = self._lin, self._target, self._numbers
         self._linearise(start)
         X, U = self._room()
@@ -447,7 +449,7 @@ class Controller:
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
                 trajectory.again(numbers, lin.flat, self.config.stages, X, U)
-        self._passes = 1
+        self._passes = self.config.sqp_iterations
         self._memory = _Memory(start.t_ns, U, start.t_ns + self._shifts_ns)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 

@@ -99,6 +99,17 @@ def test_looking_ahead_at_the_current_is_worth_metres(profile):
     assert mean_error(preview=True) < 0.6 * mean_error(preview=False)
 
 
+def test_a_second_qp_a_cycle_holds_the_line_better(closed_loop):
+    """Linearised along what the first came to: what one QP a cycle loses to the nonlinear optimum is mostly back."""
+
+    def mean_error(sqp_iterations: int) -> float:
+        config = ControllerConfig(sqp_iterations=sqp_iterations)
+        descents = [closed_loop(seed, 300, config)[0] for seed in (5, 8, 11, 14)]
+        return float(np.mean([distance(e) for estimates in descents for e in estimates[30:]]))
+
+    assert mean_error(2) < 0.95 * mean_error(1)
+
+
 def test_dead_time_is_compensated(closed_loop):
     """With plans that take effect 0.7 s later, the error stays near that without delay."""
 
