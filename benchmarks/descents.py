@@ -25,18 +25,25 @@ PAPER_COST = (
     "controller.weights.terminal_velocity_s2_per_m2=0.0",
 )
 SHORT, LONG = ("controller.horizon_s=2.5",), ("controller.horizon_s=10.0",)
+TWO = ("controller.sqp_iterations=2",)
 
 ROWS = {
     "no control": (*KNOWN, "controller.lateral=false"),
     "known state, 2.5 s": (*KNOWN, *SHORT),
     "known state, 5 s": KNOWN,
+    "known state, 5 s, two QPs a cycle": (*KNOWN, *TWO),
     "known state, 5 s, 0.71 s of computing": (*KNOWN, "run.compute_delay_s=0.71"),
     "known state, 10 s": (*KNOWN, *LONG),
     "known state, the paper's cost, 2.5 s": (*KNOWN, *PAPER_COST, *SHORT),
     "known state, the paper's cost, 5 s": (*KNOWN, *PAPER_COST),
     "full loop, paper sensors, 1 TDCP fix": (),
     "full loop, paper sensors, 30 TDCP fixes": ("run.surface_time_s=30.0",),
+    "full loop, paper sensors, 30 TDCP fixes, two QPs a cycle": ("run.surface_time_s=30.0", *TWO),
     "full loop, realistic sensors, 30 TDCP fixes": ('sensors="realistic"', "run.surface_time_s=30.0"),
+    "full loop, realistic sensors, 30 TDCP fixes, two QPs a cycle": (
+        *('sensors="realistic"', "run.surface_time_s=30.0"),
+        *TWO,
+    ),
 }
 
 COLUMNS: dict[str, Callable[[Summary], float | None]] = {
