@@ -26,6 +26,8 @@ PAPER_COST = (
 )
 SHORT, LONG = ("controller.horizon_s=2.5",), ("controller.horizon_s=10.0",)
 TWO = ("controller.sqp_iterations=2",)
+FIXES = ("run.surface_time_s=30.0",)
+REALISTIC = ('sensors="realistic"', *FIXES)
 
 ROWS = {
     "no control": (*KNOWN, "controller.lateral=false"),
@@ -37,13 +39,10 @@ ROWS = {
     "known state, the paper's cost, 2.5 s": (*KNOWN, *PAPER_COST, *SHORT),
     "known state, the paper's cost, 5 s": (*KNOWN, *PAPER_COST),
     "full loop, paper sensors, 1 TDCP fix": (),
-    "full loop, paper sensors, 30 TDCP fixes": ("run.surface_time_s=30.0",),
-    "full loop, paper sensors, 30 TDCP fixes, two QPs a cycle": ("run.surface_time_s=30.0", *TWO),
-    "full loop, realistic sensors, 30 TDCP fixes": ('sensors="realistic"', "run.surface_time_s=30.0"),
-    "full loop, realistic sensors, 30 TDCP fixes, two QPs a cycle": (
-        *('sensors="realistic"', "run.surface_time_s=30.0"),
-        *TWO,
-    ),
+    "full loop, paper sensors, 30 TDCP fixes": FIXES,
+    "full loop, paper sensors, 30 TDCP fixes, two QPs a cycle": (*FIXES, *TWO),
+    "full loop, realistic sensors, 30 TDCP fixes": REALISTIC,
+    "full loop, realistic sensors, 30 TDCP fixes, two QPs a cycle": (*REALISTIC, *TWO),
 }
 
 COLUMNS: dict[str, Callable[[Summary], float | None]] = {

@@ -127,11 +127,7 @@ class ControllerNode:
         refused = {"estimate": self.controller.guard.refused.total(), "applied": 0}
         ages = self.controller.config.ages
         return tuple(
-            InputReport(
-                input=name,
-                refused=refused[name] + of.refused,
-                **of.word(self._cycled_ns, ages)._asdict(),
-            )
+            InputReport(input=name, refused=refused[name] + of.refused, **of.word(self._cycled_ns, ages)._asdict())
             for name, of in (("estimate", self.estimates), ("applied", self.reports))
         )
 

@@ -93,18 +93,13 @@ class Adaptation:
     def __init__(self, nodes: int, cell_m: float, from_ns: int) -> None:
         """``nodes`` of the whole grid; before ``from_ns`` nothing is granted."""
         self._cell_m = cell_m
-        self._means = Mean(_MEANS_S, 2)
-        self._downward = Mean(_MEANS_S, 1)
-        self._slopes = Mean(_SLOPES_S, 2)
+        self._nodes = nodes
         self._from_ns = from_ns
-        self._beyond_ns: int | None = None
         self._until_ns: dict[Change, int] = {}
         self._held_ns: dict[Change, int] = {}
         self._to_open = False  # the inertial unit's doubt, when time goes on
         self._t_ns: int | None = None  # of the last corrections
-        self._moved = np.zeros((2, nodes))  # m
-        self._allowed = np.zeros((2, nodes))  # a
-        self._average = 1.0  # of z
+        self.forget()
 
     def copy(self) -> Adaptation:
         """Independent of this one."""
@@ -117,9 +112,9 @@ class Adaptation:
     def forget(self) -> None:
         """What pings have shown so far: it was the profiler's. What is granted stays."""
         self._means, self._downward, self._slopes = Mean(_MEANS_S, 2), Mean(_MEANS_S, 1), Mean(_SLOPES_S, 2)
-        self._beyond_ns = None
-        self._moved, self._allowed = np.zeros_like(self._moved), np.zeros_like(self._allowed)
-        self._average = 1.0
+        self._beyond_ns: int | None = None
+        self._moved, self._allowed = np.zeros((2, self._nodes)), np.zeros((2, self._nodes))  # m, a
+        self._average = 1.0  # of z
 
     def change(self, t_ns: int) -> Change:
         """Granted at ``t_ns``."""

@@ -301,11 +301,7 @@ class Estimator:
         elif history.knows(message):
             self._account[f"{sensor}.duplicate"] += 1
         elif finite(history.filter.belief):
-            history.insert(message)
-            if isinstance(message, AdcpPing):
-                history.adapt()
-            if self._former is not None:
-                self._former.use(message)
+            self._heed(history, message)
             self._account[f"{sensor}.late_applied"] += 1
 
     def _move(self, history: History, sample: ImuSample, out: list[Signal]) -> None:
@@ -352,16 +348,20 @@ class Estimator:
             self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
             return
         if finite(history.filter.belief):
-            history.correct(message)
-            if isinstance(message, AdcpPing):
-                history.adapt()
-            if self._former is not None:
-                self._former.use(message)
+            self._heed(history, message)
         if self._open:
             if type(message) in self._awaited:
                 self._awaited.remove(type(message))
             if not self._awaited:
                 self._publish(history.filter, out)
+
+    def _heed(self, history: History, message: Aiding) -> None:
+        """Correct by it, now or at its own time, and let the water adapt to a ping."""
+        history.use(message)
+        if isinstance(message, AdcpPing):
+            history.adapt()
+        if self._former is not None:
+            self._former.use(message)
 
     def _publish(self, filter_: Filter, out: list[Signal]) -> None:
         if self._open:

@@ -63,10 +63,8 @@ class Former:
 
     def use(self, message: Aiding) -> None:
         """Of its own time or a late one, if that is after its beginning."""
-        if message.t_ns == self.filter.belief.t_ns:
-            self._history.correct(message)
-        elif self._history.reaches(message.t_ns):
-            self._history.insert(message)
+        if message.t_ns == self.filter.belief.t_ns or self._history.reaches(message.t_ns):
+            self._history.use(message)
 
     def _hear(self, verdict: Verdict) -> None:
         if verdict.sensor in self._agreed and len(verdict.accepted):

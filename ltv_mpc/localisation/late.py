@@ -94,6 +94,13 @@ class History:
         self.filter.correct(message)
         self._stretches[-1].done.append(Done(message.t_ns, message))
 
+    def use(self, message: Aiding) -> None:
+        """Correct by a message of the filter's own instant, or of one before it within reach."""
+        if message.t_ns == self.filter.belief.t_ns:
+            self.correct(message)
+        else:
+            self.insert(message)
+
     def knows(self, message: Aiding) -> bool:
         """One of its kind and time has been used."""
         for stretch in reversed(self._stretches):

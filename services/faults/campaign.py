@@ -203,6 +203,7 @@ def in_processes(
     missing = [task for task in tasks if kept.seen(task.name) is None]
     progress(sum(len(task.run.faults) for task in tasks if task not in missing))
     vehicle = inside.situation(tasks[0].run).vehicle
+    cores = CORES_A_RUN if quick else None
     if missing and not quick:
         alone = [
             Task(name, way, run)
@@ -217,7 +218,7 @@ def in_processes(
             kept.add_errors(task.name, errors(recorded.read(recording, vehicle).log))
             remove(ended.folder)
 
-        _side_by_side(alone, kept.path, keep_errors, measured=True)
+        cores = _side_by_side(alone, kept.path, keep_errors, cores)
 
     def keep(task: Task, ended: OfProcesses) -> None:
         baseline = None if quick else kept.errors(_without(task.way, task.run.seed))
@@ -227,7 +228,7 @@ def in_processes(
         if not any(map(problems, seen)):
             remove(ended.folder)
 
-    _side_by_side(missing, kept.path, keep, measured=not quick)
+    _side_by_side(missing, kept.path, keep, cores)
     return [one for task in tasks for one in kept.seen(task.name) or ()]
 
 
@@ -248,27 +249,27 @@ def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -
 
 
 def _side_by_side(
-    tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None], *, measured: bool
-) -> None:
+    tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None], cores: float | None
+) -> float | None:
     """As many at a time as the machine bears; ``ended`` is called with each as it ends.
 
-    ``measured``: the first is made alone, and what it took of the machine decides.
+    ``cores``: that one takes; None: the first is made alone and tells, if there are more. Gives what is known then.
     """
-    cores = CORES_A_RUN
-    if measured and len(tasks) > 1:
+    if cores is None and len(tasks) > 1:
         first, *tasks = tasks
         before = _work_s(), time.monotonic()
         ended(first, _make(first, folder))
         cores = (_work_s() - before[0]) / (time.monotonic() - before[1])
     if not tasks:
-        return
-    with ThreadPoolExecutor(at_a_time(cores)) as pool:
+        return cores
+    with ThreadPoolExecutor(at_a_time(cores or CORES_A_RUN)) as pool:
         made = {pool.submit(_make, task, folder): task for task in tasks}
         try:
             for future in as_completed(made):
                 ended(made[future], future.result())
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+    return cores
 
 
 def at_a_time(cores_a_run: float) -> int:

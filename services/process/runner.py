@@ -391,10 +391,9 @@ class Runner:
 
     def _received_ns(self, signal: Signal, received_us: int) -> int:
         """When it came; before there is a time, the one that it says itself."""
-        reading = self._clock.read(received_us)
-        if reading is None and isinstance(signal, STAMPED):
+        if isinstance(signal, STAMPED) and self._clock.read(received_us) is None:
             return signal.t_ns
-        return reading or 0
+        return self._now_ns(received_us)
 
     def _now_ns(self, now_us: int) -> int:
         reading = self._clock.read(now_us)

@@ -132,7 +132,7 @@ def test_the_first_run_of_processes_is_alone_and_what_it_takes_says_how_many_go_
     monkeypatch.setattr(campaign.os, "cpu_count", lambda: 4)
     tasks = [campaign.Task(f"bus-{i:03d}", "bus", None) for i in range(1 + 2 * most)]
     ended: list[str] = []
-    campaign._side_by_side(tasks, tmp_path, lambda task, _: ended.append(task.name), measured=True)
+    campaign._side_by_side(tasks, tmp_path, lambda task, _: ended.append(task.name), None)
     assert sorted(ended) == [task.name for task in tasks]
     assert together[0] == 1
     assert max(together) == most
