@@ -6,6 +6,8 @@ process gives in its last status of all that it has published.
 
 from __future__ import annotations
 
+import time
+
 from ltv_mpc.signals import Clock, NodeStatus, Rejected, RunEvent
 from services.bus.door import rejection
 from services.bus.mailbox import Frame, Mailbox
@@ -23,6 +25,7 @@ from services.recording.segments import SegmentWriter
 NAME = "recorder"
 LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
 SILENCE_US = 200_000  # and no longer than this after the last message
+GATHERING_S = 0.05  # nobody waits for a recorder, and to be woken costs it as much as to write a message
 
 
 class RecordingLoop:
@@ -70,7 +73,7 @@ class RecordingLoop:
                     self._status.publish(now_us)
                 SUPERVISED.beat(now_us)
                 wake_us = min(self._status.due_us, SUPERVISED.due_us or self._status.due_us)
-                self._take((wake_us - now_us) / 1e6)
+                self._gather((wake_us - now_us) / 1e6)
                 self._writer.flush_if_due()
                 self._settle()
             SUPERVISED.last_beat()
@@ -114,6 +117,13 @@ class RecordingLoop:
         gaps = [f"{count} of {node}" for node, count in self.missing.items()]
         gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
         return f"lost: {', '.join(gaps)}" if gaps else ""
+
+    def _gather(self, timeout_s: float) -> None:
+        """Wait for a message, then take all that have come when it has waited a little more."""
+        if self._take(timeout_s):
+            time.sleep(GATHERING_S)
+            for _ in range(len(self.mailbox)):
+                self._take(0.0)
 
     def _take(self, timeout_s: float) -> bool:
         frame = self.mailbox.take(timeout_s)
