@@ -12,6 +12,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import WireError
 from services.faults.inside import Log
+from services.recording.gaps import Gaps
 from services.recording.reader import Recording
 
 CONTROLLER, PLANT = "controller", "plant"
@@ -43,7 +44,7 @@ class Recorded(NamedTuple):
     sent: list[Sent]  # estimates, plans and truths
     words: list[NodeStatus]  # all of them, in order
     last: dict[int, NodeStatus]  # by epoch, of those that have said their last word
-    messages: Counter[int]  # recorded, by epoch
+    messages: Counter[int]  # recorded, by epoch, however often
     unreadable: int  # recorded too: harmed on their way, and refused by whoever read them
     until_ns: int
 
@@ -55,6 +56,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     words: list[NodeStatus] = []
     last: dict[int, NodeStatus] = {}
     messages: Counter[int] = Counter()
+    sources: dict[tuple[str, int], Gaps] = {}
     steps: list[StepRecord] = []
     stamps: dict[tuple[int, int], int] = {}
     until_ns = unreadable = 0
@@ -68,7 +70,8 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
             continue
         key, t_ns = message.key, message.t_ns
         until_ns = max(until_ns, t_ns)
-        messages[header.epoch] += 1
+        if sources.setdefault((key, header.epoch), Gaps()).saw(header.sequence):
+            messages[header.epoch] += 1
         match signal:
             case StepRecord() if signal.node in (CONTROLLER, PLANT):
                 steps.append(signal)

@@ -103,7 +103,7 @@ class RecordingLoop:
         for key, epoch in self._writer.refused():
             self.received -= 1
             self._losses.lost(key, epoch)
-            self._promises.lost(epoch)
+            self._promises.discount(epoch)
         for text in self._writer.news():
             self._say(text)
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
@@ -152,7 +152,8 @@ class RecordingLoop:
         # Who had spoken before this recorder, who was started anew, is counted from its next message on.
         if not self._promises.saw(header.epoch, late=self._writer.resumes and header.sequence > 0):
             self._losses.begins(frame.key, header.epoch, header.sequence)
-        self._losses.saw(frame.key, header.epoch, header.sequence)
+        if not self._losses.saw(frame.key, header.epoch, header.sequence):
+            self._promises.discount(header.epoch)
         self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if isinstance(signal, NodeStatus) and signal.finished:
             self._promises.promise(header.epoch, signal.node, signal.published)

@@ -1,4 +1,5 @@
-"""What was published and what of it is missing, proved by the sequence numbers of each key and epoch.
+"""What was published and what of it is missing, proved by the sequence numbers of each key and epoch. What comes twice
+makes up for nothing that did not come.
 
 Memory is bounded, whoever speaks under however many epochs: of the sources that were silent longest only the sums are
 kept. One that is heard again after that counts from where it is heard then.
@@ -8,6 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from services.recording.gaps import Gaps
+
 MOST_SOURCES = 10_000
 """Keys times epochs that are counted apart. A run has some fifty, and ten more for each restart."""
 
@@ -16,74 +19,62 @@ OTHER = "others"
 """In place of the key, where there are too many keys as well."""
 
 
-class _Source:
-    __slots__ = ("before", "published", "seen")
-
-    def __init__(self, before: int) -> None:
-        self.before = before  # messages that were not ours to hear
-        self.published = before
-        self.seen = 0
-
-
 class _Sum(NamedTuple):
     """Of the sources of one key that are not counted apart any more."""
 
     sources: int = 0
     published: int = 0
-    seen: int = 0
+    missing: int = 0
 
 
 class Losses:
     """Fed with every message that is there. Sequences count from 0 without a gap, by key and epoch of the source."""
 
     def __init__(self) -> None:
-        self._sources: dict[tuple[str, int], _Source] = {}  # who was heard last is the last
+        self._sources: dict[tuple[str, int], Gaps] = {}  # who was heard last is the last
         self._sums: dict[str, _Sum] = {}
         self._forgot = False
 
-    def saw(self, key: str, epoch: int, sequence: int) -> None:
-        """A message that is there."""
+    def saw(self, key: str, epoch: int, sequence: int) -> bool:
+        """A message that is there; whether it was not there before."""
         name = key, epoch
         source = self._sources.pop(name, None)
         if source is None:
-            source = _Source(sequence if self._forgot else 0)
+            source = Gaps(sequence if self._forgot else 0)
         self._sources[name] = source
-        source.seen += 1
-        source.published = max(source.published, sequence + 1)
         if len(self._sources) > MOST_SOURCES:
             self._forget_oldest()
+        return source.saw(sequence)
 
     def begins(self, key: str, epoch: int, sequence: int) -> None:
         """Count this source from here, if it is new: what it said before was not ours to hear."""
-        self._sources.setdefault((key, epoch), _Source(sequence))
+        self._sources.setdefault((key, epoch), Gaps(sequence))
 
     def lost(self, key: str, epoch: int) -> None:
         """One that was there is not."""
         source = self._sources.get((key, epoch))
         if source is not None:
-            source.seen -= 1
+            source.lose()
         else:
             name = self._sum_of(key)
             of = self._sums.get(name, _Sum())
-            self._sums[name] = of._replace(seen=of.seen - 1)
+            self._sums[name] = of._replace(missing=of.missing + 1)
 
     @property
     def published(self) -> int:
         """How many there were, up to the last one seen of each source."""
-        there = sum(source.published - source.before for source in self._sources.values())
-        return there + sum(of.published for of in self._sums.values())
+        return sum(source.published for source in self._sources.values()) + sum(of.published for of in self._sums.values())
 
     @property
     def missing(self) -> int:
         """How many of them are not there."""
-        there = sum(source.seen for source in self._sources.values())
-        return self.published - there - sum(of.seen for of in self._sums.values())
+        return sum(self.by_key().values())
 
     def by_key(self) -> dict[str, int]:
         """Missing messages of each key that misses any."""
-        missing = {name: of.published - of.seen for name, of in self._sums.items()}
+        missing = {name: of.missing for name, of in self._sums.items()}
         for (key, _), source in self._sources.items():
-            missing[key] = missing.get(key, 0) + source.published - source.before - source.seen
+            missing[key] = missing.get(key, 0) + source.missing
         return {key: gap for key, gap in missing.items() if gap}
 
     def epochs(self) -> dict[str, int]:
@@ -98,8 +89,7 @@ class Losses:
         source = self._sources.pop(name)
         key = self._sum_of(name[0])
         of = self._sums.get(key, _Sum())
-        published = of.published + source.published - source.before
-        self._sums[key] = _Sum(of.sources + 1, published, of.seen + source.seen)
+        self._sums[key] = _Sum(of.sources + 1, of.published + source.published, of.missing + source.missing)
         self._forgot = True
 
     def _sum_of(self, key: str) -> str:

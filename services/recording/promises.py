@@ -41,8 +41,8 @@ class Promises:
             self._close_oldest()
         return account.count is not None
 
-    def lost(self, epoch: int) -> None:
-        """One that was there is not."""
+    def discount(self, epoch: int) -> None:
+        """One that was counted is not there, or was there before."""
         account = self._accounts.get(epoch)
         if account is not None and account.count is not None:
             account.count -= 1

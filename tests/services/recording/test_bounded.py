@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from services.recording import losses, promises
+from services.recording import gaps, losses, promises
+from services.recording.gaps import Gaps
 from services.recording.losses import Losses
 from services.recording.promises import Promises
 
@@ -50,6 +51,30 @@ def test_of_too_many_keys_the_sums_are_one() -> None:
     assert (of.missing, sum(of.by_key().values())) == (100, 100)
 
 
+def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gaps, "MOST_GAPS", 3)
+    of = Gaps()
+    for sequence in range(0, 20, 2):
+        assert of.saw(sequence)
+    assert (of.missing, of.ranges) == (9, ((13, 13), (15, 15), (17, 17)))
+    assert of.saw(17)
+    assert not of.saw(1)  # known no more: it might be there already
+    assert (of.missing, of.doubled) == (8, 1)
+
+
+def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
+    of = Losses()
+    assert [of.saw("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
+    assert (of.published, of.missing, of.by_key()) == (4, 1, {"plan": 1})
+    kept = Promises()
+    for again in (False, True, False):
+        kept.saw(7)
+        if again:
+            kept.discount(7)
+    kept.promise(7, "controller", 3)
+    assert kept.missing == {"controller": 1}
+
+
 def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> None:
     of = Promises()
     for epoch in range(1000):
@@ -71,6 +96,6 @@ def test_who_spoke_before_anybody_counted_keeps_every_word() -> None:
     of.promise(1, "plant", 900)
     of.promise(2, "sensors", 2)
     assert of.missing == {}
-    of.lost(2)
-    of.lost(1)
+    of.discount(2)
+    of.discount(1)
     assert of.missing == {"sensors": 1}
