@@ -86,6 +86,7 @@ class Watcher:
 
     def __init__(self) -> None:
         self.alarms: list[int] = []
+        self.evidence = 0.0  # the largest, nats
         self._alarm = False
         self._times: list[int] = []
         self._true: list[Triple] = []
@@ -101,6 +102,7 @@ class Watcher:
                 if check.alarm and not self._alarm:
                     self.alarms.append(message.received_t_ns)
                 self._alarm = check.alarm
+                self.evidence = max(self.evidence, check.evidence)
             case Truth() as truth:
                 self._times.append(truth.t_ns)
                 self._true.append(truth.thrust_N)
@@ -199,6 +201,8 @@ class Kept(msgspec.Struct, kw_only=True):
     false_alarms: list[tuple[int, float]] = []
     """Seed and time (s)."""
     losses: list[Loss] = []
+    evidence: list[float] = []
+    """The largest of each nominal run (nats): what ``ALARM`` has to be above."""
 
 
 def opened(path: Path | None, duration_s: float, first_seed: int) -> Kept:
@@ -271,6 +275,7 @@ def main() -> None:
         seed = options.first_seed + k // 2
         seen = fly((*settings_of(seed, options.duration_s, known=k % 2 == 0), *mismatch(k // 2)), None)
         kept.false_alarms += [(seed, a * 1e-9) for a in seen.alarms]
+        kept.evidence.append(seen.evidence)
         kept.nominal_runs = k + 1
         keep(f"nominal {k + 1}/{options.nominal}, {len(kept.false_alarms)} false alarms")
     print("\n".join(said(kept.losses)))
@@ -278,6 +283,9 @@ def main() -> None:
         f"\n{len(kept.false_alarms)} false alarms, in {kept.nominal_runs} runs with mismatch and beside "
         f"{len(kept.losses)} losses"
     )
+    if kept.evidence:
+        at = np.quantile(kept.evidence, (0.5, 0.9, 1.0))
+        print(f"largest evidence of a run with mismatch: median {at[0]:.1f}, 90 % {at[1]:.1f}, all {at[2]:.1f} nats")
     if options.picture is not None:
         picture(kept.losses, options.picture)
 
