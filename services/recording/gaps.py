@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 MOST_GAPS = 1_000
 """That may still be filled: of more, the oldest are lost for good."""
 

@@ -63,7 +63,8 @@ class Losses:
     @property
     def published(self) -> int:
         """How many there were, up to the last one seen of each source."""
-        return sum(source.published for source in self._sources.values()) + sum(of.published for of in self._sums.values())
+        there = sum(source.published for source in self._sources.values())
+        return there + sum(of.published for of in self._sums.values())
 
     @property
     def missing(self) -> int:
