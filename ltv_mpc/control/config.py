@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
+import numpy as np
 from msgspec import Meta
 
 from ltv_mpc import config
@@ -58,6 +60,19 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     most_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # the bias stays within, each way
 
 
+class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """[controller.limits]: what the motion is asked to stay within, either way; left out: anything. ``limits.py``."""
+
+    surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None  # ahead, through the water
+    yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None
+
+    @property
+    def most(self) -> Array:
+        """(2,) of ``limits.LIMITED``; infinite where nothing is asked."""
+        asked = self.surge_mps, self.yaw_rate_radps
+        return np.array([math.inf if most is None else most for most in asked])
+
+
 class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the controller."""
 
@@ -66,6 +81,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
     weights: GivenWeights = GivenWeights()  # what is left out follows from the vehicle
     disturbance: Disturbance = Disturbance()
+    limits: MotionLimits = MotionLimits()  # of the motion, as far as it can be kept within them
     lateral: bool = True  # false: the lateral thrusters stay at zero: what happens without control
     sqp_iterations: Annotated[int, Meta(ge=1, le=6)] = 1  # QPs a cycle, each along what the one before came to
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400

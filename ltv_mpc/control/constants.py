@@ -32,6 +32,7 @@ class Objective(NamedTuple):
     change: Array  # N over the first stage
     scale: Array  # N: a thrust of 1 in the cost
     state_scale: Array  # (6,) a state of 1 in the QP
+    most: Array  # (2,) of ``limits.LIMITED``
     t: Array  # (N+1,) knots in first stages: grid.py
 
 
@@ -55,24 +56,26 @@ def pack_objective(knots: Array, limits: ThrustLimits, weights: Weights) -> Arra
         weights.thrust_change,
     )
     bounds = (limits.low, limits.high, limits.change, limits.scale)
-    return np.concatenate([cost, *bounds, limits.state_scale, [len(knots)], knots])
+    return np.concatenate([cost, *bounds, limits.state_scale, limits.most, [len(knots)], knots])
 
 
-def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float) -> Array:
-    """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s."""
+def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, most: Array | None = None) -> Array:
+    """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s;
+    ``most`` (2,) of ``limits.LIMITED``.
+    """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, slowness(vehicle))
-    ours = pack_objective(knots, ThrustLimits.of(vehicle, stage_s), weights)
+    ours = pack_objective(knots, ThrustLimits.of(vehicle, stage_s, most), weights)
     return np.concatenate([ours, vehicle.coefficients(), rest])
 
 
 @kernel
 def objective(flat: Array) -> Objective:
     """The inverse of ``pack_objective``; the beginning of what ``pack`` makes serves as well."""
-    end = 20 + int(flat[19])
+    end = 22 + int(flat[21])
     return Objective(
         flat[0], flat[1], flat[2], flat[3], flat[4],
-        flat[5:7], flat[7:9], flat[9:11], flat[11:13], flat[13:19], flat[20:end],
+        flat[5:7], flat[7:9], flat[9:11], flat[11:13], flat[13:19], flat[19:21], flat[22:end],
     )  # fmt: skip
 
 
@@ -80,6 +83,12 @@ def objective(flat: Array) -> Objective:
 def length(o: Objective, k: int) -> float:
     """Of the stage that ends at knot k = 1 .. N, in first stages."""
     return float(o.t[k] - o.t[k - 1])
+
+
+@kernel
+def limited(o: Objective) -> int:
+    """How many states have a limit."""
+    return int(np.isfinite(o.most).sum())
 
 
 @kernel
@@ -100,5 +109,5 @@ def coefficients(flat: Array) -> Coefficients:
 @kernel
 def constants(flat: Array) -> Constants:
     """The inverse of ``pack``."""
-    rest = flat[20 + int(flat[19]) :]
+    rest = flat[22 + int(flat[21]) :]
     return Constants(objective(flat), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])

@@ -114,7 +114,7 @@ class Controller:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
         self.config = config = settled(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
-        self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S)
+        self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S, config.limits.most)
         self._lap = stopwatch
         self._new_solver: Callable[[], Solver] = lambda: make(vehicle, config)
         self._solver = self._new_solver()

@@ -1,12 +1,18 @@
-"""Box and slew of the two lateral thrusters over the horizon, and the last word on what is sent.
+"""What holds over the horizon: box and slew of the two lateral thrusters, and soft limits of the motion.
 
 A command at knot k (k = 1 .. N) obeys  min <= U[k] <= max  and  |U[k] - U[k-1]| <= slew h[k];  linear between knots, so
-|dF/dt| <= slew everywhere, and at the junction of two plans too, since U[0] is the command in force there.
+|dF/dt| <= slew everywhere, and at the junction of two plans too, since U[0] is the command in force there. These are
+the thrusters' own, and never broken.
+
+A state may be asked to stay within  |x[k]| <= most,  k = 1 .. N. The past can make that impossible, so it is bought
+off: ``PENALTY`` for each unit beyond it. A penalty that grows with the first power is exact (Fletcher 1987, section
+12.3; Kerrigan & Maciejowski 2000): once it is larger than the dual of the limit, the solution is that of the hard limit
+wherever there is one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +20,17 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.scales import state_scale
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
+
+LIMITED = (2, 5)
+"""States that can be limited: surge u through the water (m/s), yaw rate r (rad/s)."""
+
+PENALTY = 100.0
+"""Cost of a stage of 0.3 s in which a limited state is beyond its limit by what is 1 in the QP."""
+
+
+def unlimited() -> Array:
+    """(2,), of ``LIMITED``."""
+    return np.full(len(LIMITED), np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +42,11 @@ class ThrustLimits:
     change: Array
     state_scale: Array
     """(6,) a state of 1 in the QP: n, e (m), u, v (m/s), psi (rad), r (rad/s)."""
+    most: Array = field(default_factory=unlimited)
+    """(2,) of |x| for ``LIMITED``; infinite where there is no limit."""
 
     @classmethod
-    def of(cls, vehicle: Vehicle, stage_s: float) -> ThrustLimits:
+    def of(cls, vehicle: Vehicle, stage_s: float, most: Array | None = None) -> ThrustLimits:
         """The lateral thrusters' limits where the first stage lasts ``stage_s``."""
         lateral = vehicle.thrusters[:2]
         return cls(
@@ -35,6 +54,7 @@ class ThrustLimits:
             np.array([t.max_N for t in lateral]),
             np.array([t.slew_N_per_s for t in lateral]) * stage_s,
             state_scale(vehicle),
+            unlimited() if most is None else most,
         )
 
     @property

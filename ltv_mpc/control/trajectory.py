@@ -15,7 +15,7 @@ from ltv_mpc.control.constants import Constants, Objective, constants, length
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.guess import steer
 from ltv_mpc.control.horizon import linearise_along, velocity_over_ground, views
-from ltv_mpc.control.limits import bring_in
+from ltv_mpc.control.limits import LIMITED, PENALTY, bring_in
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES, advance_stage
 
@@ -39,6 +39,9 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
         for i in range(2):
             here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
             total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
+            beyond = abs(X[k, LIMITED[i]]) - o.most[i]
+            if beyond > 0.0:
+                total += PENALTY * g * beyond / o.state_scale[LIMITED[i]]
     velocity, _ = velocity_over_ground(X[N], C[N])
     wn, we = velocity[0] - target[N, 0], velocity[1] - target[N, 1]
     total += o.terminal_position * square + o.terminal_velocity * (wn * wn + we * we)

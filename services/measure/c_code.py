@@ -90,6 +90,8 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Arra
     if not isinstance(solver, SparseOsqp):
         problem = "must be osqp on the sparse form: the code is OSQP's"
         raise ConfigError("controller settings", "solver", problem, value=f"{config.solver}, {config.formulation}")
+    if solver.form.limited:
+        raise ConfigError("controller settings", "limits", "must be empty: the code's layout knows thrusters alone")
     controller.plan(Estimate.at_rest(north_m=0.1))
     # A cycle later, not where that plan led: the solution is not where it was linearised.
     controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=-0.2, east_m=0.1, heading_rad=0.3), t_ns=STAGE_NS))

@@ -40,6 +40,14 @@ def slew(stages: Sequence[int], scale: Array) -> Iterator[Row]:
             yield Row(f"slew of {side} in stage {k}", by, "N")
 
 
+def motion(stages: Sequence[int], limited: Sequence[int], scale: Array) -> Iterator[Row]:
+    """Of the states ``limited`` at the end of each of these stages; ``scale`` of all states."""
+    for k in stages:
+        for i in limited:
+            for of in ("upper limit of", "lower limit of", "excess of"):
+                yield Row(f"{of} {STATE_NAMES[i]} at the end of stage {k}", float(scale[i]), STATE_UNITS[i])
+
+
 def box(stages: Sequence[int], scale: Array) -> Iterator[Row]:
     """Of both commands at the end of each of these stages."""
     for k in stages:

@@ -6,6 +6,10 @@
                p'_N = V dX_N + p'bar_N
                min <= Ubar_k + dU_k <= max,   |U_k - U_(k-1)| <= slew h_k
 
+and for each state x that has a limit (limits.py), with the cost  g_k c e_k / S  of its excess e_k,
+
+               xbar_k + dx_k - e_k <= most,   xbar_k + dx_k + e_k >= -most,   e_k >= 0
+
 g_k = h_k / 0.3 s: the length of the stage that ends at knot k (grid.py). p = [n, e], p' its velocity over ground; F the
 thrusters' largest thrust; dX = X - Xbar. The terminal velocity is what tells a vehicle that stops on its point from one
 that passes, or orbits, it: within a short horizon both are as near. The sparsity pattern is fixed by N: only numbers
@@ -29,7 +33,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.constants import length, objective, pack_objective, state_scale
 from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
-from ltv_mpc.control.limits import ThrustLimits, bounds
+from ltv_mpc.control.limits import LIMITED, PENALTY, ThrustLimits, bounds
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
@@ -54,6 +58,10 @@ THRUST_PATTERN = np.ones((STATES, 2), dtype=bool)
 THRUST_PATTERN[6, 1] = THRUST_PATTERN[7, 0] = False
 
 
+FAR = 1e3
+"""A bound that is none, in units of the QP: hundreds of m/s. Finite: not every solver takes an infinite one well."""
+
+
 class Map(NamedTuple):
     """Where numbers go: A_data[place] = flat[source] * scale, and the slope of the velocity at the end."""
 
@@ -73,8 +81,9 @@ def map_of(flat: Places, entries: int) -> Map:
 class SparseForm:
     """The layout for given knots: where each number of a cycle goes.
 
-    Columns: 10 a stage (the state at its end, both commands there), then the terminal velocity. Rows: 8 of dynamics a
-    stage, 2 of the terminal velocity (these are the ``equalities``), then 2 of slew a stage, then 2 of box a stage.
+    Columns: 10 a stage (the state at its end, both commands there), then the terminal velocity, then an excess of each
+    limited state a stage. Rows: 8 of dynamics a stage, 2 of the terminal velocity (these are the ``equalities``), then
+    2 of slew a stage, 2 of box a stage, and 3 of each limited state a stage.
     """
 
     def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights) -> None:
@@ -85,9 +94,10 @@ class SparseForm:
         self.weights = weights
         position = weights.position_per_m2 * self._lengths
         position[-1] += weights.terminal_position_per_m2
-        self.variables = stages * WIDTH + 2
+        self.limited = tuple(i for i, most in zip(LIMITED, limits.most, strict=True) if np.isfinite(most))
+        self.variables = stages * WIDTH + 2 + stages * len(self.limited)
         self.equalities = stages * STATES + 2
-        self.rows = self.equalities + 4 * stages
+        self.rows = self.equalities + 4 * stages + 3 * stages * len(self.limited)
         self._position = position
         self.numbers = pack_objective(knots, limits, weights)
         self.state_scale = np.concatenate([limits.state_scale, limits.scale])
@@ -146,6 +156,12 @@ class SparseForm:
                 fixed += [(slew, here + STATES + j, 1.0), (box, here + STATES + j, 1.0)]
                 if k > 0:
                     fixed.append((slew, before + STATES + j, -1.0))
+        excess, row = N * WIDTH + 2, E + 4 * N
+        for k in range(N):
+            for i in self.limited:
+                fixed += [(row, k * WIDTH + i, 1.0), (row, excess, -1.0), (row + 1, k * WIDTH + i, 1.0)]
+                fixed += [(row + 1, excess, 1.0), (row + 2, excess, 1.0)]
+                excess, row = excess + 1, row + 3
         end = (N - 1) * WIDTH + 2
         velocity = [(N * STATES + i, end + j) for i in range(2) for j in range(3)]
         fixed += [(N * STATES + i, N * WIDTH + i, -1.0) for i in range(2)]
@@ -175,6 +191,7 @@ class SparseForm:
             *rows.terminal_velocity(),
             *rows.slew(stages, thrusts),
             *rows.box(stages, thrusts),
+            *rows.motion(stages, self.limited, self.state_scale),
         )
 
     def template(self) -> Array:
@@ -200,7 +217,7 @@ class SparseForm:
     def commands(self, lin: Linearisation, x: Array) -> Array:
         """Commands (N+1, 2) at the knots of a solution x (n,)."""
         U = lin.U.copy()
-        U[1:] += x[:-2].reshape(self.stages, WIDTH)[:, STATES:] * self.limits.scale
+        U[1:] += x[: self.stages * WIDTH].reshape(self.stages, WIDTH)[:, STATES:] * self.limits.scale
         return U
 
 
@@ -248,6 +265,17 @@ def fill(
             change = g * c.change[i]
             l[slew], u[slew] = -change / F[i] - step, change / F[i] - step
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
+    excess, row = N * WIDTH + 2, E + 4 * N
+    for k in range(N):
+        for j in range(2):
+            if np.isfinite(c.most[j]):
+                i = LIMITED[j]
+                scale = c.state_scale[i]
+                l[row], u[row] = -FAR, (c.most[j] - X[k + 1, i]) / scale
+                l[row + 1], u[row + 1] = (-c.most[j] - X[k + 1, i]) / scale, FAR
+                l[row + 2], u[row + 2] = 0.0, FAR
+                q[excess] = PENALTY * length(c, k + 1)
+                excess, row = excess + 1, row + 3
     for i in range(2):
         # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
         l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]

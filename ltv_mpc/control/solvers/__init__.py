@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation, SettledConfig
+import numpy as np
+
+from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation, MotionLimits, SettledConfig
 from ltv_mpc.control.limits import ThrustLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.by_name import ByName, known_solvers, solve_qp
@@ -27,8 +29,13 @@ NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, ThrustLimits], So
 
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """The solver that ``config`` names. Raises ``ConfigError`` for one that is not there or has no such formulation."""
-    config, limits = settled(config, vehicle), ThrustLimits.of(vehicle, STAGE_NS * 1e-9)
+    config = settled(config, vehicle)
+    limits = ThrustLimits.of(vehicle, STAGE_NS * 1e-9, config.limits.most)
     formulation = chosen(config)
+    if formulation != "sparse" and np.isfinite(limits.most).any():
+        raise ConfigError(
+            "controller settings", "formulation", "must be sparse with limits of the motion", value=config.formulation
+        )
     native = NATIVE.get((config.solver, formulation))
     if native is not None:
         return native(config, limits)
@@ -54,6 +61,8 @@ def chosen(config: ControllerConfig) -> Formulation:
     """What ``auto`` stands for."""
     if config.formulation != "auto":
         return config.formulation
+    if config.limits != MotionLimits():
+        return "sparse"
     return {"osqp": "partial", "daqp": "condensed"}.get(config.solver, "sparse")  # type: ignore[return-value]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.config import SettledConfig
-from ltv_mpc.control.constants import length, objective, state_scale
+from ltv_mpc.control.constants import Objective, length, limited, objective, state_scale
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import (
     Linearisation,
@@ -33,7 +33,7 @@ from ltv_mpc.control.horizon import (
     velocity_over_ground,
     views,
 )
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import LIMITED, ThrustLimits
 from ltv_mpc.control.qp.failed import worst
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
@@ -59,6 +59,9 @@ LOOSEST = 5.0
 
 ACTIVE = 10.0
 """By how much more rows of active limits are scaled."""
+
+MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
+"""s of the limits of a state, not active and active, and of its excess, while the gradient is small."""
 
 NOT_ACTIVE = 1e-9
 """A dual below this is what rounding left of none."""
@@ -90,9 +93,9 @@ class Room(NamedTuple):
 
 
 @kernel
-def room(flat: Array, N: int) -> Room:
-    """The parts of a flat array for N stages."""
-    n, m = N * WIDTH + 2, N * (STATES + 4) + 2
+def room(flat: Array, N: int, limited: int) -> Room:
+    """The parts of a flat array for N stages and so many limited states."""
+    n, m = N * (WIDTH + limited) + 2, N * (STATES + 4 + 3 * limited) + 2
     e = (len(flat) - 2 * n - 7 * m) // 2
     q = e
     l = q + n  # noqa: E741
@@ -125,7 +128,7 @@ class SparseOsqp:
         self._tolerance = self._eps = config.tolerance
         entries = form.pattern.nnz
         self._flat = np.zeros(2 * entries + 2 * form.variables + 7 * form.rows)
-        self._room: Room = room(self._flat, form.stages)
+        self._room: Room = room(self._flat, form.stages, len(form.limited))
         self._room.A[:] = form.template()
         self._shift = math.nan
         self._finite, self._why = False, "nothing was built"
@@ -185,7 +188,7 @@ class SparseOsqp:
                 return self._nothing(lin, "OSQP returned a value that is not finite; rebuilt")
             if status is SolveStatus.SOLVED or iterations >= self._most:
                 break
-            if rescale(self.form.map, self._flat, self.form.stages) > 0:
+            if rescale(self.form.map, self._flat, self.form.stages, len(self.form.limited)) > 0:
                 self._load(solver)
         self._shift = 0.0
         why = ""
@@ -236,20 +239,22 @@ def prepare(
     Returns how much larger than GRADIENT the cost's gradient is, as a step size goes with it; -1 if a number is not
     finite.
     """
-    N = len(target) - 1
-    at = room(solve, N)
+    N, states = len(target) - 1, limited(objective(numbers))
+    at = room(solve, N, states)
     fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
     first_guess(numbers, flat, target, at.q, shift, at.x, at.y)
-    if rescale(places, solve, N) < 0:
+    if rescale(places, solve, N, states) < 0:
         return -1.0
-    return growth(at.q)
+    return growth(at.q, N)
 
 
 @kernel
-def growth(q: Array) -> float:
-    """How much larger than for a small gradient duals, and with them step sizes and residuals, are."""
+def growth(q: Array, N: int) -> float:
+    """How much larger than for a small gradient duals, and with them step sizes and residuals, are. What an excess of a
+    limited state costs is no gradient: it is paid by nobody who keeps within the limit.
+    """
     gradient = 0.0
-    for i in range(len(q)):
+    for i in range(N * WIDTH + 2):
         gradient = max(gradient, abs(q[i]))
     return float(max(1.0, np.sqrt(gradient / GRADIENT)))
 
@@ -257,7 +262,7 @@ def growth(q: Array) -> float:
 @kernel
 def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: float, x: Array, y: Array) -> None:
     """x (n,) and y (m,) to begin with, in place of those of the last solve, ``shift`` stages earlier (NaN: of none)."""
-    N = (len(q) - 2) // WIDTH
+    N = len(target) - 1
     c, lin = objective(numbers), views(flat, N)
     E = N * STATES + 2
     _shift_limits(y, E, c.t, shift)
@@ -272,6 +277,7 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
         assign(last, d)
         for i in range(STATES):
             x[k * WIDTH + i] = d[i] / state_scale(i, c)
+    _guess_excesses(c, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
@@ -289,6 +295,11 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
         for i in range(2):
             scale = c.state_scale[i]
             costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
+        row = E + 4 * N + 3 * k * limited(c)
+        for j in range(2):
+            if np.isfinite(c.most[j]):
+                costate[LIMITED[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED[j]]
+                row += 3
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * state_scale(i, c)
         transposed_times(lin.A, k, costate, before)
@@ -296,8 +307,28 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
 
 
 @kernel
+def _guess_excesses(c: Objective, lin: Linearisation, q: Array, new: bool, x: Array, y: Array) -> None:
+    """Excesses of the limited states of x, and their duals, 0 = q - y_upper + y_lower + y_excess, from those of the
+    limits. A ``new`` problem has none of these yet: what is beyond its limit is held to stay there.
+    """
+    N = len(c.t) - 1
+    column, row = N * WIDTH + 2, N * (STATES + 4) + 2
+    for k in range(N):
+        for j in range(2):
+            if np.isfinite(c.most[j]):
+                i = LIMITED[j]
+                state = lin.X[k + 1, i] / c.state_scale[i] + x[k * WIDTH + i]
+                x[column] = max(abs(state) - c.most[j] / c.state_scale[i], 0.0)
+                if new and x[column] > 0.0:
+                    y[row] = q[column] if state > 0.0 else 0.0
+                    y[row + 1] = y[row] - q[column]
+                y[row + 2] = min(y[row] - y[row + 1] - q[column], 0.0)
+                column, row = column + 1, row + 3
+
+
+@kernel
 def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
-    """The duals of slew and box on knots t (N+1,) so many first stages later: linear between knots, the last kept."""
+    """The duals of all limits on knots t (N+1,) so many first stages later: linear between knots, the last kept."""
     if np.isnan(stages):
         y[E:] = 0.0
         return
@@ -311,22 +342,33 @@ def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
         for j in range(2):
             y[E + 2 * k + j] = (1.0 - part) * old[2 * low + j] + part * old[2 * high + j]
             y[E + 2 * (N + k) + j] = (1.0 - part) * old[2 * (N + low) + j] + part * old[2 * (N + high) + j]
+        a_stage = len(old) // N - 4  # of limited states
+        for j in range(4 * N, 4 * N + a_stage):
+            y[E + a_stage * k + j] = (1.0 - part) * old[a_stage * low + j] + part * old[a_stage * high + j]
 
 
 @kernel
-def rescale(places: Places, solve: Array, N: int) -> int:
+def rescale(places: Places, solve: Array, N: int, limited: int) -> int:
     """The problem and its dual with rows scaled by what the dual says of them, in ``solve`` (``room``).
 
     Returns 1 if a scale has changed, 0 if none has, -1 if a number is not finite.
     """
-    at = room(solve, N)
+    at = room(solve, N, limited)
     row_of = map_of(places, len(at.A)).row_of
     E = N * STATES + 2
-    size = growth(at.q)
+    size = growth(at.q, N)
     free = min(LIMIT_ROW * size, LARGEST_LIMIT_ROW)
     changed, total = 0, size
     for i in range(len(at.rows)):
-        s = EQUALITY_ROW if i < E else (free if abs(at.y[i]) <= NOT_ACTIVE else free * ACTIVE)
+        active = abs(at.y[i]) > NOT_ACTIVE
+        if i < E:
+            s = EQUALITY_ROW
+        elif i < E + 4 * N:
+            s = free * ACTIVE if active else free
+        elif not active:
+            s = MOTION_ROW * size
+        else:
+            s = (EXCESS_ROW if (i - E - 4 * N) % 3 == 2 else MOTION_ACTIVE) * size
         if s != at.rows[i]:
             changed, at.rows[i] = 1, s
         at.ls[i], at.us[i], at.ys[i] = at.l[i] * s, at.u[i] * s, at.y[i] / s
@@ -344,7 +386,8 @@ def take(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands
     Returns whether it is finite.
     """
     N = commands.shape[0] - 1
-    at, U, F = room(solve, N), views(flat, N).U, objective(numbers).scale
+    o = objective(numbers)
+    at, U, F = room(solve, N, limited(o)), views(flat, N).U, o.scale
     total = 0.0
     for i in range(len(x)):
         at.x[i] = x[i]

@@ -40,11 +40,11 @@ class SparsePiqp:
         self._A, self._q = form.template(), np.empty(form.variables)
         self._l, self._u = np.empty(form.rows), np.empty(form.rows)
         row_of = form.pattern.indices
-        E, slews = form.equalities, form.equalities + 2 * form.stages
-        # Rows of A by kind, and where their numbers lie in A's.
+        E, slews, boxes = form.equalities + 2 * form.stages * np.arange(3)
+        # Rows of A by kind, and where their numbers lie in A's. Those of limited states change as little as slew's.
         self._equal = row_of < E
-        self._slew = (row_of >= E) & (row_of < slews)
-        self._slices = slice(0, E), slice(E, slews), slice(slews, None)
+        fixed = np.concatenate([np.arange(E, slews), np.arange(boxes, form.rows)])
+        self._kinds = np.arange(E), fixed, np.arange(slews, boxes)
         thrusts = np.arange(form.stages)[:, None] * WIDTH + STATES + np.arange(2)
         self._thrusts = thrusts.ravel()
         self._low, self._high = np.full(form.variables, -np.inf), np.full(form.variables, np.inf)
@@ -68,7 +68,7 @@ class SparsePiqp:
         """As in ``Solver``."""
         if not self._finite:
             return
-        equal, slew, box = self._slices
+        equal, slew, box = self._kinds
         self._low[self._thrusts], self._high[self._thrusts] = self._l[box], self._u[box]
         if self._solver is None:
             whole = csc_matrix(self.form.assembled(self._A, self._q, self._l, self._u).A)

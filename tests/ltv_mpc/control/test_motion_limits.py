@@ -1,0 +1,191 @@
+"""Soft limits of the motion: those of hard ones wherever there is a solution, and a solution where there is none."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.control.config import ControllerConfig, MotionLimits
+from ltv_mpc.control.constants import objective, pack_objective
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.limits import LIMITED, PENALTY, ThrustLimits
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
+from ltv_mpc.control.scales import settled
+from ltv_mpc.control.solvers import Solver, chosen, make, solve_qp
+from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
+from ltv_mpc.control.trajectory import cost
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.references import Point
+from ltv_mpc.signals import Array, Estimate, SolveStatus
+from ltv_mpc.vehicle.flow import STATES
+from tests.ltv_mpc.control.problems import PAPER, equidistant, motion, precise
+
+N = 17
+YAW = MotionLimits(yaw_rate_radps=0.15)
+BOTH = MotionLimits(surge_mps=0.25, yaw_rate_radps=0.2)
+
+
+def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
+    return ControllerConfig(limits=limits, max_iterations=4000, **fields)  # type: ignore[arg-type]
+
+
+def form_of(limits: MotionLimits) -> SparseForm:
+    config = settled(settings(limits), PAPER)
+    return SparseForm(equidistant(N), ThrustLimits.of(PAPER, 0.3, limits.most), config.weights)
+
+
+def excesses(form: SparseForm, x: Array) -> Array:
+    """(N, limited) of a solution."""
+    return x[form.variables - N * len(form.limited) :].reshape(N, -1)
+
+
+def hard(form: SparseForm, qp: QP) -> Array | None:
+    """The solution with every excess at zero; None where there is none."""
+    u = qp.u.copy()
+    u[form.equalities + 4 * N + 2 :: 3] = 0.0
+    solution = solve_qp(QP(qp.P, qp.q, qp.A, qp.l, u), "daqp")
+    return solution.x if solution.solve.status is SolveStatus.SOLVED else None
+
+
+@pytest.mark.parametrize("limits", [YAW, BOTH], ids=["yaw", "both"])
+def test_the_penalty_is_exact(limits: MotionLimits) -> None:
+    form, kept, bought = form_of(limits), 0, 0
+    for seed in range(12):
+        lin, target = motion(seed, N)
+        qp = form.build(lin, target)
+        x, within = precise(qp), hard(form, qp)
+        if within is None:
+            assert excesses(form, x).max() > 1e-3
+            bought += 1
+        else:
+            np.testing.assert_allclose(form.commands(lin, x), form.commands(lin, within), atol=1e-6)
+            assert excesses(form, x).max() < 1e-7
+            free = SparseForm(equidistant(N), ThrustLimits.of(PAPER, 0.3), form.weights)
+            off = form.commands(lin, x) - free.commands(lin, precise(free.build(lin, target)))
+            kept += bool(np.abs(off).max() > 1.0)  # and it holds something back
+    assert kept >= 3
+    assert bought >= 1
+
+
+@pytest.mark.parametrize("limits", [YAW, BOTH], ids=["yaw", "both"])
+@pytest.mark.parametrize("solver", ["osqp", "piqp", "daqp"])
+def test_every_solver_of_the_sparse_form_has_them(solver: str, limits: MotionLimits) -> None:
+    form = form_of(limits)
+    for seed in (1, 2, 3, 5, 7):
+        lin, target = motion(seed, N)
+        solvers: Solver = make(PAPER, settings(limits, solver=solver, formulation="sparse"))
+        solvers.build(lin, target)
+        solvers.update()
+        commands, solve = solvers.solve()
+        assert solve.status is SolveStatus.SOLVED, solve.why
+        np.testing.assert_allclose(commands, form.commands(lin, precise(form.build(lin, target))), atol=0.1)
+        assert len(solvers.rows()) == len(solvers.problem().l) == form.rows
+
+
+def test_a_limit_that_is_nowhere_near_changes_nothing() -> None:
+    for seed in range(4):
+        lin, target = motion(seed, N)
+        answers = []
+        for limits in (MotionLimits(), MotionLimits(surge_mps=20.0, yaw_rate_radps=20.0)):
+            solver = make(PAPER, settings(limits))
+            solver.build(lin, target)
+            solver.update()
+            answers.append(solver.solve())
+        assert answers[1].solve.iterations <= 2 * answers[0].solve.iterations
+        np.testing.assert_allclose(answers[1].commands, answers[0].commands, atol=0.01)
+
+
+def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
+    """Duals of the limits and their excesses are carried over with the others, from knot to knot."""
+    for seed in (1, 2, 5):
+        lin, target = motion(seed, N)
+        solver = make(PAPER, settings(BOTH))
+        solver.build(lin, target)
+        solver.update()
+        first = solver.solve()
+        assert isinstance(solver, SparseOsqp)
+        form, (x, y) = solver.form, solver.point()
+        solver.shift(0.0)
+        solver.build(lin, target)
+        limits = form.equalities + 4 * N
+        duals = solver.point()[1][limits:].reshape(-1, 3)
+        np.testing.assert_allclose(duals[:, 2], np.minimum(duals[:, 0] - duals[:, 1] - PENALTY, 0.0))
+        guess, qp = solver.point(), solver.problem()
+        gradient = qp.P @ guess[0] + qp.q + qp.A.T @ guess[1]
+        thrusts = np.zeros(form.variables, dtype=bool)
+        thrusts[: N * WIDTH].reshape(N, WIDTH)[:, STATES:] = True  # these alone are the solver's to find
+        beyond = np.flatnonzero(guess[0] * (np.arange(form.variables) >= N * WIDTH + 2))
+        thrusts[beyond] = True
+        np.testing.assert_allclose(gradient[~thrusts], 0.0, atol=1e-9)
+        quiet = excesses(form, x).ravel() < 1e-9
+        np.testing.assert_allclose(duals[quiet, :2], y[limits:].reshape(-1, 3)[quiet, :2])
+        solver.shift(1.0)
+        solver.build(lin, target)
+        later = solver.point()[1][limits:].reshape(N, -1)
+        bound_by_none = (later[:, 1::3] > -PENALTY + 1e-9) & (later[:, 0::3] < PENALTY - 1e-9)
+        same = bound_by_none[:-1]
+        np.testing.assert_allclose(later[:-1, 0::3][same], y[limits:].reshape(N, -1)[1:, 0::3][same])
+        assert first.solve.status is SolveStatus.SOLVED
+
+
+def test_words_of_their_rows() -> None:
+    names = [row.of for row in form_of(YAW).row_names]
+    assert names[-3:] == [
+        f"{of} yaw rate at the end of stage 17" for of in ("upper limit of", "lower limit of", "excess of")
+    ]
+    assert len(names) == form_of(YAW).rows
+    assert form_of(MotionLimits()).limited == ()
+    assert [form_of(limits).limited for limits in (YAW, BOTH)] == [(5,), LIMITED]
+
+
+def test_the_exact_flow_is_judged_by_them_too() -> None:
+    """What the line search looks at costs as the QP has it: by stage lengths and scales."""
+    knots = np.array([0.0, 1.0, 2.0, 4.0])
+    limits = ThrustLimits.of(PAPER, 0.3, np.array([0.2, 0.1]))
+    weights = settled(ControllerConfig(), PAPER).weights
+    free, bound = (objective(pack_objective(knots, of, weights)) for of in (ThrustLimits.of(PAPER, 0.3), limits))
+    X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
+    X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
+    scale = limits.state_scale
+    foreseen = PENALTY * ((0.3 + 0.0 * 2) / scale[2] + (0.2 + 0.06 * 2) / scale[5])
+    assert cost(X, U, C, target, bound) - cost(X, U, C, target, free) == pytest.approx(foreseen)
+
+
+def turned(limits: MotionLimits, rate: float = 0.0) -> Array:
+    """Yaw rates foreseen by plans of the first seconds, off the line and across it."""
+    controller = Controller(PAPER, Point(north_m=0.0, east_m=0.0), settings(limits))
+    estimate = Estimate.at_rest(north_m=0.0, east_m=2.0, heading_rad=0.0)
+    estimate = msgspec.structs.replace(estimate, yaw_rate_radps=rate)
+    plans = []
+    for cycle in range(4):
+        plan = controller.plan(msgspec.structs.replace(estimate, t_ns=cycle * 300_000_000))
+        assert plan.origin.value == "solved"
+        plans.append(plan)
+        at = plan.states[1]
+        estimate = msgspec.structs.replace(
+            Estimate.at_rest(north_m=float(at[0]), east_m=float(at[1]), heading_rad=float(at[4])),
+            yaw_rate_radps=float(at[5]),
+        )
+    rates: Array = np.abs(np.stack([plan.states[1:, 5] for plan in plans]))
+    return rates
+
+
+def test_a_controller_keeps_within_them_where_it_can_and_comes_back_where_it_cannot() -> None:
+    slow = MotionLimits(yaw_rate_radps=0.1)
+    assert turned(MotionLimits()).max() > 0.17
+    assert turned(slow).max() < 0.102
+    fast = turned(slow, rate=0.4)
+    assert fast[0, 0] > 0.2  # no thruster stops it within a stage
+    assert fast[-1, 1:].max() < 0.102
+
+
+def test_only_the_sparse_form_has_them() -> None:
+    for solver, formulation in (("osqp", "partial"), ("daqp", "condensed")):
+        with pytest.raises(ConfigError, match="must be sparse with limits of the motion"):
+            make(PAPER, settings(YAW, solver=solver, formulation=formulation))
+    assert chosen(settings(YAW, formulation="auto")) == "sparse"
+    assert chosen(settings(MotionLimits(), formulation="auto")) == "partial"
+    with pytest.raises(msgspec.ValidationError, match="yaw_rate_radps"):
+        msgspec.convert({"limits": {"yaw_rate_radps": 0.0}}, ControllerConfig)
