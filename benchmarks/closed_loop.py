@@ -30,7 +30,7 @@ from benchmarks.loop import STEP_NS, Loop, Outcome, situation
 from benchmarks.optimum import Optimum
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.signals import Array
@@ -79,7 +79,7 @@ class Converged:
 def cost(of: Situation, flown: Outcome) -> float:
     """J of a flight."""
     weights = settled(of.scenario.controller, of.vehicle).weights
-    scale = ThrustLimits.of(of.vehicle, of.scenario.controller.period_s).scale
+    scale = HorizonLimits.of(of.vehicle, of.scenario.controller.period_s).scale
     every = of.scenario.controller.period_ns // STEP_NS
     distance, f = flown.distance_m[every - 1 :: every], flown.commands_N[every - 1 :: every] / scale
     change = np.diff(f, axis=0, prepend=0.0)

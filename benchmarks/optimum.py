@@ -29,7 +29,7 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.constants import objective, pack_objective
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon import roll_out
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.trajectory import cost
 from ltv_mpc.signals import Array
@@ -60,7 +60,7 @@ class Optimum:
 
     def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
         self._p, self._weights = vehicle.coefficients(), settled(config, vehicle).weights
-        self._limits = ThrustLimits.of(vehicle, STAGE_S)
+        self._limits = HorizonLimits.of(vehicle, STAGE_S)
         self._packed = pack_objective(config.knots, self._limits, self._weights)
         self._N = N = config.stages
         self._knots, self._g = config.knots, np.diff(config.knots)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
@@ -30,7 +30,7 @@ class Peer:
     packages: ClassVar[tuple[str, ...]]
     settings: ClassVar[str]  # what differs from the tool's defaults, and why
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         self.stages, self.knots = config.stages, config.knots
         self.weights = settled(config, vehicle).weights
         self.limits = limits

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -40,7 +40,7 @@ class CasadiIpopt(Peer):
     packages = ("casadi",)
     settings = "multiple shooting, MUMPS, expand, warm_start_init_point with 1e-6 pushes, mu_strategy adaptive"
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w, h = self.stages, self.weights, STAGE_NS * 1e-9
         flow = symbolic.stage(h, 1, vehicle.coefficients())

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon import velocity_over_ground
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -31,7 +31,7 @@ class CvxpyOsqp(Peer):
     packages = ("cvxpy", "osqp")
     settings = "DPP, one sparse parameter for the dynamics, warm_start=True; OSQP as cvxpy sets it"
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         N, w = self.stages, self.weights
         self._scale = np.concatenate([limits.state_scale, limits.scale])

@@ -17,7 +17,7 @@ from qpmpc import MPCProblem, solve_mpc
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon import velocity_over_ground
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -37,7 +37,7 @@ class QpmpcDaqp(Peer):
     packages = ("qpmpc", "daqp")
     settings = "dense, defaults"
 
-    def __init__(self, config: ControllerConfig, limits: ThrustLimits, vehicle: Vehicle) -> None:
+    def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         super().__init__(config, limits, vehicle)
         w, F = self.weights, limits.scale
         position, thrust = np.sqrt(w.position_per_m2), max(np.sqrt(w.thrust), SMALL) / F

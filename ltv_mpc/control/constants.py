@@ -13,14 +13,14 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import slowness
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 
 class Objective(NamedTuple):
-    """Weights (``config.Weights``) and limits (``limits.ThrustLimits``)."""
+    """Weights (``config.Weights``) and limits (``limits.HorizonLimits``)."""
 
     position: float  # per m2
     terminal_position: float  # per m2, at the last knot besides
@@ -46,7 +46,7 @@ class Constants(NamedTuple):
     slowness: float  # the vehicle's time by that of the paper's: scales.py
 
 
-def pack_objective(knots: Array, limits: ThrustLimits, weights: Weights) -> Array:
+def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Array:
     """The flat array that ``objective`` takes apart; ``knots`` (N+1,) as in ``grid.py``."""
     cost = (
         weights.position_per_m2,
@@ -65,7 +65,7 @@ def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, most:
     """
     vertical = vehicle.thrusters[2]
     rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, slowness(vehicle))
-    ours = pack_objective(knots, ThrustLimits.of(vehicle, stage_s, most), weights)
+    ours = pack_objective(knots, HorizonLimits.of(vehicle, stage_s, most), weights)
     return np.concatenate([ours, vehicle.coefficients(), rest])
 
 
@@ -86,7 +86,7 @@ def length(o: Objective, k: int) -> float:
 
 
 @kernel
-def limited(o: Objective) -> int:
+def limited_states(o: Objective) -> int:
     """How many states have a limit."""
     return int(np.isfinite(o.most).sum())
 

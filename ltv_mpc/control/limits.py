@@ -34,8 +34,10 @@ def unlimited() -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class ThrustLimits:
-    """Box (2,) each and the largest change over the first stage (2,), in N; and what is of order one besides them."""
+class HorizonLimits:
+    """Box (2,) each and the largest change over the first stage (2,), in N; limits of the motion; and what is of order
+    one besides them.
+    """
 
     low: Array
     high: Array
@@ -46,8 +48,8 @@ class ThrustLimits:
     """(2,) of |x| for ``LIMITED``; infinite where there is no limit."""
 
     @classmethod
-    def of(cls, vehicle: Vehicle, stage_s: float, most: Array | None = None) -> ThrustLimits:
-        """The lateral thrusters' limits where the first stage lasts ``stage_s``."""
+    def of(cls, vehicle: Vehicle, stage_s: float, most: Array | None = None) -> HorizonLimits:
+        """A vehicle's where the first stage lasts ``stage_s``; ``most`` of its motion is asked besides."""
         lateral = vehicle.thrusters[:2]
         return cls(
             np.array([t.min_N for t in lateral]),

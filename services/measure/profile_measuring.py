@@ -22,7 +22,7 @@ from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
@@ -63,9 +63,9 @@ class Pair(NamedTuple):
         return controller
 
 
-def limits_of(episode: Episode) -> ThrustLimits:
+def limits_of(episode: Episode) -> HorizonLimits:
     """Of the episode's vehicle between two knots."""
-    return ThrustLimits.of(episode.vehicle, seconds(1))
+    return HorizonLimits.of(episode.vehicle, seconds(1), episode.config.limits.most)
 
 
 class Samples:

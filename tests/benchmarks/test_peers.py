@@ -13,7 +13,7 @@ from benchmarks.peers.loop import Entry, Held, closed
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, SettledConfig
 from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers import solve_qp
 from ltv_mpc.signals import Array, SolveStatus
@@ -28,8 +28,8 @@ H = STAGE_NS * 1e-9
 N = 8
 VEHICLE = Vehicle.load("paper")
 CONFIG = SettledConfig(horizon_s=N * H)
-LIMITS = ThrustLimits.of(VEHICLE, H)
-NO_SLEW = ThrustLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3), LIMITS.state_scale)
+LIMITS = HorizonLimits.of(VEHICLE, H)
+NO_SLEW = HorizonLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3), LIMITS.state_scale)
 P = VEHICLE.coefficients()
 
 # What the peers' own packages warn of is theirs.
@@ -61,7 +61,7 @@ def along(commands: Array, lin: Linearisation) -> Linearisation:
     return linearise(roll_out(lin.X[0], commands, lin.C, np.full(N, H), P), commands, lin.C, H, P)
 
 
-def optimum(lin: Linearisation, target: Array, limits: ThrustLimits = LIMITS) -> Array:
+def optimum(lin: Linearisation, target: Array, limits: HorizonLimits = LIMITS) -> Array:
     """Commands (N+1, 2) of the QP."""
     form = SparseForm(CONFIG.knots, limits, CONFIG.weights)
     return form.commands(lin, solve_qp(form.build(lin, target), "daqp").x)
@@ -89,7 +89,7 @@ def test_peers_that_solve_the_qp_find_its_optimum(file: str) -> None:
     ],
 )
 def test_peers_that_solve_the_nonlinear_problem_find_what_repeated_linearisation_converges_to(
-    file: str, limits: ThrustLimits, within_N: float
+    file: str, limits: HorizonLimits, within_N: float
 ) -> None:
     peer = peer_of(file)(CONFIG, limits, VEHICLE)
     for seed in range(2):

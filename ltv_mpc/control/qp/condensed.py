@@ -30,7 +30,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.constants import Objective, length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation, times, transposed_times, velocity_over_ground
-from ltv_mpc.control.limits import ThrustLimits, bounds
+from ltv_mpc.control.limits import HorizonLimits, bounds
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
@@ -41,7 +41,7 @@ from ltv_mpc.vehicle.flow import STATES
 class CondensedForm:
     """The QP's numbers for given knots: minimise 1/2 z' H z + f' z subject to lower <= [z, A z] <= upper."""
 
-    def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights) -> None:
+    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights) -> None:
         """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` stay the same, and so does A."""
         self.stages = stages = len(knots) - 1
         n = 2 * stages

@@ -29,7 +29,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.constants import Objective, length, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.condensed import commands, gradient, thrust_bounds, thrust_terms
 from ltv_mpc.control.qp.problem import QP
@@ -46,7 +46,7 @@ Indices = npt.NDArray[np.int64]
 class PartialForm:
     """The layout for given knots, and the numbers of the cycle built last."""
 
-    def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights, block: int = BLOCK) -> None:
+    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights, block: int = BLOCK) -> None:
         """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` stay the same; ``block``: stages in one."""
         N = self.stages = stages = len(knots) - 1
         blocks = max(1, round(stages / block))

@@ -33,7 +33,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.constants import length, objective, pack_objective, state_scale
 from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
-from ltv_mpc.control.limits import LIMITED, PENALTY, ThrustLimits, bounds
+from ltv_mpc.control.limits import LIMITED, PENALTY, HorizonLimits, bounds
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
@@ -86,7 +86,7 @@ class SparseForm:
     2 of slew a stage, 2 of box a stage, and 3 of each limited state a stage.
     """
 
-    def __init__(self, knots: Array, limits: ThrustLimits, weights: Weights) -> None:
+    def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights) -> None:
         """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` fix P; A, q, l and u change every cycle."""
         self.stages = stages = len(knots) - 1
         self._lengths = np.diff(knots)
@@ -303,5 +303,5 @@ def build_qp(
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    form = SparseForm(np.arange(float(len(U))), ThrustLimits.of(vehicle, stage_s), weights or weights_of(vehicle))
+    form = SparseForm(np.arange(float(len(U))), HorizonLimits.of(vehicle, stage_s), weights or weights_of(vehicle))
     return form.build(lin, np.vstack([reference, end_velocity_mps]))

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation, MotionLimits, SettledConfig
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.by_name import ByName, known_solvers, solve_qp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
@@ -18,7 +18,7 @@ from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
-NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, ThrustLimits], Solver]] = {
+NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, HorizonLimits], Solver]] = {
     ("osqp", "sparse"): SparseOsqp,
     ("osqp", "partial"): PartialOsqp,
     ("daqp", "condensed"): CondensedDaqp,
@@ -30,7 +30,7 @@ NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, ThrustLimits], So
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """The solver that ``config`` names. Raises ``ConfigError`` for one that is not there or has no such formulation."""
     config = settled(config, vehicle)
-    limits = ThrustLimits.of(vehicle, STAGE_NS * 1e-9, config.limits.most)
+    limits = HorizonLimits.of(vehicle, STAGE_NS * 1e-9, config.limits.most)
     formulation = chosen(config)
     if formulation != "sparse" and np.isfinite(limits.most).any():
         raise ConfigError(

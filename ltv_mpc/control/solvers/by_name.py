@@ -12,7 +12,7 @@ from scipy.sparse import csc_matrix, vstack
 
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP, Solution
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
@@ -31,7 +31,7 @@ def known_solvers() -> list[str]:
 class ByName:
     """One of qpsolvers' backends on the sparse QP, from nothing in each cycle."""
 
-    def __init__(self, config: SettledConfig, limits: ThrustLimits) -> None:
+    def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
         """``config`` names the backend."""
         self._name = config.solver
         self._form = SparseForm(config.knots, limits, config.weights)

@@ -14,7 +14,7 @@ from daqp import Model
 
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation, not_finite
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.condensed import CondensedForm
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
@@ -47,7 +47,7 @@ _WORDS = {
 class CondensedDaqp:
     """The problem with its states eliminated, and DAQP's workspace for it."""
 
-    def __init__(self, config: SettledConfig, limits: ThrustLimits) -> None:
+    def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
         """``config`` says how many stages, and the weights."""
         self._form = CondensedForm(config.knots, limits, config.weights)
         self._cold = np.zeros(len(self._form.lower), dtype=np.int32)  # no bound in the working set

@@ -18,7 +18,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import Linearisation, not_finite
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.condensed import commands
 from ltv_mpc.control.qp.partial import BLOCK, Indices, PartialForm, fill_A
 from ltv_mpc.control.qp.problem import QP
@@ -64,7 +64,7 @@ RELAXATION = 1.0
 class PartialOsqp:
     """One OSQP workspace for the partially condensed problem."""
 
-    def __init__(self, config: SettledConfig, limits: ThrustLimits, *, block: int = BLOCK) -> None:
+    def __init__(self, config: SettledConfig, limits: HorizonLimits, *, block: int = BLOCK) -> None:
         """``config`` says how many stages, the weights, the tolerance and the most iterations."""
         form = self._form = PartialForm(config.knots, limits, config.weights, block)
         self._knots = config.knots

@@ -23,7 +23,7 @@ import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.config import SettledConfig
-from ltv_mpc.control.constants import Objective, length, limited, objective, state_scale
+from ltv_mpc.control.constants import Objective, length, limited_states, objective, state_scale
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import (
     Linearisation,
@@ -33,7 +33,7 @@ from ltv_mpc.control.horizon import (
     velocity_over_ground,
     views,
 )
-from ltv_mpc.control.limits import LIMITED, ThrustLimits
+from ltv_mpc.control.limits import LIMITED, HorizonLimits
 from ltv_mpc.control.qp.failed import worst
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
@@ -121,7 +121,7 @@ def room(flat: Array, N: int, limited: int) -> Room:
 class SparseOsqp:
     """The default solver."""
 
-    def __init__(self, config: SettledConfig, limits: ThrustLimits) -> None:
+    def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
         """``config.tolerance`` is absolute, on the residuals of the scaled problem."""
         self.form = form = SparseForm(config.knots, limits, config.weights)
         self._most = config.max_iterations
@@ -239,7 +239,7 @@ def prepare(
     Returns how much larger than GRADIENT the cost's gradient is, as a step size goes with it; -1 if a number is not
     finite.
     """
-    N, states = len(target) - 1, limited(objective(numbers))
+    N, states = len(target) - 1, limited_states(objective(numbers))
     at = room(solve, N, states)
     fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
     first_guess(numbers, flat, target, at.q, shift, at.x, at.y)
@@ -295,7 +295,7 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
         for i in range(2):
             scale = c.state_scale[i]
             costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
-        row = E + 4 * N + 3 * k * limited(c)
+        row = E + 4 * N + 3 * k * limited_states(c)
         for j in range(2):
             if np.isfinite(c.most[j]):
                 costate[LIMITED[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED[j]]
@@ -387,7 +387,7 @@ def take(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands
     """
     N = commands.shape[0] - 1
     o = objective(numbers)
-    at, U, F = room(solve, N, limited(o)), views(flat, N).U, o.scale
+    at, U, F = room(solve, N, limited_states(o)), views(flat, N).U, o.scale
     total = 0.0
     for i in range(len(x)):
         at.x[i] = x[i]

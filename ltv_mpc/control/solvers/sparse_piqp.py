@@ -13,7 +13,7 @@ from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
@@ -26,7 +26,7 @@ from ltv_mpc.vehicle.flow import STATES
 class SparsePiqp:
     """One PIQP workspace for problems of one pattern."""
 
-    def __init__(self, config: SettledConfig, limits: ThrustLimits, tolerance: float | None = None) -> None:
+    def __init__(self, config: SettledConfig, limits: HorizonLimits, tolerance: float | None = None) -> None:
         """With PIQP's own tolerance unless one is given. Raises ``ConfigError`` where it is not installed."""
         try:
             import piqp

@@ -8,15 +8,15 @@ from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
-LIMITS = ThrustLimits.of(PAPER, 0.3)
-LOWERED = ThrustLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.change, LIMITS.state_scale)
+LIMITS = HorizonLimits.of(PAPER, 0.3)
+LOWERED = HorizonLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.change, LIMITS.state_scale)
 """A box that was just made smaller: a command can be outside of it."""
 
 
@@ -70,7 +70,7 @@ def precise(qp: QP) -> Array:
 
 
 def optimum(
-    lin: Linearisation, target: Array, limits: ThrustLimits, weights: Weights, knots: Array | None = None
+    lin: Linearisation, target: Array, limits: HorizonLimits, weights: Weights, knots: Array | None = None
 ) -> Array:
     """Commands (N+1, 2) of the sparse QP's optimum; the knots are equidistant if none are given."""
     form = SparseForm(equidistant(len(lin.U) - 1) if knots is None else knots, limits, weights)

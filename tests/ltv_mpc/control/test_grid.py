@@ -10,14 +10,14 @@ from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.constants import objective, pack, pack_objective
 from ltv_mpc.control.grid import knots, position
 from ltv_mpc.control.horizon import Linearisation, linearise_along, roll_out
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.solvers import partial_osqp, sparse_osqp
 from ltv_mpc.control.trajectory import carry, cost
 from ltv_mpc.control.vertical import follow
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
-LIMITS = ThrustLimits.of(PAPER, 0.3)
+LIMITS = HorizonLimits.of(PAPER, 0.3)
 GROWING = knots(17, 34.0)
 LENGTHS = np.diff(GROWING)
 N = 17

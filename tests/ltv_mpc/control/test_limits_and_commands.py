@@ -10,11 +10,11 @@ from hypothesis.extra.numpy import arrays
 
 from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
 from ltv_mpc.control.commands import SentCommands
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.signals import Solve
 
 PAPER = Vehicle.load("paper")
-LIMITS = ThrustLimits.of(PAPER, 0.3)
+LIMITS = HorizonLimits.of(PAPER, 0.3)
 SECOND = 1_000_000_000
 
 
@@ -52,7 +52,7 @@ def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side()
     own = {"port": {"min_N": -20.0, "max_N": 50.0, "slew_N_per_s": 40.0}, "starboard": {"min_N": -60.0, "max_N": 30.0}}
     thruster = msgspec.to_builtins(PAPER.thruster)
     changed = {name: values | own.get(name, {}) for name, values in thruster.items()}
-    limits = ThrustLimits.of(msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle), 0.3)
+    limits = HorizonLimits.of(msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle), 0.3)
     np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
     np.testing.assert_array_equal(limits.high, [50.0, 30.0])
     np.testing.assert_allclose(limits.change, [12.0, 30.0])

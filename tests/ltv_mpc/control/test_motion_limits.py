@@ -9,7 +9,7 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.constants import objective, pack_objective
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.limits import LIMITED, PENALTY, ThrustLimits
+from ltv_mpc.control.limits import LIMITED, PENALTY, HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
 from ltv_mpc.control.scales import settled
@@ -33,7 +33,7 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 def form_of(limits: MotionLimits) -> SparseForm:
     config = settled(settings(limits), PAPER)
-    return SparseForm(equidistant(N), ThrustLimits.of(PAPER, 0.3, limits.most), config.weights)
+    return SparseForm(equidistant(N), HorizonLimits.of(PAPER, 0.3, limits.most), config.weights)
 
 
 def excesses(form: SparseForm, x: Array) -> Array:
@@ -62,7 +62,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
         else:
             np.testing.assert_allclose(form.commands(lin, x), form.commands(lin, within), atol=1e-6)
             assert excesses(form, x).max() < 1e-7
-            free = SparseForm(equidistant(N), ThrustLimits.of(PAPER, 0.3), form.weights)
+            free = SparseForm(equidistant(N), HorizonLimits.of(PAPER, 0.3), form.weights)
             off = form.commands(lin, x) - free.commands(lin, precise(free.build(lin, target)))
             kept += bool(np.abs(off).max() > 1.0)  # and it holds something back
     assert kept >= 3
@@ -143,9 +143,9 @@ def test_words_of_their_rows() -> None:
 def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
-    limits = ThrustLimits.of(PAPER, 0.3, np.array([0.2, 0.1]))
+    limits = HorizonLimits.of(PAPER, 0.3, np.array([0.2, 0.1]))
     weights = settled(ControllerConfig(), PAPER).weights
-    free, bound = (objective(pack_objective(knots, of, weights)) for of in (ThrustLimits.of(PAPER, 0.3), limits))
+    free, bound = (objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.of(PAPER, 0.3), limits))
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
     scale = limits.state_scale

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Cycle, Inbox, Node
@@ -226,6 +227,17 @@ def test_a_fast_wrong_answer_shows() -> None:
     (wrong,) = measured([loose(episode, 1e-1)], OSQP)
     assert np.median(tight.thrust_error_N) < 1e-3
     assert np.median(wrong.thrust_error_N) > 100 * np.median(tight.thrust_error_N)
+
+
+def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
+    episode = problems.simulated(6, 20, seed=3)[0]
+    limits = MotionLimits(yaw_rate_radps=0.02)
+    slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
+    ours, theirs = measured([slow], OSQP, PIQP)
+    assert max(np.median(ours.thrust_error_N), np.median(theirs.thrust_error_N)) < 1e-3
+    pairs, left_out = profile.parse_pairs("osqp,daqp", "all", slow)
+    assert {pair.formulation for pair in pairs} == {"sparse"}
+    assert left_out
 
 
 def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:

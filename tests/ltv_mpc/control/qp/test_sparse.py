@@ -7,7 +7,7 @@ import pytest
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import ThrustLimits
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.sparse import SparseForm
 
 N = 3
@@ -15,7 +15,7 @@ KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
 LENGTH = np.diff(KNOTS)
 FULL_N = np.array([62.5, 50.0])
 SCALE = np.array([1.5, 1.5, 0.4, 0.4, 1.0, 0.2, *FULL_N])
-LIMITS = ThrustLimits(np.array([-40.0, -50.0]), np.array([62.5, 30.0]), np.array([30.0, 20.0]), SCALE[:6])
+LIMITS = HorizonLimits(np.array([-40.0, -50.0]), np.array([62.5, 30.0]), np.array([30.0, 20.0]), SCALE[:6])
 WEIGHTS = Weights(
     position_per_m2=1.3,
     terminal_position_per_m2=7.0,
