@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import msgspec
 import numpy as np
 import pytest
@@ -189,3 +192,18 @@ def test_only_the_sparse_form_has_them() -> None:
     assert chosen(settings(MotionLimits(), formulation="auto")) == "partial"
     with pytest.raises(msgspec.ValidationError, match="yaw_rate_radps"):
         msgspec.convert({"limits": {"yaw_rate_radps": 0.0}}, ControllerConfig)
+
+
+def test_a_descent_keeps_within_them_at_a_few_iterations_more(closed_loop: Callable[..., Any]) -> None:
+    def flown(limits: MotionLimits) -> tuple[Array, Array]:
+        seen = [closed_loop(seed, 300, ControllerConfig(limits=limits)) for seed in (5, 8, 11)]
+        rates = np.abs([estimate.yaw_rate_radps for estimates, _ in seen for estimate in estimates])
+        return rates, np.array([plan.solve.iterations for _, plans in seen for plan in plans])
+
+    rates, least = flown(MotionLimits())
+    slow, iterations = flown(MotionLimits(yaw_rate_radps=0.06))
+    assert rates.max() > 0.12
+    assert slow.max() < 0.063  # the QP knows the motion to first order
+    assert np.mean(slow > 0.058) > 0.02  # and uses what it is given
+    assert np.median(iterations) <= 4 * np.median(least)
+    assert np.mean(iterations >= 400) < 0.02
