@@ -275,7 +275,7 @@ class Estimator:
         in_doubt = self._restarts.doubts or self._restarts.recent(t_ns)
         if former.expired or not finite(former.filter.belief) or (former.agrees and not in_doubt):
             self._former = None
-        elif former.agrees:
+        elif former.agrees and former.is_worth_more(current):
             self._former = self._anew = None
             self._account.update(current.account)
             self._monitor.forget()

@@ -9,21 +9,29 @@ new, it was the instrument, and the twin takes its place.
 Agrees  of each tie the last ``ENOUGH`` messages have passed the gate, ``PASSED`` of their rows, within ``KEPT_NS``, and
         at least one had not before. A filter that was wrong does not come to that by waiting: what it refuses cannot
         correct it. One whose innovations are too large, and pass, has refused nothing and has nothing to come back to.
+Worth   more than the one in use it is only where it has come to something else, and is about as sure of its velocity.
+        What was granted before the doubt it has too: a filter that begins anew with the water as it was known may well
+        be the better one then.
 """
 
 from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
+
 from ltv_mpc.localisation.filter import Aiding, Filter, Verdict
 from ltv_mpc.localisation.health import TIES
 from ltv_mpc.localisation.late import History
 from ltv_mpc.localisation.restart import Memory
+from ltv_mpc.localisation.state import VELOCITY
 from ltv_mpc.signals import ImuSample
 
 KEPT_NS = 60_000_000_000
 ENOUGH = 3
 PASSED = 0.8
+UNSURE = 2.0
+"""Times the standard deviation of the velocity of the one in use, at most."""
 NEEDED = ("adcp", "pressure")
 """A bottom that is out of range is not asked."""
 
@@ -56,6 +64,11 @@ class Former:
         """With what it refused before."""
         enough = all(len(self._agreed[name]) == ENOUGH for name in NEEDED)
         return self._has_refused and enough and all(all(said) for said in self._agreed.values())
+
+    def is_worth_more(self, current: Filter) -> bool:
+        """Than the filter in use, if it agrees."""
+        own, others = (np.trace(f.core_covariance()[VELOCITY, VELOCITY]) for f in (self.filter, current))
+        return bool(own <= UNSURE**2 * others) and not np.array_equal(self.filter.belief.x, current.belief.x)
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
         """As the other does."""

@@ -122,3 +122,23 @@ def test_innovations_that_are_too_large_and_pass_the_gate_are_nothing_to_come_ba
 def test_it_is_forgotten_after_a_minute(make_dive, inbox_of, monkeypatch):
     monkeypatch.setattr(former, "KEPT_NS", 2 * SECOND)
     assert not Said(make_dive, inbox_of, profiler_off(30.0)).came_back
+
+
+def test_one_that_has_come_to_the_same_is_nothing_to_come_back_to(make_dive, inbox_of):
+    """A profiler that raves makes the water look like a front: what that grants both have, and begin anew helps."""
+    rng = np.random.default_rng(4)
+
+    def change(message: Signal) -> Signal:
+        if not isinstance(message, AdcpPing) or message.t_ns > 20 * SECOND:
+            return message
+        return msgspec.structs.replace(
+            message, beam_velocity_mps=rng.uniform(-2.0, 2.0, message.beam_velocity_mps.shape)
+        )
+
+    said = Said(make_dive, inbox_of, change)
+    assert not said.came_back
+
+
+def test_nor_one_that_is_less_sure_of_its_velocity(make_dive, inbox_of, monkeypatch):
+    monkeypatch.setattr(former, "UNSURE", 0.1)
+    assert not Said(make_dive, inbox_of, profiler_off(27.0)).came_back
