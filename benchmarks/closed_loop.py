@@ -175,12 +175,13 @@ def table(kept: dict[str, dict[str, Any]]) -> str:
     lines = [f"| mean of {len(kept)} seeds | {columns} |", "|---|---|---|---|---|"]
     for name in NAMES:
         flown = [(row[name], row[OPTIMUM]) for row in kept.values()]
-        pairs = np.array([[one["cost"], best["cost"]] for one, best in flown])
-        mean, low, high = ratio(pairs)
-        said, spread = f"{mean:.3f} ({low:.3f} to {high:.3f})", np.quantile(pairs[:, 0] / pairs[:, 1], SPREAD)
+        title, said, quartiles = name, "", ""
+        if name != OPTIMUM:
+            pairs = np.array([[one["cost"], best["cost"]] for one, best in flown])
+            mean, low, high = ratio(pairs)
+            title, said = f"{name} QP a cycle", f"{mean:.3f} ({low:.3f} to {high:.3f})"
+            quartiles = ", ".join(f"{x:.2f}" for x in np.quantile(pairs[:, 0] / pairs[:, 1], SPREAD))
         metres, newtons = (np.mean([one[key] for one, _ in flown]) for key in ("mean_m", "mean_abs_N"))
-        quartiles = ", ".join(f"{x:.2f}" for x in spread)
-        title, said, quartiles = (name, "", "") if name == OPTIMUM else (f"{name} QP a cycle", said, quartiles)
         lines.append(f"| {title} | {said} | {quartiles} | {metres:.4f} | {newtons:.1f} |")
     share = np.mean([row[OPTIMUM]["converged"] for row in kept.values()])
     return "\n".join([*lines, f"IPOPT converged in {100 * share:.1f} % of its cycles"])

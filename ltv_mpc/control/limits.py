@@ -60,6 +60,11 @@ class HorizonLimits:
         )
 
     @property
+    def limited(self) -> tuple[int, ...]:
+        """States that have a limit."""
+        return tuple(i for i, most in zip(LIMITED, self.most, strict=True) if np.isfinite(most))
+
+    @property
     def scale(self) -> Array:
         """The larger of both sides of the box (2,): what a thrust of 1 means in the cost."""
         return np.maximum(self.high, -self.low)

@@ -44,7 +44,7 @@ class Recorded(NamedTuple):
     sent: list[Sent]  # estimates, plans and truths
     words: list[NodeStatus]  # all of them, in order
     last: dict[int, NodeStatus]  # by epoch, of those that have said their last word
-    messages: Counter[int]  # recorded, by epoch, however often
+    messages: Counter[int]  # recorded, by epoch; one that is there twice is one
     unreadable: int  # recorded too: harmed on their way, and refused by whoever read them
     until_ns: int
 

@@ -94,7 +94,7 @@ class SparseForm:
         self.weights = weights
         position = weights.position_per_m2 * self._lengths
         position[-1] += weights.terminal_position_per_m2
-        self.limited = tuple(i for i, most in zip(LIMITED, limits.most, strict=True) if np.isfinite(most))
+        self.limited = limits.limited
         self.variables = stages * WIDTH + 2 + stages * len(self.limited)
         self.equalities = stages * STATES + 2
         self.rows = self.equalities + 4 * stages + 3 * stages * len(self.limited)

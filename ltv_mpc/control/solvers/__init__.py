@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig, Formulation, MotionLimits, SettledConfig
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
@@ -32,7 +30,7 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     config = settled(config, vehicle)
     limits = HorizonLimits.of(vehicle, STAGE_NS * 1e-9, config.limits.most)
     formulation = chosen(config)
-    if formulation != "sparse" and np.isfinite(limits.most).any():
+    if formulation != "sparse" and limits.limited:
         raise ConfigError(
             "controller settings", "formulation", "must be sparse with limits of the motion", value=config.formulation
         )
