@@ -17,11 +17,12 @@ import math
 
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
+from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Constants, Objective, length
+from ltv_mpc.control.cost import stage_cost, terminal_cost
 from ltv_mpc.control.limits import bounds
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.flow import STATES, advance_stage
+from ltv_mpc.vehicle.flow import advance_by, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
 
 APPROACH_S = 4.0
@@ -57,21 +58,23 @@ def _wanted_velocity(target: Array, k: int, o: Objective, stage_s: float) -> tup
 
 
 @kernel
-def steer(X0: Array, U0: Array, C: Array, target: Array, astern: bool, c: Constants) -> tuple[Array, Array]:
-    """States (N+1, 8) and commands (N+1, 2) under the law.
+def steer(X: Array, U: Array, C: Array, target: Array, astern: bool, most: float, c: Constants) -> float:
+    """X[1:] (N, 8) and U[1:] (N, 2) under the law from X[0] and U[0], and what that costs; infinity as soon as it costs
+    more than ``most``: the rest is then left as it was.
 
     C (N+1, 2) current at the knots; ``target`` (N+1, 2) as in ``Solver``.
     """
     N, p, o = len(target) - 1, c.p, c.objective
-    X, U = np.empty((N + 1, STATES)), np.empty((N + 1, 2))
-    assign(X[0], X0)
-    assign(U[0], U0)
     fastest = speed_at(o.high[0] + o.high[1], p)
     sign = -1.0 if astern else 1.0
+    total, h = 0.0, length(o, 1) * c.stage_s
+    lag = lag_table(h, p)
     for k in range(N):
         x = X[k]
         g = length(o, k + 1)
-        h = g * c.stage_s
+        before, h = h, g * c.stage_s
+        if h != before:
+            lag = lag_table(h, p)
         # w = (ref - p) / T_p + ref' - c, limited
         vn, ve = _wanted_velocity(target, k, o, c.stage_s)
         wn = (target[k, 0] - vn * h - x[0]) / (APPROACH_S * c.slowness) + vn - C[k, 0]
@@ -92,7 +95,10 @@ def steer(X0: Array, U0: Array, C: Array, target: Array, astern: bool, c: Consta
         arms = p.arm_port + p.arm_starboard
         F = ((surge * p.arm_starboard + yaw) / arms, (surge * p.arm_port - yaw) / arms)
         for i in range(2):
-            low, high = bounds(U0[i], o.t[k + 1] * o.change[i], o.low[i], o.high[i])
+            low, high = bounds(U[0, i], o.t[k + 1] * o.change[i], o.low[i], o.high[i])
             U[k + 1, i] = min(max(F[i], low, U[k, i] - g * o.change[i]), high, U[k, i] + g * o.change[i])
-        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, X[k + 1])
-    return X, U
+        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
+        total += stage_cost(X, U, target, k + 1, o)
+        if total > most:
+            return np.inf
+    return total + terminal_cost(X, C, target, o)

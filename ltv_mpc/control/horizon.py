@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.flow import STATES, advance_stage
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
-from ltv_mpc.vehicle.sensitivity import SCRATCH, lag_tables, linearise_stage
+from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
 
 
 class Linearisation(NamedTuple):
@@ -89,17 +89,32 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
 @kernel
 def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
     """Phi, A, B0 and B1 along the X, U and C that ``lin`` holds, at knots t (N+1,) in stages of ``stage_s``."""
+    _linearise(lin, t, stage_s, p, False)
+
+
+@kernel
+def linearise_ahead(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
+    """The same along the exact flow from X[0], which is written into X[1:]: one pass over the motion instead of two."""
+    _linearise(lin, t, stage_s, p, True)
+
+
+@kernel
+def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rolls: bool) -> None:
     X, U, C = lin.X, lin.U, lin.C
     h = (t[1] - t[0]) * stage_s
-    lag, gain = lag_tables(h, p)
+    lag = lag_table(h, p)
+    gain = thrust_gains(lag, p)
     Z = np.empty(SCRATCH)
     for k in range(U.shape[0] - 1):
         before, h = h, (t[k + 1] - t[k]) * stage_s
         if h != before:
-            lag, gain = lag_tables(h, p)
+            lag = lag_table(h, p)
+            gain = thrust_gains(lag, p)
         linearise_stage(
             X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
         )
+        if rolls:
+            assign(X[k + 1], lin.Phi[k])
 
 
 def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:

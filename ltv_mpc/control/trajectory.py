@@ -11,13 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.control.constants import Constants, Objective, constants, length
+from ltv_mpc.control.constants import Constants, constants, length
+from ltv_mpc.control.cost import cost
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.guess import steer
-from ltv_mpc.control.horizon import linearise_along, velocity_over_ground, views
-from ltv_mpc.control.limits import LIMITED, PENALTY, bring_in
+from ltv_mpc.control.horizon import linearise_ahead, views
+from ltv_mpc.control.limits import bring_in
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.flow import STATES, advance_stage
+from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
 
 CARRIED, AHEAD, ASTERN = range(3)
 """Where the trajectory linearised along comes from: the previous plan, or a law that steers either way."""
@@ -27,32 +28,15 @@ STEPS = (1.0, 0.5, 0.25, 0.1)
 
 
 @kernel
-def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
-    """What a trajectory X (N+1, 8), U (N+1, 2) in a current C (N+1, 2) costs against target (N+1, 2): as in the QP."""
-    N = U.shape[0] - 1
-    total = square = 0.0
-    for k in range(1, N + 1):
-        g = length(o, k)
-        dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
-        square = dn * dn + de * de
-        total += o.position * g * square
-        for i in range(2):
-            here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
-            total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
-            beyond = abs(X[k, LIMITED[i]]) - o.most[i]
-            if beyond > 0.0:
-                total += PENALTY * g * beyond / o.state_scale[LIMITED[i]]
-    velocity, _ = velocity_over_ground(X[N], C[N])
-    wn, we = velocity[0] - target[N, 0], velocity[1] - target[N, 1]
-    total += o.terminal_position * square + o.terminal_velocity * (wn * wn + we * we)
-    return float(total)
-
-
-@kernel
 def roll(X: Array, U: Array, C: Array, c: Constants) -> None:
     """X[1:] from X[0]: the exact flow of every stage."""
+    h = length(c.objective, 1) * c.stage_s
+    lag = lag_table(h, c.p)
     for k in range(U.shape[0] - 1):
-        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], length(c.objective, k + 1) * c.stage_s, c.p, X[k + 1])
+        before, h = h, length(c.objective, k + 1) * c.stage_s
+        if h != before:
+            lag = lag_table(h, c.p)
+        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, c.p, lag, X[k + 1])
 
 
 @kernel
@@ -95,16 +79,21 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
     assign(U[0], start[STATES:])
     kind, least = AHEAD, np.inf
     if not np.isnan(stages):
-        shifted(numbers, start, old, stages, lin.C, X, U)
+        carry(old, o.t, stages, U)
+        bring_in(U, o.t, o.low, o.high, o.change)
+        linearise_ahead(lin, o.t, c.stage_s, c.p)
         kind, least = CARRIED, cost(X, U, lin.C, target, o)
+    other_X, other_U = np.empty_like(X), np.empty_like(U)
+    assign(other_X[0], start[:STATES])
+    assign(other_U[0], start[STATES:])
     for astern in (False, True):
-        steered_X, steered_U = steer(X[0], U[0], lin.C, target, astern, c)
-        other = cost(steered_X, steered_U, lin.C, target, o)
+        other = steer(other_X, other_U, lin.C, target, astern, least, c)
         if other < least or np.isinf(least):
-            assign(X, steered_X)
-            assign(U, steered_U)
+            assign(X, other_X)
+            assign(U, other_U)
             kind, least = ASTERN if astern else AHEAD, other
-    linearise_along(lin, o.t, c.stage_s, c.p)
+    if kind != CARRIED:
+        linearise_ahead(lin, o.t, c.stage_s, c.p)
     return kind
 
 
@@ -114,7 +103,7 @@ def again(numbers: Array, flat: Array, N: int, X: Array, U: Array) -> None:
     c, lin = constants(numbers), views(flat, N)
     assign(lin.X, X)
     assign(lin.U, U)
-    linearise_along(lin, c.objective.t, c.stage_s, c.p)
+    linearise_ahead(lin, c.objective.t, c.stage_s, c.p)
 
 
 @kernel

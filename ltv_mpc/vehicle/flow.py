@@ -48,9 +48,31 @@ def substeps(h: float) -> int:
 
 
 @kernel
+def lag_table(h: float, p: Coefficients) -> Array:
+    """a, b0, b1 of both lateral thrusters (M, 2, 3) at each of the M = 2 steps + 1 instants at which a stage of h
+    seconds takes slopes. Stages of one length have it in common, and its exponentials cost a third of the motion.
+    """
+    instants = 2 * substeps(h) + 1
+    lag = np.empty((instants, 2, 3))
+    for i in range(instants):
+        t = h * i / (instants - 1)
+        lag[i, 0, 0], lag[i, 0, 1], lag[i, 0, 2] = lag_weights(t, h, p.lag_port)
+        lag[i, 1, 0], lag[i, 1, 1], lag[i, 1, 2] = lag_weights(t, h, p.lag_starboard)
+    return lag
+
+
+@kernel
 def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, out: Array) -> None:
     """out = flow(X, u(0), u(h)), all of shape (8,), over h seconds; the current goes linearly from c(0) to c(h)."""
-    steps = substeps(h)
+    advance_by(X, u0, uh, c0, ch, h, p, lag_table(h, p), out)
+
+
+@kernel
+def advance_by(
+    X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, lag: Array, out: Array
+) -> None:
+    """``advance_stage``, whose ``lag`` is ``lag_table(h, p)``."""
+    steps = (len(lag) - 1) // 2
     d = h / steps
     crn, cre = (ch[0] - c0[0]) / h, (ch[1] - c0[1]) / h
     n, e, u, v, psi, r = X[0], X[1], X[2], X[3], X[4], X[5]
@@ -62,7 +84,9 @@ def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float
             part, weight, ahead = runge_kutta(node, d)
             t = i * d + ahead
             if node != 2:  # the third slope is taken at the instant of the second
-                F1, F2 = lagged(X, u0, uh, t, h, p)
+                m = 2 * i + (node + 1) // 2
+                F1 = lag[m, 0, 0] * X[6] + lag[m, 0, 1] * u0[0] + lag[m, 0, 2] * uh[0]
+                F2 = lag[m, 1, 0] * X[7] + lag[m, 1, 1] * u0[1] + lag[m, 1, 2] * uh[1]
             kn, ke, ku, kv, kpsi, kr = rates(
                 u + part * ku,
                 v + part * kv,
@@ -94,14 +118,6 @@ def runge_kutta(node: int, d: float) -> tuple[float, float, float]:
     if node == 3:
         return d, d / 6.0, d
     return 0.5 * d, d / 3.0, 0.5 * d
-
-
-@kernel
-def lagged(X: Array, u0: Array, uh: Array, t: float, h: float, p: Coefficients) -> tuple[float, float]:
-    """F(t) of both lateral thrusters."""
-    a, b0, b1 = lag_weights(t, h, p.lag_port)
-    g, d0, d1 = lag_weights(t, h, p.lag_starboard)
-    return a * X[6] + b0 * u0[0] + b1 * uh[0], g * X[7] + d0 * u0[1] + d1 * uh[1]
 
 
 @kernel

@@ -19,7 +19,7 @@ import numpy as np
 from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.dynamics import Slopes, rates, slopes
-from ltv_mpc.vehicle.flow import lag_weights, runge_kutta, substeps
+from ltv_mpc.vehicle.flow import runge_kutta
 from ltv_mpc.vehicle.parameters import Coefficients
 
 COLUMNS = 12
@@ -30,23 +30,16 @@ SCRATCH = 16 * COLUMNS
 
 
 @kernel
-def lag_tables(h: float, p: Coefficients) -> tuple[Array, Array]:
-    """What every stage of h seconds has in common, at each of the M = 2 steps + 1 instants at which slopes are taken.
-
-    a, b0, b1 of both thrusters (M, 2, 3), and df/dF dF/d(.) of surge and yaw rate (M, 2 COLUMNS).
-    """
-    nodes = 2 * substeps(h) + 1
-    lag, gain = np.empty((nodes, 2, 3)), np.zeros((nodes, 2 * COLUMNS))
-    for i in range(nodes):
-        t = h * i / (nodes - 1)
-        lag[i, 0, 0], lag[i, 0, 1], lag[i, 0, 2] = lag_weights(t, h, p.lag_port)
-        lag[i, 1, 0], lag[i, 1, 1], lag[i, 1, 2] = lag_weights(t, h, p.lag_starboard)
+def thrust_gains(lag: Array, p: Coefficients) -> Array:
+    """df/dF dF/d(.) of surge and yaw rate (M, 2 COLUMNS) at the instants of ``lag``, a ``lag_table``."""
+    gain = np.zeros((len(lag), 2 * COLUMNS))
+    for i in range(len(lag)):
         for a in range(3):
             port, starboard = 4 + 2 * a, 5 + 2 * a
             gain[i, port], gain[i, starboard] = lag[i, 0, a] / p.mass_surge, lag[i, 1, a] / p.mass_surge
             gain[i, COLUMNS + port] = lag[i, 0, a] * p.arm_port / p.inertia_yaw
             gain[i, COLUMNS + starboard] = -lag[i, 1, a] * p.arm_starboard / p.inertia_yaw
-    return lag, gain
+    return gain
 
 
 @kernel
@@ -68,7 +61,7 @@ def linearise_stage(
 ) -> None:
     """The flow over one stage (out (8,)) and its sensitivities A (8, 8), B0 (8, 2), B1 (8, 2), all written in place.
 
-    ``lag`` and ``gain`` are ``lag_tables(h, p)``, ``Z`` (SCRATCH,) is overwritten.
+    ``lag`` is ``lag_table(h, p)``, ``gain`` what ``thrust_gains`` makes of it, ``Z`` (SCRATCH,) is overwritten.
     """
     steps = (len(lag) - 1) // 2
     d = h / steps

@@ -13,6 +13,7 @@ from ltv_mpc.control.solvers.partial_osqp import PartialOsqp
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
+from ltv_mpc.control.solvers.stagewise import Stagewise
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -21,6 +22,7 @@ NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, HorizonLimits], S
     ("osqp", "partial"): PartialOsqp,
     ("daqp", "condensed"): CondensedDaqp,
     ("piqp", "sparse"): SparsePiqp,
+    ("riccati", "sparse"): Stagewise,
 }
 """By their own interfaces, updated in place. Every other solver goes through qpsolvers, on the sparse form."""
 
@@ -33,6 +35,10 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     if formulation != "sparse" and limits.limited:
         raise ConfigError(
             "controller settings", "formulation", "must be sparse with limits of the motion", value=config.formulation
+        )
+    if config.solver == "riccati" and limits.limited:
+        raise ConfigError(
+            "controller settings", "solver", "cannot do limits of the motion; osqp, piqp can", value=config.solver
         )
     native = NATIVE.get((config.solver, formulation))
     if native is not None:

@@ -7,9 +7,11 @@ and rho stays 1. Which limits are active is known before the solve from the prev
 after each turn of some iterations: where it has changed the rows are scaled anew. A's numbers change in every cycle
 anyway, so the factorisation is paid already.
 
-The first guess: at the trajectory linearised along (with its gaps, if it has any, closed by a forward sweep), the
-duals of the dynamics from a backward sweep (the costates), those of box and slew from the previous solve. Where nothing
-is limited this is nearly the solution; a handful of iterations does it.
+The first guess: commands and duals of box and slew from sweeps along the stages (``stagewise.py``), which nearly always
+are the solution's; the states that they lead to, gaps closed, by a sweep forward, the duals of the dynamics (costates)
+by one backward. What is left for OSQP is to say so: its first look at the residuals, after ``CHECK`` iterations. Where
+the sweeps do not apply (limits of the motion, a cost without a weight on thrust) the guess is the trajectory that was
+linearised along, with the duals of the previous solve.
 
 The over-relaxation is off: with step sizes this unequal the plain iteration is the faster one.
 """
@@ -38,6 +40,8 @@ from ltv_mpc.control.qp.failed import worst
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import WIDTH, Places, SparseForm, fill, map_of
+from ltv_mpc.control.qp.sweeps import ROWS
+from ltv_mpc.control.solvers import stagewise
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Settings, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
@@ -267,23 +271,21 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
     E = N * STATES + 2
     _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
-    x[:] = 0.0
-    # d_(k+1) = A d_k + Phi_k - Xbar_(k+1): the gaps closed, commands as they are
-    d, last = np.zeros(STATES), np.zeros(STATES)
-    for k in range(N):
-        times(lin.A, k, last, d)
-        for i in range(STATES):
-            d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
-        assign(last, d)
-        for i in range(STATES):
-            x[k * WIDTH + i] = d[i] / state_scale(i, c)
+    dU = np.zeros((N + 1, 2))
+    before = y[E:].copy()
+    if not before[4 * N :].any():
+        _guess_commands(c, lin, target, dU, y[E:])
+    if not _close(c, lin, dU, x):  # the sweeps know nothing of limits of the motion
+        dU[:, :] = 0.0
+        y[E:] = before
+        _close(c, lin, dU, x)
     _guess_excesses(c, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
         w = velocity[i] - target[N, i]
         for j in range(3):
-            w += V[i, j] * d[2 + j]
+            w += V[i, j] * x[(N - 1) * WIDTH + 2 + j] * c.state_scale[2 + j]
         x[N * WIDTH + i] = w
         y[N * STATES + i] = c.terminal_velocity * w
         for j in range(3):
@@ -304,6 +306,51 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
             y[k * STATES + i] = costate[i] * state_scale(i, c)
         transposed_times(lin.A, k, costate, before)
         assign(costate, before)
+
+
+@kernel
+def _close(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
+    """x (n,): the commands dU (N+1, 2), and the states that they lead to, by a forward sweep that closes the gaps.
+    Returns whether these states are within the limits of the motion.
+    """
+    N, within = dU.shape[0] - 1, True
+    x[:] = 0.0
+    # d_(k+1) = A d_k + B0 dU_k + B1 dU_(k+1) + Phi_k - Xbar_(k+1)
+    d, last = np.zeros(STATES), np.zeros(STATES)
+    for k in range(N):
+        times(lin.A, k, last, d)
+        for i in range(STATES):
+            for j in range(2):
+                d[i] += lin.B0[k, i, j] * dU[k, j] + lin.B1[k, i, j] * dU[k + 1, j]
+            d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
+            x[k * WIDTH + i] = d[i] / state_scale(i, c)
+        assign(last, d)
+        for i in range(2):
+            x[k * WIDTH + STATES + i] = dU[k + 1, i] / c.scale[i]
+            state = LIMITED[i]
+            within &= abs(lin.X[k + 1, state] + d[state]) <= c.most[i]
+    return within
+
+
+@kernel
+def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, y: Array) -> None:
+    """Commands dU (N+1, 2), and the duals y of slew and box in place of those of the last solve: ``stagewise.py``."""
+    N = dU.shape[0] - 1
+    rows = np.empty((N, ROWS))
+    for k in range(N):
+        for i in range(2):
+            rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
+    came_to, _ = stagewise.solve(lin, target, c, stagewise.MOST_SWEEPS, rows, dU)
+    if came_to == stagewise.NOTHING:  # a cost that does not say what the commands should be: y as it is
+        return
+    for k in range(N):
+        for i in range(2):
+            y[2 * (N + k) + i], y[2 * k + i] = rows[k, i], rows[k, 2 + i]
+
+
+@kernel
+def _known(dual: float) -> float:
+    return dual if abs(dual) > NOT_ACTIVE else 0.0
 
 
 @kernel

@@ -8,11 +8,12 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, Vehicle, references
 from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.constants import objective, pack, pack_objective
+from ltv_mpc.control.cost import cost
 from ltv_mpc.control.grid import knots, position
 from ltv_mpc.control.horizon import Linearisation, linearise_along, roll_out
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.solvers import partial_osqp, sparse_osqp
-from ltv_mpc.control.trajectory import carry, cost
+from ltv_mpc.control.trajectory import carry
 from ltv_mpc.control.vertical import follow
 
 PAPER = Vehicle.load("paper")

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.dynamics import PSI, R, U, V, derivative, heave_acceleration, jacobian, thrust_gain
-from ltv_mpc.vehicle.flow import advance_heave, advance_stage, substeps
-from ltv_mpc.vehicle.sensitivity import SCRATCH, lag_tables, linearise_stage
+from ltv_mpc.vehicle.flow import advance_heave, advance_stage, lag_table, substeps
+from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
 
 PAPER = Vehicle.load("paper")
 # Unequal masses, arms and lags, linear and quadratic damping: nothing cancels that would hide a wrong sign.
@@ -182,9 +182,10 @@ def test_the_exact_discretisation_agrees_with_a_tight_independent_integrator():
 def test_sensitivities_agree_with_finite_differences_of_the_exact_flow_to_1e_6():
     rng = np.random.default_rng(2)
     out, A, B0, B1 = np.empty(8), np.empty((8, 8)), np.empty((8, 2)), np.empty((8, 2))
+    lag = lag_table(0.3, P)
     for _ in range(40):
         X, u0, uh, c0, ch = draw(rng)
-        linearise_stage(X, u0, uh, c0, ch, 0.3, P, *lag_tables(0.3, P), np.empty(SCRATCH), out, A, B0, B1)
+        linearise_stage(X, u0, uh, c0, ch, 0.3, P, lag, thrust_gains(lag, P), np.empty(SCRATCH), out, A, B0, B1)
         np.testing.assert_allclose(out, flow(X, u0, uh, c0, ch), atol=1e-14)
         for matrix, which in ((A, 0), (B0, 1), (B1, 2)):
             for j in range(matrix.shape[1]):

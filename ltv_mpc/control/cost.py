@@ -1,0 +1,52 @@
+"""What a trajectory costs: the QP's objective (``qp/sparse.py``), of the exact flow instead of its linearisation.
+
+    J = sum over k = 1..N of  g_k (w |p_k - ref_k|^2 + r |U_k / F|^2) + s / g_k |(U_k - U_(k-1)) / F|^2  + soft limits
+        + w_N |p_N - ref_N|^2 + m |p'_N - ref'_N|^2
+
+Every term is at least zero, so a sum that is not complete is a bound from below: who looks for the cheapest of several
+trajectories can leave one as soon as it costs more than another.
+"""
+
+from __future__ import annotations
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.control.constants import Objective, length
+from ltv_mpc.control.horizon import velocity_over_ground
+from ltv_mpc.control.limits import LIMITED, PENALTY
+from ltv_mpc.signals import Array
+
+
+@kernel
+def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
+    """J of states X (N+1, 8) and commands U (N+1, 2) in a current C (N+1, 2) against ``target`` (N+1, 2) as in
+    ``Solver``.
+    """
+    total = 0.0
+    for k in range(1, U.shape[0]):
+        total += stage_cost(X, U, target, k, o)
+    return total + terminal_cost(X, C, target, o)
+
+
+@kernel
+def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float:
+    """What knot k = 1 .. N adds."""
+    g = length(o, k)
+    dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
+    total = o.position * g * (dn * dn + de * de)
+    for i in range(2):
+        here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
+        total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
+        beyond = abs(X[k, LIMITED[i]]) - o.most[i]
+        if beyond > 0.0:
+            total += PENALTY * g * beyond / o.state_scale[LIMITED[i]]
+    return float(total)
+
+
+@kernel
+def terminal_cost(X: Array, C: Array, target: Array, o: Objective) -> float:
+    """What the last knot adds besides."""
+    N = X.shape[0] - 1
+    dn, de = X[N, 0] - target[N - 1, 0], X[N, 1] - target[N - 1, 1]
+    velocity, _ = velocity_over_ground(X[N], C[N])
+    wn, we = velocity[0] - target[N, 0], velocity[1] - target[N, 1]
+    return float(o.terminal_position * (dn * dn + de * de) + o.terminal_velocity * (wn * wn + we * we))
