@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ NEVER = -(2**62)
 NO_PROFILE = CurrentProfile(depth_m=np.empty(0), north_mps=np.empty(0), east_mps=np.empty(0))
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(NamedTuple):
     """The vehicle at the instant at which the plan takes effect."""
 
     t_ns: int

@@ -26,6 +26,9 @@ NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, HorizonLimits], S
 }
 """By their own interfaces, updated in place. Every other solver goes through qpsolvers, on the sparse form."""
 
+OWN = "riccati"
+"""What needs no package."""
+
 
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """The solver that ``config`` names. Raises ``ConfigError`` for one that is not there or has no such formulation."""
@@ -36,18 +39,19 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
         raise ConfigError(
             "controller settings", "formulation", "must be sparse with limits of the motion", value=config.formulation
         )
-    if config.solver == "riccati" and limits.limited:
+    if config.solver == OWN and limits.limited:
         raise ConfigError(
             "controller settings", "solver", "cannot do limits of the motion; osqp, piqp can", value=config.solver
         )
     native = NATIVE.get((config.solver, formulation))
     if native is not None:
         return native(config, limits)
-    if config.solver not in known_solvers():
+    known = (OWN, *known_solvers())
+    if config.solver not in known:
         raise ConfigError(
             "controller settings",
             "solver",
-            f"not installed or not known; installed: {', '.join(known_solvers())}",
+            f"not installed or not known; installed: {', '.join(known)}",
             value=config.solver,
         )
     if formulation != "sparse":
@@ -65,9 +69,9 @@ def chosen(config: ControllerConfig) -> Formulation:
     """What ``auto`` stands for."""
     if config.formulation != "auto":
         return config.formulation
-    if config.limits != MotionLimits():
+    if config.limits != MotionLimits():  # of the sparse form alone
         return "sparse"
-    return {"osqp": "partial", "daqp": "condensed"}.get(config.solver, "sparse")  # type: ignore[return-value]
+    return "condensed" if config.solver == "daqp" else "sparse"
 
 
 __all__ = ["NATIVE", "Answer", "Solver", "chosen", "make", "solve_qp"]

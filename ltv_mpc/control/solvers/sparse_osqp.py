@@ -9,7 +9,7 @@ anyway, so the factorisation is paid already.
 
 The first guess: commands and duals of box and slew from sweeps along the stages (``stagewise.py``), which nearly always
 are the solution's; the states that they lead to, gaps closed, by a sweep forward, the duals of the dynamics (costates)
-by one backward. What is left for OSQP is to say so: its first look at the residuals, after ``CHECK`` iterations. Where
+by one backward. What is left for OSQP is to say so, after one iteration. Where
 the sweeps do not apply (limits of the motion, a cost without a weight on thrust) the guess is the trajectory that was
 linearised along, with the duals of the previous solve.
 
@@ -69,6 +69,9 @@ MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
 
 NOT_ACTIVE = 1e-9
 """A dual below this is what rounding left of none."""
+
+FIRST_TURN = 1
+"""Iterations until OSQP first looks at its residuals: the guess mostly is the solution."""
 
 TURN = 9
 """Iterations between two looks at the active limits."""
@@ -182,7 +185,8 @@ class SparseOsqp:
         commands = np.empty_like(lin.U)
         iterations, turn = 0, 0
         while True:
-            solver.limit(min(TURN * 2 ** max(0, turn - PATIENCE), self._most), self._eps)
+            length = TURN * 2 ** max(0, turn - PATIENCE) if turn else FIRST_TURN
+            solver.limit(min(length, self._most), self._eps)
             turn += 1
             status = solver.solve()
             account = solver.account()
@@ -222,7 +226,13 @@ class SparseOsqp:
     def scaled(self) -> tuple[QP, Settings]:
         """The problem that was built last as OSQP gets it, its rows scaled, and OSQP's settings for it."""
         at = self._room
-        settings = {**PLAIN, "alpha": 1.0, "eps_abs": self._tolerance, "check_termination": CHECK, "max_iter": TURN}
+        settings = {
+            **PLAIN,
+            "alpha": 1.0,
+            "eps_abs": self._tolerance,
+            "check_termination": CHECK,
+            "max_iter": FIRST_TURN,
+        }
         return self.form.assembled(at.As, at.q, at.ls, at.us), settings
 
     def point(self) -> tuple[Array, Array]:

@@ -188,8 +188,9 @@ def test_only_the_sparse_form_has_them() -> None:
     for solver, formulation in (("osqp", "partial"), ("daqp", "condensed")):
         with pytest.raises(ConfigError, match="must be sparse with limits of the motion"):
             make(PAPER, settings(YAW, solver=solver, formulation=formulation))
-    assert chosen(settings(YAW, formulation="auto")) == "sparse"
-    assert chosen(settings(MotionLimits(), formulation="auto")) == "partial"
+    assert chosen(settings(YAW, solver="daqp", formulation="auto")) == "sparse"
+    assert chosen(settings(MotionLimits(), solver="daqp", formulation="auto")) == "condensed"
+    assert chosen(settings(MotionLimits(), formulation="auto")) == "sparse"
     with pytest.raises(msgspec.ValidationError, match="yaw_rate_radps"):
         msgspec.convert({"limits": {"yaw_rate_radps": 0.0}}, ControllerConfig)
 

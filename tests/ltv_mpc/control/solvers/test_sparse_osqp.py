@@ -83,7 +83,7 @@ def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_r
         kkt = residuals(solver.problem(), *solver.point())
         assert max(kkt.stationarity, kkt.primal, kkt.complementarity) <= 2e-5
         solver.update()
-        assert solver.solve().solve.iterations == sparse_osqp.CHECK
+        assert solver.solve().solve.iterations == sparse_osqp.FIRST_TURN
 
 
 def test_without_the_sweeps_it_begins_at_the_trajectory_with_the_duals_of_the_last_solve():
