@@ -90,6 +90,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     formulation: Formulation = "sparse"
     delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected before anything was measured
+    least_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0  # expected whatever was measured: room on a busy machine
     ages: Ages = Ages()  # of the newest estimate, beyond which less and less is done on it
 
     @classmethod

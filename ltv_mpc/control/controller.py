@@ -128,7 +128,8 @@ class Controller:
         self._prediction = Prediction(vehicle)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
         self._first_delay_ns = round(config.first_delay_s * 1e9)
-        self._delay = Delay(self._first_delay_ns, config.delay_quantile)
+        self._least_delay_ns = round(config.least_delay_s * 1e9)
+        self._delay = Delay(self._first_delay_ns, config.delay_quantile, self._least_delay_ns)
         self._memory: _Memory | None = None
         self._integral_N = 0.0
         self._integrated_ns: int | None = None
@@ -305,7 +306,8 @@ class Controller:
         """
         if plan is not None:
             self._commands.sent(plan)
-            self._delay = Delay(max(plan.expected_delay_ns, self._first_delay_ns), self.config.delay_quantile)
+            first_ns = max(plan.expected_delay_ns, self._first_delay_ns)
+            self._delay = Delay(first_ns, self.config.delay_quantile, self._least_delay_ns)
             followed = plan.origin in (PlanOrigin.SOLVED, PlanOrigin.SHIFTED)
             if followed and np.array_equal(plan.t_ns - plan.t_ns[0], self._ahead_ns):
                 start_ns = int(plan.t_ns[0])

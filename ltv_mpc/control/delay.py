@@ -2,8 +2,8 @@
 
 Measured, where the actuators report back, from the receipt of each plan (computing, publishing and transport at once);
 else from the cycle's own computing time. Expected is a high quantile of what was measured lately, and as much again as
-that lies above the median: a plan is then rarely late, and a delay that never varies is expected as it is. Being too
-careful costs little, since the vehicle's motion until then is predicted.
+that lies above the median, and never less than a setting says: a plan is then rarely late, and a delay that never
+varies is expected as it is. Being too careful costs little, since the vehicle's motion until then is predicted.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ EARLIEST_NS = -(2**63)
 class Delay:
     """Expected delay in vehicle nanoseconds."""
 
-    def __init__(self, first_ns: int, quantile: float) -> None:
-        self._first_ns = self._expected_ns = first_ns
+    def __init__(self, first_ns: int, quantile: float, least_ns: int = 0) -> None:
+        self._first_ns = self._expected_ns = max(first_ns, least_ns)
         self._quantile = quantile
+        self._least_ns = least_ns
         self._receipts: deque[int] = deque(maxlen=REMEMBERED)
         self._computing: deque[int] = deque(maxlen=REMEMBERED)
         self._solves_from: int | None = None
@@ -80,4 +81,4 @@ class Delay:
             return
         in_order = sorted(measured)
         middle, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
-        self._expected_ns = high + (high - middle)
+        self._expected_ns = max(high + (high - middle), self._least_ns)

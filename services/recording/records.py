@@ -33,7 +33,7 @@ from ltv_mpc.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST_CHUNK = 1 << 24
-"""Bytes; our own chunks have 64 KiB and a message more."""
+"""Bytes; our own chunks have 1 MiB and a message more."""
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")

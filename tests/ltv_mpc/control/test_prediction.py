@@ -149,6 +149,15 @@ def test_a_delay_that_never_varies_is_expected_as_it_is():
     assert delay.expected_ns() == 700
 
 
+def test_no_less_is_expected_than_a_setting_says():
+    delay = Delay(0, 1.0, 30)
+    assert delay.expected_ns() == 30
+    delay.timing(timing(10))
+    assert delay.expected_ns() == 30
+    delay.timing(timing(40))
+    assert delay.expected_ns() == 40  # the median of two is the later one
+
+
 def test_expected_is_a_quantile_and_as_much_again_above_the_median_and_each_receipt_counts_once():
     delay = Delay(0, 1.0)
     received(delay, 100, 100, 100, 160)

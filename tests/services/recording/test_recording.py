@@ -39,6 +39,8 @@ def write_depths(path: Path, count: int, **options: Any) -> None:
     with RunWriter(path, start_ns=START_NS, metadata={"seed": "7"}, **options) as writer:
         for i in range(count):
             writer.write("sensors", depth(i), header(i), depth(i).t_ns)
+            if i % 300 == 299:
+                writer.flush()  # which ends a chunk
 
 
 @pytest.fixture
