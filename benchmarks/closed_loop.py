@@ -140,7 +140,7 @@ def flights(job: Job) -> dict[str, Flight]:
     """Each of them."""
     settings = (f"run.seed={job.seed}", f"run.duration_s={job.duration_s}")
     return {
-        name: fly(situation(*settings), _optimum())
+        name: fly(situation(*settings, "controller.sqp_iterations=1"), _optimum())
         if name == OPTIMUM
         else fly(situation(*settings, f"controller.sqp_iterations={name}"), None)
         for name in job.names

@@ -25,7 +25,7 @@ PAPER_COST = (
     "controller.weights.terminal_velocity_s2_per_m2=0.0",
 )
 SHORT, LONG = ("controller.horizon_s=2.5",), ("controller.horizon_s=10.0",)
-TWO = ("controller.sqp_iterations=2",)
+ONE = ("controller.sqp_iterations=1",)
 FIXES = ("run.surface_time_s=30.0",)
 REALISTIC = ('sensors="realistic"', *FIXES)
 
@@ -33,16 +33,16 @@ ROWS = {
     "no control": (*KNOWN, "controller.lateral=false"),
     "known state, 2.5 s": (*KNOWN, *SHORT),
     "known state, 5 s": KNOWN,
-    "known state, 5 s, two QPs a cycle": (*KNOWN, *TWO),
+    "known state, 5 s, one QP a cycle": (*KNOWN, *ONE),
     "known state, 5 s, 0.71 s of computing": (*KNOWN, "run.compute_delay_s=0.71"),
     "known state, 10 s": (*KNOWN, *LONG),
     "known state, the paper's cost, 2.5 s": (*KNOWN, *PAPER_COST, *SHORT),
     "known state, the paper's cost, 5 s": (*KNOWN, *PAPER_COST),
     "full loop, paper sensors, 1 TDCP fix": (),
     "full loop, paper sensors, 30 TDCP fixes": FIXES,
-    "full loop, paper sensors, 30 TDCP fixes, two QPs a cycle": (*FIXES, *TWO),
+    "full loop, paper sensors, 30 TDCP fixes, one QP a cycle": (*FIXES, *ONE),
     "full loop, realistic sensors, 30 TDCP fixes": REALISTIC,
-    "full loop, realistic sensors, 30 TDCP fixes, two QPs a cycle": (*REALISTIC, *TWO),
+    "full loop, realistic sensors, 30 TDCP fixes, one QP a cycle": (*REALISTIC, *ONE),
 }
 
 COLUMNS: dict[str, Callable[[Summary], float | None]] = {

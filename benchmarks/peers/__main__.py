@@ -22,6 +22,7 @@ from services.measure.profile_problems import Episode, seconds
 OURS = {
     Pair("osqp", "sparse"): "this project: OSQP, sparse",
     Pair("osqp", "partial"): "this project: OSQP, partially condensed",
+    Pair("riccati", "sparse"): "this project: Riccati sweeps",
     Pair("daqp", "condensed"): "this project: DAQP, condensed",
     YARDSTICK: "this project: PIQP, sparse",
 }

@@ -40,7 +40,7 @@ class Variant(NamedTuple):
     def settings(self) -> tuple[str, ...]:
         """KEY=VALUE on top of the scenario."""
         disturbance = () if self.estimates_water else ("controller.disturbance.sd_mps=0.0",)
-        return (f"run.compute_delay_s={self.delay_s}", *disturbance)
+        return (f"run.compute_delay_s={self.delay_s}", "controller.sqp_iterations=1", *disturbance)
 
     @property
     def told(self) -> Told:

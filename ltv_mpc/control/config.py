@@ -83,7 +83,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     disturbance: Disturbance = Disturbance()
     limits: MotionLimits = MotionLimits()  # of the motion, as far as it can be kept within them
     lateral: bool = True  # false: the lateral thrusters stay at zero: what happens without control
-    sqp_iterations: Annotated[int, Meta(ge=1, le=6)] = 1  # QPs a cycle, each along what the one before came to
+    sqp_iterations: Annotated[int, Meta(ge=1, le=6)] = 2  # QPs a cycle, each along what the one before came to
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
     tolerance: Annotated[float, Meta(gt=0, le=1e-1)] = 5e-6
     solver: str = "osqp"

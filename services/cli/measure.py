@@ -32,7 +32,7 @@ def profile(
     ] = "17,34",
     solvers: Annotated[
         str, typer.Option("--solvers", metavar="NAME,...", help="Any that is installed. PIQP sparse is always in it.")
-    ] = "osqp,daqp,piqp",
+    ] = "osqp,riccati,daqp,piqp",
     formulation: Annotated[
         str, typer.Option("--formulation", metavar="NAME", help="sparse, partial, condensed, auto, or all.")
     ] = "all",

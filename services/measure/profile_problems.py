@@ -2,7 +2,7 @@
 
 Each episode has a node in the controller's place step as the controller would, on the same inboxes. Three kinds are
 simulated: the paper's descent; the same in a current of 4 cm/s that the controller is not told of; and hard ones, a
-descent onto a line 2 m off with the heading up to 3 rad from it.
+descent onto a line 2 m off with the heading up to 3 rad from it. All with one QP a cycle.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
 def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
     """The cycles of RUN (its folder, its run.mcap or ``latest``), from its first, at a horizon of ``stages``.
 
-    The controller is that of the run's ``config/``, but for its horizon. Raises ``ConfigError``.
+    The controller is that of the run's ``config/`` but for its horizon, with one QP a cycle. Raises ``ConfigError``.
     """
     held = _held(run)
     config = ControllerConfig.load(str(held.config("controller")))
@@ -82,7 +82,9 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
             kind=held.path.resolve().name,
             vehicle=Vehicle.load(str(held.config("vehicle"))),
             reference=references.load(str(held.config("reference"))),
-            config=msgspec.structs.replace(config, horizon_s=seconds(stages), most_stages=max(stages, 2)),
+            config=msgspec.structs.replace(
+                config, horizon_s=seconds(stages), most_stages=max(stages, 2), sqp_iterations=1
+            ),
             cycles=cycles,
             feed=lambda node, enough: _replay(held.recording, node, enough),
         )
@@ -122,7 +124,7 @@ def _hard(stages: int, cycles: int, seed: int) -> Episode:
 
 def _situation(stages: int, seed: int, *settings: str) -> Situation:
     horizon = (f"controller.horizon_s={seconds(stages)!r}", f"controller.most_stages={max(stages, 2)}")
-    common = ("run.perfect_state=true", *horizon)
+    common = ("run.perfect_state=true", "controller.sqp_iterations=1", *horizon)
     return resolve(
         "descent", [Override("option --seed", [f"run.seed={seed}"]), Override("profile", [*common, *settings])]
     )

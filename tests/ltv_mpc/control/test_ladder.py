@@ -217,7 +217,10 @@ def test_compiled_code_that_raises_costs_a_rung_and_no_more(method):
 
 # --- a solver that saw rubbish ---------------------------------------------------------------------------------------
 
-SOLVERS = [("osqp", "sparse"), ("osqp", "partial"), ("daqp", "condensed"), ("piqp", "sparse"), ("daqp", "sparse")]
+SOLVERS = [
+    *(("osqp", "sparse"), ("osqp", "partial"), ("daqp", "condensed"), ("piqp", "sparse"), ("riccati", "sparse")),
+    ("daqp", "sparse"),
+]
 
 
 @pytest.mark.parametrize(("solver", "formulation"), SOLVERS)

@@ -59,7 +59,10 @@ assert before == after, {key: (before.get(key), count) for key, count in after.i
 """
 
 
-@pytest.mark.parametrize(("solver", "formulation"), [("osqp", "sparse"), ("osqp", "partial"), ("daqp", "condensed")])
+REHEARSED = [("osqp", "sparse"), ("osqp", "partial"), ("daqp", "condensed"), ("riccati", "sparse")]
+
+
+@pytest.mark.parametrize(("solver", "formulation"), REHEARSED)
 def test_no_function_is_compiled_after_the_rehearsal(solver, formulation):
     """In a process of its own: whatever else the tests have compiled would hide it."""
     ended = subprocess.run(
