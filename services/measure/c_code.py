@@ -85,7 +85,9 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Arra
 
     Raises ``ConfigError`` where another solver or form is configured.
     """
-    controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), config)
+    # The first QP of a cycle is the one to show: a second is linearised where its own solution nearly is.
+    first = msgspec.structs.replace(config, sqp_iterations=1)
+    controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first)
     solver = controller._solver
     if not isinstance(solver, SparseOsqp):
         problem = "must be osqp on the sparse form: the code is OSQP's"

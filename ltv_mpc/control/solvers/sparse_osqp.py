@@ -164,6 +164,8 @@ class SparseOsqp:
             return
         if self._workspace is None:
             at = self._room
+            # Nothing new yet, but compiled: it may not be called again before the first hard problem.
+            rescale(self.form.map, self._flat, self.form.stages, len(self.form.limited))
             of, settings = self.scaled()
             self._workspace = workspace(of.P, of.q, of.A, of.l, of.u, settings)
             self._workspace.warm_start(at.x, at.ys)
