@@ -40,6 +40,9 @@ PLAIN: Settings = {
     "verbose": False,
     "scaling": 0,
     "rho": 1.0,
+    # A state without a cost has nothing but sigma on its diagonal. With OSQP's own 1e-6, rows of 300 leave 300^2 / 1e-6
+    # in the factor, and in its solution an error beyond the tolerance where duals are large, as 10 m off a line.
+    "sigma": 1e-4,
     "adaptive_rho": 0,
     "rho_is_vec": 0,
     "eps_rel": 0.0,

@@ -86,6 +86,19 @@ def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_r
         assert solver.solve().solve.iterations == sparse_osqp.FIRST_TURN
 
 
+@pytest.mark.parametrize("off_m", [10.0, 100.0])
+def test_far_from_its_line_it_ends_as_soon(off_m):
+    """Duals grow with the distance, and with them what rounding leaves of OSQP's own solution."""
+    solver = SparseOsqp(CONFIG, LIMITS)
+    for seed in range(8):
+        lin, target = motion(seed, CONFIG.stages)
+        target[:-1] += off_m
+        ours = answer(solver, lin, target)
+        assert ours.solve.status is SolveStatus.SOLVED
+        assert ours.solve.iterations <= sparse_osqp.FIRST_TURN + sparse_osqp.TURN
+        np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, CONFIG.weights), atol=0.01)
+
+
 def test_without_the_sweeps_it_begins_at_the_trajectory_with_the_duals_of_the_last_solve():
     """A cost that does not say what the last command should be: no weight on thrust, no effect of the last one."""
     weights = Weights(thrust=0.0, thrust_change=0.0)
