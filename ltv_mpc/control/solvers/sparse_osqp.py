@@ -9,9 +9,9 @@ anyway, so the factorisation is paid already.
 
 The first guess: commands and duals of box and slew from sweeps along the stages (``stagewise.py``), which nearly always
 are the solution's; the states that they lead to, gaps closed, by a sweep forward, the duals of the dynamics (costates)
-by one backward. What is left for OSQP is to say so, after one iteration. Where
-the sweeps do not apply (limits of the motion, a cost without a weight on thrust) the guess is the trajectory that was
-linearised along, with the duals of the previous solve.
+by one backward. What is left for OSQP is to say so, after one iteration. Where the sweeps do not apply (an active limit
+of the motion, a cost without a weight on thrust) the guess is the trajectory that was linearised along, with the duals
+of the previous solve.
 
 The over-relaxation is off: with step sizes this unequal the plain iteration is the faster one.
 """
@@ -283,13 +283,12 @@ def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: flo
     E = N * STATES + 2
     _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
-    dU = np.zeros((N + 1, 2))
-    before = y[E:].copy()
-    if not before[4 * N :].any():
+    dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
+    if not kept[4 * N :].any():  # no limit of the motion, of which the sweeps know nothing, was active
         _guess_commands(c, lin, target, dU, y[E:])
-    if not _close(c, lin, dU, x):  # the sweeps know nothing of limits of the motion
+    if not _close(c, lin, dU, x):  # but one is
         dU[:, :] = 0.0
-        y[E:] = before
+        y[E:] = kept
         _close(c, lin, dU, x)
     _guess_excesses(c, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column

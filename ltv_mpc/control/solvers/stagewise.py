@@ -12,8 +12,8 @@ Two ways, the second where the first does not settle:
                      It takes five to fifteen sweeps whatever the start; as soon as it says twice which rows are active
                      the first way ends it, exactly.
 
-What it comes to is exact to 1e-5 of a thruster's largest thrust. By itself it is the solver
-``riccati``; OSQP takes what it says as a first guess, and is done as soon as it has looked at its residuals.
+What it comes to is exact to 1e-5 of a thruster's largest thrust. By itself it is the solver ``riccati``; OSQP takes
+what it says as a first guess, and is done as soon as it has looked at its residuals.
 """
 
 from __future__ import annotations
