@@ -32,6 +32,21 @@ def knots(stages: int, horizon: float) -> Array:
 
 
 @kernel
+def shift(values: Array, t: Array, stages: float) -> None:
+    """values (N, M), a row for each knot t[1] .. t[N], become those of knots so many first stages later: linear between
+    knots, the last ones kept.
+    """
+    N, low, old = values.shape[0], 0, values.copy()
+    if N == 1:
+        return
+    for k in range(N):
+        low, part = position(t[1:], t[k + 1] + stages, low)
+        high = min(low + 1, N - 1)
+        for i in range(values.shape[1]):
+            values[k, i] = (1.0 - part) * old[low, i] + part * old[high, i]
+
+
+@kernel
 def position(t: Array, at: float, near: int) -> tuple[int, float]:
     """Stage k and part of it in which ``at`` lies, held within t (N+1,); ``near`` is a stage at or before it."""
     last = len(t) - 2

@@ -62,6 +62,15 @@ def lag_table(h: float, p: Coefficients) -> Array:
 
 
 @kernel
+def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float, float]:
+    """F of both lateral thrusters at instant m of a ``lag_table``."""
+    return (
+        lag[m, 0, 0] * X[6] + lag[m, 0, 1] * u0[0] + lag[m, 0, 2] * uh[0],
+        lag[m, 1, 0] * X[7] + lag[m, 1, 1] * u0[1] + lag[m, 1, 2] * uh[1],
+    )
+
+
+@kernel
 def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, out: Array) -> None:
     """out = flow(X, u(0), u(h)), all of shape (8,), over h seconds; the current goes linearly from c(0) to c(h)."""
     advance_by(X, u0, uh, c0, ch, h, p, lag_table(h, p), out)
@@ -84,9 +93,7 @@ def advance_by(
             part, weight, ahead = runge_kutta(node, d)
             t = i * d + ahead
             if node != 2:  # the third slope is taken at the instant of the second
-                m = 2 * i + (node + 1) // 2
-                F1 = lag[m, 0, 0] * X[6] + lag[m, 0, 1] * u0[0] + lag[m, 0, 2] * uh[0]
-                F2 = lag[m, 1, 0] * X[7] + lag[m, 1, 1] * u0[1] + lag[m, 1, 2] * uh[1]
+                F1, F2 = delivered(lag, 2 * i + (node + 1) // 2, X, u0, uh)
             kn, ke, ku, kv, kpsi, kr = rates(
                 u + part * ku,
                 v + part * kv,

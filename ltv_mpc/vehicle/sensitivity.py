@@ -19,7 +19,7 @@ import numpy as np
 from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.dynamics import Slopes, rates, slopes
-from ltv_mpc.vehicle.flow import runge_kutta
+from ltv_mpc.vehicle.flow import delivered, runge_kutta
 from ltv_mpc.vehicle.parameters import Coefficients
 
 COLUMNS = 12
@@ -81,8 +81,7 @@ def linearise_stage(
             m = 2 * i + (node + 1) // 2
             if m != before:  # two slopes at the middle, and one step's end is the next one's beginning
                 before = m
-                F1 = lag[m, 0, 0] * X[6] + lag[m, 0, 1] * u0[0] + lag[m, 0, 2] * uh[0]
-                F2 = lag[m, 1, 0] * X[7] + lag[m, 1, 1] * u0[1] + lag[m, 1, 2] * uh[1]
+                F1, F2 = delivered(lag, m, X, u0, uh)
                 for j in range(2 * COLUMNS):
                     Z[GAIN + j] = gain[m, j]
             un, vn, psin, rn = u + part * ku, v + part * kv, psi + part * kpsi, r + part * kr

@@ -17,6 +17,8 @@ a stage, and cost as much as two or three iterations of OSQP (Rao, Wright & Rawl
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ltv_mpc.compiled import kernel
@@ -46,11 +48,42 @@ LAW = 2 * WIDE + 2
 """Numbers of a stage's law: K (2, 10), kappa (2,)."""
 
 
+class Work(NamedTuple):
+    """What the sweeps of one problem share, and what each of them is told and says."""
+
+    models: Array  # (N, 10, 12) what every s_(k+1) depends on
+    low: Array  # (N, 4) between what g must stay
+    high: Array
+    weight: Array  # (N, 4) w and l: to be filled in before a sweep
+    tilt: Array
+    g: Array  # (N, 4) that the last sweep came to
+    laws: Array  # (N, LAW) its laws
+    Z: Array  # (SCRATCH,)
+
+
 @kernel
-def stage_models(lin: Linearisation, models: Array) -> None:
-    """What every s_(k+1) depends on, into models (N, 10, 12): for as many sweeps as it takes."""
-    models[:, :, :] = 0.0
-    for k in range(models.shape[0]):
+def work_on(lin: Linearisation, o: Objective) -> Work:
+    """For as many sweeps as it takes."""
+    N = lin.U.shape[0] - 1
+    low, high = np.empty((N, ROWS)), np.empty((N, ROWS))
+    for k in range(N):
+        reach = length(o, k + 1)
+        for i in range(2):
+            F, change = o.scale[i], reach * o.change[i]
+            here, step = lin.U[k + 1, i], lin.U[k + 1, i] - lin.U[k, i]
+            least, most = bounds(lin.U[0, i], o.t[k + 1] * o.change[i], o.low[i], o.high[i])
+            low[k, i], high[k, i] = (least - here) / F, (most - here) / F
+            low[k, 2 + i], high[k, 2 + i] = (-change - step) / F, (change - step) / F
+    weight, tilt, g = np.empty((N, ROWS)), np.empty((N, ROWS)), np.empty((N, ROWS))
+    return Work(_models(lin), low, high, weight, tilt, g, np.empty((N, LAW)), np.empty(SCRATCH))
+
+
+@kernel
+def _models(lin: Linearisation) -> Array:
+    """Of every stage, as ``Work`` has them."""
+    N = lin.U.shape[0] - 1
+    models = np.zeros((N, WIDE, ROW))
+    for k in range(N):
         for a in range(WIDE):
             row = models[k, a]
             if a == 6 or a == 7:
@@ -61,72 +94,36 @@ def stage_models(lin: Linearisation, models: Array) -> None:
                 row[j] = lin.A[k, i, 2 + j]
             for j in range(2):
                 row[6 + j], row[8 + j] = lin.B0[k, i, j], lin.B1[k, i, j]
+    return models
 
 
 @kernel
-def rows_within(lin: Linearisation, o: Objective, low: Array, high: Array) -> None:
-    """Between what g must stay, (N, 4) each, of the thrusters' largest thrust."""
-    for k in range(low.shape[0]):
-        reach = length(o, k + 1)
-        for i in range(2):
-            F, change = o.scale[i], reach * o.change[i]
-            here, step = lin.U[k + 1, i], lin.U[k + 1, i] - lin.U[k, i]
-            least, most = bounds(lin.U[0, i], o.t[k + 1] * o.change[i], o.low[i], o.high[i])
-            low[k, i], high[k, i] = (least - here) / F, (most - here) / F
-            low[k, 2 + i], high[k, 2 + i] = (-change - step) / F, (change - step) / F
-
-
-@kernel
-def rows_of(dU: Array, o: Objective, g: Array) -> None:
-    """g (N, 4) of deviations dU (N+1, 2)."""
-    for k in range(g.shape[0]):
-        for i in range(2):
-            g[k, i] = dU[k + 1, i] / o.scale[i]
-            g[k, 2 + i] = (dU[k + 1, i] - dU[k, i]) / o.scale[i]
-
-
-@kernel
-def sweep(
-    lin: Linearisation,
-    target: Array,
-    o: Objective,
-    models: Array,
-    weight: Array,
-    tilt: Array,
-    Z: Array,
-    laws: Array,
-    dU: Array,
-) -> bool:
-    """dU (N+1, 2): deviations of the commands (N) that cost least. False where there are none such, or not finite.
-
-    ``target`` as in ``Solver``, ``models`` by ``stage_models``; Z (SCRATCH,) and laws (N, LAW) are overwritten.
+def sweep(lin: Linearisation, target: Array, o: Objective, work: Work, dU: Array) -> bool:
+    """dU (N+1, 2): deviations of the commands (N) that cost least, and ``work.g`` of them. False where there are none
+    such, or not finite. ``target`` as in ``Solver``.
     """
-    if not _backward(lin, target, o, models, weight, tilt, Z, laws):
+    if not _backward(lin, target, o, work):
         return False
-    _forward(lin, models, laws, dU)
-    N = laws.shape[0]
+    _forward(lin, work.models, work.laws, dU)
+    N = dU.shape[0] - 1
+    for k in range(N):
+        for i in range(2):
+            work.g[k, i] = dU[k + 1, i] / o.scale[i]
+            work.g[k, 2 + i] = (dU[k + 1, i] - dU[k, i]) / o.scale[i]
     return bool(np.isfinite(dU[N, 0] + dU[N, 1]))
 
 
 @kernel
-def _backward(
-    lin: Linearisation,
-    target: Array,
-    o: Objective,
-    models: Array,
-    weight: Array,
-    tilt: Array,
-    Z: Array,
-    laws: Array,
-) -> bool:
+def _backward(lin: Linearisation, target: Array, o: Objective, work: Work) -> bool:
     """The law of every stage, from the last one on."""
+    weight, tilt, laws, Z = work.weight, work.tilt, work.laws, work.Z
     N = laws.shape[0]
     p = np.zeros(WIDE)
     Z[:] = 0.0
     _add_end(lin, target, o, Z, p)
     for k in range(N - 1, -1, -1):
         _add_knot(lin, target, o, k + 1, Z, p)
-        model = models[k].ravel()
+        model = work.models[k].ravel()
         for i in range(WIDE * ROW):
             Z[D + i] = model[i]
         _drift(lin, k, Z, p)
@@ -182,7 +179,9 @@ def _state(a: int) -> int:
 
 @kernel
 def _square(Z: Array) -> None:
-    """P D, row by row, and D' P D: as calls with constants, so that the compiler sees which numbers are whose."""
+    """P D, row by row, and D' P D: as calls with constants, so that the compiler sees which numbers are whose. One
+    function for the rows of both, told where they are, it does not take apart any more: eight times as slow.
+    """
     _row_of_PD(0, Z)
     _row_of_PD(1, Z)
     _row_of_PD(2, Z)

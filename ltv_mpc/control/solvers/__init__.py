@@ -17,17 +17,17 @@ from ltv_mpc.control.solvers.stagewise import Stagewise
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
+OWN = "riccati"
+"""What needs no package."""
+
 NATIVE: dict[tuple[str, Formulation], Callable[[SettledConfig, HorizonLimits], Solver]] = {
     ("osqp", "sparse"): SparseOsqp,
     ("osqp", "partial"): PartialOsqp,
     ("daqp", "condensed"): CondensedDaqp,
     ("piqp", "sparse"): SparsePiqp,
-    ("riccati", "sparse"): Stagewise,
+    (OWN, "sparse"): Stagewise,
 }
 """By their own interfaces, updated in place. Every other solver goes through qpsolvers, on the sparse form."""
-
-OWN = "riccati"
-"""What needs no package."""
 
 
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.compiled import kernel
+from ltv_mpc.control import grid
 from ltv_mpc.control.config import SettledConfig
-from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import Linearisation, not_finite
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.condensed import commands
@@ -267,22 +267,20 @@ def _shift(dual: Array, states: int, t: Array, stages: float) -> None:
 
     The bound of z_1 is box and slew in one: its dual is that of both. The dynamics' duals become zero.
     """
-    N, near = len(t) - 1, 0
+    N = len(t) - 1
     box, slew = np.zeros((N, 2)), np.zeros((N, 2))
     for k in range(N):
         for i in range(2):
             box[k, i] = dual[states + 2 * k + i]
             if k > 0:
                 slew[k, i] = dual[states + 2 * N + 2 * k - 2 + i]
+    grid.shift(box, t, stages)
+    grid.shift(slew, t, stages)
     dual[:] = 0.0
     for k in range(N):
-        near, part = position(t[1:], t[k + 1] + stages, near)
-        low, high = near, min(near + 1, N - 1)
         for i in range(2):
-            of_box = (1.0 - part) * box[low, i] + part * box[high, i]
-            of_slew = (1.0 - part) * slew[low, i] + part * slew[high, i]
             if k == 0:
-                dual[states + i] = of_box + of_slew
+                dual[states + i] = box[k, i] + slew[k, i]
             else:
-                dual[states + 2 * k + i] = of_box
-                dual[states + 2 * N + 2 * k - 2 + i] = of_slew
+                dual[states + 2 * k + i] = box[k, i]
+                dual[states + 2 * N + 2 * k - 2 + i] = slew[k, i]

@@ -24,9 +24,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
+from ltv_mpc.control import grid
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.constants import Objective, length, limited_states, objective, state_scale
-from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import (
     Linearisation,
     not_finite,
@@ -351,7 +351,7 @@ def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, 
     for k in range(N):
         for i in range(2):
             rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
-    came_to, _ = stagewise.solve(lin, target, c, stagewise.MOST_SWEEPS, rows, dU)
+    came_to, _, _ = stagewise.solve(lin, target, c, stagewise.MOST_SWEEPS, rows, dU)
     if came_to == stagewise.NOTHING:  # a cost that does not say what the commands should be: y as it is
         return
     for k in range(N):
@@ -390,19 +390,13 @@ def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
     if np.isnan(stages):
         y[E:] = 0.0
         return
-    if stages == 0.0:
-        return
-    N, low = len(t) - 1, 0
-    old = y[E:].copy()
-    for k in range(N):
-        low, part = position(t[1:], t[k + 1] + stages, low)
-        high = min(low + 1, N - 1)
-        for j in range(2):
-            y[E + 2 * k + j] = (1.0 - part) * old[2 * low + j] + part * old[2 * high + j]
-            y[E + 2 * (N + k) + j] = (1.0 - part) * old[2 * (N + low) + j] + part * old[2 * (N + high) + j]
-        a_stage = len(old) // N - 4  # of limited states
-        for j in range(4 * N, 4 * N + a_stage):
-            y[E + a_stage * k + j] = (1.0 - part) * old[a_stage * low + j] + part * old[a_stage * high + j]
+    if stages != 0.0:
+        N = len(t) - 1
+        grid.shift(y[E : E + 2 * N].reshape(N, 2), t, stages)
+        grid.shift(y[E + 2 * N : E + 4 * N].reshape(N, 2), t, stages)
+        of_motion = y[E + 4 * N :]
+        if len(of_motion) > 0:
+            grid.shift(of_motion.reshape(N, len(of_motion) // N), t, stages)
 
 
 @kernel

@@ -24,15 +24,15 @@ from functools import cached_property
 import numpy as np
 
 from ltv_mpc.compiled import kernel
+from ltv_mpc.control import grid
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.constants import Objective, objective, pack_objective
-from ltv_mpc.control.grid import position
 from ltv_mpc.control.horizon import Linearisation, not_finite, views
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.qp.sweeps import LAW, ROW, ROWS, SCRATCH, WIDE, rows_of, rows_within, stage_models, sweep
+from ltv_mpc.control.qp.sweeps import ROWS, Work, sweep, work_on
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
 
@@ -142,14 +142,7 @@ def solve_flat(
     N = len(target) - 1
     lin, o = views(flat, N), objective(numbers)
     shift_duals(y, o.t, stages)
-    came_to, sweeps = solve(lin, target, o, most, y, commands)
-    low, high, g = np.empty((N, ROWS)), np.empty((N, ROWS)), np.empty((N, ROWS))
-    rows_within(lin, o, low, high)
-    rows_of(commands, o, g)
-    beyond = 0.0
-    for k in range(N):
-        for i in range(ROWS):
-            beyond = max(beyond, g[k, i] - high[k, i], low[k, i] - g[k, i])
+    came_to, sweeps, beyond = solve(lin, target, o, most, y, commands)
     for k in range(N + 1):
         for i in range(2):
             commands[k, i] += lin.U[k, i]
@@ -158,60 +151,44 @@ def solve_flat(
 
 @kernel
 def shift_duals(y: Array, t: Array, stages: float) -> None:
-    """y (N, 4) on knots t (N+1,) so many first stages later: linear between knots, the last ones kept; NaN: none."""
+    """y (N, 4) on knots t (N+1,) so many first stages later (``grid.shift``); NaN: none."""
     if np.isnan(stages):
         y[:, :] = 0.0
     elif stages != 0.0:
-        old, N, low = y.copy(), y.shape[0], 0
-        for k in range(N):
-            low, part = position(t[1:], t[k + 1] + stages, low)
-            high = min(low + 1, N - 1)
-            for i in range(ROWS):
-                y[k, i] = (1.0 - part) * old[low, i] + part * old[high, i]
+        grid.shift(y, t, stages)
 
 
 @kernel
-def solve(lin: Linearisation, target: Array, o: Objective, most: int, y: Array, dU: Array) -> tuple[int, int]:
+def solve(lin: Linearisation, target: Array, o: Objective, most: int, y: Array, dU: Array) -> tuple[int, int, float]:
     """dU (N+1, 2), deviations of the commands (N), and the duals y (N, 4) of box and slew (``sweeps``), in place of
     those of the last solve, whose signs are where it begins. Limits of the motion are not looked at. It is given up
     after ``most`` sweeps, or two more.
 
-    Returns what came of it, and how many sweeps that took.
+    Returns what came of it, how many sweeps that took, and by how much a row is violated at most.
     """
-    N = dU.shape[0] - 1
-    low, high, active = np.empty((N, ROWS)), np.empty((N, ROWS)), np.sign(y)
-    Z, laws = np.empty(SCRATCH), np.empty((N, LAW))
-    models = np.empty((N, WIDE, ROW))
-    stage_models(lin, models)
-    rows_within(lin, o, low, high)
-    came_to, sweeps = _settle(lin, target, o, models, low, high, active, FIRST, Z, laws, y, dU)
+    work, active = work_on(lin, o), np.sign(y)
+    came_to, sweeps = _settle(lin, target, o, work, active, FIRST, y, dU)
     if came_to == UNSETTLED:
-        came_to, more = _interior(lin, target, o, models, low, high, active, most - sweeps, Z, laws, y, dU)
+        came_to, more = _interior(lin, target, o, work, active, most - sweeps, y, dU)
         sweeps += more
     if came_to == NOTHING:
         dU[:, :] = 0.0
         y[:, :] = 0.0
-    return came_to, sweeps
+        return came_to, sweeps, 0.0
+    beyond = 0.0
+    for k in range(y.shape[0]):
+        for i in range(ROWS):
+            beyond = max(beyond, work.g[k, i] - work.high[k, i], work.low[k, i] - work.g[k, i])
+    return came_to, sweeps, beyond
 
 
 @kernel
 def _settle(
-    lin: Linearisation,
-    target: Array,
-    o: Objective,
-    models: Array,
-    low: Array,
-    high: Array,
-    active: Array,
-    most: int,
-    Z: Array,
-    laws: Array,
-    y: Array,
-    dU: Array,
+    lin: Linearisation, target: Array, o: Objective, work: Work, active: Array, most: int, y: Array, dU: Array
 ) -> tuple[int, int]:
     """By the active set; ``active`` (N, 4) is the sign of each row's dual y, 0 of one that is not held."""
-    N = active.shape[0]
-    weight, tilt, g = np.empty((N, ROWS)), np.empty((N, ROWS)), np.empty((N, ROWS))
+    N, low, high = active.shape[0], work.low, work.high
+    weight, tilt, g = work.weight, work.tilt, work.g
     for turn in range(1, most + 1):
         for k in range(N):
             for i in range(ROWS):
@@ -221,9 +198,8 @@ def _settle(
                 else:
                     weight[k, i] = RHO
                     tilt[k, i] = y[k, i] - RHO * (high[k, i] if held > 0.0 else low[k, i])
-        if not sweep(lin, target, o, models, weight, tilt, Z, laws, dU):
+        if not sweep(lin, target, o, work, dU):
             return NOTHING, turn
-        rows_of(dU, o, g)
         changed = False
         for k in range(N):
             for i in range(ROWS):
@@ -246,22 +222,11 @@ def _settle(
 
 @kernel
 def _interior(
-    lin: Linearisation,
-    target: Array,
-    o: Objective,
-    models: Array,
-    low: Array,
-    high: Array,
-    active: Array,
-    most: int,
-    Z: Array,
-    laws: Array,
-    y: Array,
-    dU: Array,
+    lin: Linearisation, target: Array, o: Objective, work: Work, active: Array, most: int, y: Array, dU: Array
 ) -> tuple[int, int]:
     """By the interior point, until the active set takes it from there."""
-    N = active.shape[0]
-    weight, tilt, g = np.empty((N, ROWS)), np.empty((N, ROWS)), np.empty((N, ROWS))
+    N, low, high = active.shape[0], work.low, work.high
+    weight, tilt, g = work.weight, work.tilt, work.g
     # slack and dual of the upper bounds, then of the lower ones, and their steps
     t, nu = np.empty((2, N, ROWS)), np.empty((2, N, ROWS))
     dt, dnu = np.empty((2, N, ROWS)), np.empty((2, N, ROWS))
@@ -279,9 +244,8 @@ def _interior(
                 tilt[k, i] = aim / t[0, k, i] + nu[0, k, i] - above * high[k, i]
                 tilt[k, i] -= aim / t[1, k, i] + nu[1, k, i] + below * low[k, i]
         sweeps += 1
-        if not sweep(lin, target, o, models, weight, tilt, Z, laws, dU):
+        if not sweep(lin, target, o, work, dU):
             return NOTHING, sweeps
-        rows_of(dU, o, g)
         primal = dual = 1.0
         for k in range(N):
             for i in range(ROWS):
@@ -315,7 +279,7 @@ def _interior(
             _duals(nu, y)
             if mu < THERE:
                 return SETTLED, sweeps
-            came_to, more = _settle(lin, target, o, models, low, high, active, LATER, Z, laws, y, dU)
+            came_to, more = _settle(lin, target, o, work, active, LATER, y, dU)
             sweeps += more
             if came_to != UNSETTLED:
                 return came_to, sweeps

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
@@ -11,6 +13,7 @@ from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.solvers import Answer, Solver
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -67,6 +70,22 @@ def precise(qp: QP) -> Array:
     solver.setup(csc_matrix(qp.P), qp.q, rows[equal], qp.l[equal], rows[~equal], qp.l[~equal], qp.u[~equal])
     solver.solve()
     return np.array(solver.result.x)
+
+
+def solved(solver: Solver, lin: Linearisation, target: Array) -> Answer:
+    """A cycle's answer, from wherever the solver is."""
+    solver.build(lin, target)
+    solver.update()
+    return solver.solve()
+
+
+def answer(solver: Solver, lin: Linearisation, target: Array, stages: float = math.nan) -> Answer:
+    """The same so many first stages after the last cycle; NaN: after none."""
+    if math.isnan(stages):
+        solver.forget()
+    else:
+        solver.shift(stages)
+    return solved(solver, lin, target)
 
 
 def optimum(

@@ -10,15 +10,9 @@ from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.solvers import daqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.signals import SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, precise
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, precise, solved
 
 CONFIG = SettledConfig()
-
-
-def answer(solver, lin, target):
-    solver.build(lin, target)
-    solver.update()
-    return solver.solve()
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
@@ -29,7 +23,7 @@ def test_its_commands_are_the_sparse_qp_s_optimum_from_any_cycle_before(horizon_
     for seed in range(6):  # each has nothing to do with the one before
         lin, target = motion(seed, config.stages, gap=0.02)
         solver.shift(1.0)
-        ours = answer(solver, lin, target)
+        ours = solved(solver, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
         np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, config.weights), atol=1e-6)
@@ -38,16 +32,16 @@ def test_its_commands_are_the_sparse_qp_s_optimum_from_any_cycle_before(horizon_
 def test_a_warm_start_saves_iterations_and_forgetting_gives_them_back():
     solver = CondensedDaqp(CONFIG, LOWERED)
     lin, target = motion(4, CONFIG.stages)
-    cold = answer(solver, lin, target).solve.iterations
-    warm = answer(solver, lin, target).solve.iterations
+    cold = solved(solver, lin, target).solve.iterations
+    warm = solved(solver, lin, target).solve.iterations
     solver.forget()
-    assert answer(solver, lin, target).solve.iterations == cold > warm
+    assert solved(solver, lin, target).solve.iterations == cold > warm
 
 
 def test_the_problem_is_the_one_that_was_solved():
     solver = CondensedDaqp(CONFIG, LIMITS)
     lin, target = motion(1, CONFIG.stages)
-    commands = answer(solver, lin, target).commands
+    commands = solved(solver, lin, target).commands
     z = ((commands - lin.U)[1:] / LIMITS.scale).ravel()
     qp = solver.problem()
     np.testing.assert_allclose(z, precise(qp), atol=1e-8)
@@ -58,14 +52,14 @@ def test_the_problem_is_the_one_that_was_solved():
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field):
     solver = CondensedDaqp(CONFIG, LOWERED)
     lin, target = motion(2, CONFIG.stages)
-    fresh = answer(solver, lin, target)
+    fresh = solved(solver, lin, target)
     bad = getattr(lin, field).copy()
     bad[3] = np.nan
-    failed = answer(solver, lin._replace(**{field: bad}), target)
+    failed = solved(solver, lin._replace(**{field: bad}), target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert failed.solve.why == f"{field} is not finite from 3 on"
     np.testing.assert_array_equal(failed.commands, lin.U)
-    again = answer(solver, lin, target)
+    again = solved(solver, lin, target)
     assert again.solve.iterations == fresh.solve.iterations
     np.testing.assert_array_equal(again.commands, fresh.commands)
 
@@ -73,8 +67,8 @@ def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(fiel
 def test_a_first_problem_that_is_not_finite_is_no_harm_either():
     solver = CondensedDaqp(CONFIG, LIMITS)
     lin, target = motion(2, CONFIG.stages)
-    assert answer(solver, lin, np.full_like(target, np.inf)).solve.status is SolveStatus.NON_FINITE
-    assert answer(solver, lin, target).solve.status is SolveStatus.SOLVED
+    assert solved(solver, lin, np.full_like(target, np.inf)).solve.status is SolveStatus.NON_FINITE
+    assert solved(solver, lin, target).solve.status is SolveStatus.SOLVED
 
 
 class Stubborn:
@@ -107,15 +101,15 @@ class Stubborn:
 def test_a_failure_is_tried_once_from_nothing_then_reported_and_then_forgotten(flag, status, words):
     solver = CondensedDaqp(CONFIG, LOWERED)
     lin, target = motion(5, CONFIG.stages)
-    expected = answer(solver, lin, target)
+    expected = solved(solver, lin, target)
     solver._model = Stubborn(solver._model, flag, 1)
     if flag < 0:
-        np.testing.assert_allclose(answer(solver, lin, target).commands, expected.commands, atol=1e-9)
+        np.testing.assert_allclose(solved(solver, lin, target).commands, expected.commands, atol=1e-9)
         solver._model = Stubborn(solver._model, flag, 2)
-    failed = answer(solver, lin, target)
+    failed = solved(solver, lin, target)
     assert failed.solve.status is status
     assert words in failed.solve.why
     np.testing.assert_array_equal(failed.commands, lin.U)
-    again = answer(solver, lin, target)
+    again = solved(solver, lin, target)
     assert again.solve.iterations == expected.solve.iterations
     np.testing.assert_array_equal(again.commands, expected.commands)

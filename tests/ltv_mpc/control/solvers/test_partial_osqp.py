@@ -12,17 +12,11 @@ from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
 from ltv_mpc.control.solvers.partial_osqp import PartialOsqp
 from ltv_mpc.signals import SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, solved
 
 CONFIG = SettledConfig()
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=20_000)
 """Residuals end at 1e-7, which is rounding on rows scaled by 100."""
-
-
-def answer(solver, lin, target):
-    solver.build(lin, target)
-    solver.update()
-    return solver.solve()
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
@@ -34,7 +28,7 @@ def test_its_commands_are_the_sparse_qp_s_optimum(stages, block, limits, monkeyp
     for seed in range(3):  # each has nothing to do with the one before
         lin, target = motion(seed, stages, gap=0.02)
         solver.shift(1.0)
-        ours = answer(solver, lin, target)
+        ours = solved(solver, lin, target)
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
         np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, config.weights), atol=1e-6)
 
@@ -44,7 +38,7 @@ def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_cl
     off, iterations, unsolved = [], [], 0
     for cycle in cycles[6:]:  # without the first passes, which have no warm start
         solver.shift(1.0)
-        ours, theirs = (answer(s, cycle.lin, cycle.target) for s in (solver, exact))
+        ours, theirs = (solved(s, cycle.lin, cycle.target) for s in (solver, exact))
         off.append(np.abs(ours.commands[1] - theirs.commands[1]).max())
         iterations.append(ours.solve.iterations)
         unsolved += ours.solve.status is not SolveStatus.SOLVED
@@ -59,7 +53,7 @@ def test_box_and_slew_are_met_to_the_tolerance_though_free_rows_are_scaled_down(
     solver = PartialOsqp(CONFIG, LIMITS)
     for cycle in cycles[::5]:
         solver.forget()
-        ours = answer(solver, cycle.lin, cycle.target)
+        ours = solved(solver, cycle.lin, cycle.target)
         if ours.solve.status is SolveStatus.SOLVED:
             slack = 1.01 * partial_osqp.VIOLATION * LIMITS.scale
             assert (ours.commands[1:] <= LIMITS.high + slack).all()
@@ -90,21 +84,21 @@ def test_a_whole_number_of_stages_moves_the_duals_by_as_many_and_keeps_the_first
 def test_a_solve_depends_on_its_problem_and_its_first_guess_alone():
     used, fresh = PartialOsqp(CONFIG, LOWERED), PartialOsqp(CONFIG, LOWERED)
     for seed in range(3):
-        answer(used, *motion(seed, CONFIG.stages))
+        solved(used, *motion(seed, CONFIG.stages))
     used.forget()
     problem = motion(7, CONFIG.stages, gap=0.02)
-    ours, theirs = (answer(solver, *problem) for solver in (used, fresh))
+    ours, theirs = (solved(solver, *problem) for solver in (used, fresh))
     assert ours.solve.iterations == theirs.solve.iterations
     np.testing.assert_allclose(ours.commands, theirs.commands, atol=1e-9)
 
 
 def test_the_public_wrapper_gives_the_same_commands(monkeypatch):
     ours = PartialOsqp(CONFIG, LOWERED)
-    expected = [answer(ours, *motion(seed, CONFIG.stages, gap=0.02)) for seed in range(4)]
+    expected = [solved(ours, *motion(seed, CONFIG.stages, gap=0.02)) for seed in range(4)]
     monkeypatch.setattr(partial_osqp, "workspace", PublicWorkspace)
     other = PartialOsqp(CONFIG, LOWERED)
     for seed, ours_then in enumerate(expected):
-        theirs = answer(other, *motion(seed, CONFIG.stages, gap=0.02))
+        theirs = solved(other, *motion(seed, CONFIG.stages, gap=0.02))
         np.testing.assert_array_equal(theirs.commands, ours_then.commands)
         assert theirs.solve.iterations == ours_then.solve.iterations
 
@@ -113,17 +107,17 @@ def test_the_public_wrapper_gives_the_same_commands(monkeypatch):
 @pytest.mark.parametrize("field", ["X", "A"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field, first):
     lin, target = motion(2, CONFIG.stages)
-    expected = answer(PartialOsqp(CONFIG, LOWERED), lin, target)
+    expected = solved(PartialOsqp(CONFIG, LOWERED), lin, target)
     solver = PartialOsqp(CONFIG, LOWERED)
     if not first:
-        answer(solver, lin, target)
+        solved(solver, lin, target)
     bad = getattr(lin, field).copy()
     bad[3] = np.nan
-    failed = answer(solver, lin._replace(**{field: bad}), target)
+    failed = solved(solver, lin._replace(**{field: bad}), target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert failed.solve.why == f"{field} is not finite from 3 on"
     np.testing.assert_array_equal(failed.commands, lin.U)
-    np.testing.assert_allclose(answer(solver, lin, target).commands, expected.commands, atol=1e-9)
+    np.testing.assert_allclose(solved(solver, lin, target).commands, expected.commands, atol=1e-9)
 
 
 class Spoiled:
@@ -143,18 +137,18 @@ class Spoiled:
 def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt():
     lin, target = motion(2, CONFIG.stages)
     solver = PartialOsqp(CONFIG, LOWERED)
-    expected = answer(solver, lin, target)
+    expected = solved(solver, lin, target)
     solver._solver = Spoiled(solver._solver)
-    failed = answer(solver, lin, target)
+    failed = solved(solver, lin, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert "rebuilt" in failed.solve.why
-    again = answer(solver, lin, target)
+    again = solved(solver, lin, target)
     np.testing.assert_array_equal(again.commands, expected.commands)
 
 
 def test_the_iteration_limit_ends_a_solve_and_says_so():
     config = msgspec.structs.replace(CONFIG, max_iterations=3, tolerance=1e-9)
-    solve = answer(PartialOsqp(config, LOWERED), *motion(2, CONFIG.stages)).solve
+    solve = solved(PartialOsqp(config, LOWERED), *motion(2, CONFIG.stages)).solve
     assert solve.status is SolveStatus.ITERATION_LIMIT
     assert solve.iterations == 6
     assert "after 6 iterations" in solve.why

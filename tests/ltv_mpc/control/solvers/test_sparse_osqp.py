@@ -16,21 +16,11 @@ from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.signals import SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum
 
 CONFIG = SettledConfig()
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 """Residuals end at 1e-6, which is rounding on rows scaled by 300."""
-
-
-def answer(solver, lin, target, stages=math.nan):
-    if math.isnan(stages):
-        solver.forget()
-    else:
-        solver.shift(stages)
-    solver.build(lin, target)
-    solver.update()
-    return solver.solve()
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])

@@ -14,21 +14,11 @@ from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.stagewise import Stagewise
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.signals import SolveStatus
-from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, motion, optimum, unlike_any_motion
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, answer, motion, optimum, unlike_any_motion
 
 CONFIG = SettledConfig()
 EXACT_N = 2e-3
 """``OFF`` is six tenths of it."""
-
-
-def answer(solver, lin, target, stages=math.nan):
-    if math.isnan(stages):
-        solver.forget()
-    else:
-        solver.shift(stages)
-    solver.build(lin, target)
-    solver.update()
-    return solver.solve()
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
