@@ -45,9 +45,9 @@ class _Boat:
         self, vehicle: Vehicle, mismatch: Mismatch, current: Array, actuators: str, rng: np.random.Generator
     ) -> None:
         self._p, self._factor = mismatched(vehicle.coefficients(), mismatch), mismatch.thrust
-        self._propellers = np.array([[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters])
+        self._body = motion.pack(vehicle, self._p, self._factor)
         self._model = actuators == "model"
-        self._rho, self._current, self._rng = vehicle.water_density_kgpm3, current, rng
+        self._current, self._rng = current, rng
         self._state, self._revolutions, self._thrust = np.zeros(8), np.zeros(3), np.zeros(3)
         self._depths, self._water = np.array([0.0, 50.0]), np.tile(current, (2, 1))
 
@@ -57,8 +57,8 @@ class _Boat:
             self._follow(u0[:2], u1[:2])
             return
         motion.step(
-            self._state, self._revolutions, u0, u1, False, STEP_NS * 1e-9, self._depths, self._water, self._water, 0.0,
-            self._p, self._propellers, self._rho, self._factor, self._thrust,
+            self._body, self._state, self._revolutions, self._thrust, u0, u1, False, STEP_NS * 1e-9,
+            self._depths, self._water, self._water, 0.0,
         )  # fmt: skip
 
     def _follow(self, u0: Array, u1: Array) -> None:

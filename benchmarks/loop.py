@@ -128,27 +128,22 @@ class TrueVehicle:
         self._revolutions = np.zeros(3)
         self._share = share
         self._water = situation.water
-        self._p = mismatched(vehicle.coefficients(), start.mismatch)
-        self._propellers = np.array([[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters])
-        self._rho, self._factor = vehicle.water_density_kgpm3, start.mismatch.thrust
+        self._body = motion.pack(vehicle, mismatched(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
 
     def go(self, t_ns: Times, u: Array) -> Array:
         """On under commands u (M+1, 3) at t_ns (M+1,); positions (M, 2) after each step."""
         earlier, later, share = self._water.between(int(t_ns[0] + t_ns[-1]) // 2)
         return motion.drive(
-            t_ns * 1e-9,
-            u * self._share,
+            self._body,
             self.state,
             self._revolutions,
+            self.thrust,
+            t_ns * 1e-9,
+            u * self._share,
             self._water.depth_m,
             earlier,
             later,
             share,
-            self._p,
-            self._propellers,
-            self._rho,
-            self._factor,
-            self.thrust,
         )
 
 

@@ -31,12 +31,12 @@ class Attitude:
         draws = generator(seed, Stream.ATTITUDE)
         edges = np.linspace(*BAND, SINES + 1) / period_s
         frequency = draws.uniform(edges[:-1], edges[1:], (2, SINES))
-        self._waves = np.stack([2.0 * math.pi * frequency, draws.uniform(0.0, 2.0 * math.pi, (2, SINES))])
-        self._amplitude = rms_rad * math.sqrt(2.0 / SINES)
+        self.waves = np.stack([2.0 * math.pi * frequency, draws.uniform(0.0, 2.0 * math.pi, (2, SINES))])
+        self.amplitude_rad = rms_rad * math.sqrt(2.0 / SINES)
 
     def at(self, t_ns: int) -> Pair:
         """Roll and pitch (rad)."""
-        return sum_of_sines(t_ns * 1e-9, self._amplitude, self._waves)
+        return sum_of_sines(t_ns * 1e-9, self.amplitude_rad, self.waves)
 
 
 @kernel

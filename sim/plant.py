@@ -15,15 +15,17 @@ import math
 
 import numpy as np
 
-from ltv_mpc import frames
+from ltv_mpc.compiled import assign, kernel
+from ltv_mpc.frames import wrap_angle
 from ltv_mpc.node import Arrival, Grid, Inbox
 from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.signals import Action, Applied, Array, Command, Disturbance, Plan, Signal, Triple, Truth
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
-from sim.attitude import Attitude
+from sim.attitude import Attitude, sum_of_sines
 from sim.scenario import Mismatch, Scenario
 from sim.water import WaterColumn
+from sim.water.column import velocity_at
 
 PERIOD_NS = 10_000_000
 REPORT_NS = 100_000_000
@@ -50,13 +52,12 @@ class Plant:
         self._arms = scenario.run.arm
         self._water = water
         self._attitude = Attitude(start.tilt_rms_rad, start.tilt_period_s, scenario.run.seed)
-        self._coefficients = mismatched(vehicle.coefficients(), start.mismatch)
-        self._propellers = np.array([[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters])
-        self._density, self._factor = vehicle.water_density_kgpm3, start.mismatch.thrust
+        self._coefficients, self._factor = mismatched(vehicle.coefficients(), start.mismatch), start.mismatch.thrust
+        self._body = motion.pack(vehicle, self._coefficients, self._factor)
         self._state = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
         self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
         self._command: Triple = (0.0, 0.0, 0.0)
-        self._slew: Triple = (0.0, 0.0, 0.0)
+        self._commands = np.zeros((3, 3))  # at the last step, now, and how fast it has changed at most, reported since
         self._t_ns: int | None = None
         self._disturbance: Disturbance | None = None
         self._gate = Gate(vehicle)
@@ -89,10 +90,8 @@ class Plant:
         return signals
 
     def _move(self, from_ns: int, t_ns: int) -> None:
-        before, self._command = self._command, self._gate.command_at(max(t_ns, 0))
+        self._commands[1] = self._command = self._gate.command_at(max(t_ns, 0))
         seconds = (t_ns - from_ns) * 1e-9
-        p, q, r = (abs(b - a) / seconds for a, b in zip(before, self._command, strict=True))
-        self._slew = max(self._slew[0], p), max(self._slew[1], q), max(self._slew[2], r)
         earlier, later, share = self._water.between((from_ns + t_ns) // 2)
         disturbance = self._disturbance
         if disturbance is not None and disturbance.until_t_ns <= from_ns:
@@ -100,22 +99,18 @@ class Plant:
         afloat = t_ns <= 0
         if disturbance is not None:
             self._push(disturbance, 0.5 * seconds, afloat)
-        motion.step(
+        commanded(
+            self._body,
             self._state,
             self._revolutions,
-            np.array(before),
-            np.array(self._command),
+            self._thrust,
+            self._commands,
             afloat,
             seconds,
             self._water.depth_m,
             earlier,
             later,
             share,
-            self._coefficients,
-            self._propellers,
-            self._density,
-            self._factor,
-            self._thrust,
         )
         if disturbance is not None:
             self._push(disturbance, 0.5 * seconds, afloat)
@@ -135,27 +130,38 @@ class Plant:
             state[7] += seconds * (lost[2] + f.force_N[2]) / p.mass_heave
 
     def _truth(self, t_ns: int) -> Truth:
-        n, e, u, v, psi, r, z, w = self._state.tolist()
-        current = self._water.at(z, t_ns)
-        roll, pitch = self._attitude.at(t_ns)
-        # [n', e'] = R(psi) [u, v] + c(z)
-        north, east = level_to_ned(u, v, psi)
-        delivered = self._factor * self._thrust
+        earlier, later, share = self._water.between(t_ns)
+        attitude = self._attitude
+        seen = look(
+            self._state,
+            self._thrust,
+            self._factor,
+            attitude.waves,
+            attitude.amplitude_rad,
+            t_ns * 1e-9,
+            self._water.depth_m,
+            earlier,
+            later,
+            share,
+        ).tolist()
+        n, e, u, v, _, r, z, w, vn, ve, roll, pitch, heading, cn, ce, port, starboard, vertical = seen
         if self._disturbance is not None:
-            delivered *= self._disturbance.thrust_scale
+            p, s, d = self._disturbance.thrust_scale
+            port, starboard, vertical = port * p, starboard * s, vertical * d
         return Truth(
             t_ns=t_ns,
             position_m=(n, e, z),
-            velocity_mps=(north + current[0], east + current[1], w),
-            attitude_rad=(roll, pitch, frames.wrap_angle(psi)),
+            velocity_mps=(vn, ve, w),
+            attitude_rad=(roll, pitch, heading),
             water_velocity_mps=(u, v, w),
             yaw_rate_radps=r,
-            current_mps=current,
-            thrust_N=_triple(delivered),
+            current_mps=(cn, ce),
+            thrust_N=(port, starboard, vertical),
         )
 
     def _report(self, t_ns: int) -> Applied:
-        slew, self._slew = self._slew, (0.0, 0.0, 0.0)
+        slew = _triple(self._commands[2])
+        self._commands[2] = 0.0
         plan, arrival, verdict = self._receipt or (None, None, Verdict.ACCEPTED)
         return Applied(
             t_ns=t_ns,
@@ -178,6 +184,55 @@ def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
     factors = {name: mismatch.drag for name in p._fields if name.startswith(("linear", "quadratic"))}
     factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mismatch.mass)
     return p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()})
+
+
+@kernel
+def commanded(
+    body: Array,
+    s: Array,
+    n: Array,
+    F: Array,
+    y: Array,
+    afloat: bool,
+    h: float,
+    depths: Array,
+    earlier: Array,
+    later: Array,
+    share: float,
+) -> None:
+    """``motion.step`` from the command y[0] to y[1], which then is the last one; y[2]: its fastest change (N/s)."""
+    for i in range(3):
+        y[2, i] = max(y[2, i], abs(y[1, i] - y[0, i]) / h)
+    motion.step(body, s, n, F, y[0], y[1], afloat, h, depths, earlier, later, share)
+    assign(y[0], y[1])
+
+
+@kernel
+def look(
+    s: Array,
+    F: Array,
+    factor: float,
+    waves: Array,
+    amplitude: float,
+    t: float,
+    depths: Array,
+    earlier: Array,
+    later: Array,
+    share: float,
+) -> Array:
+    """(18,): the state, velocity over ground north and east, roll, pitch, heading, the current, delivered thrusts."""
+    out = np.empty(18)
+    assign(out[:8], s)
+    cn, ce = velocity_at(s[6], depths, earlier, later, share)
+    # [n', e'] = R(psi) [u, v] + c(z)
+    cos, sin = math.cos(s[4]), math.sin(s[4])
+    out[8], out[9] = cos * s[2] - sin * s[3] + cn, sin * s[2] + cos * s[3] + ce
+    out[10], out[11] = sum_of_sines(t, amplitude, waves)
+    out[12] = wrap_angle(s[4])
+    out[13], out[14] = cn, ce
+    for i in range(3):
+        out[15 + i] = factor * F[i]
+    return out
 
 
 def level_to_ned(u: float, v: float, heading: float) -> tuple[float, float]:

@@ -16,6 +16,7 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import slowness
 from ltv_mpc.signals import Array
+from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
 
@@ -95,15 +96,6 @@ def limited_states(o: Objective) -> int:
 def state_scale(i: int, o: Objective) -> float:
     """What state i = 0 .. 7 of 1 means in the QP: a delivered thrust is scaled as its command."""
     return float(o.state_scale[i] if i < 6 else o.scale[i - 6])
-
-
-@kernel
-def coefficients(flat: Array) -> Coefficients:
-    """The inverse of ``np.array(vehicle.coefficients())``."""
-    return Coefficients(
-        flat[0], flat[1], flat[2], flat[3], flat[4], flat[5], flat[6], flat[7], flat[8], flat[9], flat[10], flat[11],
-        flat[12], flat[13], flat[14], flat[15], flat[16], flat[17], flat[18],
-    )  # fmt: skip
 
 
 @kernel

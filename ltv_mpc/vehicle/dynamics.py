@@ -29,6 +29,15 @@ N, E, U, V, PSI, R = range(6)
 
 
 @kernel
+def coefficients(flat: Array) -> Coefficients:
+    """The inverse of ``np.array(vehicle.coefficients())``."""
+    return Coefficients(
+        flat[0], flat[1], flat[2], flat[3], flat[4], flat[5], flat[6], flat[7], flat[8], flat[9], flat[10], flat[11],
+        flat[12], flat[13], flat[14], flat[15], flat[16], flat[17], flat[18],
+    )  # fmt: skip
+
+
+@kernel
 def rates(
     u: float,
     v: float,

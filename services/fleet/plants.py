@@ -136,8 +136,7 @@ class _Plant:
     def __init__(self, vehicle: Vehicle, number: int) -> None:
         draw = np.random.default_rng(number)
         self._vehicle, self._number = vehicle, number
-        self._p = vehicle.coefficients()
-        self._propellers = np.array([[t.propeller_diameter_m, t.max_rps, t.lag_s] for t in vehicle.thrusters])
+        self._body = motion.pack(vehicle, vehicle.coefficients())
         self._gate = Gate(vehicle)
         north, east, heading = draw.uniform(-OFF_M, OFF_M), draw.uniform(-OFF_M, OFF_M), draw.uniform(-3.0, 3.0)
         self._state = np.array([north, east, 0.0, 0.0, heading, 0.0, 10.0, 0.0])
@@ -178,19 +177,16 @@ class _Plant:
         self._command = tuple(commands[-1].tolist())
         water = np.array([self._current, self._current])
         motion.drive(
-            np.array(times) * 1e-9,
-            commands,
+            self._body,
             self._state,
             self._revolutions,
+            self._thrust,
+            np.array(times) * 1e-9,
+            commands,
             DEPTHS,
             water,
             water,
             0.0,
-            self._p,
-            self._propellers,
-            self._vehicle.water_density_kgpm3,
-            1.0,
-            self._thrust,
         )
         self.t_ns = until_ns
 

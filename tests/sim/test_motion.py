@@ -38,11 +38,10 @@ def travel(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States (T, 8), revolutions (T, 3) and thrusts (T, 3) for commands (T, 3), one a step."""
     state, n, F = np.array(s, dtype=float), np.zeros(3), np.zeros(3)
-    propellers = np.tile([DIAMETER, N_MAX, lag], (3, 1))
+    body = np.array([*p, *3 * [DIAMETER, N_MAX, lag], RHO, factor])
     states, revs, thrusts = [state.copy()], [n.copy()], [F.copy()]
     for y0, y1 in itertools.pairwise(commands):
-        water = (DEPTHS, current, current, 0.0)
-        motion.step(state, n, y0, y1, held, h, *water, p, propellers, RHO, factor, F)
+        motion.step(body, state, n, F, y0, y1, held, h, DEPTHS, current, current, 0.0)
         states.append(state.copy())
         revs.append(n.copy())
         thrusts.append(F.copy())
