@@ -22,12 +22,16 @@ class Drift:
         self._steps: dict[float, tuple[Array, Array]] = {}
         self.value: Array = np.array(self._sd) * draws.standard_normal(size)
 
-    def advance(self, dt_s: float) -> Array:
-        """The biases dt_s later, shape (size,)."""
+    def shares(self, dt_s: float) -> tuple[Array, Array]:
+        """What is kept of the biases over dt_s, and the standard deviation of what is new in them, (size,) each."""
         if dt_s not in self._steps:
             kept = [math.exp(-dt_s / tau) for tau in self._tau_s]
             fresh = [sd * math.sqrt(-math.expm1(-2.0 * dt_s / t)) for sd, t in zip(self._sd, self._tau_s, strict=True)]
             self._steps[dt_s] = np.array(kept), np.array(fresh)
-        kept_share, fresh_sd = self._steps[dt_s]
-        self.value = kept_share * self.value + fresh_sd * self._draws.standard_normal(len(self.value))
+        return self._steps[dt_s]
+
+    def advance(self, dt_s: float) -> Array:
+        """The biases dt_s later, shape (size,)."""
+        kept, fresh = self.shares(dt_s)
+        self.value = kept * self.value + fresh * self._draws.standard_normal(len(self.value))
         return self.value

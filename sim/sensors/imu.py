@@ -44,12 +44,12 @@ class InertialUnit:
     @property
     def gyro_bias_radps(self) -> Array:
         """True bias of the last sample, (3,)."""
-        return self._bias.value[:3]
+        return self._bias.value[:3].copy()
 
     @property
     def accelerometer_bias_mps2(self) -> Array:
         """True bias of the last sample, (3,)."""
-        return self._bias.value[3:]
+        return self._bias.value[3:].copy()
 
     def sample(self, now: Instant) -> list[ImuSample]:
         """The mean over the interval that ends now."""
@@ -58,10 +58,20 @@ class InertialUnit:
             return []
         interval_ns = now.t_ns - last.t_ns
         dt = interval_ns * 1e-9
-        means = increments(last.rotation, last.velocity_mps, now.rotation, now.velocity_mps, self._earth_rate, dt)
-        means += self._walks / math.sqrt(dt) * self._draws.standard_normal(6)
-        means += self._bias.advance(dt)
-        p, q, r, x, y, z = means.tolist()
+        kept, fresh = self._bias.shares(dt)
+        p, q, r, x, y, z = measured(
+            last.rotation,
+            last.velocity_mps,
+            now.rotation,
+            now.velocity_mps,
+            self._earth_rate,
+            dt,
+            self._walks,
+            self._bias.value,
+            kept,
+            fresh,
+            self._draws.standard_normal(12),
+        ).tolist()
         return [
             ImuSample(
                 t_ns=now.t_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z)
@@ -82,4 +92,28 @@ def increments(R1: Array, v1: Triple, R2: Array, v2: Triple, W: Array, dt: float
     means = np.empty(6)
     assign(means[:3], w)
     assign(means[3:], R_mid.T @ a)
+    return means
+
+
+@kernel
+def measured(
+    R1: Array,
+    v1: Triple,
+    R2: Array,
+    v2: Triple,
+    W: Array,
+    dt: float,
+    walks: Array,
+    bias: Array,
+    kept: Array,
+    fresh: Array,
+    draws: Array,
+) -> Array:
+    """``increments`` with their errors, (6,). ``bias`` goes on in place by its shares of dt (``Drift.shares``); draws
+    (12,): of white noise, then of what is new in the bias.
+    """
+    means = increments(R1, v1, R2, v2, W, dt)
+    for i in range(6):
+        bias[i] = kept[i] * bias[i] + fresh[i] * draws[6 + i]
+        means[i] = means[i] + walks[i] / math.sqrt(dt) * draws[i] + bias[i]
     return means

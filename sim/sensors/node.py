@@ -10,7 +10,7 @@ of validity; of one validity, in the order of the list of sensors. What has not 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from heapq import heapify, heapreplace
 from typing import NamedTuple, Protocol
 
 from ltv_mpc.localisation.suite import Suite
@@ -52,14 +52,12 @@ class Sensor(Protocol):
         ...
 
 
-@dataclass(slots=True)
-class _Mounted:
-    """A sensor, and the time k x ``period_ns`` of its next sample; the period need not divide the truth's."""
+class _Mounted(NamedTuple):
+    """A sensor that samples at k x ``period_ns``, which need not divide the truth's."""
 
     sensor: Sensor
     period_ns: int
     latency_ns: int
-    next_ns: int = 0
 
 
 class _OnTheWay(NamedTuple):
@@ -124,7 +122,7 @@ class Sensors:
         self._on_the_way: list[_OnTheWay] = []
         self._last: Truth | None = None
         self._motion: Motion | None = None  # the newest that was looked at
-        self._next_ns = 0  # of the sample to come
+        self._due: list[tuple[int, int]] = []  # heap of each sensor's next sample: its time, the sensor's order
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
@@ -142,33 +140,27 @@ class Sensors:
     def _measure(self, truth: Truth) -> list[Signal]:
         last, self._last = self._last, truth
         if last is None:
-            for mounted in self._mounted:
-                mounted.next_ns = -(-truth.t_ns // mounted.period_ns) * mounted.period_ns
-            self._next_ns = truth.t_ns  # whatever of it is due comes with the next truth
-            return []
-        if truth.t_ns >= self._next_ns or self._lbl is not None:
+            periods = [mounted.period_ns for mounted in self._mounted]
+            self._due = [(-(-truth.t_ns // period) * period, order) for order, period in enumerate(periods)]
+            heapify(self._due)
+            return []  # whatever of it is due comes with the next truth
+        if self._lbl is not None or (self._due and self._due[0][0] <= truth.t_ns):
             self._motion = Motion(last, truth, self._motion)
             self._sample(self._motion, truth.t_ns)
         return self._arrived(truth.t_ns) if self._on_the_way else []
 
     def _sample(self, motion: Motion, until_ns: int) -> None:
         """Every sample up to ``until_ns``, in order of time, then of the sensors."""
-        due = [
-            (t, order)
-            for order, mounted in enumerate(self._mounted)
-            if mounted.next_ns <= until_ns
-            for t in range(mounted.next_ns, until_ns + 1, mounted.period_ns)
-        ]
-        due.sort()
-        for t, order in due:
-            mounted = self._mounted[order]
-            mounted.next_ns = t + mounted.period_ns
-            arrives_ns = t + mounted.latency_ns
-            self._on_the_way += [_OnTheWay(t, order, arrives_ns, said) for said in mounted.sensor.sample(motion.at(t))]
+        due, on_the_way = self._due, self._on_the_way
+        while due and due[0][0] <= until_ns:
+            t, order = due[0]
+            sensor, period_ns, latency_ns = self._mounted[order]
+            heapreplace(due, (t + period_ns, order))
+            for said in sensor.sample(motion.at(t)):
+                on_the_way.append(_OnTheWay(t, order, t + latency_ns, said))
         if self._lbl is not None:
             answers = self._lbl.answers(motion, until_ns)
-            self._on_the_way += [_OnTheWay(x.t_ns, len(self._mounted), arrival_ns(x), x) for x in answers]
-        self._next_ns = min((mounted.next_ns for mounted in self._mounted), default=until_ns)
+            on_the_way += [_OnTheWay(x.t_ns, len(self._mounted), arrival_ns(x), x) for x in answers]
 
     def _arrived(self, until_ns: int) -> list[Signal]:
         here = [message for message in self._on_the_way if message.arrival_ns <= until_ns]
