@@ -41,6 +41,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation import innovations
 from ltv_mpc.localisation.innovations import Mean
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
@@ -137,14 +138,13 @@ class Adaptation:
         """Innovations r (m,) of one ping with covariance S; u (m, 3) each row's beam in NED."""
         most = _CUT * np.sqrt(np.diagonal(S))
         r = np.clip(r, -most, most)
-        D, known = _fit(u)
-        d, V = D.T @ r, D.T @ S @ D
+        known, d, V = _contrast(u, r, S)
         if known:
             self._means.add(t_ns, d[:2], V[:2, :2])
             self._downward.add(t_ns, d[2:], V[2:, 2:])
-        D, known = _fit((cell - cell.mean())[:, None] * u[:, :2])
+        known, d, V = _contrast((cell - cell.mean())[:, None] * u[:, :2], r, S)
         if known:
-            self._slopes.add(t_ns, D.T @ r, D.T @ S @ D)
+            self._slopes.add(t_ns, d, V)
 
     def seen(self, t_ns: int) -> Change:
         """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""
@@ -230,9 +230,16 @@ def _doubt(belief: Belief) -> None:
         P[np.ix_(j, j)] += _VELOCITY_SD_MPS**2
 
 
-def _fit(X: Array) -> tuple[Array, bool]:
-    """D (m, k) with D^T X = 1, by least squares; False where beams of one plane alone say nothing across it."""
+@kernel
+def _contrast(X: Array, r: Array, S: Array) -> tuple[bool, Array, Array]:
+    """d = D^T r, (k,), and V = D^T S D, (k, k), with D (m, k) of least squares, D^T X = 1; False where beams of one
+    plane alone say nothing across it.
+    """
+    X, S, k = np.ascontiguousarray(X), np.ascontiguousarray(S), X.shape[1]
     normal = X.T @ X
-    sd = np.sqrt(np.maximum(np.diagonal(normal), 1e-12))
-    known = bool(np.linalg.cond(normal / np.outer(sd, sd)) < _WORST)
-    return (X @ np.linalg.inv(normal) if known else np.zeros_like(X)), known
+    sd = np.sqrt(np.maximum(np.diag(normal), 1e-12))
+    shares = np.linalg.eigvalsh(normal / np.outer(sd, sd))
+    if not shares[k - 1] < _WORST * shares[0]:
+        return False, np.zeros(k), np.zeros((k, k))
+    D = X @ np.linalg.inv(normal)
+    return True, D.T @ r, D.T @ (S @ D)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import Belief
 from ltv_mpc.localisation.turning import HEADING, swing
@@ -48,22 +48,26 @@ def _project(P: Array, state: npt.NDArray[np.int64], partial: Array, variance: A
     """H P, (m, n), and S = H P H^T + R, (m, m)."""
     m, w = state.shape
     n = P.shape[0]
-    HP = np.zeros((m, n))
-    S = np.empty((m, m))
+    HP, S = np.zeros((m, n)), np.zeros((m, m))
     for i in range(m):
         for a in range(w):
             c, s = partial[i, a], state[i, a]
             if c != 0.0:
                 for k in range(n):
                     HP[i, k] += c * P[s, k]
+    PH = np.empty((n, m))  # whose rows S is a sum of: all at once, where rows of H P would be picked one by one
     for i in range(m):
-        for j in range(i + 1):
-            total = 0.0
-            for a in range(w):
-                total += partial[j, a] * HP[i, state[j, a]]
-            S[i, j] = total
-            S[j, i] = total
-        S[i, i] += variance[i]
+        for k in range(n):
+            PH[k, i] = HP[i, k]
+    for j in range(m):
+        for a in range(w):
+            c, s = partial[j, a], state[j, a]
+            if c != 0.0:
+                for i in range(j, m):
+                    S[j, i] += c * PH[s, i]
+        for i in range(j):
+            S[j, i] = S[i, j]
+        S[j, j] += variance[j]
     return HP, S
 
 
@@ -71,7 +75,7 @@ def _project(P: Array, state: npt.NDArray[np.int64], partial: Array, variance: A
 def _fold(HP: Array, S: Array, residual: Array) -> tuple[bool, Array]:
     """S = L L^T; HP := L^-1 HP = W and residual := L^-1 residual, in place; the error W^T L^-1 residual, (n,).
 
-    For few rows: what LAPACK does, without its calls. False and anything if S is not definite.
+    False and anything if S is not definite.
     """
     m, n = HP.shape
     L = np.zeros((m, m))
@@ -135,11 +139,50 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
                     P[j, i] = P[i, j]
 
 
+@kernel
+def _weigh_few(
+    P: Array, state: npt.NDArray[np.int64], partial: Array, z: Array, variance: Array, gate: float
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, Array]:
+    """The fields of a ``Correction``, and W, of few rows: without a library's calls."""
+    HP, S = _project(P, state, partial, variance)
+    m, n = HP.shape
+    accepted, nis = np.zeros(m, dtype=np.bool_), np.empty(m)
+    passed = 0
+    for i in range(m):
+        nis[i] = z[i] * z[i] / S[i, i]
+        accepted[i] = nis[i] <= gate
+        passed += accepted[i]
+    W, of_passed, residual, told = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed), np.zeros(n)
+    if passed == 0:
+        return accepted, nis, S, True, np.zeros(n), told, W
+    a = 0
+    for i in range(m):
+        if accepted[i]:
+            assign(W[a], HP[i])
+            residual[a] = z[i]
+            b = 0
+            for j in range(m):
+                if accepted[j]:
+                    of_passed[a, b] = S[i, j]
+                    b += 1
+            a += 1
+    definite, error = _fold(W, of_passed, residual)
+    if not definite:
+        return np.zeros_like(accepted), nis, S, False, np.zeros(n), told, np.empty((0, n))
+    for a in range(passed):
+        for j in range(n):
+            told[j] += W[a, j] * W[a, j]
+    return accepted, nis, S, True, error, told, W
+
+
 def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
     """What the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom) tell, and their W, (m', n).
 
     ``P`` (n, n), symmetric, C-contiguous, is only read. W has no row where nothing passed or S is not definite.
     """
+    if len(rows.residual) <= _FEW:
+        accepted, nis, S, definite, error, told, W = _weigh_few(P, *rows, gate)
+        return Correction(accepted, nis, S, definite, error, told), W
     HP, S = _project(P, rows.state, rows.partial, rows.variance)
     nis = rows.residual**2 / np.diagonal(S)
     accepted = nis <= gate
@@ -152,17 +195,12 @@ def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
         HP = HP[accepted]
         of_accepted = S[np.ix_(accepted, accepted)]
         residual = residual[accepted]
-    if len(residual) <= _FEW:
-        W = HP
-        definite, error = _fold(W, of_accepted, residual.copy())
-    else:
-        # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
-        L, info = dpotrf(of_accepted.T, lower=1, clean=0)
-        if definite := info == 0:
-            WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m'): W^T = (H P)^T L^-T
-            W, error = WT.T, WT @ dtrsv(L, residual, lower=1)
-    if not definite:
+    # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
+    L, info = dpotrf(of_accepted.T, lower=1, clean=0)
+    if info != 0:
         return Correction(np.zeros_like(accepted), nis, S, False, nothing[0], nothing[0]), nothing[1]
+    WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m'): W^T = (H P)^T L^-T
+    W, error = WT.T, WT @ dtrsv(L, residual, lower=1)
     return Correction(accepted, nis, S, True, error, np.einsum("mn,mn->n", W, W)), W
 
 

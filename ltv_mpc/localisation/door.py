@@ -65,8 +65,9 @@ class Door:
         kind = type(message)
         if kind is not LblRange and self._went_back(kind, t_ns, received_ns):
             return "stale"
-        if kind in _READINGS:
-            reading = _READINGS[kind](message)
+        read = _READINGS.get(kind)
+        if read is not None:
+            reading = read(message)
             before_ns, before = self._last.get(kind, (t_ns, None))
             self._last[kind] = t_ns, reading
             if reading is not None and reading == before and t_ns != before_ns:
@@ -75,7 +76,10 @@ class Door:
 
     def _went_back(self, kind: type[Signal], t_ns: int, received_ns: int) -> bool:
         took_ns = received_ns - t_ns
-        way = self._ways.setdefault(kind, _Way(t_ns, took_ns))
+        way = self._ways.get(kind)
+        if way is None:
+            self._ways[kind] = _Way(t_ns, took_ns)
+            return False
         way.back = way.back or t_ns < way.newest_ns - AHEAD_NS
         if way.back and took_ns > way.took_ns + AHEAD_NS:
             return True
@@ -88,15 +92,14 @@ class Door:
         if before is None or before.t_ns == sample.t_ns:
             return False
         seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, LEAST_S)
-        turned = _apart(sample.angular_rate_radps, before.angular_rate_radps)
-        pushed = _apart(sample.specific_force_mps2, before.specific_force_mps2)
-        if turned > TURN_RADPS2 * seconds or pushed > JERK_MPS3 * seconds:
+        turned = _apart(sample.angular_rate_radps, before.angular_rate_radps, TURN_RADPS2 * seconds)
+        if turned or _apart(sample.specific_force_mps2, before.specific_force_mps2, JERK_MPS3 * seconds):
             self._to_agree = AGREEING
         elif self._to_agree:
             self._to_agree -= 1
         return self._to_agree > 0
 
 
-def _apart(a: Triple, b: Triple) -> float:
-    """The largest difference of a part."""
-    return max(abs(a[0] - b[0]), abs(a[1] - b[1]), abs(a[2] - b[2]))
+def _apart(a: Triple, b: Triple, most: float) -> bool:
+    """They differ by more in a part."""
+    return abs(a[0] - b[0]) > most or abs(a[1] - b[1]) > most or abs(a[2] - b[2]) > most

@@ -17,15 +17,12 @@ Output  An estimate of t_ns = k x period holds everything measured up to and at 
 from __future__ import annotations
 
 import bisect
-import math
 from collections import Counter, deque
 from collections.abc import Mapping
-
-import numpy as np
+from typing import Any
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.frames import roll_pitch_heading
-from ltv_mpc.localisation import gap, water_column
+from ltv_mpc.localisation import gap
 from ltv_mpc.localisation.adaptation import Change
 from ltv_mpc.localisation.alignment import Alignment
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
@@ -35,10 +32,10 @@ from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.former import Former
 from ltv_mpc.localisation.health import Monitor, verdict_of
 from ltv_mpc.localisation.late import History, spacing_ns
-from ltv_mpc.localisation.measurements.compass import heading_partials
+from ltv_mpc.localisation.output import estimate
 from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite, usable
 from ltv_mpc.localisation.resume import Resumption
-from ltv_mpc.localisation.state import ATTITUDE, CORE, GYRO_BIAS, Belief, grid
+from ltv_mpc.localisation.state import Belief, grid
 from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
 from ltv_mpc.node import Inbox, OnMessage, Progress, no_progress
 from ltv_mpc.signals import (
@@ -85,36 +82,6 @@ _MOST_RECENT = 6000
 
 _MOST_WAITING = 1000
 """Messages that wait for an inertial sample; beyond, the oldest is dropped: the unit has failed."""
-
-
-def estimate(filter_: Filter, depth_m: np.typing.NDArray[np.float64]) -> Estimate:
-    """What is published of a filter, at its belief's time. ``depth_m`` is the water's grid."""
-    belief = filter_.belief
-    roll, pitch, heading = roll_pitch_heading(belief.R)
-    # w = w_m - b_g - R^T W against NED, body axes;  heading rate = (w_y sin roll + w_z cos roll) / cos pitch
-    w = np.array(filter_.rate) - belief.x[GYRO_BIAS] - belief.R.T @ filter_.rotation_of_earth
-    to_yaw = np.array([0.0, math.sin(roll), math.cos(roll)]) / math.cos(pitch)
-
-    J = np.zeros((6, CORE))
-    J[0, 0] = J[1, 1] = J[2, 3] = J[3, 4] = 1.0
-    J[4, ATTITUDE] = heading_partials(belief.R)
-    J[5, GYRO_BIAS] = -to_yaw
-    covariance = J @ filter_.core_covariance() @ J.T
-    covariance[5, 5] += filter_.rate_variance * float(to_yaw @ to_yaw)
-    north, east, down, v_north, v_east, v_down = belief.x[:6].tolist()
-    return Estimate(
-        t_ns=belief.t_ns,
-        north_m=north,
-        east_m=east,
-        heading_rad=heading,
-        yaw_rate_radps=float(to_yaw @ w),
-        velocity_north_mps=v_north,
-        velocity_east_mps=v_east,
-        depth_m=down,
-        velocity_down_mps=v_down,
-        covariance=0.5 * (covariance + covariance.T),
-        current=water_column.profile(belief, depth_m),
-    )
 
 
 class Estimator:
@@ -185,14 +152,16 @@ class Estimator:
         """Use every message of the inbox in its order."""
         out: list[Signal] = []
         for arrival in inbox:
-            if isinstance(arrival.signal, ImuSample | Aiding):
-                why = self._door.refusal(arrival.signal.t_ns, arrival.signal, arrival.received_t_ns)
+            signal: Any = arrival.signal
+            sensor = SENSORS.get(type(signal))  # a tenth of the time of isinstance() of nine types
+            if sensor is not None:
+                why = self._door.refusal(signal.t_ns, signal, arrival.received_t_ns)
                 if why is None:
-                    self._take(arrival.signal, out)
+                    self._take(signal, out)
                 else:
-                    self._account[f"{SENSORS[type(arrival.signal)]}.{why}"] += 1
-            elif isinstance(arrival.signal, Restore):
-                self._restore(arrival.signal)
+                    self._account[f"{sensor}.{why}"] += 1
+            elif isinstance(signal, Restore):
+                self._restore(signal)
         return out
 
     def _restore(self, restore: Restore) -> None:

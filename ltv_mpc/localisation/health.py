@@ -23,12 +23,14 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import chdtr, chdtri
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.filter import Verdict
 from ltv_mpc.localisation.late import REACH_NS
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import FilterStatus, SensorReport, SensorStatus
+from ltv_mpc.signals import Array, FilterStatus, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
 SILENT_PERIODS = 3
@@ -70,12 +72,8 @@ class Monitor:
         if window is None:
             return
         self.broken = self.broken or not verdict.definite
-        x = verdict.residual**2 / np.diagonal(verdict.S)
-        passed = verdict.accepted
-        S = verdict.S[np.ix_(passed, passed)]
-        sd2 = np.diagonal(S)
-        pairs = float((S * S / np.outer(sd2, sd2)).sum())
-        window.append(_Judged(verdict.t_ns, len(x), len(S), float(x[passed].sum()), pairs))
+        passed, squares, pairs = _judged(verdict.residual, verdict.S, verdict.accepted)
+        window.append(_Judged(verdict.t_ns, len(verdict.residual), passed, squares, pairs))
         self._last_ns[verdict.sensor] = max(verdict.t_ns, self._last_ns.get(verdict.sensor, verdict.t_ns))
 
     def forget(self) -> None:
@@ -127,6 +125,20 @@ class Monitor:
             if nis > high or (nis < low and name not in ONLY_TOO_LARGE):
                 return nis, SensorStatus.INCONSISTENT
         return nis, SensorStatus.OK
+
+
+@kernel
+def _judged(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
+    """Of a message's rows: how many passed, the sum of their x, and of rho_ij^2 over all their pairs."""
+    passed, squares, pairs = 0, 0.0, 0.0
+    for i in range(len(residual)):
+        if accepted[i]:
+            passed += 1
+            squares += residual[i] * residual[i] / S[i, i]
+            for j in range(len(residual)):
+                if accepted[j]:
+                    pairs += S[i, j] * S[i, j] / (S[i, i] * S[j, j])
+    return passed, squares, pairs
 
 
 def band(independent: float) -> tuple[float, float]:

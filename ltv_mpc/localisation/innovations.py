@@ -16,6 +16,7 @@ import math
 import numpy as np
 from scipy.special import chdtri
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array
 
 MOST = 5.0
@@ -40,23 +41,41 @@ class Mean:
 
     def add(self, t_ns: int, d: Array, V: Array) -> None:
         """One message's d (G,) with covariance V (G, G)."""
-        own = float(d @ np.linalg.solve(V, d))
-        if own > MOST * MOST:
-            d = d * (MOST / math.sqrt(own))
         keep = np.zeros(len(self.s)) if self._t_ns is None else np.exp((self._t_ns - t_ns) / self._tau_ns)
         self._t_ns = t_ns
-        self.s = keep[:, None] * self.s + d
-        self.W = (keep * keep)[:, None, None] * self.W + V
+        self.s, self.W = _added(self.s, self.W, keep, np.ascontiguousarray(d), np.ascontiguousarray(V))
 
     def chi_square(self) -> Array:
         """(T,); 0 before the first message."""
         if self._t_ns is None:
             return np.zeros(len(self.s))
-        result: Array = np.einsum("tg,tg->t", self.s, np.linalg.solve(self.W, self.s[..., None])[..., 0])
-        return result
+        return _squares(self.s, self.W)
 
     def copy(self) -> Mean:
         """Independent of this one: s and W are replaced, never written into."""
         other = Mean.__new__(Mean)
         other.__dict__.update(self.__dict__)
         return other
+
+
+@kernel
+def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, Array]:
+    """s and W with one message more; ``keep`` (T,) is lambda."""
+    own = np.dot(d, np.linalg.solve(V, d))
+    part = MOST / math.sqrt(own) if own > MOST * MOST else 1.0
+    new_s, new_W = np.empty_like(s), np.empty_like(W)
+    for t in range(len(keep)):
+        for i in range(len(d)):
+            new_s[t, i] = keep[t] * s[t, i] + part * d[i]
+            for j in range(len(d)):
+                new_W[t, i, j] = keep[t] * keep[t] * W[t, i, j] + V[i, j]
+    return new_s, new_W
+
+
+@kernel
+def _squares(s: Array, W: Array) -> Array:
+    """s^T W^-1 s of each time constant."""
+    out = np.empty(len(s))
+    for t in range(len(s)):
+        out[t] = np.dot(s[t], np.linalg.solve(W[t], s[t]))
+    return out

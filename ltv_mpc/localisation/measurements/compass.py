@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, Belief
@@ -22,9 +23,10 @@ def heading(R: Array) -> float:
     return math.atan2(R[1, 0], R[0, 0])
 
 
+@kernel
 def heading_partials(R: Array) -> Array:
     """d heading / d phi, (3,)."""
-    n, e, d = R[:, 0]
+    n, e, d = R[0, 0], R[1, 0], R[2, 0]
     h2 = n * n + e * e
     return np.array([-n * d / h2, -e * d / h2, 1.0])
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import SENSORS, Estimator, estimate
+from ltv_mpc.localisation.estimator import SENSORS, Estimator
 from ltv_mpc.localisation.filter import Filter
+from ltv_mpc.localisation.output import estimate
 from ltv_mpc.localisation.state import Belief, Layout, grid
 from ltv_mpc.localisation.suite import BottomTracking, Suite
 from ltv_mpc.signals import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
