@@ -81,7 +81,7 @@ def refused_by_name(node: str, message: Arrival, reason: str) -> Rejected:
 class _Seat:
     """A node's place at the table: what it is asked for, and its inbox."""
 
-    __slots__ = ("causes", "inbox", "index", "name", "reads", "step", "steps")
+    __slots__ = ("causes", "inbox", "index", "name", "reads", "sequences", "step", "steps")
 
     def __init__(self, index: int, node: Node) -> None:
         self.index = index
@@ -90,6 +90,7 @@ class _Seat:
         self.reads = frozenset(node.reads)
         self.causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
         self.inbox: list[Arrival] = []
+        self.sequences: dict[type[Signal], int] = {}  # of the next signal of a type
         self.steps = 0
 
 
@@ -122,7 +123,6 @@ class LockStep:
         self._refused = refused
         self._seats = [_Seat(index, node) for index, node in enumerate(nodes)]
         self._readers: dict[type[Signal], list[_Seat]] = {}
-        self._sequence: dict[tuple[str, type[Signal]], int] = {}
         # (time, seat, count, what happens then): the count keeps the order of what falls together at one seat.
         self._events: list[tuple[int, int, int, Callable[[int], None]]] = []
         self._count = 0
@@ -216,9 +216,9 @@ class LockStep:
             reader.inbox.append(rejected)
 
     def _numbered(self, seat: _Seat, signal: Signal, at_ns: int) -> Arrival:
-        name = (seat.name, type(signal))
-        sequence = self._sequence.get(name, 0)
-        self._sequence[name] = sequence + 1
+        kind = type(signal)
+        sequence = seat.sequences.get(kind, 0)
+        seat.sequences[kind] = sequence + 1
         message = Arrival(signal, EPOCH, sequence, at_ns)
         if self._observe is not None:
             self._observe.published(seat.name, message)

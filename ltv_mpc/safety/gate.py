@@ -51,13 +51,14 @@ class _Followed(msgspec.Struct, frozen=True):
     t_ns: list[int]
     thrust_N: list[list[float]]
 
-    def target(self, t_ns: int, rest: Triple) -> list[float] | Triple:
+    def target(self, t_ns: int, rest: Triple) -> Triple:
         times = self.t_ns
         if t_ns > times[-1]:
             return rest
         i = min(max(bisect_right(times, t_ns) - 1, 0), len(times) - 2)
         s = (t_ns - times[i]) / (times[i + 1] - times[i])
-        return [a + s * (b - a) for a, b in zip(self.thrust_N[i], self.thrust_N[i + 1], strict=True)]
+        a, b = self.thrust_N[i], self.thrust_N[i + 1]
+        return a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
 
 
 class Gate:
@@ -140,16 +141,18 @@ class Gate:
             del plans[0]
         target = plans[0].target(t_ns, self._rest) if plans and plans[0].t_ns[0] <= t_ns else self._rest
         seconds = (t_ns - self._t_ns) * 1e-9
+        y, limits = self._command, self._limits
         self._command = (
-            _towards(self._command[0], target[0], seconds, *self._limits[0]),
-            _towards(self._command[1], target[1], seconds, *self._limits[1]),
-            _towards(self._command[2], target[2], seconds, *self._limits[2]),
+            _towards(y[0], target[0], seconds, limits[0]),
+            _towards(y[1], target[1], seconds, limits[1]),
+            _towards(y[2], target[2], seconds, limits[2]),
         )
         self._t_ns = t_ns
         return self._command
 
 
-def _towards(y: float, target: float, seconds: float, low: float, high: float, slew: float) -> float:
-    """y + clip(T - y, -slew dt, slew dt), with T in the box."""
-    reach = slew * seconds
-    return y + min(max(min(max(target, low), high) - y, -reach), reach)
+def _towards(y: float, target: float, seconds: float, limits: Triple) -> float:
+    """y + clip(T - y, -slew dt, slew dt), with T in the box: comparisons, of which a call of max() costs three."""
+    low, high, slew = limits
+    change, reach = (low if target < low else high if target > high else target) - y, slew * seconds
+    return y + (-reach if change < -reach else reach if change > reach else change)

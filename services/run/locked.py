@@ -116,11 +116,13 @@ class _Log:
 
     def published(self, node: str, message: Arrival) -> None:
         signal = message.signal
+        kind = type(signal)
         self.published_count += 1
-        self.rejected_count += type(signal) is Rejected
-        if isinstance(signal, Estimate):
+        if kind is Rejected:
+            self.rejected_count += 1
+        elif isinstance(signal, Estimate):
             self.learned.hear(signal)
-        if type(signal) in self._hears:
+        if kind in self._hears:
             self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
         if self._writer is not None:
             self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
