@@ -69,6 +69,7 @@ class Snapshot(NamedTuple):
     Q: Array
     pending_ns: int
     at_epoch: bool
+    coasted_ns: int
     water: Adaptation
 
 
@@ -96,6 +97,7 @@ class Filter:
         self.water = Adaptation(
             belief.layout.nodes, config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns
         )
+        self._coasted_ns = 0  # over the gap that it is in
         self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
@@ -106,6 +108,11 @@ class Filter:
             self.settle()
             belief.clone_position(self._suite.gnss.lever_arm_m)
         gap_ns = gap.before(sample, belief.t_ns)
+        if self._coasted_ns and gap_ns <= gap.BRIDGED_NS:
+            if self._coasted_ns >= gap.LEVELLED_NS:
+                self.settle()
+                correct(belief, gap.level(belief, sample.specific_force_mps2), math.inf)
+            self._coasted_ns = 0
         if gap_ns:
             self._cross(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
         if belief.t_ns < t_ns:
@@ -143,20 +150,22 @@ class Filter:
         ]
         gap.coast(belief.x, belief.R, self._Phi, self._Q, seconds, gap_s, 0.5 * sum(turns), self._suite.imu)
         self._pending_ns += t_ns - belief.t_ns
+        self._coasted_ns += t_ns - belief.t_ns
         belief.t_ns = t_ns
 
     def snapshot(self) -> Snapshot:
         """Where it stands, to come back to."""
         belief = self.belief.copy()
         Phi, Q = self._Phi.copy(), self._Q.copy()
-        return Snapshot(belief, self.rate, Phi, Q, self._pending_ns, self._at_epoch, self.water.copy())
+        pending_ns, coasted_ns = self._pending_ns, self._coasted_ns
+        return Snapshot(belief, self.rate, Phi, Q, pending_ns, self._at_epoch, coasted_ns, self.water.copy())
 
     def restore(self, then: Snapshot) -> None:
         """Back to where it stood, bit for bit; ``then`` can be restored again."""
         self.belief = then.belief.copy()
         self.rate = then.rate
         self._Phi, self._Q = then.Phi.copy(), then.Q.copy()
-        self._pending_ns, self._at_epoch = then.pending_ns, then.at_epoch
+        self._pending_ns, self._coasted_ns, self._at_epoch = then.pending_ns, then.coasted_ns, then.at_epoch
         self.water = then.water.copy()
 
     def settle(self) -> None:

@@ -8,6 +8,10 @@ Coasted  beyond: nobody knows how the vehicle went on. Its velocity walks, its h
              p := p + T v,  P_pp += q_v T^3/3,  P_pv += q_v T^2/2,  P_vv += q_v T
              P_level += q_l T,  P_heading += q_r min(T, TURNS_S)^2/12 T
          No tilt becomes velocity, since no specific force was measured. Biases go on as ever.
+Levelled by the first sample after ``LEVELLED_NS`` of it: a vehicle that hardly accelerates feels what holds it up,
+             (R f)_i = a_i,  a_i ~ N(0, 0.2^2 m2/s4),  north and east:  -(R f)_i = (phi x R f)_i - (R db_a)_i - a_i
+         After 8 s the level is open by 6 deg, 1 m/s2: strapdown integration takes that for motion before a ping comes,
+         and what pings then tell of both at once is no longer linear (0.5 m off became 25 m within 15 s).
 So what is measured within a gap, and after it, finds a filter that is as unsure as it must be, and passes the gate.
 Source   Bar-Shalom, Li & Kirubarajan 2001, sections 6.2.2 (white noise acceleration) and 6.2.3 (its walk).
 """
@@ -18,10 +22,11 @@ import math
 
 import numpy as np
 
-from ltv_mpc.frames import rotation_exp
-from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY
+from ltv_mpc.frames import rotation_exp, skew
+from ltv_mpc.localisation.measurements.rows import Rows
+from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, ImuSample
+from ltv_mpc.signals import Array, ImuSample, Triple
 
 VELOCITY_WALK = 0.1**2  # m2/s3: what thrusters can do, and more
 TURN_WALK = 0.1**2  # rad2/s3
@@ -29,6 +34,10 @@ FORCE_WALK = 0.2**2  # m2/s5: full thrust within 0.6 s
 LEVEL_WALK = 0.04**2  # rad2/s: roll and pitch in a light sea
 
 BRIDGED_NS = 100_000_000
+LEVELLED_NS = 1_000_000_000
+"""After less the level is known as well as this would tell."""
+
+ACCELERATION_SD_MPS2 = 0.2  # of the vehicle when it is levelled
 TURNS_S = 4.0
 """For longer no vehicle turns as it did; beyond, the rate of turn is one of 0.1 rad/s either way."""
 
@@ -70,3 +79,17 @@ def coast(x: Array, R: Array, Phi: Array, Q: Array, seconds: float, gap_s: float
     Q[p, v] += VELOCITY_WALK * seconds**2 / 2.0
     Q[v, p] += VELOCITY_WALK * seconds**2 / 2.0
     Q[v, v] += VELOCITY_WALK * seconds
+
+
+_LEVEL = np.array([[*range(ATTITUDE.start, ATTITUDE.stop), *range(ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.stop)]])
+
+
+def level(belief: Belief, force: Triple) -> Rows:
+    """Two rows: what the specific force (m/s2, body) after a gap says of the vehicle's level."""
+    f = belief.R @ (np.array(force) - belief.x[ACCELEROMETER_BIAS])
+    return Rows(
+        state=np.repeat(_LEVEL, 2, axis=0),
+        partial=np.hstack([-skew(f)[:2], -belief.R[:2]]),
+        residual=-f[:2],
+        variance=np.full(2, ACCELERATION_SD_MPS2**2),
+    )

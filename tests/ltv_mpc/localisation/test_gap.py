@@ -65,6 +65,19 @@ def test_the_truth_stays_inside_what_the_filter_says_and_nobody_else_is_blamed(d
     assert said[-1].t_ns == 17 * S  # it goes on
 
 
+@pytest.mark.parametrize(("seed", "silent_s"), [(20, 6.0), (23, 6.0), (21, 9.0), (27, 9.0)])
+def test_after_seconds_in_which_no_instrument_spoke_the_filter_is_levelled_and_goes_on(
+    make_dive, inbox_of, seed, silent_s
+):
+    """Not levelled, each of these is inconsistent within 6 s, the last 15 m further off."""
+    dive = make_dive(SUITE, seed, duration_s=silent_s + 14.0)
+    silent = range(4 * S + 1, round((4 + silent_s) * S) + 1)
+    _, said = flown([m for m in dive.messages if m.t_ns not in silent], inbox_of)
+    assert max(normalised([one for one in said if one.t_ns > 4 * S], dive)) < CHI_SQUARE_5
+    reports = [one for one in said if isinstance(one, LocalisationReport)]
+    assert {report.status for report in reports} == {FilterStatus.NOMINAL}
+
+
 def test_a_coasted_gap_is_the_same_in_one_piece_and_in_two():
     ends = []
     for cuts in ((2.0,), (0.7, 1.3)):
