@@ -54,13 +54,13 @@ class PartialForm:
         self.states = STATES * blocks  # unknowns x, and rows of the dynamics
         self.variables = self.states + 2 * N
         self.rows = self.states + 4 * N - 2
-        self._numbers = pack_objective(knots, limits, weights)
+        self.numbers = pack_objective(knots, limits, weights)
         self.thrust_scale = limits.scale
         self._scale = np.concatenate([limits.state_scale, limits.scale])
         width = STATES + 2 * (int(np.diff(self.ends).max()) + 1)
-        self._cost = np.zeros((blocks, width, width))  # of the knots inside a block, and of its end
-        self._end = np.zeros((blocks, STATES, STATES))
-        self.motion = np.zeros((blocks, STATES, width))
+        self.cost = np.zeros((blocks, width, width))  # of the knots inside a block: Q, its upper triangle
+        self.end_cost = np.zeros((blocks, STATES, STATES))  # E
+        self.motion = np.zeros((blocks, STATES, width))  # T_e
         self._T = np.zeros((2, STATES, width))
         self._make_patterns(blocks)
         self.P = np.zeros(self._P.nnz)  # the stored entries of its upper triangle
@@ -81,8 +81,8 @@ class PartialForm:
 
     def _make_patterns(self, blocks: int) -> None:
         """P's upper triangle and A by columns; an entry's source is its place in the blocks' dense matrices."""
-        cost = np.arange(self._cost.size).reshape(self._cost.shape)
-        end = self._cost.size + np.arange(self._end.size).reshape(self._end.shape)
+        cost = np.arange(self.cost.size).reshape(self.cost.shape)
+        end = self.cost.size + np.arange(self.end_cost.size).reshape(self.end_cost.shape)
         motion = np.arange(self.motion.size).reshape(self.motion.shape)
         in_P: list[tuple[int, int, int]] = []
         in_A: list[tuple[int, int, int]] = []
@@ -111,7 +111,7 @@ class PartialForm:
         """Up to two sources an entry (the cost inside a block and at its start), (nnz, 2), and the thrust terms."""
         N, n = self.stages, self.variables
         thrust = np.zeros((2 * N, 2 * N))
-        thrust_terms(objective(self._numbers), thrust)
+        thrust_terms(objective(self.numbers), thrust)
         sources: dict[tuple[int, int], list[int]] = {}
         for i, j, source in entries:
             sources.setdefault((i, j), []).append(source)
@@ -120,7 +120,7 @@ class PartialForm:
         rows, columns = np.array(list(sources)).T
         pattern = csc_array(coo_array((np.arange(1.0, len(rows) + 1.0), (rows, columns)), shape=(n, n)))
         order = pattern.data.astype(np.int64) - 1
-        nothing = self._cost.size + self._end.size  # one zero behind the blocks' numbers
+        nothing = self.cost.size + self.end_cost.size  # one zero behind the blocks' numbers
         padded = [[*s, nothing, nothing][:2] for s in sources.values()]
         constant = np.zeros(len(rows))
         of_z = rows >= self.states
@@ -147,12 +147,12 @@ class PartialForm:
         return _build(
             *lin[:-1],
             target,
-            self._numbers,
+            self.numbers,
             self._scale,
             self.ends,
             self._T,
-            self._cost,
-            self._end,
+            self.cost,
+            self.end_cost,
             self.motion,
             self._P_from,
             self._P_constant,

@@ -65,13 +65,17 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     return ByName(config, limits)
 
 
+FASTEST: dict[str, Formulation] = {"osqp": "partial", "daqp": "condensed"}
+"""By ``ltv-mpc profile``, its table in docs/control.md."""
+
+
 def chosen(config: ControllerConfig) -> Formulation:
     """What ``auto`` stands for."""
     if config.formulation != "auto":
         return config.formulation
     if config.limits != MotionLimits():  # of the sparse form alone
         return "sparse"
-    return "condensed" if config.solver == "daqp" else "sparse"
+    return FASTEST.get(config.solver, "sparse")
 
 
 __all__ = ["NATIVE", "Answer", "Solver", "chosen", "make", "solve_qp"]

@@ -2,9 +2,12 @@
 
 OSQP has one step size rho for all rows; a row multiplied by s has rho s^2. So the rows are scaled here: the dynamics by
 DYNAMICS, box and slew rows by what ``Round`` says of free rows and of binding ones, those whose dual is not zero. Which
-duals those are is taken from the shifted last solution, and after each round from the iterates: A changes each cycle
-anyway, so its factorisation is paid for. OSQP's own scaling and step adaptation are off; its residuals, and the
-tolerance, are those of the scaled rows.
+duals those are is taken from the first guess, and after each round from the iterates: A changes each cycle anyway, so
+its factorisation is paid for. OSQP's own scaling and step adaptation are off; its residuals, and the tolerance, are
+those of the scaled rows.
+
+The first guess is what the sweeps along the stages come to from the shifted last duals (``stagewise.py``), with the
+states at the blocks' ends and the costates that belong to it: mostly the solution, which one iteration then confirms.
 """
 
 from __future__ import annotations
@@ -17,15 +20,19 @@ import numpy as np
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control import grid
 from ltv_mpc.control.config import SettledConfig
-from ltv_mpc.control.horizon import Linearisation, not_finite
+from ltv_mpc.control.constants import objective
+from ltv_mpc.control.horizon import Linearisation, not_finite, views
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.condensed import commands
 from ltv_mpc.control.qp.partial import BLOCK, Indices, PartialForm, fill_A
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
+from ltv_mpc.control.qp.sweeps import ROWS
+from ltv_mpc.control.solvers import stagewise
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Account, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.vehicle.flow import STATES
 
 DYNAMICS = 100.0
 """Row scale of the dynamics: the root of their step size."""
@@ -53,8 +60,8 @@ VIOLATION = 2e-4
 """By how much box and slew may be violated, as a part of the thrusters' limit: a row that was held to be free has a
 scale, and so a residual, too small to tell."""
 
-CHECK = 3
-"""Iterations between two looks at the residuals."""
+CHECK = 1
+"""Iterations between two looks at the residuals: the first is mostly the last."""
 
 
 RELAXATION = 1.0
@@ -73,7 +80,7 @@ class PartialOsqp:
         self._dual = np.zeros(form.rows)  # of the rows as they are
         self._row_scale = np.ones(form.rows)
         self._row_scale[: form.states] = DYNAMICS
-        self._zero, self._y = np.zeros(form.variables), np.zeros(form.rows)
+        self._x, self._y = np.zeros(form.variables), np.zeros(form.rows)  # the first guess, y of scaled rows
         self._A = np.zeros(form.entries)
         self._lower, self._upper = np.zeros(form.rows), np.zeros(form.rows)
         self._why = ""
@@ -89,9 +96,13 @@ class PartialOsqp:
 
     def build(self, lin: Linearisation, target: Array) -> None:
         """The numbers of one cycle; ``target`` (N+1, 2) as in ``Solver``."""
-        finite = self._form.build(lin, target)
+        form = self._form
+        finite = form.build(lin, target)
         self._lin = lin
         self._why = "" if finite else not_finite(lin, target)
+        if finite:
+            of_blocks = (form.ends, form.cost, form.end_cost, form.motion)
+            _guess(lin.flat, target, form.numbers, *of_blocks, self._x, self._dual)
 
     def update(self) -> None:
         """Into OSQP, which factorises."""
@@ -120,7 +131,7 @@ class PartialOsqp:
             self.forget()
             return self._nothing(Solve(status=SolveStatus.NON_FINITE, why=self._why))
         form, solver = self._form, self._solver
-        x, iterations = self._zero, 0
+        x, iterations = self._x, 0
         for turn in chain([FIRST], cycle(LATER)):
             if iterations:
                 self._scale_rows(turn)
@@ -284,3 +295,71 @@ def _shift(dual: Array, states: int, t: Array, stages: float) -> None:
             else:
                 dual[states + 2 * k + i] = box[k, i]
                 dual[states + 2 * N + 2 * k - 2 + i] = slew[k, i]
+
+
+@kernel
+def _guess(
+    flat: Array,
+    target: Array,
+    numbers: Array,
+    ends: Indices,
+    cost: Array,
+    end: Array,
+    motion: Array,
+    x: Array,
+    dual: Array,
+) -> None:
+    """x (n,) and the rows' duals (m,) to begin with, in place; those of the limits come in shifted."""
+    N, last = len(target) - 1, len(ends) - 2
+    lin, o = views(flat, N), objective(numbers)
+    states = STATES * (last + 1)
+    slew = states + 2 * N - 2  # that of knot 1 would stand here: it is part of the bound of z_1
+    y, dU = np.zeros((N, ROWS)), np.zeros((N + 1, 2))
+    for k in range(N):
+        for i in range(2):
+            y[k, i] = dual[states + 2 * k + i]
+            if k > 0:
+                y[k, 2 + i] = dual[slew + 2 * k + i]
+    came_to, _, _ = stagewise.solve(lin, target, o, stagewise.MOST_SWEEPS, y, dU)
+    x[:] = 0.0
+    dual[:states] = 0.0
+    if came_to == stagewise.NOTHING:
+        return
+    for k in range(N):
+        for i in range(2):
+            x[states + 2 * k + i] = dU[k + 1, i] / o.scale[i]
+            dual[states + 2 * k + i] = y[k, i] + (y[k, 2 + i] if k == 0 else 0.0)
+            if k > 0:
+                dual[slew + 2 * k + i] = y[k, 2 + i]
+    for b in range(last + 1):
+        known = _of_block(x, states, ends, b)
+        for i in range(STATES):
+            total = 0.0
+            for j in range(len(known)):
+                total += motion[b, i, j] * known[j]
+            x[b * STATES + i] = total
+    # lambda_b = E_b x_b + (Q [x, z])_x + T_x' lambda of the block that begins there
+    for b in range(last, -1, -1):
+        known = _of_block(x, states, ends, b + 1) if b < last else np.zeros(0)
+        for i in range(STATES):
+            total = 0.0
+            for j in range(STATES):
+                total += end[b, i, j] * x[b * STATES + j]
+                if b < last:
+                    total += motion[b + 1, j, i] * dual[(b + 1) * STATES + j]
+            for j in range(len(known) - 2):  # the last command acts on the end alone
+                total += cost[b + 1, min(i, j), max(i, j)] * known[j]
+            dual[b * STATES + i] = total
+
+
+@kernel
+def _of_block(x: Array, states: int, ends: Indices, b: int) -> Array:
+    """[x_s, z_s, .., z_e] of a block; those of knot 0 are given: no deviation."""
+    s, e = ends[b], ends[b + 1]
+    known = np.zeros(STATES + 2 * (e - s + 1))
+    if b > 0:
+        known[:STATES] = x[(b - 1) * STATES : b * STATES]
+    for k in range(max(s, 1), e + 1):
+        for i in range(2):
+            known[STATES + 2 * (k - s) + i] = x[states + 2 * (k - 1) + i]
+    return known

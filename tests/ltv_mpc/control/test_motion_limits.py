@@ -190,7 +190,7 @@ def test_only_the_sparse_form_has_them() -> None:
             make(PAPER, settings(YAW, solver=solver, formulation=formulation))
     assert chosen(settings(YAW, solver="daqp", formulation="auto")) == "sparse"
     assert chosen(settings(MotionLimits(), solver="daqp", formulation="auto")) == "condensed"
-    assert chosen(settings(MotionLimits(), formulation="auto")) == "sparse"
+    assert chosen(settings(MotionLimits(), formulation="auto")) == "partial"
     with pytest.raises(msgspec.ValidationError, match="yaw_rate_radps"):
         msgspec.convert({"limits": {"yaw_rate_radps": 0.0}}, ControllerConfig)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
 
 from ltv_mpc.control.config import SettledConfig
+from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.solvers import partial_osqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
@@ -45,8 +48,20 @@ def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_cl
     assert len(off) >= 200
     assert np.mean(np.array(off) <= 0.1) >= 0.99
     assert max(off) <= 1.0
-    assert np.median(iterations) <= 8
-    assert unsolved <= 0.01 * len(off)
+    assert np.percentile(iterations, 99) <= 1
+    assert unsolved == 0
+
+
+@pytest.mark.parametrize("block", [1, 5, 20])
+def test_the_first_guess_is_nearly_always_the_solution(cycles, block):
+    solver = PartialOsqp(CONFIG, LIMITS, block=block)
+    for cycle in cycles:
+        solver.forget() if math.isnan(cycle.stages) else solver.shift(cycle.stages)
+        solver.build(cycle.lin, cycle.target)
+        kkt = residuals(solver.problem(), solver._x, solver._dual)
+        assert max(kkt.stationarity, kkt.primal, kkt.complementarity) <= 2e-5
+        solver.update()
+        assert solver.solve().solve.iterations == partial_osqp.CHECK
 
 
 def test_box_and_slew_are_met_to_the_tolerance_though_free_rows_are_scaled_down(cycles):
@@ -147,7 +162,7 @@ def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt():
 
 
 def test_the_iteration_limit_ends_a_solve_and_says_so():
-    config = msgspec.structs.replace(CONFIG, max_iterations=3, tolerance=1e-9)
+    config = msgspec.structs.replace(CONFIG, max_iterations=3, tolerance=1e-14)
     solve = solved(PartialOsqp(config, LOWERED), *motion(2, CONFIG.stages)).solve
     assert solve.status is SolveStatus.ITERATION_LIMIT
     assert solve.iterations == 6
