@@ -128,8 +128,7 @@ class Controller:
         self._prediction = Prediction(vehicle)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
         self._first_delay_ns = round(config.first_delay_s * 1e9)
-        self._least_delay_ns = round(config.least_delay_s * 1e9)
-        self._delay = Delay(self._first_delay_ns, config.delay_quantile, self._least_delay_ns)
+        self._delay = self._new_delay(self._first_delay_ns)
         self._memory: _Memory | None = None
         self._integral_N = 0.0
         self._integrated_ns: int | None = None
@@ -307,7 +306,7 @@ class Controller:
         if plan is not None:
             self._commands.sent(plan)
             first_ns = max(plan.expected_delay_ns, self._first_delay_ns)
-            self._delay = Delay(first_ns, self.config.delay_quantile, self._least_delay_ns)
+            self._delay = self._new_delay(first_ns)
             followed = plan.origin in (PlanOrigin.SOLVED, PlanOrigin.SHIFTED)
             if followed and np.array_equal(plan.t_ns - plan.t_ns[0], self._ahead_ns):
                 start_ns = int(plan.t_ns[0])
@@ -338,6 +337,10 @@ class Controller:
         return self._follower
 
     # --- the parts of a cycle ---
+
+    def _new_delay(self, first_ns: int) -> Delay:
+        """One that has learned nothing yet."""
+        return Delay(first_ns, self.config.delay_quantile, round(self.config.least_delay_s * 1e9))
 
     def _believed(self, newest: Estimate, now: int) -> tuple[str, Estimate]:
         """The newest estimate that is believed, and why there is none: then one that says nothing, of now."""

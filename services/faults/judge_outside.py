@@ -19,6 +19,7 @@ from services.faults.judge import Errors, blamed, errors, judged
 from services.faults.outside import Injected
 from services.faults.reactions import Case, Reaction
 from services.faults.recorded import ESTIMATE, PLAN, TRUTH, Recorded, Taken
+from services.recording.losses import Losses
 
 BACK_S = 2.0
 """Wall time from a process's end to its first message that was accepted."""
@@ -133,11 +134,11 @@ def _lost(read: Recorded) -> int:
 
 def _holes(read: Recorded, key: str) -> int:
     """Sequence numbers of a key that are not in the recording, between the first and the last of each epoch."""
-    by_epoch: dict[int, set[int]] = {}
-    for sent in read.sent:
-        if sent.key == key:
-            by_epoch.setdefault(sent.epoch, set()).add(sent.sequence)
-    return sum(max(numbers) - min(numbers) + 1 - len(numbers) for numbers in by_epoch.values())
+    losses = Losses()
+    for epoch, sequence in sorted((sent.epoch, sent.sequence) for sent in read.sent if sent.key == key):
+        losses.begins(key, epoch, sequence)
+        losses.saw(key, epoch, sequence)
+    return losses.missing
 
 
 def _counted(read: Recorded, folder: Path) -> int:
