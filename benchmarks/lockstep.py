@@ -1,0 +1,105 @@
+"""How many times real time lock step goes on one core, and where its time goes.
+
+    .venv/bin/python -m benchmarks.lockstep [--duration-s T] [--runs N] [--json]
+
+Descents: the full loop with each of the shipped sensor profiles, with the state known, and the full loop recorded; the
+best and the median run of each, the first left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from ltv_mpc.node import Inbox, Node
+from ltv_mpc.signals import Signal
+from services.run import locked
+from services.run.folder import RunFolder
+from services.run.situation import Override, Situation, resolve
+from sim.lockstep import LockStep
+
+SETTINGS: dict[str, tuple[str, ...]] = {
+    "full loop, paper": ("sensors=paper",),
+    "full loop, realistic": ("sensors=realistic",),
+    "state known": ("run.perfect_state=true",),
+}
+RECORDED = "full loop, paper, recorded"
+
+
+def situation(*settings: str, duration_s: float) -> Situation:
+    """The descent with these settings."""
+    return resolve("descent", [Override("benchmark", [*settings, f"run.duration_s={duration_s}", "run.seed=3"])])
+
+
+def run(of: Situation, folder: str | None = None) -> float:
+    """Times real time of one run; recorded into ``folder``, where there is one."""
+    seconds = (of.scenario.end_ns - of.scenario.start_ns) * 1e-9
+    started = time.perf_counter()
+    locked.run(of, None if folder is None else RunFolder(Path(folder)))
+    return seconds / (time.perf_counter() - started)
+
+
+def shares(of: Situation) -> dict[str, float]:
+    """Of the time that one run takes, each node's; the rest is admission's and lock step's own."""
+    spent: Counter[str] = Counter()
+
+    def timed(node: Node) -> Node:
+        step = node.step
+
+        def wrapped(t_ns: int, inbox: Inbox) -> list[Signal]:
+            started = time.perf_counter()
+            said = step(t_ns, inbox)
+            spent[node.name] += time.perf_counter() - started
+            return said
+
+        node.step = wrapped  # type: ignore[method-assign]
+        return node
+
+    nodes = [timed(node) for node in locked.nodes(of, unheard=False)]
+    lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=locked.LATEST, refused=locked.refused)
+    started = time.perf_counter()
+    lockstep.advance(of.scenario.end_ns)
+    whole = time.perf_counter() - started
+    spent["admission and lock step"] = whole - sum(spent.values())
+    return {name: seconds / whole for name, seconds in spent.most_common()}
+
+
+def main() -> None:
+    """All of it, interleaved, so that a slow minute of the machine is everybody's."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--duration-s", type=float, default=100.0)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    cases = {name: situation(*settings, duration_s=options.duration_s) for name, settings in SETTINGS.items()}
+    recorded = situation(*SETTINGS["full loop, paper"], duration_s=options.duration_s)
+    times: dict[str, list[float]] = {name: [] for name in (*cases, RECORDED)}
+    for _ in range(options.runs + 1):
+        for name, case in cases.items():
+            times[name].append(run(case))
+        with tempfile.TemporaryDirectory() as folder:
+            times[RECORDED].append(run(recorded, folder))
+    figures = {name: {"best": max(t[1:]), "median": statistics.median(t[1:])} for name, t in times.items()}
+    of_nodes = shares(cases["full loop, paper"])
+    if options.json:
+        json.dump({"times_real_time": figures, "shares": of_nodes}, sys.stdout)
+        return
+    table = Table("descent in lock step, one core", "times real time: best", "median")
+    for name, of in figures.items():
+        table.add_row(name, f"{of['best']:.0f}", f"{of['median']:.0f}")
+    console = Console()
+    console.print(table)
+    console.print(", ".join(f"{name} {100 * share:.0f} %" for name, share in of_nodes.items()))
+
+
+if __name__ == "__main__":
+    main()
