@@ -632,8 +632,8 @@ class ModelCheck(Signal, frozen=True, kw_only=True, eq=False):
     t_ns: int
     residual_N: float  # in surge, mean since the last word; below 0: it is pushed ahead by less than it should be
     residual_Nm: float  # in yaw
-    evidence: float  # of a loss of thrust beyond what mismatch explains: a log-likelihood ratio
-    thrust_loss: Pair  # share of it that is likeliest, port and starboard
+    evidence: float  # that thrust has been lost, beyond what mismatch explains: a log-likelihood ratio
+    thrust_loss: Pair  # share of it that is most likely lacking, port and starboard
     alarm: bool  # it stays until the vehicle has done as its model says for a while
     why: str  # of the alarm
 

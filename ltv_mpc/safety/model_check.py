@@ -15,17 +15,10 @@ vehicle whose drag is (1 + b) times the model's, in units of its true mass:
 
 q, p are the noise of the velocity's and the yaw rate's change; a filter that corrects its velocity says so by its
 variance P_v, which falls. The yaw rate's own noise P_r is new in each estimate, so e_n takes back at each what it gave
-at the one before (``whitened``): over a window it is that of two estimates, not of all.
+at the one before (``evidence.whitened``): over a window it is that of two estimates, not of all.
 
-Mass, drag and thrust that are all off by no more than 10 % make
-
-    l = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most l = 0.18)
-
-Evidence is the generalised likelihood ratio of a loss, l_i up to 1, against every such mismatch,
-
-    max over windows of   (min over mismatch of chi^2 - min over losses of chi^2) / 2           nats
-
-and the alarm is given at ``ALARM``. Source of the test: Willsky & Jones 1976; its unknowns are two losses and a drag.
+The alarm is given at ``ALARM`` nats of evidence that l has grown, beyond what 10 % of mismatch can make and what the
+vehicle has done so far (``evidence.py``). While it is on, nothing is learned of the vehicle.
 
 It needs reports of the actuators and estimates with a current. A surge of the water that the estimate does not know
 of, or a tow, is not told from thrust: it is wrong all the same.
@@ -40,23 +33,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.prediction import current_in
-from ltv_mpc.signals import Applied, Array, Estimate, ModelCheck, Pair
+from ltv_mpc.safety.evidence import WINDOWS, learn, weigh
+from ltv_mpc.signals import Applied, Estimate, ModelCheck, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
-
-MISMATCH = 0.1
-"""Of mass, drag and thrust each, either way: no alarm for that."""
-
-EDGE = 0.005
-"""And this, for what the trapezoids over dt leave out."""
 
 ALARM = 12.0
 """Nats. e^-12 a look, of which a run of 200 s has 700: one false alarm in 200 runs that are all at the worst edge."""
-
-MOST_SIGMAS = 3.0
-"""Of one cycle's missing impulse: beyond it says no more."""
-
-WINDOWS = (2, 3, 4, 6, 9, 14, 20, 30)
-"""Cycles that are looked at together: a loss may have begun at any of them."""
 
 QUIET = 10
 """Cycles without evidence after which an alarm is over; the longest window must have left the loss behind besides."""
@@ -88,35 +70,6 @@ class _Seen(NamedTuple):
     variance: Pair  # of a velocity's component, of the yaw rate
 
 
-class _Row(NamedTuple):
-    """Between two estimates, in standard deviations: what is missing, and what each unknown makes of it."""
-
-    z: Pair  # surge, yaw
-    port: Pair
-    starboard: Pair
-    drag: Pair
-    fresh: Pair  # 1 in yaw where its noise is new in each estimate
-
-
-def _mismatches() -> tuple[Array, Array]:
-    """Least and largest (3, K) of l_1, l_2, b, by K masses."""
-    e = MISMATCH + EDGE
-    m = np.linspace(-e, e, 5)
-    least, most = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m)
-    return np.stack([1.0 - most, 1.0 - most, least - 1.0]), np.stack([1.0 - least, 1.0 - least, most - 1.0])
-
-
-LOWEST, HIGHEST = _mismatches()
-LOST = np.where(np.array([[True], [True], [False]]), 1.0, HIGHEST)
-"""Of a loss: all of a thruster, at most."""
-
-RARELY = 3
-"""Cycles between two weighings while the alarm is on: a weighing takes as long as a cycle."""
-
-LARGEST_LOSS = float(HIGHEST[0].max())
-"""That mismatch can look like."""
-
-
 class ModelWatch:
     """Watches one vehicle's thrusts by how it moves."""
 
@@ -125,14 +78,14 @@ class ModelWatch:
         self._unsettled_s = settles_s
         self._p = vehicle.coefficients()
         self._noise = (self._p.mass_surge * noise_mps) ** 2
-        self._suspicious_Ns = 1.5 * self._p.mass_surge * noise_mps
         self._reports: deque[tuple[int, Pair, Pair]] = deque(maxlen=32)  # time, thrusts, impulses up to then
         self._seen: _Seen | None = None
-        self._rows: deque[_Row] = deque(maxlen=WINDOWS[-1])
-        self._missing = [0.0, 0.0, 0.0]  # N s, of port, starboard, both: more than mismatch alone
+        self._rows = np.empty((WINDOWS[-1], 5, 2))  # the newest first
+        self._cycles = 0  # of them
+        self._known = np.zeros((4, 4))  # of the vehicle, by all rows before
         self._residual = [0.0, 0.0, 0.0]  # N s, N m s and s since the last word
         self._said_ns: int | None = None
-        self._quiet = self._turn = 0
+        self._quiet = 0
         self.evidence = 0.0
         self.alarm = False
         self.loss: Pair = (0.0, 0.0)
@@ -156,8 +109,7 @@ class ModelWatch:
             return None
         self._seen = seen
         if before is None or not 0 < seen.t_ns - before.t_ns <= LONGEST_S * 1e9:
-            self._rows.clear()
-            self._missing = [0.0, 0.0, 0.0]
+            self._cycles = 0
             return None
         alarm = self.alarm
         self._judge(before, seen)
@@ -228,45 +180,23 @@ class ModelWatch:
         corrected = p.mass_surge * p.mass_surge * max(a.variance[0] - b.variance[0], 0.0)
         s_x = 1.0 / math.sqrt(self._noise + corrected)
         s_n = 1.0 / (p.inertia_yaw * math.sqrt(NOISE_RADPS * NOISE_RADPS + a.variance[1] + b.variance[1]))
-        self._rows.append(
-            _Row(
-                (z_x * s_x, z_n * s_n),
-                (i1 * s_x, p.arm_port * i1 * s_n),
-                (i2 * s_x, -p.arm_starboard * i2 * s_n),
-                (drag * s_x, twist * s_n),
-                (0.0, 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0),
-            )
+        row = (
+            (z_x * s_x, z_n * s_n),
+            (i1 * s_x, p.arm_port * i1 * s_n),
+            (i2 * s_x, -p.arm_starboard * i2 * s_n),
+            (drag * s_x, twist * s_n),
+            (0.0, 1.0 if b.variance[1] > NOISE_RADPS * NOISE_RADPS else 0.0),
         )
-        suspicious = self._suspects(z_x, z_n, i1, i2)
-        if self.alarm:
-            self._turn = (self._turn + 1) % RARELY
-            if self._turn == 0:
-                self._weigh()
-        elif suspicious:
-            self._weigh()
-        else:
-            self.evidence, self.loss = 0.0, (0.0, 0.0)
+        rows = self._rows
+        if self._cycles == len(rows) and not self.alarm:
+            learn(self._known, rows[-1])
+        self._cycles = min(self._cycles + 1, len(rows))
+        rows[1 : self._cycles] = rows[: self._cycles - 1].copy()
+        rows[0] = row
+        self.evidence, *loss = weigh(rows[: self._cycles], self._known)
+        self.loss = loss[0], loss[1]
         self._quiet = 0 if self.evidence >= 0.5 * ALARM else self._quiet + 1
         self.alarm = self.evidence >= ALARM or (self.alarm and self._quiet < QUIET)
-
-    def _suspects(self, z_x: float, z_n: float, i1: float, i2: float) -> bool:
-        """Whether more is missing of either thruster or of both than any mismatch takes away while drag is as the model
-        says: what is asked at each cycle, and costs nothing.
-        """
-        p, missing = self._p, self._missing
-        arms = p.arm_port + p.arm_starboard
-        port = math.copysign((p.arm_starboard * z_x + z_n) / arms, i1 * (p.arm_starboard * z_x + z_n))
-        starboard = math.copysign((p.arm_port * z_x - z_n) / arms, i2 * (p.arm_port * z_x - z_n))
-        port -= LARGEST_LOSS * abs(i1)
-        starboard -= LARGEST_LOSS * abs(i2)
-        most = 10.0 * self._suspicious_Ns
-        for k, more in enumerate((port, starboard, port + starboard)):
-            missing[k] = min(max(missing[k] + more, 0.0), most)
-        return max(missing) > self._suspicious_Ns
-
-    def _weigh(self) -> None:
-        """Evidence and the likeliest loss, by all that is remembered."""
-        self.evidence, self.loss = weigh(np.array(self._rows, dtype=np.float64))
 
     def _word(self, t_ns: int) -> ModelCheck:
         impulse, turn, seconds = self._residual
@@ -286,69 +216,3 @@ class ModelWatch:
         if not port and not starboard:
             return "the vehicle did less than its thrusters reported, and does as its model says since"
         return f"of the thrust reported, port lacks {port} %, starboard {starboard} %"
-
-
-def weigh(rows: Array) -> tuple[float, Pair]:
-    """Evidence (nats) and likeliest loss from rows (n, 5, 2): z, port, starboard, drag, by surge and yaw, and whether
-    the noise is new in each estimate.
-    """
-    windows = [w for w in WINDOWS if w <= len(rows)]
-    if not windows:
-        return 0.0, (0.0, 0.0)
-    z, phi = rows[::-1, 0], rows[::-1, 1:4]  # the newest first: (n, 2), (n, 3, 2)
-    held = np.stack([_held(z, phi), *phi.transpose(1, 0, 2)])  # (4, n, 2)
-    if rows[:, 4, 1].all():
-        held[:, :, 1] = whitened(held[:, :, 1].T).T
-    last = [w - 1 for w in windows]
-    products = np.cumsum(np.einsum("ika,jka->ijk", held, held), axis=2)[:, :, last, None]
-    chi2, at = least_squares(products, np.hstack([LOWEST, LOWEST]), np.hstack([HIGHEST, LOST]))
-    masses = HIGHEST.shape[1]
-    gained = chi2[:, :masses].min(axis=1) - chi2[:, masses:].min(axis=1)
-    w = int(np.argmax(gained))
-    k = masses + int(np.argmin(chi2[w, masses:]))
-    return max(0.5 * float(gained[w]), 0.0), (max(float(at[0, w, k]), 0.0), max(float(at[1, w, k]), 0.0))
-
-
-def _held(z: Array, phi: Array) -> Array:
-    """z (n, 2), no further than ``MOST_SIGMAS`` outside what mismatch can make of phi (n, 3, 2): one wild estimate is
-    no evidence, and what lasts comes as several.
-    """
-    reach = (np.abs(phi) * np.maximum(HIGHEST.max(axis=1), -LOWEST.min(axis=1))[:, None]).sum(axis=1) + MOST_SIGMAS
-    held: Array = np.clip(z, -reach, reach)
-    return held
-
-
-def whitened(y: Array) -> Array:
-    """y (n, ...) whose rows have noise w_k - w_(k+1), w white, of unit variance: by the inverse of its covariance's
-    factor, L_kk = sqrt((k + 1) / 2 k), L_k(k-1) = - sqrt((k - 1) / 2 k), k = 1 .. n. The first rows do not depend on
-    how many follow.
-    """
-    out = np.empty_like(y)
-    out[0] = y[0]
-    for k in range(2, len(y) + 1):
-        out[k - 1] = (y[k - 1] + math.sqrt((k - 1) / (2 * k)) * out[k - 2]) / math.sqrt((k + 1) / (2 * k))
-    return out
-
-
-SWEEPS = 10
-
-
-def least_squares(products: Array, lowest: Array, highest: Array) -> tuple[Array, Array]:
-    """min |z - phi' x|^2 over lowest <= x <= highest (3, K), of each of W windows: (W, K), and where, (3, W, K).
-
-    ``products`` (4, 4, W, 1) of z and the three phi. By coordinate descent, all windows and bounds at once: the problem
-    is convex, and x of a cycle is good to a per mille after a few turns.
-    """
-    x = np.zeros((3, products.shape[2], lowest.shape[1]))
-    diagonal = [np.maximum(products[i, i], 1e-12) for i in (1, 2, 3)]
-    others = ((1, 2), (0, 2), (0, 1))
-    for _ in range(SWEEPS):
-        for i, (j, k) in enumerate(others):
-            P = products[i + 1]
-            free = (P[0] - P[j + 1] * x[j] - P[k + 1] * x[k]) / diagonal[i]
-            np.minimum(np.maximum(free, lowest[i]), highest[i], out=x[i])
-    chi2 = products[0, 0] + np.zeros_like(x[0])
-    for i in range(3):
-        P = products[i + 1]
-        chi2 += x[i] * (P[1] * x[0] + P[2] * x[1] + P[3] * x[2] - 2.0 * P[0])
-    return chi2, x

@@ -19,6 +19,7 @@ from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers import make
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Reference
+from ltv_mpc.safety import evidence
 from ltv_mpc.signals import (
     Action,
     Command,
@@ -149,6 +150,7 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
         signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
         node.step(t_ns, [Arrival(signal, 1, k, t_ns) for signal in signals])
     node.controller.rehearse()
+    evidence.rehearse()  # which these cycles, without a report of the actuators, have not asked for
     for missed_s in (2.0, 20.0):  # hold, and then failsafe
         node.step(t_ns + round(missed_s * 1e9), [])
 

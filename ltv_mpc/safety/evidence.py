@@ -1,0 +1,192 @@
+"""Evidence for a loss of thrust, from the impulses that are missing at each cycle (``model_check.py``).
+
+Each cycle has two rows, surge and yaw, in standard deviations of their noise e,
+
+    z = l_1 phi_1 + l_2 phi_2 + b phi_3 + e        phi: what port, starboard and drag make of each unknown
+
+x = [l_1, l_2, b] is what the vehicle is otherwise than its model. Mass, drag and thrust that are all off by no more
+than 10 % make, in units of the true mass,
+
+    l = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most l = 0.18)
+
+and it stays as it is. A loss is d >= 0 on top of it, since some cycle of the last thirty. So what the cycles before
+those said of x counts too, by a part of its weight, for their noise is not quite white:
+
+    f(x, d) = |z - phi' (x + d)|^2 over the window + TRUST |z - phi' x|^2 over what was before
+    evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
+
+a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; after a minute a loss of
+30 % shows for a third of the impulse that a test against the bounds alone took.
+Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); the unknowns are two losses and a drag.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.signals import Array
+
+MISMATCH = 0.1
+"""Of mass, drag and thrust each, either way: no alarm for that."""
+
+EDGE = 0.005
+"""And this, for what the trapezoids over dt leave out."""
+
+MOST_SIGMAS = 3.0
+"""Of one cycle's missing impulse: beyond it says no more."""
+
+WINDOWS = (2, 3, 4, 6, 9, 14, 20, 30)
+"""Cycles that are looked at together: a loss may have begun at any of them."""
+
+TRUST = 0.1
+"""Weight of what was before the longest window."""
+
+REMEMBERED = 300.0
+"""Cycles after which that counts by e^-1: a minute and a half at 0.3 s."""
+
+SWEEPS, NEAR = 500, 1e-4
+"""Of coordinate descent, at most, and what one must gain to go on (f): the problem is convex, but port, starboard and
+drag may be hard to tell apart, and what the first of both minima lacks would be taken for evidence.
+"""
+
+
+def _mismatches() -> tuple[Array, Array]:
+    """Least and largest (3, K) of l_1, l_2, b, by K masses."""
+    e = MISMATCH + EDGE
+    m = np.linspace(-e, e, 5)
+    least, most = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m)
+    return np.stack([1.0 - most, 1.0 - most, least - 1.0]), np.stack([1.0 - least, 1.0 - least, most - 1.0])
+
+
+LOWEST, HIGHEST = _mismatches()
+_REACH = np.maximum(HIGHEST.max(axis=1), -LOWEST.min(axis=1))
+
+
+@kernel
+def _held(row: Array, axis: int, out: Array) -> None:
+    """z, phi_1, phi_2, phi_3 of a cycle's row (5, 2) into out (4,); z no further than ``MOST_SIGMAS`` outside what
+    mismatch can make: one wild estimate is no evidence, and what lasts comes as several.
+    """
+    reach = MOST_SIGMAS
+    for i in range(3):
+        out[1 + i] = row[1 + i, axis]
+        reach += abs(row[1 + i, axis]) * _REACH[i]
+    out[0] = min(max(row[0, axis], -reach), reach)
+
+
+@kernel
+def learn(known: Array, row: Array) -> None:
+    """A cycle (5, 2) that leaves the longest window, into the products (4, 4) of z and the three phi, in place."""
+    out = np.empty(4)
+    known *= 1.0 - 1.0 / REMEMBERED
+    for axis in range(2):
+        _held(row, axis, out)
+        for i in range(4):
+            for j in range(4):
+                known[i, j] += out[i] * out[j]
+
+
+@kernel
+def weigh(rows: Array, known: Array) -> tuple[float, float, float]:
+    """Evidence (nats), and the share of their thrust that port and starboard then most likely lack.
+
+    ``rows`` (n, 5, 2), the newest first: z, port, starboard, drag, by surge and yaw, and 1 where the noise is new in
+    each estimate; ``known`` (4, 4) by ``learn``.
+    """
+    n = rows.shape[0]
+    surge, yaw = np.empty((n, 4)), np.empty((n, 4))
+    fresh = True
+    for k in range(n):
+        _held(rows[k], 0, surge[k])
+        _held(rows[k], 1, yaw[k])
+        fresh = fresh and rows[k, 4, 1] != 0.0
+    if fresh:
+        yaw = whitened(yaw)
+    products = np.zeros((4, 4))
+    most, port, starboard = 0.0, 0.0, 0.0
+    for k in range(n):
+        for i in range(4):
+            for j in range(4):
+                products[i, j] += surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
+        if k + 1 in WINDOWS:
+            gained, l1, l2 = _gained(products, known)
+            if gained > most:
+                most, port, starboard = gained, l1, l2
+    return most, port, starboard
+
+
+@kernel
+def _gained(window: Array, known: Array) -> tuple[float, float, float]:
+    """Of one window: half of what a loss takes off the least f, and what is lost then, l + d."""
+    x = np.zeros(5)
+    without = with_loss = np.inf
+    l1 = l2 = 0.0
+    for k in range(LOWEST.shape[1]):
+        x[:] = 0.0
+        without = min(without, least(window, known, LOWEST[:, k], HIGHEST[:, k], False, x))
+        f = least(window, known, LOWEST[:, k], HIGHEST[:, k], True, x)
+        if f < with_loss:
+            with_loss, l1, l2 = f, x[0] + x[3], x[1] + x[4]
+    return 0.5 * (without - with_loss), max(l1, 0.0), max(l2, 0.0)
+
+
+@kernel
+def least(window: Array, known: Array, low: Array, high: Array, lost: bool, x: Array) -> float:
+    """min f over low <= x[:3] <= high, and, where ``lost``, over losses 0 <= x[3:] <= 1, from x (5,) on, in place."""
+    for _ in range(SWEEPS):
+        gained = 0.0
+        for i in range(3):
+            slope = window[0, 1 + i] + TRUST * known[0, 1 + i]
+            for j in range(3):
+                both = window[1 + i, 1 + j]
+                if j != i:
+                    slope -= (both + TRUST * known[1 + i, 1 + j]) * x[j]
+                if j < 2:
+                    slope -= both * x[3 + j]
+            own = window[1 + i, 1 + i] + TRUST * known[1 + i, 1 + i]
+            to = min(max(slope / max(own, TINY), low[i]), high[i])
+            gained, x[i] = gained + own * (to - x[i]) ** 2, to
+        for i in range(2 if lost else 0):
+            slope = window[0, 1 + i]
+            for j in range(3):
+                slope -= window[1 + i, 1 + j] * x[j]
+            slope -= window[1 + i, 2 - i] * x[4 - i]
+            own = window[1 + i, 1 + i]
+            to = min(max(slope / max(own, TINY), 0.0), 1.0)
+            gained, x[3 + i] = gained + own * (to - x[3 + i]) ** 2, to
+        if gained < NEAR:
+            break
+    f = window[0, 0] + TRUST * known[0, 0]
+    for i in range(3):
+        y = x[i] + (x[3 + i] if i < 2 else 0.0)
+        f -= 2.0 * (window[0, 1 + i] * y + TRUST * known[0, 1 + i] * x[i])
+        for j in range(3):
+            f += window[1 + i, 1 + j] * y * (x[j] + (x[3 + j] if j < 2 else 0.0))
+            f += TRUST * known[1 + i, 1 + j] * x[i] * x[j]
+    return float(f)
+
+
+TINY = 1e-12
+
+
+@kernel
+def whitened(y: Array) -> Array:
+    """y (n, m) whose rows have noise w_k - w_(k+1), w white, of unit variance: by the inverse of its covariance's
+    factor, L_kk = sqrt((k + 1) / 2 k), L_k(k-1) = - sqrt((k - 1) / 2 k), k = 1 .. n. The first rows do not depend on
+    how many follow.
+    """
+    out = y.copy()
+    for k in range(2, len(y) + 1):
+        for j in range(y.shape[1]):
+            out[k - 1, j] = (y[k - 1, j] + math.sqrt((k - 1) / (2 * k)) * out[k - 2, j]) / math.sqrt((k + 1) / (2 * k))
+    return out
+
+
+def rehearse() -> None:
+    """Have it compiled."""
+    rows, known = np.zeros((2, 5, 2)), np.zeros((4, 4))
+    learn(known, rows[1])
+    weigh(rows, known)
