@@ -209,6 +209,27 @@ def test_a_correction_that_the_filter_owns_up_to_is_no_loss():
     assert any(word.alarm for word in silent.words)
 
 
+def test_a_velocity_that_wanders_within_what_the_filter_says_is_no_loss():
+    """By 1 cm/s rms over some seconds, ahead."""
+    waves = 2.0 * math.pi * np.array([0.07, 0.11, 0.16, 0.23])
+
+    def told(estimate: Estimate, variance: float = 0.01**2) -> Estimate:
+        t, psi = estimate.t_ns * 1e-9, estimate.heading_rad
+        wrong = 0.01 * math.sqrt(2.0 / len(waves)) * float(np.sin(waves * t + waves).sum())
+        return msgspec.structs.replace(
+            estimate,
+            velocity_north_mps=estimate.velocity_north_mps + wrong * math.cos(psi),
+            velocity_east_mps=estimate.velocity_east_mps + wrong * math.sin(psi),
+            covariance=np.diag([1.0, 1.0, variance, variance, 1e-6, 1e-10]),
+        )
+
+    sea, sure = off_by(0.9, 1.1, 1.1), off_by(0.9, 1.1, 1.1)
+    sea.sail(40.0, told=told)
+    assert not any(word.alarm for word in sea.words)
+    sure.sail(40.0, told=lambda e: told(e, 1e-8))
+    assert any(word.alarm for word in sure.words)
+
+
 def test_after_a_gap_it_begins_anew():
     sea = Sea()
     sea.share[:] = 0.5
