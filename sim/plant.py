@@ -225,8 +225,8 @@ def look(
     assign(out[:8], s)
     cn, ce = velocity_at(s[6], depths, earlier, later, share)
     # [n', e'] = R(psi) [u, v] + c(z)
-    cos, sin = math.cos(s[4]), math.sin(s[4])
-    out[8], out[9] = cos * s[2] - sin * s[3] + cn, sin * s[2] + cos * s[3] + ce
+    north, east = level_to_ned(s[2], s[3], s[4])
+    out[8], out[9] = north + cn, east + ce
     out[10], out[11] = sum_of_sines(t, amplitude, waves)
     out[12] = wrap_angle(s[4])
     out[13], out[14] = cn, ce
@@ -235,6 +235,7 @@ def look(
     return out
 
 
+@kernel
 def level_to_ned(u: float, v: float, heading: float) -> tuple[float, float]:
     """R(heading) [u, v]: north and east of a horizontal vector given ahead and to starboard."""
     cos, sin = math.cos(heading), math.sin(heading)

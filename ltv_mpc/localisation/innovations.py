@@ -31,7 +31,7 @@ def limit(degrees: int) -> float:
 
 
 class Mean:
-    """s (T, G) and W (T, G, G) of one kind of contrasts (G,), for several time constants (T,) at once."""
+    """s (T, G) and W (T, G, G) of one kind of contrasts (G,), one or two, for several time constants (T,) at once."""
 
     def __init__(self, tau_s: tuple[float, ...], size: int) -> None:
         self.s = np.zeros((len(tau_s), size))
@@ -61,7 +61,7 @@ class Mean:
 @kernel
 def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, Array]:
     """s and W with one message more; ``keep`` (T,) is lambda."""
-    own = np.dot(d, np.linalg.solve(V, d))
+    own = _square(d, V)
     part = MOST / math.sqrt(own) if own > MOST * MOST else 1.0
     new_s, new_W = np.empty_like(s), np.empty_like(W)
     for t in range(len(keep)):
@@ -77,5 +77,14 @@ def _squares(s: Array, W: Array) -> Array:
     """s^T W^-1 s of each time constant."""
     out = np.empty(len(s))
     for t in range(len(s)):
-        out[t] = np.dot(s[t], np.linalg.solve(W[t], s[t]))
+        out[t] = _square(s[t], W[t])
     return out
+
+
+@kernel
+def _square(s: Array, W: Array) -> float:
+    """s^T W^-1 s of one entry or two, in closed form: a compiled ``solve`` raises where a number is none."""
+    if len(s) == 1:
+        return float(s[0] * s[0] / W[0, 0])
+    across = W[1, 1] * s[0] * s[0] - (W[0, 1] + W[1, 0]) * s[0] * s[1] + W[0, 0] * s[1] * s[1]
+    return float(across / (W[0, 0] * W[1, 1] - W[0, 1] * W[1, 0]))

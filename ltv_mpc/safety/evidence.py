@@ -15,8 +15,8 @@ those said of x counts too, by a part of its weight, for their noise is not quit
     f(x, d) = |z - phi' (x + d)|^2 over the window + TRUST |z - phi' x|^2 over what was before
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
-a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; after a minute a loss of
-30 % shows for a third of the impulse that a test against the bounds alone took.
+a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; later a loss of 30 % shows
+for half of the impulse that a test against the bounds alone takes (docs/faults.md).
 Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); the unknowns are two losses and a drag.
 """
 
@@ -51,6 +51,9 @@ SWEEPS, NEAR = 500, 1e-4
 """Of coordinate descent, at most, and what one must gain to go on (f): the problem is convex, but port, starboard and
 drag may be hard to tell apart, and what the first of both minima lacks would be taken for evidence.
 """
+
+TINY = 1e-12
+"""In place of the product of a thruster that has done nothing."""
 
 
 def _mismatches() -> tuple[Array, Array]:
@@ -167,9 +170,6 @@ def least(window: Array, known: Array, low: Array, high: Array, lost: bool, x: A
             f += window[1 + i, 1 + j] * y * (x[j] + (x[3 + j] if j < 2 else 0.0))
             f += TRUST * known[1 + i, 1 + j] * x[i] * x[j]
     return float(f)
-
-
-TINY = 1e-12
 
 
 @kernel

@@ -60,3 +60,21 @@ def test_a_copy_goes_its_own_way():
 
 def test_before_the_first_message_there_is_nothing():
     np.testing.assert_array_equal(Mean(TAU_S, 2).chi_square(), np.zeros(3))
+
+
+def test_what_is_no_number_is_none_and_raises_nothing() -> None:
+    for size in (1, 2):
+        sums = Mean(TAU_S, size)
+        sums.add(0, np.full(size, np.nan), np.eye(size))
+        assert np.isnan(sums.chi_square()).all()
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_the_squares_are_those_of_the_inverse(size: int) -> None:
+    rng = np.random.default_rng(3)
+    sums = Mean(TAU_S, size)
+    for k in range(5):
+        half = rng.normal(size=(size, size))
+        sums.add(k * 10**9, 0.1 * rng.normal(size=size), half @ half.T + np.eye(size))
+    expected = [s @ np.linalg.solve(W, s) for s, W in zip(sums.s, sums.W, strict=True)]
+    np.testing.assert_allclose(sums.chi_square(), expected, rtol=1e-10)
