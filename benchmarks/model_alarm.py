@@ -1,7 +1,8 @@
 """When the alarm "the vehicle does not do what its model says" comes, and when it must not.
 
     .venv/bin/python -m benchmarks.model_alarm [--nominal N] [--losses N] [--duration-s S] [--first-seed N]
-                                               [--out FILE.json] [--picture FILE.png]
+                                               [--sensors paper|realistic] [--out FILE.json]
+                                               [--picture FILE.png]
 
 FILE.json is written after every run; the same command goes on where it was interrupted.
 
@@ -151,10 +152,11 @@ def of_run(state: str, breaker: Breaker, seen: Watcher, period_ns: int) -> Itera
             yield Loss(state, name, begun * 1e-9, mean, (alarm - begun) * 1e-9, at, before)
 
 
-def settings_of(seed: int, duration_s: float, *, known: bool) -> tuple[str, ...]:
+def settings_of(seed: int, of: Kept, *, known: bool) -> tuple[str, ...]:
     """What all runs have."""
     state = "true" if known else "false"
-    return f"run.seed={seed}", f"run.duration_s={duration_s}", f"run.perfect_state={state}"
+    run = f"run.seed={seed}", f"run.duration_s={of.duration_s}", f"run.perfect_state={state}"
+    return *run, f"sensors={of.sensors}"
 
 
 def mismatch(seed: int) -> tuple[str, ...]:
@@ -196,6 +198,7 @@ class Kept(msgspec.Struct, kw_only=True):
 
     duration_s: float
     first_seed: int
+    sensors: str
     loss_runs: int = 0
     nominal_runs: int = 0
     false_alarms: list[tuple[int, float]] = []
@@ -205,14 +208,14 @@ class Kept(msgspec.Struct, kw_only=True):
     """The largest of each nominal run (nats): what ``ALARM`` has to be above."""
 
 
-def opened(path: Path | None, duration_s: float, first_seed: int) -> Kept:
-    """What ``path`` holds of the same runs, or nothing yet."""
-    kept = Kept(duration_s=duration_s, first_seed=first_seed)
+def opened(path: Path | None, asked: Kept) -> Kept:
+    """What ``path`` holds of the runs that are ``asked`` for, or nothing yet."""
     if path is None or not path.exists():
-        return kept
+        return asked
     found = msgspec.json.decode(path.read_bytes(), type=Kept)
-    if (found.duration_s, found.first_seed) != (duration_s, first_seed):
-        raise SystemExit(f"{path} holds other runs: from seed {found.first_seed}, {found.duration_s:g} s each")
+    for name in ("duration_s", "first_seed", "sensors"):
+        if getattr(found, name) != getattr(asked, name):
+            raise SystemExit(f"{path} holds other runs: {name} = {getattr(found, name)}")
     return found
 
 
@@ -249,10 +252,13 @@ def main() -> None:
     parser.add_argument("--losses", type=int, default=20)
     parser.add_argument("--duration-s", type=float, default=200.0)
     parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--sensors", choices=("paper", "realistic"), default="paper")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args()
-    kept = opened(options.out, options.duration_s, options.first_seed)
+    kept = opened(
+        options.out, Kept(duration_s=options.duration_s, first_seed=options.first_seed, sensors=options.sensors)
+    )
 
     def keep(text: str) -> None:
         print(text, file=sys.stderr)
@@ -264,7 +270,7 @@ def main() -> None:
     for k in range(kept.loss_runs, options.losses):
         known, seed = k % 2 == 0, options.first_seed + k // 2
         breaker = Breaker(k // 2)
-        seen = fly(settings_of(seed, options.duration_s, known=known), breaker)
+        seen = fly(settings_of(seed, kept, known=known), breaker)
         kept.losses += of_run("known" if known else "estimated", breaker, seen, 300_000_000)
         kept.false_alarms += [
             (seed, a * 1e-9) for a in seen.alarms if (a - FIRST_NS) % EVERY_NS > LASTS_NS or a < FIRST_NS
@@ -273,7 +279,7 @@ def main() -> None:
         keep(f"losses {k + 1}/{options.losses}")
     for k in range(kept.nominal_runs, options.nominal):
         seed = options.first_seed + k // 2
-        seen = fly((*settings_of(seed, options.duration_s, known=k % 2 == 0), *mismatch(k // 2)), None)
+        seen = fly((*settings_of(seed, kept, known=k % 2 == 0), *mismatch(k // 2)), None)
         kept.false_alarms += [(seed, a * 1e-9) for a in seen.alarms]
         kept.evidence.append(seen.evidence)
         kept.nominal_runs = k + 1

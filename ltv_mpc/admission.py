@@ -168,6 +168,8 @@ def _controller_checkpoint(s: ControllerCheckpoint) -> Reason:
     for name, times in (("plan_delays_ns", s.plan_delays_ns), ("cycle_times_ns", s.cycle_times_ns)):
         if len(times) > MOST_DELAYS:
             return f"{name}: {len(times)} entries, at most {MOST_DELAYS}"
+    if s.model_products is not None and s.model_products.shape != (4, 4):
+        return f"model_products {s.model_products.shape}: must be (4, 4)"
     return None if s.began is None else refusal(s.began)
 
 

@@ -87,6 +87,7 @@ TIMES_REAL_TIME = Range(0.01, 1000, "vehicle seconds per second")
 SCHEDULE = Range(0, 1e9, "s")
 BELIEF = Range(-1e9, 1e9, "m, m/s, rad, rad/s, m/s2, a share")
 ROTATION = Range(-1.0001, 1.0001, "an entry of a rotation matrix")
+PRODUCTS = Range(-1e12, 1e12, "products in standard deviations of their noise")
 VARIANCE = Range(-1e12, 1e12, "squares of m, m/s, rad, rad/s")
 RESIDUAL = Range(0, 1e300, "finite also where a solve failed")
 SEQUENCE_OR_NONE = Range(-1, EXACT, "-1 before the first")
@@ -187,6 +188,7 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "depth_integral_N": THRUST,
         "plan_delays_ns": DURATION,
         "cycle_times_ns": DURATION,
+        "model_products": PRODUCTS,
     },
     DroppedNode: {
         "node": COUNT,

@@ -461,7 +461,7 @@ class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 class ControllerCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
     """What a controller that is started anew needs beside the plan in force: who is in charge, what is followed, and
-    what was learned of the vehicle's buoyancy and of delays.
+    what was learned of the vehicle's buoyancy, of delays and of how it differs from its model.
     """
 
     t_ns: int
@@ -474,6 +474,7 @@ class ControllerCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
     depth_integral_N: float = 0.0  # of the depth law: the vertical thrust at rest
     plan_delays_ns: tuple[int, ...] = ()  # of the last plans, from the start of their cycle to their arrival
     cycle_times_ns: tuple[int, ...] = ()  # of the last cycles, computing alone
+    model_products: Matrix | None = None  # (4, 4), of what was missing and its three likely reasons: safety/evidence.py
 
 
 class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

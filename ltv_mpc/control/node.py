@@ -157,6 +157,8 @@ class ControllerNode:
             self.helm.authority = checkpoint.authority
             if checkpoint.reference_toml and checkpoint.reference_toml != self._written:
                 self._follow(checkpoint.reference_toml)
+            if checkpoint.model_products is not None:
+                self._watch.resume(checkpoint.model_products)
         self.controller.resume(restore.plan, checkpoint, t_ns)
         if self._estimate is None:
             self._estimate = restore.estimate
@@ -184,6 +186,7 @@ class ControllerNode:
             depth_integral_N=self.controller.depth_integral_N,
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
+            model_products=self._watch.learned,
         )
         return self._checkpoint
 

@@ -35,7 +35,7 @@ import numpy as np
 
 from ltv_mpc.control.prediction import current_in
 from ltv_mpc.safety.evidence import WINDOWS, learn, weigh
-from ltv_mpc.signals import Applied, Estimate, ModelCheck, Pair
+from ltv_mpc.signals import Applied, Estimate, Matrix, ModelCheck, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ALARM = 12.0
@@ -95,6 +95,16 @@ class ModelWatch:
         self.evidence = 0.0
         self.alarm = False
         self.loss: Pair = (0.0, 0.0)
+
+    @property
+    def learned(self) -> Matrix | None:
+        """What is known of the vehicle (``evidence.learn``), its own copy; None before anything is."""
+        return self._known.copy() if self._known.any() else None
+
+    def resume(self, learned: Matrix) -> None:
+        """Go on from what another one had ``learned`` of the same vehicle, in a dive that has settled."""
+        self._known[...] = learned
+        self._unsettled_s = 0.0
 
     def report(self, applied: Applied) -> None:
         """The actuators say what they deliver."""

@@ -217,6 +217,7 @@ OF: Mapping[str, Mapping[str, str]] = {
         "depth_integral_N": "the depth law's integral: the vertical thrust that keeps a depth",
         "plan_delays_ns": "of the last plans: from the start of the cycle to arrival at the actuators",
         "cycle_times_ns": "of the last cycles: computing alone",
+        "model_products": "4 x 4, summed: missing impulse, those of port, starboard, drag, in standard deviations",
     },
     "DroppedNode": {
         "node": "of the grid of depths, from 0 at the surface",

@@ -182,6 +182,18 @@ def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
     assert forgetful.step(quick).expected_delay_ns < 10 * 10**6
 
 
+def test_what_the_vehicle_has_been_so_far_is_handed_over_and_checked_at_the_door():
+    before = armed(references.Hold(depth_m=5.0), 3)
+    products = np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1])
+    written = msgspec.structs.replace(before.checkpoints[-1], model_products=products)
+    assert refusal(written) is None
+    assert "(4, 4)" in refusal(msgspec.structs.replace(written, model_products=products[:3]))
+    after, restore = before.handed_over(1.0)
+    after.step(msgspec.structs.replace(restore, controller=written))
+    np.testing.assert_array_equal(after.checkpoints[-1].model_products, products)
+    assert before.checkpoints[-1].model_products is None
+
+
 def test_delays_of_before_the_first_solve_are_not_handed_over():
     flight = Flight(references.load("line"))
     flight.step(CycleTiming(t_ns=0, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}))

@@ -230,6 +230,30 @@ def test_a_velocity_that_wanders_within_what_the_filter_says_is_no_loss():
     assert any(word.alarm for word in sure.words)
 
 
+def test_one_that_goes_on_from_what_another_learned_knows_the_vehicle():
+    """One that did more than its model says, and now does 30 % less: by its model alone that is a loss of 23 %."""
+    before = off_by(1.1, 0.9, 0.9)
+    before.sail(30.0)
+    learned = before.watch.learned
+    knowing, forgetful = (off_by(0.77, 0.9, 0.9) for _ in range(2))  # 30 % less than it was
+    knowing.watch.resume(learned)
+    np.testing.assert_array_equal(knowing.watch.learned, learned)
+    assert forgetful.watch.learned is None
+    for sea in (knowing, forgetful):
+        sea.sail(3.0)
+    assert knowing.watch.evidence > 2.0 * forgetful.watch.evidence
+
+
+def test_one_that_goes_on_does_not_wait_for_a_dive_to_settle():
+    before = Sea()
+    before.sail(30.0)
+    sea = Sea(settles_s=5.0)
+    sea.watch.resume(before.watch.learned)
+    sea.share[:] = 0.5
+    sea.sail(4.0, until_alarm=True)
+    assert sea.watch.alarm
+
+
 def test_after_a_gap_it_begins_anew():
     sea = Sea()
     sea.share[:] = 0.5

@@ -78,6 +78,7 @@ CONTROLLER_CHECKPOINT = ControllerCheckpoint(
     depth_integral_N=-3.5,
     plan_delays_ns=(81_000_000, 79_500_001),
     cycle_times_ns=(4_000_000,),
+    model_products=np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1]),
 )
 DROPPED = DroppedNode(
     node=3,
