@@ -1,6 +1,8 @@
 """Install the project with some of its extras into the environment of the Python that runs this.
 
-uv does in seconds what takes pip a minute or two, half of it for bytecode that is never read. It is told of the same
+uv does in seconds what takes pip a minute or two, half of it for bytecode that is never read: Python keeps that of a
+module when it is first imported. Where it is told not to (PYTHONDONTWRITEBYTECODE), every process would compile its
+thousand modules again, two seconds each time; there all bytecode is made with the installation. uv is told of the same
 sources: pip's settings (index, further indexes, folders, certificates) are handed on, and so is pip's rule of taking
 the best version that any of them has. Where uv cannot be had, or does not manage, pip does it.
 """
@@ -56,11 +58,14 @@ def main() -> int:
         listing = [sys.executable, "-m", "pip", "config", "list"]
         settings = subprocess.run(listing, capture_output=True, text=True, check=False).stdout
         quiet = () if sys.stderr.isatty() else ("--quiet",)  # its bars, or nothing but what goes wrong
-        command = [sys.executable, "-m", "uv", "pip", "install", *quiet, "--python", sys.executable, "-e", project]
+        bytecode = ("--compile-bytecode",) if sys.dont_write_bytecode else ()
+        options = (*quiet, *bytecode, "--python", sys.executable)
+        command = [sys.executable, "-m", "uv", "pip", "install", *options, "-e", project]
         if subprocess.run(command, env={**sources(settings), **os.environ}, check=False).returncode == 0:
             return 0
     print("without uv: pip installs, which takes a minute or two", flush=True)
-    return subprocess.run([*PIP, "--no-compile", "-e", project], check=False).returncode
+    bytecode = "--compile" if sys.dont_write_bytecode else "--no-compile"
+    return subprocess.run([*PIP, bytecode, "-e", project], check=False).returncode
 
 
 if __name__ == "__main__":
