@@ -7,7 +7,8 @@ that it overtook are counted.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 import msgspec
 
@@ -61,65 +62,84 @@ class _Helm:
     def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
         self.node = node
         self.door = Door()
-        self.pending: list[Arrival] = [Arrival(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
-        self.waits = False
+        self.overtaken = 0  # estimates
+        self._frames: list[Frame] = []
+        self._armed = False
         under = namespace(number)
         self.out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), under=under)
         for kind in (Applied, Estimate):
             session.subscribe(f"{under}/{BY_SIGNAL[kind].key}", BY_SIGNAL[kind], mailbox)
 
-    def cycle(self, t_ns: int) -> None:
+    def hear(self, frame: Frame) -> None:
+        """To be looked at by the next cycle: of estimates by then the newest alone, and no other is decoded."""
+        self._frames.append(frame)
+
+    def cycle(self, start_ns: int) -> None:
         """On what has arrived."""
-        arrivals, self.pending, self.waits = self.pending, [], False
-        for signal in self.node.step(t_ns, arrivals):
+        frames, self._frames = self._frames, []
+        newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
+        arrivals = [] if self._armed else [Arrival(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
+        self._armed = True
+        for k, frame in enumerate(frames):
+            if _is_estimate(frame) and k != newest:
+                self.overtaken += 1
+                continue
+            try:
+                signal, header = self.door.admit(frame)
+            except WireError:  # counted by the door
+                continue
+            received_ns = frame.received_monotonic_us * 1000 - start_ns
+            arrivals.append(Arrival(signal, header.epoch, header.sequence, received_ns))
+        for signal in self.node.step(now_ns(start_ns), arrivals):
             if isinstance(signal, Plan):
                 self.out.publish(signal)
+
+
+def _is_estimate(frame: Frame) -> bool:
+    return frame.topic is not None and frame.topic.signal is Estimate
 
 
 def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
     of = {f"{namespace(n)}/{BY_SIGNAL[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
-    waiting: dict[int, _Helm] = {}  # by the place of its namespace, in the order of arrival
-    cycles = overtaken = rejected = 0
+    waiting: dict[_Helm, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
-    cpu_s: float | None = None
-
-    def take(frame: Frame) -> None:
-        nonlocal overtaken, rejected
-        helm = of[frame.key]
-        try:
-            signal, header = helm.door.admit(frame)
-        except WireError:
-            rejected += 1
-            return
-        received_ns = frame.received_monotonic_us * 1000 - start_ns
-        helm.pending.append(Arrival(signal, header.epoch, header.sequence, received_ns))
-        if isinstance(signal, Estimate):
-            overtaken += helm.waits
-            helm.waits = True
-            waiting.setdefault(id(helm), helm)
-
+    before: tuple[float, Counter[str]] | None = None
     while (t_ns := now_ns(start_ns)) < end_ns:
-        if cpu_s is None and t_ns >= begin_ns:
-            cpu_s, cycles, overtaken, rejected = time.process_time(), 0, 0, 0
+        if before is None and t_ns >= begin_ns:
+            before = time.process_time(), _counts(helms.values())
             busy_ms.clear()
         frame = mailbox.take(0.0 if waiting else min((end_ns - t_ns) / 1e9, 0.1))
         started_ns = time.perf_counter_ns()
         while frame is not None:
-            take(frame)
+            of[frame.key].hear(frame)
+            if _is_estimate(frame):
+                waiting.setdefault(of[frame.key])
             frame = mailbox.take(0.0)
         if not waiting:
             continue
-        helm = waiting.pop(next(iter(waiting)))
-        helm.cycle(now_ns(start_ns))
-        cycles += 1
+        helm = next(iter(waiting))
+        del waiting[helm]
+        helm.cycle(start_ns)
         busy_ms.append((time.perf_counter_ns() - started_ns) / 1e6)
+    cpu_s, counted = before or (0.0, Counter[str]())
+    since = _counts(helms.values())
+    since.subtract(counted)
     return Controllers(
         vehicles=len(helms),
-        cycles=cycles,
-        overtaken=overtaken,
-        rejected=rejected,
-        dropped=sum(helm.door.dropped for helm in helms.values()),
+        cycles=len(busy_ms),
+        overtaken=since["overtaken"],
+        rejected=since["rejected"],
+        dropped=since["dropped"],
         cycle_ms=quantiles(busy_ms),
-        cpu_s=time.process_time() - (cpu_s or 0.0),
+        cpu_s=time.process_time() - cpu_s,
     )
+
+
+def _counts(helms: Iterable[_Helm]) -> Counter[str]:
+    """Of all, so far; an estimate that was overtaken is missing in the door's sequence, and was not lost on the way."""
+    counts: Counter[str] = Counter()
+    for helm in helms:
+        overtaken = {"overtaken": helm.overtaken, "dropped": helm.door.dropped - helm.overtaken}
+        counts.update(overtaken, rejected=helm.door.rejected)
+    return counts

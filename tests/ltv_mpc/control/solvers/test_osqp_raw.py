@@ -124,8 +124,10 @@ def test_bounds_that_contradict_each_other_are_refused(kind):
 
 
 @KINDS
-def test_ctrl_c_while_osqp_solves_reaches_whoever_waits_for_it(kind):
+def test_ctrl_c_while_osqp_solves_reaches_whoever_waits_for_it(kind, request):
     """OSQP puts its own handler in place for as long as it solves."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs are to ignore it
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     solver = kind(*problem(0), {**SETTINGS, "max_iter": 2_000_000_000, "eps_abs": 1e-300, "check_termination": 0})
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
