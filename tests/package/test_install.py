@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -49,3 +51,22 @@ def test_the_environment_goes_before_the_file_and_installs_settings_before_the_g
     assert (
         install.sources(":env:.index-url='https://env/simple'\n" + of_file)["UV_DEFAULT_INDEX"] == "https://env/simple"
     )
+
+
+@pytest.mark.parametrize(("told_not_to", "uv", "pip"), [(True, True, "--compile"), (False, False, "--no-compile")])
+def test_bytecode_is_made_where_python_will_not_keep_it(
+    install: ModuleType, monkeypatch: pytest.MonkeyPatch, told_not_to: bool, uv: bool, pip: str
+) -> None:
+    commands: list[list[str]] = []
+
+    def run(command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        commands.append(command)
+        return subprocess.CompletedProcess(command, int("-e" in command), stdout="")  # nothing gets installed
+
+    monkeypatch.setattr(install.subprocess, "run", run)
+    monkeypatch.setattr(sys, "dont_write_bytecode", told_not_to)
+    monkeypatch.setattr(sys, "argv", ["install.py", "dev"])
+    assert install.main() == 1
+    by_uv, by_pip = (command for command in commands if "-e" in command)
+    assert ("--compile-bytecode" in by_uv) is uv
+    assert pip in by_pip
