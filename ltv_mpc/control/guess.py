@@ -13,17 +13,15 @@ shared between port and starboard, inside box and slew. The QP does the rest.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Constants, Objective, length
 from ltv_mpc.control.cost import stage_cost, terminal_cost
 from ltv_mpc.control.limits import bounds
+from ltv_mpc.control.outlook import speed_at
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import advance_by, lag_table
-from ltv_mpc.vehicle.parameters import Coefficients
 
 APPROACH_S = 4.0
 """T_p: an error is to be gone in about the length of a horizon. Like the other two of the paper's vehicle: another's
@@ -35,15 +33,6 @@ TURN_RADPS = 0.5
 """w0 of the turn."""
 TURN_A_STAGE = 0.5
 """Most that w0 is of a stage's length: commands between two knots are a line."""
-
-
-@kernel
-def speed_at(push: float, p: Coefficients) -> float:
-    """Surge speed (m/s) that a steady push (N) holds: push = (d_x + D_x u) u."""
-    if p.quadratic_surge <= 0.0:
-        return push / max(p.linear_surge, 1e-9)
-    root = math.sqrt(p.linear_surge**2 + 4.0 * p.quadratic_surge * push)
-    return (root - p.linear_surge) / (2.0 * p.quadratic_surge)
 
 
 @kernel

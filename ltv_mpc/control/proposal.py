@@ -6,6 +6,7 @@ import math
 
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.scales import scales_of
+from ltv_mpc.control.stability import is_stable
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 
@@ -15,29 +16,40 @@ ENOUGH = 1.9
 """Of the time scale T: so long a horizon is enough at nine of ten places of the map in docs/horizon.md, where the error
 is then within 10 % of that with the best."""
 
+LONGER = 1.05
+"""Steps in which a horizon is lengthened until its loop is stable."""
+
 WEAK_ASTERN = 0.7
 """Top speed astern over that ahead."""
 
 
 def proposed_horizon_s(vehicle: Vehicle) -> float:
     """Of a vehicle of which nothing else is known."""
-    return horizon_of(performance(vehicle), scales_of(vehicle).time_s)
+    return horizon_of(vehicle, performance(vehicle))
 
 
-def horizon_of(can: Performance, time_s: float) -> float:
-    """1.9 of the time scale ``time_s``, and at least the time to turn and to stop, in whole stages (s).
+def horizon_of(vehicle: Vehicle, can: Performance) -> float:
+    """1.9 T, at least the time to turn and to stop, and what the loop needs to be stable, in whole stages (s).
 
     A plan that sees both can come to a point and stay there. The turn is one by 90 deg, and by 180 deg where the
-    vehicle goes astern much slower than ahead: else a plan holds the stern into a current that only the bow can bear.
+    vehicle goes astern much slower than ahead: what it will do stern-to is foreseen the sooner. A vehicle that is
+    light to the side needs longer than that, or it goes to and fro about its place (``stability.py``).
     """
     both = 0.0
     if can.turn_90deg_s is not None:
         both = can.turn_90deg_s + (can.stopping_time_s or 0.0)
         if _weak_astern(can):
             both += 0.5 * math.pi / _slower_rate(can)
-    enough = max(ENOUGH * time_s, both)
+    horizon_s = _whole(max(ENOUGH * scales_of(vehicle).time_s, both))
+    while horizon_s < LONGEST_S and not is_stable(vehicle, horizon_s):
+        horizon_s = _whole(LONGER * horizon_s)
+    return horizon_s
+
+
+def _whole(horizon_s: float) -> float:
+    """In whole stages, within bounds."""
     stage = STAGE_NS * 1e-9
-    return round(math.ceil(min(max(enough, SHORTEST_S), LONGEST_S) / stage - 1e-9) * stage, 1)
+    return round(math.ceil(min(max(horizon_s, SHORTEST_S), LONGEST_S) / stage - 1e-9) * stage, 1)
 
 
 def _weak_astern(can: Performance) -> bool:

@@ -17,6 +17,7 @@ from ltv_mpc.control.grid import position
 from ltv_mpc.control.guess import steer
 from ltv_mpc.control.horizon import linearise_ahead, views
 from ltv_mpc.control.limits import bring_in
+from ltv_mpc.control.outlook import Outlook, outlook
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
 
@@ -78,20 +79,26 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
     assign(X[0], start[:STATES])
     assign(U[0], start[STATES:])
     kind, least = AHEAD, np.inf
+    end = Outlook(False, 0.0)
     if not np.isnan(stages):
         carry(old, o.t, stages, U)
         bring_in(U, o.t, o.low, o.high, o.change)
         linearise_ahead(lin, o.t, c.stage_s, c.p)
         kind, least = CARRIED, cost(X, U, lin.C, target, o)
+        end = outlook(X, lin.C, target, c)
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     assign(other_X[0], start[:STATES])
     assign(other_U[0], start[STATES:])
     for astern in (False, True):
-        other = steer(other_X, other_U, lin.C, target, astern, least, c)
-        if other < least or np.isinf(least):
+        other = steer(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
+        if np.isinf(other) and not np.isinf(least):
+            continue
+        other_end = outlook(other_X, lin.C, target, c)
+        counts = 1.0 if end.stuck or other_end.stuck else 0.0
+        if other + counts * other_end.beyond < least + counts * end.beyond or np.isinf(least):
             assign(X, other_X)
             assign(U, other_U)
-            kind, least = ASTERN if astern else AHEAD, other
+            kind, least, end = ASTERN if astern else AHEAD, other, other_end
     if kind != CARRIED:
         linearise_ahead(lin, o.t, c.stage_s, c.p)
     return kind
@@ -124,6 +131,8 @@ def step(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, 
         bring_in(U, o.t, o.low, o.high, o.change)
         roll(X, U, lin.C, c)
         if cost(X, U, lin.C, target, o) <= before:
+            if outlook(X, lin.C, target, c).stuck and not outlook(lin.X, lin.C, target, c).stuck:
+                break  # within the horizon it is cheaper not to turn
             return part
     assign(X, lin.X)
     assign(U, lin.U)

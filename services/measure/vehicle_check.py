@@ -38,7 +38,7 @@ def check(vehicle: Vehicle) -> Check:
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
-        horizon_s=horizon_of(can, scales.time_s),
+        horizon_s=horizon_of(vehicle, can),
         weights=weights_of(vehicle),
         warnings=doubts(vehicle, can),
     )
