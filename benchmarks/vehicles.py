@@ -1,8 +1,8 @@
 """Any vehicle by its file: a point held in a current, with weights that follow from the vehicle alone.
 
-A start 2 m off the point, at rest over ground in the surface's current, in a direction and with a heading that are
-drawn; a steady current of 0.2, 0.35 or 0.5 of the top speed ahead, told. Each run lasts until four times the time T
-of ``control/scales.py`` and 40 s have passed for settling, and 40 s more, over which it is graded:
+A start 2 m off the point, at rest in the water, in a direction and with a heading that are drawn; a steady current of
+0.2, 0.35 or 0.5 of the top speed ahead, told. Each run lasts until four times the time T of ``control/scales.py`` and
+40 s have passed for settling, and 40 s more, over which it is graded:
 
     off      largest distance from the point
     settled  when the distance fell below ``NEAR`` of L, or 0.2 m, for good
