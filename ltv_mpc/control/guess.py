@@ -19,9 +19,9 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Constants, Objective, length
 from ltv_mpc.control.cost import stage_cost, terminal_cost
 from ltv_mpc.control.limits import bounds
-from ltv_mpc.control.outlook import speed_at
 from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.flow import advance_by, lag_table
+from ltv_mpc.vehicle.resistance import steady
 
 APPROACH_S = 4.0
 """T_p: an error is to be gone in about the length of a horizon. Like the other two of the paper's vehicle: another's
@@ -54,7 +54,7 @@ def steer(X: Array, U: Array, C: Array, target: Array, astern: bool, most: float
     C (N+1, 2) current at the knots; ``target`` (N+1, 2) as in ``Solver``.
     """
     N, p, o = len(target) - 1, c.p, c.objective
-    fastest = speed_at(o.high[0] + o.high[1], p)
+    fastest = steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
     total, h = 0.0, length(o, 1) * c.stage_s
     lag = lag_table(h, p)

@@ -6,12 +6,13 @@ d = |ref - p|, e = (ref - p) / d and b = ref' - c, the velocity through the wate
 
     s = the largest with |e s + b| <= V          speed at which it can still close in; V - |b| where there is none
     V = top speed ahead, or astern where the stern points along e s + b
-    stuck: d > NEAR L and s < SLOW V
+    stuck: d > NEAR L and s < SLOW of the top speed ahead
 
     beyond = w / h integral of (d - s t)^2 dt until it is there, over FAR T at most
 
-L, T and V as in ``scales.py``. That is added to the costs that are compared where one of two trajectories ends stuck,
-and nowhere else: it is a bound for a steady current, and inside the horizon the QP knows better.
+L, T and V as in ``scales.py``. That is added to the costs of two guesses where one of them ends stuck, and the line
+search takes no step from where it is not to where it would be (``trajectory.py``). Else it counts for nothing: it holds
+for a steady current, and within the horizon the QP knows better.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Constants
 from ltv_mpc.control.scales import PAPER
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.parameters import Coefficients
+from ltv_mpc.vehicle.resistance import steady
 
 NEAR, SLOW = 0.1, 0.1
 FAR = 200.0
@@ -42,15 +43,6 @@ class Outlook(NamedTuple):
 
 
 @kernel
-def speed_at(push: float, p: Coefficients) -> float:
-    """Surge speed (m/s) that a steady push (N) holds: push = (d_x + D_x u) u."""
-    if p.quadratic_surge <= 0.0:
-        return push / max(p.linear_surge, 1e-9)
-    root = math.sqrt(p.linear_surge**2 + 4.0 * p.quadratic_surge * push)
-    return (root - p.linear_surge) / (2.0 * p.quadratic_surge)
-
-
-@kernel
 def closing_speed(en: float, ee: float, bn: float, be: float, V: float) -> float:
     """The largest s with |e s + b| <= V."""
     along, square = en * bn + ee * be, bn * bn + be * be
@@ -64,15 +56,16 @@ def outlook(X: Array, C: Array, target: Array, c: Constants) -> Outlook:
     N, o, p = len(target) - 1, c.objective, c.p
     dn, de = target[N - 1, 0] - X[N, 0], target[N - 1, 1] - X[N, 1]
     d = math.sqrt(dn * dn + de * de)
-    T, V = TIME_S * c.slowness, speed_at(o.high[0] + o.high[1], p)
-    if d <= NEAR * V * T:
+    T, ahead = TIME_S * c.slowness, steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
+    if d <= NEAR * ahead * T:
         return Outlook(False, 0.0)
     en, ee = dn / d, de / d
     bn, be = target[N, 0] - C[N, 0], target[N, 1] - C[N, 1]
-    s = closing_speed(en, ee, bn, be, V)
+    s = closing_speed(en, ee, bn, be, ahead)
     if math.cos(X[N, 4]) * (en * s + bn) + math.sin(X[N, 4]) * (ee * s + be) < 0.0:
-        s = closing_speed(en, ee, bn, be, speed_at(max(-o.low[0] - o.low[1], 0.0), p))
+        astern = steady(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge)
+        s = closing_speed(en, ee, bn, be, astern)
     t = FAR * T
     if s * t > d:
         t = d / s
-    return Outlook(s < SLOW * V, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))
+    return Outlook(s < SLOW * ahead, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))
