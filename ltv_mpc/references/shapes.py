@@ -143,9 +143,10 @@ class Lawnmower(Shape, frozen=True, kw_only=True, tag="lawnmower"):
 
     def path(self) -> Path:
         """The tracks and the legs between them."""
-        tracks = int(self.width_m / self.spacing_m + 1e-9) + 1
-        if 2 * tracks > MOST_POINTS // 100:
+        across = self.width_m / self.spacing_m + 1e-9
+        if across >= MOST_POINTS // 200:  # infinite too
             raise ValueError(f"width_m / spacing_m must be <= {MOST_POINTS // 200 - 1}")
+        tracks = int(across) + 1
         course = math.radians(self.course_deg)
         ahead = np.array([math.cos(course), math.sin(course)])
         aside = np.array([-math.sin(course), math.cos(course)]) * (-1.0 if self.port else 1.0)

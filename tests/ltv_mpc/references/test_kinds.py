@@ -75,6 +75,11 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
             "start = {north_m=0, east_m=0}",
             "width_m / spacing_m must be <= ",
         ),
+        (
+            "kind = 'lawnmower'\nspeed_mps = 1\ncourse_deg = 0\nlength_m = 5\nwidth_m = 20\nspacing_m = 5e-324\n"
+            "start = {north_m=0, east_m=0}",
+            "width_m / spacing_m must be <= ",
+        ),
         ("kind = 'timed'", "give either file, a CSV, or rows"),
         ("kind = 'timed'\nrows = [[0, 0, 0]]", "rows: at least 2"),
         ("kind = 'timed'\nrows = [[0, 0, 0], [1, 1, 1, 1]]", "all with the same number of columns"),
