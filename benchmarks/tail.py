@@ -1,6 +1,6 @@
 """The tail of a cycle on a machine that is busy with other things: 10 Hz for ten minutes, each core kept busy besides.
 
-    .venv/bin/python -m benchmarks.tail [--minutes 10] [--rate-hz 10] [--busy N] [--least-delay-s 0.03]
+    .venv/bin/python -m benchmarks.tail [--minutes 10] [--rate-hz 10] [--busy N] [--least-delay-s 0.08]
                                       [--out DIR] [--json]
 
 `hover` by `ltv-mpc sim` in real time, its recorder, plant, sensors and estimator beside the controller, and N processes
@@ -48,7 +48,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--rate-hz", type=float, default=10.0)
     parser.add_argument("--busy", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--least-delay-s", type=float, default=0.03)
+    parser.add_argument("--least-delay-s", type=float, default=0.08)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
