@@ -17,6 +17,7 @@ from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.signals import Applied, Array
+from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
 
@@ -54,19 +55,7 @@ def descend(
 
 def applied(end: Start) -> Applied:
     """The actuators' report of what they deliver."""
-    return Applied(
-        t_ns=end.t_ns,
-        thrust_N=(end.X[6], end.X[7], end.vertical_N),
-        command_N=tuple(end.command),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=0,
-        plan_sequence=-1,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=0,
-        plan_late=False,
-        plans_late=0,
-        plans_refused=0,
-    )
+    return report(end.t_ns, [*end.X[6:], end.vertical_N], end.command)
 
 
 @pytest.fixture(scope="session")

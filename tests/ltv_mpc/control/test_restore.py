@@ -15,7 +15,6 @@ from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.signals import (
     Acknowledged,
     Action,
-    Applied,
     Authority,
     Command,
     ControllerCheckpoint,
@@ -26,6 +25,7 @@ from ltv_mpc.signals import (
     Restore,
     Signal,
 )
+from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
@@ -256,11 +256,7 @@ def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_o
     flight = armed(references.load("line"), 5)
 
     def said(ahead_ns: int) -> Signal:
-        t_ns = flight.estimate.t_ns + ahead_ns
-        still = {"thrust_N": (0.0, 0.0, 0.0), "command_N": (0.0, 0.0, 0.0), "command_slew_N_per_s": (0.0, 0.0, 0.0)}
-        counts = {"plan_epoch": 0, "plan_sequence": -1, "plan_cycle_t_ns": 0, "plan_received_t_ns": 0}
-        late = {"plan_late": False, "plans_late": 0, "plans_refused": 0}
-        return Applied(t_ns=t_ns, **still, **counts, **late)
+        return report(flight.estimate.t_ns + ahead_ns, (0.0, 0.0, 0.0))
 
     for ahead_ns in (0, 0, 200 * S, *[0] * 8):
         flight.estimate = msgspec.structs.replace(flight.estimate, current=still_water)

@@ -13,7 +13,7 @@ from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.proposal import ENOUGH, proposed_horizon_s
 from ltv_mpc.control.scales import scales_of
 from ltv_mpc.control.stability import held, is_stable, largest_pole
-from ltv_mpc.signals import Applied
+from tests.ltv_mpc.reports import report
 
 SIDE = {
     "arm_m": 0.38,
@@ -41,22 +41,6 @@ SHARE = 0.35
 CYCLE_NS = 300_000_000
 
 
-def applied(t_ns: int, thrust, command) -> Applied:
-    return Applied(
-        t_ns=t_ns,
-        thrust_N=(float(thrust[0]), float(thrust[1]), 0.0),
-        command_N=(float(command[0]), float(command[1]), 0.0),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=0,
-        plan_sequence=-1,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=0,
-        plan_late=False,
-        plans_late=0,
-        plans_refused=0,
-    )
-
-
 def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) -> np.ndarray:
     """Off its place to the side, bow-on in a current, after each cycle (m); at first ``off_m``."""
     X, C = held(vehicle, SHARE)
@@ -64,16 +48,17 @@ def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) 
     estimate = msgspec.structs.replace(Estimate.at_rest(east_m=off_m), current=profile)
     controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(horizon_s=horizon_s))
     commands, motion = SentCommands(vehicle), Prediction(vehicle)
-    report, off = applied(0, X[6:], X[6:]), []
+    applied, off = report(0, [*X[6:], 0.0]), []
     for _ in range(cycles):
-        controller.report(report)
-        motion.report(report)
-        commands.reported(report.t_ns, report.command_N)
+        controller.report(applied)
+        motion.report(applied)
+        commands.reported(applied.t_ns, applied.command_N)
         plan = controller.plan(estimate)
         assert plan.origin == "solved"
         commands.sent(plan)
         end = motion.roll(estimate, estimate.t_ns + CYCLE_NS, commands)
-        report, estimate = applied(end.t_ns, end.X[6:], end.command), as_estimate(end, estimate)
+        applied = report(end.t_ns, [*end.X[6:], end.vertical_N], end.command)
+        estimate = as_estimate(end, estimate)
         off.append(abs(estimate.east_m))
     return np.array(off)
 

@@ -14,6 +14,7 @@ from ltv_mpc.safety.model_check import ALARM, QUIET, ModelWatch
 from ltv_mpc.signals import Applied, CurrentProfile, Estimate, ModelCheck
 from ltv_mpc.vehicle.dynamics import derivative
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
 STILL = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
@@ -29,19 +30,7 @@ def surging(t: float) -> tuple[float, float]:
 
 
 def applied(k: int, thrust: tuple[float, float]) -> Applied:
-    return Applied(
-        t_ns=k * PERIOD_NS,
-        thrust_N=(*thrust, 0.0),
-        command_N=(*thrust, 0.0),
-        command_slew_N_per_s=(0.0, 0.0, 0.0),
-        plan_epoch=0,
-        plan_sequence=-1,
-        plan_cycle_t_ns=0,
-        plan_received_t_ns=0,
-        plan_late=False,
-        plans_late=0,
-        plans_refused=0,
-    )
+    return report(k * PERIOD_NS, [*thrust, 0.0])
 
 
 class Sea:
