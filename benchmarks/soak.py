@@ -6,8 +6,7 @@ misses by quarter.
 `hover` by `ltv-mpc sim`, looked at from outside (/proc) all the while, and ended by Ctrl-C after so much wall time.
 Memory is the resident set, what several processes share divided among them (Pss of smaps_rollup): forks share much.
 
-    growth   of a process: median of its last quarter minus that of its second one; the first is for warming up. Of the
-             recorder, without what MCAP's index takes, which is kept until the file ends: 1.4 kB a chunk
+    growth   of a process: median of its last quarter minus that of its second one; the first is for warming up
     misses   from the run's recording: cycles whose plan was not solved, plans that came late, messages missing by their
              sequence numbers; in each quarter of the vehicle's time
 
@@ -30,7 +29,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.reader import make_reader
 
 from ltv_mpc.signals import Applied, Plan, PlanOrigin
 from services.faults.attacks import children
@@ -38,8 +36,6 @@ from services.recording.losses import Losses
 from services.recording.reader import Recording
 
 MOST_GROWTH_MB, MOST_GROWTH = 2.0, 0.02
-INDEX_MB = 1.4e-3
-"""Of a chunk, in the recorder."""
 FEW = 5
 QUARTERS = 4
 SUPERVISOR = "supervisor"
@@ -107,13 +103,13 @@ def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) ->
     return {f"{name} {pid}": looks[pid] for pid, name in names.items()}
 
 
-def grown(process: str, looks: Sequence[Look], wall_s: float, foreseen_mb: float = 0.0) -> Grown:
-    """By quarters of the run; ``foreseen_mb`` is how much more it is to have in the last than in the second."""
+def grown(process: str, looks: Sequence[Look], wall_s: float) -> Grown:
+    """By quarters of the run."""
     quarters = [[one for one in looks if int(QUARTERS * one.at_s / wall_s) == k] for k in range(QUARTERS)]
     memory = [float(np.median([one.memory_mb for one in of])) if of else float("nan") for of in quarters]
     handles = [max((one.handles for one in of), default=0) for of in quarters]
     threads = [max((one.threads for one in of), default=0) for of in quarters]
-    growth_mb = memory[-1] - memory[1] - foreseen_mb
+    growth_mb = memory[-1] - memory[1]
     lasting = all(quarters[1:])  # else it was started or ended in between
     flat = not lasting or (
         growth_mb <= max(MOST_GROWTH_MB, MOST_GROWTH * memory[1])
@@ -144,13 +140,6 @@ def missed(recording: Path) -> list[Missed]:
     return [_of_quarter(quarter) for quarter in quarters]
 
 
-def chunks(recording: Path) -> int:
-    """In the index."""
-    with recording.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    return 0 if summary is None else len(summary.chunk_indexes)
-
-
 def _of_quarter(rows: Iterable[tuple[int, int, int, int]]) -> Missed:
     rows = list(rows)
     plans = [solved for _, solved, _, _ in rows if solved >= 0]
@@ -172,21 +161,21 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     of = parser.parse_args()
     wall_s = 60.0 * of.minutes
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as place, Path(place, "said").open("w+b") as said:
         out = of.out or Path(place, "run")
         options = ["--duration-s", f"{2 * of.speed * wall_s:g}", "--speed", f"{of.speed:g}", "--no-dashboard"]
         command = [sys.executable, "-P", "-m", "services.cli", "sim", "hover", *options, "--out", str(out)]
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said) as process:
             looks = watch(process, wall_s, of.every_s)
             code = process.poll()
             if code is None:
                 process.send_signal(signal.SIGINT)
         if code is not None:
-            sys.stderr.write(f"the run ended before its time, with exit code {code}\n")
+            said.seek(0)
+            sys.stderr.write(f"the run ended before its time, with exit code {code}:\n{said.read().decode()}")
             return 1
         quarters = missed(out / "run.mcap")
-        index_mb = INDEX_MB * chunks(out / "run.mcap") * 2 / QUARTERS
-    processes = [grown(name, seen, wall_s, index_mb if "recorder" in name else 0.0) for name, seen in looks.items()]
+    processes = [grown(name, seen, wall_s) for name, seen in looks.items()]
     good = all(one.flat for one in processes) and steady(quarters)
     if of.json:
         rows = {"processes": [one._asdict() for one in processes], "quarters": [one._asdict() for one in quarters]}

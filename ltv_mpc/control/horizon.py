@@ -17,7 +17,7 @@ import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_table
+from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
 from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
 
@@ -77,12 +77,24 @@ def views(flat: Array, N: int) -> Linearisation:
 
 
 @kernel
-def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
-    """States (M+1, 8) from X0 (8,) under commands U (M+1, 2) in a current C (M+1, 2); stage k lasts h[k] seconds."""
-    X = np.empty((U.shape[0], STATES))
-    X[0] = X0
+def roll(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coefficients) -> None:
+    """X[1:] (N, 8) from X[0] under commands U (N+1, 2) in a current C (N+1, 2), at knots t (N+1,) in stages of
+    ``stage_s``.
+    """
+    h = (t[1] - t[0]) * stage_s
+    lag = lag_table(h, p)
     for k in range(U.shape[0] - 1):
-        advance_stage(X[k], U[k], U[k + 1], C[k], C[k + 1], h[k], p, X[k + 1])
+        before, h = h, (t[k + 1] - t[k]) * stage_s
+        if h != before:
+            lag = lag_table(h, p)
+        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
+
+
+def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
+    """States (N+1, 8) from X0 (8,) under U (N+1, 2) in C (N+1, 2); stage k lasts h[k] seconds."""
+    X = np.empty((len(U), STATES))
+    X[0] = X0
+    roll(X, U, C, np.concatenate([[0.0], np.cumsum(h)]), 1.0, p)
     return X
 
 

@@ -11,33 +11,21 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.control.constants import Constants, constants, length
+from ltv_mpc.control.constants import Objective, constants
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.grid import position
 from ltv_mpc.control.guess import steer
-from ltv_mpc.control.horizon import linearise_ahead, views
+from ltv_mpc.control.horizon import linearise_ahead, roll, views
 from ltv_mpc.control.limits import bring_in
 from ltv_mpc.control.outlook import Outlook, outlook
 from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
+from ltv_mpc.vehicle.flow import STATES
 
 CARRIED, AHEAD, ASTERN = range(3)
 """Where the trajectory linearised along comes from: the previous plan, or a law that steers either way."""
 
 STEPS = (1.0, 0.5, 0.25, 0.1)
 """Parts of the QP's step that are tried in turn until the cost along the exact flow does not rise."""
-
-
-@kernel
-def roll(X: Array, U: Array, C: Array, c: Constants) -> None:
-    """X[1:] from X[0]: the exact flow of every stage."""
-    h = length(c.objective, 1) * c.stage_s
-    lag = lag_table(h, c.p)
-    for k in range(U.shape[0] - 1):
-        before, h = h, length(c.objective, k + 1) * c.stage_s
-        if h != before:
-            lag = lag_table(h, c.p)
-        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, c.p, lag, X[k + 1])
 
 
 @kernel
@@ -56,12 +44,23 @@ def carry(old: Array, t: Array, stages: float, U: Array) -> None:
 def shifted(numbers: Array, start: Array, old: Array, stages: float, C: Array, X: Array, U: Array) -> None:
     """X (N+1, 8) and U (N+1, 2): the previous plan on the new knots, inside box and slew; arguments as in ``begin``."""
     c = constants(numbers)
-    o = c.objective
+    _set_out(start, X, U)
+    _carry_in(old, stages, c.objective, U)
+    roll(X, U, C, c.objective.t, c.stage_s, c.p)
+
+
+@kernel
+def _set_out(start: Array, X: Array, U: Array) -> None:
+    """The first knot of X (N+1, 8) and U (N+1, 2)."""
     assign(X[0], start[:STATES])
     assign(U[0], start[STATES:])
+
+
+@kernel
+def _carry_in(old: Array, stages: float, o: Objective, U: Array) -> None:
+    """``carry``, inside box and slew."""
     carry(old, o.t, stages, U)
     bring_in(U, o.t, o.low, o.high, o.change)
-    roll(X, U, C, c)
 
 
 @kernel
@@ -76,19 +75,16 @@ def begin(numbers: Array, start: Array, target: Array, old: Array, stages: float
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
-    assign(X[0], start[:STATES])
-    assign(U[0], start[STATES:])
+    _set_out(start, X, U)
     kind, least = AHEAD, np.inf
     end = Outlook(False, 0.0)
     if not np.isnan(stages):
-        carry(old, o.t, stages, U)
-        bring_in(U, o.t, o.low, o.high, o.change)
+        _carry_in(old, stages, o, U)
         linearise_ahead(lin, o.t, c.stage_s, c.p)
         kind, least = CARRIED, cost(X, U, lin.C, target, o)
         end = outlook(X, lin.C, target, c)
     other_X, other_U = np.empty_like(X), np.empty_like(U)
-    assign(other_X[0], start[:STATES])
-    assign(other_U[0], start[STATES:])
+    _set_out(start, other_X, other_U)
     for astern in (False, True):
         other = steer(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
         if np.isinf(other) and not np.isinf(least):
@@ -129,7 +125,7 @@ def step(numbers: Array, flat: Array, target: Array, commands: Array, X: Array, 
             for i in range(2):
                 U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
         bring_in(U, o.t, o.low, o.high, o.change)
-        roll(X, U, lin.C, c)
+        roll(X, U, lin.C, o.t, c.stage_s, c.p)
         if cost(X, U, lin.C, target, o) <= before:
             if outlook(X, lin.C, target, c).stuck and not outlook(lin.X, lin.C, target, c).stuck:
                 break  # within the horizon it is cheaper not to turn
@@ -145,9 +141,8 @@ def release(numbers: Array, start: Array, goal: Array, C: Array, X: Array, U: Ar
     ``begin``.
     """
     c = constants(numbers)
-    assign(X[0], start[:STATES])
-    assign(U, goal)
-    assign(U[0], start[STATES:])
     o = c.objective
+    assign(U, goal)
+    _set_out(start, X, U)
     bring_in(U, o.t, o.low, o.high, o.change)
-    roll(X, U, C, c)
+    roll(X, U, C, o.t, c.stage_s, c.p)

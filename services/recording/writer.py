@@ -8,7 +8,7 @@ was made of stands in the metadata record ``run``, at the head of the file, wher
 
 Chunks have at most 1 MiB and are flushed at least every half second of wall time, so that a SIGKILL costs little. In
 lock step nothing is flushed by the wall clock: the file is a function of its messages, byte for byte. MCAP's index,
-which is written at the end, has an entry for each chunk: 1.4 kB of memory, 10 MB in an hour of two chunks a second.
+which is written at the end, is kept on disk until then (``chunk_index.py``): nothing grows with the run.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from mcap.writer import CompressionType, Writer
 
 from ltv_mpc.signals import Signal
 from services.bus import schema, topics, wire
+from services.recording import chunk_index
 
 CHUNK_BYTES = 1024 * 1024
 FLUSH_S = 0.5
@@ -48,15 +49,16 @@ class RunWriter:
         self._flushed_at = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Signal], int] = {}
+        self._index = contextlib.ExitStack()
         self._file = path.open("wb")
         # Any: the package leaves the types of some of its methods out.
         self._mcap: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
+            self._index.enter_context(chunk_index.on_disk(self._mcap, path.parent))
             self._mcap.start(PROFILE, LIBRARY)
             self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
         except OSError:  # a full disk
-            with contextlib.suppress(OSError):
-                self._file.close()
+            self._close()
             raise
 
     def write(self, writer: str, signal: Signal, header: wire.Header, t_ns: int) -> None:
@@ -103,22 +105,27 @@ class RunWriter:
         """After an ``OSError``: cut off what was not flushed, and close without an end."""
         with contextlib.suppress(OSError):
             os.truncate(self.path, self._safe[0])
-        with contextlib.suppress(OSError):
-            self._file.close()
+        self._close()
 
     def close(self) -> None:
         """The index, and the end of the file."""
         if not self._file.closed:
             try:
                 self._mcap.finish()
+                self._file.flush()
             finally:
-                self._file.close()
+                self._close()
 
     def __enter__(self) -> RunWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _close(self) -> None:
+        with contextlib.suppress(OSError):  # a full disk does not take what a buffer still has
+            self._file.close()
+        self._index.close()
 
     def _register(self, key: str, kind: type[Signal]) -> int:
         if kind not in self._schemas:
