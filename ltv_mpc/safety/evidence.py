@@ -4,15 +4,15 @@ Each cycle has two rows, surge and yaw, in standard deviations of their noise e,
 
     z = l_1 phi_1 + l_2 phi_2 + b phi_3 + e        phi: what port, starboard and drag make of each unknown
 
-x = [l_1, l_2, b] is what the vehicle is otherwise than its model. Mass, drag and thrust that are all off by no more
-than 10 % make, in units of the true mass,
+l_1 = c + s, l_2 = c - s and b are what the vehicle is otherwise than its model. Mass, drag and thrust that are all off
+by no more than 10 %, and two thrusters that differ by no more than ``APART`` of it, make, in units of the true mass,
 
-    l = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most l = 0.18)
+    c = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most c = 0.18)
 
-and it stays as it is. A loss is d >= 0 on top of it, since some cycle of the last thirty. So what the cycles before
-those said of x counts too, by a part of its weight, for their noise is not quite white:
+and it stays as it is. A loss is d_1, d_2 >= 0 on top of l_1, l_2, since some cycle of the last thirty. So what the
+cycles before those said of x = [c, s, b] counts too, by a part of its weight, for their noise is not quite white:
 
-    f(x, d) = |z - phi' (x + d)|^2 over the window + TRUST |z - phi' x|^2 over what was before
+    f(x, d) = |z - phi' (l, b) - phi' d|^2 over the window + TRUST |z - phi' (l, b)|^2 over what was before
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
 a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; later a loss of 30 % shows
@@ -31,6 +31,9 @@ from ltv_mpc.signals import Array
 
 MISMATCH = 0.1
 """Of mass, drag and thrust each, either way: no alarm for that."""
+
+APART = 0.05
+"""Two thrusters of one vehicle are of one make: what the model has wrong of them is mostly the same for both."""
 
 EDGE = 0.005
 """And this, for what the trapezoids over dt leave out."""
@@ -57,15 +60,22 @@ TINY = 1e-12
 
 
 def _mismatches() -> tuple[Array, Array]:
-    """Least and largest (3, K) of l_1, l_2, b, by K masses."""
+    """Least and largest (5, K) of c, s, b, d_1, d_2, by K masses."""
     e = MISMATCH + EDGE
     m = np.linspace(-e, e, 5)
-    least, most = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m)
-    return np.stack([1.0 - most, 1.0 - most, least - 1.0]), np.stack([1.0 - least, 1.0 - least, most - 1.0])
+    least, most, none = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m), np.zeros_like(m)
+    apart, all_of_it = none + 0.5 * APART, none + 1.0
+    return np.stack([1.0 - most, -apart, least - 1.0, none, none]), np.stack(
+        [1.0 - least, apart, most - 1.0, all_of_it, all_of_it]
+    )
 
 
 LOWEST, HIGHEST = _mismatches()
-_REACH = np.maximum(HIGHEST.max(axis=1), -LOWEST.min(axis=1))
+_FARTHEST = np.maximum(HIGHEST, -LOWEST).max(axis=1)
+_REACH = np.array([_FARTHEST[0] + _FARTHEST[1], _FARTHEST[0] + _FARTHEST[1], _FARTHEST[2]])  # of l_1, l_2, b
+
+_MIX = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [0, 1, -1, 0], [0, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]], dtype=np.float64)
+"""z and what goes with c, s, b, d_1, d_2, of z and the three phi."""
 
 
 @kernel
@@ -124,51 +134,51 @@ def weigh(rows: Array, known: Array) -> tuple[float, float, float]:
 @kernel
 def _gained(window: Array, known: Array) -> tuple[float, float, float]:
     """Of one window: half of what a loss takes off the least f, and what is lost then, l + d."""
-    x = np.zeros(5)
+    x, F = np.empty(5), mixed(window, known)
     without = with_loss = np.inf
     l1 = l2 = 0.0
     for k in range(LOWEST.shape[1]):
         x[:] = 0.0
-        without = min(without, least(window, known, LOWEST[:, k], HIGHEST[:, k], False, x))
-        f = least(window, known, LOWEST[:, k], HIGHEST[:, k], True, x)
+        without = min(without, least(F, LOWEST[:, k], HIGHEST[:, k], False, x))
+        f = least(F, LOWEST[:, k], HIGHEST[:, k], True, x)
         if f < with_loss:
-            with_loss, l1, l2 = f, x[0] + x[3], x[1] + x[4]
+            with_loss, l1, l2 = f, x[0] + x[1] + x[3], x[0] - x[1] + x[4]
     return 0.5 * (without - with_loss), max(l1, 0.0), max(l2, 0.0)
 
 
 @kernel
-def least(window: Array, known: Array, low: Array, high: Array, lost: bool, x: Array) -> float:
-    """min f over low <= x[:3] <= high, and, where ``lost``, over losses 0 <= x[3:] <= 1, from x (5,) on, in place."""
+def mixed(window: Array, known: Array) -> Array:
+    """F (6, 6): f = [1, -x]' F [1, -x], x = [c, s, b, d_1, d_2], of products (4, 4) of z and the three phi."""
+    F = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(6):
+            before = TRUST if i < 4 and j < 4 else 0.0
+            for k in range(4):
+                for m in range(4):
+                    F[i, j] += _MIX[i, k] * _MIX[j, m] * (window[k, m] + before * known[k, m])
+    return F
+
+
+@kernel
+def least(F: Array, low: Array, high: Array, lost: bool, x: Array) -> float:
+    """min f over low <= x <= high (5,), without a loss unless ``lost``, from x on, in place."""
     for _ in range(SWEEPS):
         gained = 0.0
-        for i in range(3):
-            slope = window[0, 1 + i] + TRUST * known[0, 1 + i]
-            for j in range(3):
-                both = window[1 + i, 1 + j]
+        for i in range(5 if lost else 3):
+            slope = F[0, 1 + i]
+            for j in range(5):
                 if j != i:
-                    slope -= (both + TRUST * known[1 + i, 1 + j]) * x[j]
-                if j < 2:
-                    slope -= both * x[3 + j]
-            own = window[1 + i, 1 + i] + TRUST * known[1 + i, 1 + i]
+                    slope -= F[1 + i, 1 + j] * x[j]
+            own = F[1 + i, 1 + i]
             to = min(max(slope / max(own, TINY), low[i]), high[i])
             gained, x[i] = gained + own * (to - x[i]) ** 2, to
-        for i in range(2 if lost else 0):
-            slope = window[0, 1 + i]
-            for j in range(3):
-                slope -= window[1 + i, 1 + j] * x[j]
-            slope -= window[1 + i, 2 - i] * x[4 - i]
-            own = window[1 + i, 1 + i]
-            to = min(max(slope / max(own, TINY), 0.0), 1.0)
-            gained, x[3 + i] = gained + own * (to - x[3 + i]) ** 2, to
         if gained < NEAR:
             break
-    f = window[0, 0] + TRUST * known[0, 0]
-    for i in range(3):
-        y = x[i] + (x[3 + i] if i < 2 else 0.0)
-        f -= 2.0 * (window[0, 1 + i] * y + TRUST * known[0, 1 + i] * x[i])
-        for j in range(3):
-            f += window[1 + i, 1 + j] * y * (x[j] + (x[3 + j] if j < 2 else 0.0))
-            f += TRUST * known[1 + i, 1 + j] * x[i] * x[j]
+    f = F[0, 0]
+    for i in range(5):
+        f -= 2.0 * F[0, 1 + i] * x[i]
+        for j in range(5):
+            f += F[1 + i, 1 + j] * x[i] * x[j]
     return float(f)
 
 
