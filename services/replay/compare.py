@@ -64,6 +64,17 @@ class Comparison:
         """Those of them that made the same bytes."""
         return self.steps - len(self._incomplete | self._different)
 
+    @property
+    def behind(self) -> bool:
+        """Whether the file holds outputs of later steps than were replayed: the next of one key, and of another one
+        that comes after one which is not in the file. A recorder that has just come back hears both, but no records.
+        """
+        first: dict[str, int] = {}
+        for key, sequence in self._recorded:
+            first[key] = min(sequence, first.get(key, sequence))
+        next_ones = [sequence == self._count.get(key, 0) for key, sequence in first.items()]
+        return any(next_ones) and not all(next_ones)
+
     def stepped(self, record: Record, signals: Sequence[Signal]) -> None:
         """A step made these."""
         self.steps += 1

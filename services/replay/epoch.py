@@ -31,6 +31,11 @@ class Record(msgspec.Struct, frozen=True):
 class Outcome(Protocol):
     """What becomes of the replayed outputs of an epoch."""
 
+    @property
+    def behind(self) -> bool:
+        """Whether the file holds outputs of later steps than were replayed."""
+        ...
+
     def stepped(self, record: Record, signals: Sequence[Signal]) -> None:
         """A step made these."""
         ...
@@ -100,6 +105,8 @@ class Epoch:
     def close(self) -> None:
         """The file has been read, or a newer epoch has taken over long ago."""
         self.advance(None)
+        if self.gap is None and self.outcome.behind:  # killed before its status told of them
+            self.steps_run = max(self.steps_run, self._next + 1)
         if self.gap is not None:
             self.gap = msgspec.structs.replace(self.gap, steps=self.steps_run - self.gap.first_step)
         elif self._next < self.steps_run:

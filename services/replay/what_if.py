@@ -162,6 +162,11 @@ class OfEpoch:
         self._whole = whole
         self._epoch = epoch
 
+    @property
+    def behind(self) -> bool:
+        """Not asked: what has no counterpart is left out."""
+        return False
+
     def stepped(self, record: Record, signals: Sequence[Signal]) -> None:  # noqa: ARG002
         """A step made these."""
         self._whole.steps += 1

@@ -82,3 +82,38 @@ def test_a_missing_input_is_waited_for_as_far_as_it_may_stand_and_no_further() -
     epoch.advance(REACH + 1)
     assert epoch.gap is not None
     assert "sensor/depth 0 (epoch 000000000007" in epoch.gap.why
+
+
+def ping(sequence: int) -> tuple[Stored, Header]:
+    stored, header = depth(sequence)
+    return stored._replace(key="sensor/other"), header
+
+
+def killed(*heard: tuple[Stored, Header]) -> tuple[Epoch, Comparison]:
+    """One step whose record is in the file, and outputs after which nothing more is said of the node."""
+    outcome = Comparison("sensors", 7)
+    epoch = Epoch(7, Fragile, Frames(), outcome)
+    epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 0)
+    for of in heard:
+        outcome.heard(*of)
+    epoch.close()
+    return epoch, outcome
+
+
+def test_outputs_of_a_step_whose_record_a_new_recorder_has_missed_are_no_difference() -> None:
+    """The recorder was away, came back between a record and its outputs, and then the node was killed: of one key the
+    next output is there, of another one that comes later.
+    """
+    epoch, outcome = killed(depth(0), depth(2), ping(0))
+    assert outcome.first_difference is None
+    assert (outcome.steps_compared, outcome.steps_identical) == (1, 1)
+    assert epoch.gap is not None
+    assert (epoch.gap.first_step, epoch.gap.steps) == (1, 1)
+
+
+def test_an_output_that_the_replay_did_not_make_is_a_difference() -> None:
+    for heard in ((depth(0), ping(0)), (depth(0), ping(0), ping(1)), (depth(0), depth(1), depth(2))):
+        epoch, outcome = killed(*heard)
+        assert epoch.gap is None
+        assert outcome.first_difference is not None
+        assert outcome.first_difference.what == "recorded, not made by the replay"
