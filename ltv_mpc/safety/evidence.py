@@ -15,8 +15,8 @@ cycles before those said of x = [c, s, b] counts too, by a part of its weight, f
     f(x, d) = |z - phi' (l, b) - phi' d|^2 over the window + TRUST |z - phi' (l, b)|^2 over what was before
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
-a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; later a loss of 30 % shows
-for half of the impulse that a test against the bounds alone takes (docs/faults.md).
+a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; a few seconds of thrust are
+worth more than these (docs/faults.md).
 Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); the unknowns are two losses and a drag.
 """
 
@@ -45,7 +45,7 @@ WINDOWS = (2, 3, 4, 6, 9, 14, 20, 30)
 """Cycles that are looked at together: a loss may have begun at any of them."""
 
 TRUST = 0.1
-"""Weight of what was before the longest window."""
+"""Weight of what was before a window."""
 
 REMEMBERED = 300.0
 """Cycles after which that counts by e^-1: a minute and a half at 0.3 s."""
@@ -118,14 +118,20 @@ def weigh(rows: Array, known: Array) -> tuple[float, float, float]:
         fresh = fresh and rows[k, 4, 1] != 0.0
     if fresh:
         yaw = whitened(yaw)
-    products = np.zeros((4, 4))
+    products, before = np.zeros((4, 4)), known.copy()
+    for k in range(n):
+        for i in range(4):
+            for j in range(4):
+                before[i, j] += surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
     most, port, starboard = 0.0, 0.0, 0.0
     for k in range(n):
         for i in range(4):
             for j in range(4):
-                products[i, j] += surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
+                now = surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
+                products[i, j] += now
+                before[i, j] -= now
         if k + 1 in WINDOWS:
-            gained, l1, l2 = _gained(products, known)
+            gained, l1, l2 = _gained(products, before)
             if gained > most:
                 most, port, starboard = gained, l1, l2
     return most, port, starboard

@@ -57,9 +57,10 @@ LONGEST_S = 1.0
 
 WORD_NS = 1_000_000_000
 
-SETTLES_S = 5.0
-"""After its first thrust, at the start of a descent, a filter's velocity moves by 8 mm/s from one estimate to the next
-while the last satellite fixes and the first pings find together, and its variance does not say so.
+SETTLES_S, SETTLING_MPS = 5.0, 8e-3
+"""After its first thrust, at the start of a descent, a filter's velocity moves by so much from one estimate to the next
+while the last satellite fixes and the first pings find together, and its variance does not say so. Its yaw rate does
+not, and tells what the thrusters do.
 """
 
 
@@ -80,7 +81,7 @@ class ModelWatch:
     """Watches one vehicle's thrusts by how it moves."""
 
     def __init__(self, vehicle: Vehicle, noise_mps: float, settles_s: float = SETTLES_S) -> None:
-        """``noise_mps`` is q; nothing is judged in the first ``settles_s`` of thrust."""
+        """``noise_mps`` is q; in the first ``settles_s`` of thrust it is ``SETTLING_MPS`` besides."""
         self._unsettled_s = settles_s
         self._p = vehicle.coefficients()
         self._noise = (self._p.mass_surge * noise_mps) ** 2
@@ -190,11 +191,12 @@ class ModelWatch:
         self._residual[0] -= z_x
         self._residual[1] -= z_n
         self._residual[2] += dt
+        noise = self._noise
         if self._unsettled_s > 0.0:
             self._unsettled_s -= dt if i1 or i2 else 0.0
-            return
+            noise += (p.mass_surge * SETTLING_MPS) ** 2
         corrected = max(a.variance[0] - b.variance[0], 0.0) + 2.0 * b.variance[0] * dt / WANDERS_S
-        s_x = 1.0 / math.sqrt(self._noise + p.mass_surge * p.mass_surge * corrected)
+        s_x = 1.0 / math.sqrt(noise + p.mass_surge * p.mass_surge * corrected)
         s_n = 1.0 / (p.inertia_yaw * math.sqrt(NOISE_RADPS * NOISE_RADPS + a.variance[1] + b.variance[1]))
         row = (
             (z_x * s_x, z_n * s_n),
