@@ -73,6 +73,15 @@ def test_a_loss_shows_sooner_on_a_vehicle_that_is_known_and_as_much_as_it_is():
     assert starboard == pytest.approx(0.02, abs=0.1)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_what_was_seen_just_before_a_loss_counts_at_once(seed):
+    rng = np.random.default_rng(seed)
+    before, lost = cycles(rng, 24, (0.05, 0.05, 0.0)), cycles(rng, 4, (0.05, 0.05, 0.0), loss=(0.3, 0.3))
+    alone, *_ = weigh(np.ascontiguousarray(lost[::-1]), NOTHING)
+    both, *_ = weigh(np.ascontiguousarray(np.concatenate([before, lost])[::-1]), NOTHING)
+    assert both > alone + 5.0
+
+
 @pytest.mark.parametrize("edge", [LOWEST, HIGHEST], ids=["low", "high"])
 def test_a_vehicle_at_the_edge_of_what_is_allowed_that_stays_so_is_no_loss(edge):
     rng = np.random.default_rng(8)
