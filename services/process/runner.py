@@ -48,8 +48,8 @@ and plan on an estimate that is a whole period old."""
 LONGEST_TAKING_US = 20_000
 """So long a step that is due waits, at most, for what has arrived to be taken: a flood must not keep it from acting."""
 
-LAST_FRAMES_US = 300_000
-"""At most so long a process that is told to stop takes what has arrived before."""
+LAST_FRAMES_US, LAST_SILENCE_US = 300_000, 20_000
+"""A process that is told to stop takes what is on its way until nothing has come for so long, and at most so long."""
 
 
 @runtime_checkable
@@ -157,9 +157,7 @@ class Runner:
         SUPERVISED.last_beat()
         if self._timekeeping is not None:
             self._timekeeping.stop(monotonic_us())
-        until_us = monotonic_us() + LAST_FRAMES_US
-        while monotonic_us() < until_us and (frame := self.mailbox.take(0.0)) is not None:
-            self._take(frame)
+        self._take_last()
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
         """Take what arrives until ``due_us`` has passed and nothing more is there; False when told to stop."""
@@ -218,6 +216,17 @@ class Runner:
             self._out.publish(
                 self._report.status(now_us, self._now_ns(now_us), self._door, self._clock_reading(now_us))
             )
+
+    def _take_last(self) -> None:
+        """What was said before this process was told to stop may still be on its way."""
+        now_us = monotonic_us()
+        end_us, silent_us = now_us + LAST_FRAMES_US, now_us + LAST_SILENCE_US
+        while now_us < min(end_us, silent_us):
+            frame = self.mailbox.take((silent_us - now_us) / 1e6)
+            if frame is not None:  # None also where the request itself woke
+                self._take(frame)
+                silent_us = monotonic_us() + LAST_SILENCE_US
+            now_us = monotonic_us()
 
     # --- one step ----------------------------------------------------------------------------------------------------
 

@@ -75,9 +75,13 @@ class Sensors:
     reads: tuple[type[Signal], ...] = (Truth,)
     writes: tuple[type[Signal], ...] = (Estimate,)
 
+    def __init__(self) -> None:
+        self.last_t_ns: int | None = None
+
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
         """Speaks at every tenth step only."""
         assert [type(arrival.signal) for arrival in inbox] == [Truth]
+        self.last_t_ns = t_ns
         return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
 
 
@@ -188,8 +192,18 @@ def finished(frames: Sequence[Frame], nodes: int) -> bool:
     return sum(s.finished for _, s, _ in read(frames) if isinstance(s, NodeStatus)) == nodes
 
 
-def run(bus: BusOptions, nodes: Sequence[tuple[Node, int]], *, end_ns: int, speed: float) -> list[Frame]:
-    """All that was said in a run of ``nodes``, each with its compute delay; the first keeps the time."""
+def run(
+    bus: BusOptions,
+    nodes: Sequence[tuple[Node, int]],
+    *,
+    end_ns: int,
+    speed: float,
+    heard: Callable[[], bool] = lambda: True,
+) -> list[Frame]:
+    """All that was said in a run of ``nodes``, each with its compute delay; the first keeps the time.
+
+    They are told to stop when the first has done its last step and ``heard`` says that the others have heard of it.
+    """
     frames: list[Frame] = []
     others = tuple(node.name for node, _ in nodes[1:])
     keeps_time = KeepsTime(start_ns=-100_000_000, end_ns=end_ns, speed=speed, expects=others)
@@ -205,14 +219,20 @@ def run(bus: BusOptions, nodes: Sequence[tuple[Node, int]], *, end_ns: int, spee
     ]
     with listening(bus) as (_, box):
         with running(bus, *runners):
-            until(lambda: runners[0].finished)
+            until(lambda: runners[0].finished and heard())
         until(lambda: finished(drained(box, frames), len(nodes)))
     return frames
 
 
 def test_a_run_skips_no_step_loses_no_message_and_tells_each_step_before_its_outputs(bus: BusOptions) -> None:
-    controller = Controller()
-    frames = run(bus, [(Plant(), 0), (Sensors(), 0), (controller, 0)], end_ns=2_000_000_000, speed=5)
+    sensors = Sensors()
+    frames = run(
+        bus,
+        [(Plant(), 0), (sensors, 0), (Controller(), 0)],
+        end_ns=2_000_000_000,
+        speed=5,
+        heard=lambda: sensors.last_t_ns == 2_000_000_000,
+    )
     messages = read(frames)
 
     ticks = [s.t_ns for _, s, _ in messages if isinstance(s, Truth)]
@@ -330,6 +350,24 @@ def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus
         Outbox(session, node="test", epoch=5, kinds=(PressureDepth,)).publish(PressureDepth(t_ns=0, depth_m=1.0))
         until(lambda: finished(drained(box, frames), 1))
     assert [s.inbox[0].key for _, s, _ in read(frames) if isinstance(s, StepRecord)] == ["sensor/depth"]
+
+
+def test_what_was_on_its_way_when_a_process_is_told_to_stop_is_taken(bus: BusOptions) -> None:
+    class ToldToStop(Listener):
+        def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+            if not self.heard:  # the request, which wakes, then a message
+                runner.stop.ask()
+                out.publish(PressureDepth(t_ns=1, depth_m=1.0))
+            return super().step(t_ns, inbox)
+
+    node = ToldToStop()
+    runner = Runner(node, stop=StopRequest(), say=print)
+    with listening(bus) as (session, box):
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        with running(bus, runner):
+            until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+            out.publish(PressureDepth(t_ns=0, depth_m=1.0))
+            until(lambda: len(node.heard) == 2)
 
 
 class Slow:
