@@ -8,7 +8,7 @@ replays through the nodes without tolerances.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import msgspec
 
@@ -63,6 +63,24 @@ class Node(Protocol):
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
         """One step: consumes the inbox in its order, returns what is to be published, in order."""
         ...
+
+
+Due: TypeAlias = tuple[int, Inbox]
+"""What a step is given: its time and its inbox."""
+
+
+@runtime_checkable
+class InBulk(Protocol):
+    """A node that can do many steps at once, faster."""
+
+    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        """What ``step`` returns for each in turn, bit for bit; and it leaves the node as they do."""
+        ...
+
+
+def one_by_one(node: Node, due: Sequence[Due]) -> list[list[Signal]]:
+    """What ``steps`` are made of."""
+    return [node.step(t_ns, inbox) for t_ns, inbox in due]
 
 
 Stopwatch: TypeAlias = Callable[[str], None]

@@ -165,7 +165,7 @@ class LockStep:
         plan = next((signal for signal in outputs if isinstance(signal, Plan)), None)
         delay_ns = 0 if plan is None else self._compute_delay_ns(at_ns)  # without a plan nothing was computed
         if plan is not None:
-            outputs = [*outputs, _timing(plan, at_ns, delay_ns)]
+            outputs = [*outputs, timing_of(plan, at_ns, delay_ns)]
         if delay_ns:
             self._push(at_ns + delay_ns, _IN_FLIGHT, partial(self._publish, seat, outputs))
         else:
@@ -234,7 +234,8 @@ class LockStep:
         reader.inbox.append(message)
 
 
-def _timing(plan: Plan, start_ns: int, delay_ns: int) -> CycleTiming:
+def timing_of(plan: Plan, start_ns: int, delay_ns: int) -> CycleTiming:
+    """What a cycle from ``start_ns`` is said to have cost."""
     return CycleTiming(
         t_ns=start_ns,
         compute_ns=delay_ns,

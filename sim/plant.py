@@ -12,12 +12,15 @@ of what it adds); without one no bit of a step is another than if there were non
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.node import Arrival, Grid, Inbox
+from ltv_mpc.node import Arrival, Due, Grid, Inbox
 from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.signals import Action, Applied, Array, Command, Disturbance, Plan, Signal, Triple, Truth
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -25,7 +28,7 @@ from sim import motion
 from sim.attitude import Attitude, sum_of_sines
 from sim.scenario import Mismatch, Scenario
 from sim.water import WaterColumn
-from sim.water.column import velocity_at
+from sim.water.column import KNOT_NS, velocity_at
 
 PERIOD_NS = 10_000_000
 REPORT_NS = 100_000_000
@@ -57,7 +60,7 @@ class Plant:
         self._state = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
         self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
         self._command: Triple = (0.0, 0.0, 0.0)
-        self._commands = np.zeros((3, 3))  # at the last step, now, and how fast it has changed at most, reported since
+        self._commands = np.zeros((2, 3))  # at the last step, and how fast it has changed at most since the last report
         self._t_ns: int | None = None
         self._disturbance: Disturbance | None = None
         self._gate = Gate(vehicle)
@@ -65,6 +68,23 @@ class Plant:
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
         """The vehicle at ``t_ns``, after what arrived up to then."""
+        return self._go([t_ns], inbox)[0]
+
+    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        """``step`` for each in turn; between two reports of the actuators at once."""
+        signals: list[list[Signal]] = []
+        while len(signals) < len(due):
+            first = len(signals)
+            end = first + 1
+            if self._t_ns is not None and self._disturbance is None and not due[first][1]:
+                while end < len(due) and not due[end][1] and _goes_on(due[end - 1][0], due[end][0]):
+                    end += 1
+            signals += self._go([t_ns for t_ns, _ in due[first:end]], due[first][1])
+        return signals
+
+    def _go(self, times_ns: list[int], inbox: Inbox) -> list[list[Signal]]:
+        """A step with its inbox, or several without, of which each can go on from the one before (``_goes_on``)."""
+        t_ns = times_ns[0]
         from_ns = t_ns if self._t_ns is None else self._t_ns
         at_ns = from_ns
         for arrival in inbox:
@@ -75,45 +95,53 @@ class Plant:
                 verdict = self._gate.offer(arrival.signal, arrival.epoch, arrival.sequence, arrival.received_t_ns)
                 if verdict in (Verdict.ACCEPTED, Verdict.LATE):
                     self._receipt = arrival.signal, arrival, verdict
-        if t_ns > from_ns:
-            self._move(from_ns, t_ns)
+        seen = self._move([from_ns, *times_ns]) if t_ns > from_ns else self._look(t_ns)
         for arrival in inbox:
             if isinstance(arrival.signal, Disturbance):  # it acts from the next step on
                 self._disturbance = arrival.signal
-        self._t_ns = t_ns
-        signals: list[Signal] = [self._truth(t_ns)]
+        self._t_ns = times_ns[-1]
+        signals: list[list[Signal]] = [[self._truth(t, row)] for t, row in zip(times_ns, seen.tolist(), strict=True)]
         if self._arms:
             self._arms = False
-            signals.append(Command(command_id=ARMING, action=Action.ARM))
-        if t_ns % REPORT_NS == 0 or inbox:
-            signals.append(self._report(t_ns))
+            signals[-1].append(Command(command_id=ARMING, action=Action.ARM))
+        if inbox or self._t_ns % REPORT_NS == 0:
+            signals[-1].append(self._report(self._t_ns))
         return signals
 
-    def _move(self, from_ns: int, t_ns: int) -> None:
-        self._commands[1] = self._command = self._gate.command_at(max(t_ns, 0))
-        seconds = (t_ns - from_ns) * 1e-9
-        earlier, later, share = self._water.between((from_ns + t_ns) // 2)
+    def _move(self, times_ns: list[int]) -> Array:
+        """From the first of these times on; what is seen of it at the others, (K, 18)."""
+        t_ns = np.array(times_ns)
+        commands = self._gate.commands_at([max(t, 0) for t in times_ns[1:]])
+        port, starboard, vertical = commands[-1].tolist()
+        self._command = port, starboard, vertical
+        seconds = np.diff(t_ns) * 1e-9
         disturbance = self._disturbance
-        if disturbance is not None and disturbance.until_t_ns <= from_ns:
+        if disturbance is not None and disturbance.until_t_ns <= times_ns[0]:
             disturbance = self._disturbance = None
-        afloat = t_ns <= 0
+        afloat = times_ns[1] <= 0
         if disturbance is not None:
-            self._push(disturbance, 0.5 * seconds, afloat)
-        commanded(
+            self._push(disturbance, 0.5 * seconds[0], afloat)
+        water, attitude = self._water, self._attitude
+        seen = driven(
             self._body,
             self._state,
             self._revolutions,
             self._thrust,
             self._commands,
-            afloat,
+            commands,
+            t_ns[1:],
             seconds,
-            self._water.depth_m,
-            earlier,
-            later,
-            share,
+            water.depth_m,
+            *water.throughout([(a + b) // 2 for a, b in pairwise(times_ns)]),
+            *water.throughout(times_ns[1:]),
+            self._factor,
+            attitude.waves,
+            attitude.amplitude_rad,
         )
-        if disturbance is not None:
-            self._push(disturbance, 0.5 * seconds, afloat)
+        if disturbance is None:
+            return seen
+        self._push(disturbance, 0.5 * seconds[0], afloat)
+        return self._look(times_ns[1])
 
     def _push(self, disturbance: Disturbance, seconds: float, afloat: bool) -> None:
         """The impulse of ``seconds`` on u, v, r and w; afloat the depth is kept, and with it w."""
@@ -129,21 +157,23 @@ class Plant:
         if not afloat:
             state[7] += seconds * (lost[2] + f.force_N[2]) / p.mass_heave
 
-    def _truth(self, t_ns: int) -> Truth:
-        earlier, later, share = self._water.between(t_ns)
-        attitude = self._attitude
-        seen = look(
+    def _look(self, t_ns: int) -> Array:
+        """What is seen of it at ``t_ns``, (1, 18)."""
+        seen, attitude, water = np.empty((1, 18)), self._attitude, self._water
+        look(
+            seen[0],
             self._state,
             self._thrust,
             self._factor,
             attitude.waves,
             attitude.amplitude_rad,
             t_ns * 1e-9,
-            self._water.depth_m,
-            earlier,
-            later,
-            share,
-        ).tolist()
+            water.depth_m,
+            *water.between(t_ns),
+        )
+        return seen
+
+    def _truth(self, t_ns: int, seen: list[float]) -> Truth:
         n, e, u, v, _, r, z, w, vn, ve, roll, pitch, heading, cn, ce, port, starboard, vertical = seen
         if self._disturbance is not None:
             p, s, d = self._disturbance.thrust_scale
@@ -160,8 +190,8 @@ class Plant:
         )
 
     def _report(self, t_ns: int) -> Applied:
-        slew = _triple(self._commands[2])
-        self._commands[2] = 0.0
+        slew = _triple(self._commands[1])
+        self._commands[1] = 0.0
         plan, arrival, verdict = self._receipt or (None, None, Verdict.ACCEPTED)
         return Applied(
             t_ns=t_ns,
@@ -179,6 +209,11 @@ class Plant:
         )
 
 
+def _goes_on(from_ns: int, t_ns: int) -> bool:
+    """The step to ``t_ns`` needs nothing said after that to ``from_ns``, nor another second's water."""
+    return from_ns % REPORT_NS != 0 and t_ns % KNOT_NS != 0
+
+
 def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
     """The true vehicle's coefficients: ``mass`` scales masses and inertia (not the net buoyancy), ``drag`` damping."""
     factors = {name: mismatch.drag for name in p._fields if name.startswith(("linear", "quadratic"))}
@@ -187,28 +222,46 @@ def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
 
 
 @kernel
-def commanded(
+def driven(
     body: Array,
     s: Array,
     n: Array,
     F: Array,
     y: Array,
-    afloat: bool,
-    h: float,
+    commands: Array,
+    t_ns: npt.NDArray[np.int64],
+    seconds: Array,
     depths: Array,
     earlier: Array,
     later: Array,
-    share: float,
-) -> None:
-    """``motion.step`` from the command y[0] to y[1], which then is the last one; y[2]: its fastest change (N/s)."""
-    for i in range(3):
-        y[2, i] = max(y[2, i], abs(y[1, i] - y[0, i]) / h)
-    motion.step(body, s, n, F, y[0], y[1], afloat, h, depths, earlier, later, share)
-    assign(y[0], y[1])
+    share: Array,
+    seen_earlier: Array,
+    seen_later: Array,
+    seen_share: Array,
+    factor: float,
+    waves: Array,
+    amplitude: float,
+) -> Array:
+    """``motion.step`` to each t (K,) under the commands (K, 3), and what is then seen, (K, 18): ``look``.
+
+    y[0] (3,) is the last command, y[1] the fastest change so far (N/s); both are kept up. The water of the steps, in
+    their middle, and of what is seen, at their end: ``WaterColumn.throughout``.
+    """
+    seen = np.empty((len(t_ns), 18))
+    for k in range(len(t_ns)):
+        h = seconds[k]
+        for i in range(3):
+            y[1, i] = max(y[1, i], abs(commands[k, i] - y[0, i]) / h)
+        motion.step(body, s, n, F, y[0], commands[k], t_ns[k] <= 0, h, depths, earlier, later, share[k])
+        assign(y[0], commands[k])
+        t_s = t_ns[k] * 1e-9
+        look(seen[k], s, F, factor, waves, amplitude, t_s, depths, seen_earlier, seen_later, seen_share[k])
+    return seen
 
 
 @kernel
 def look(
+    seen: Array,
     s: Array,
     F: Array,
     factor: float,
@@ -219,20 +272,18 @@ def look(
     earlier: Array,
     later: Array,
     share: float,
-) -> Array:
-    """(18,): the state, velocity over ground north and east, roll, pitch, heading, the current, delivered thrusts."""
-    out = np.empty(18)
-    assign(out[:8], s)
+) -> None:
+    """The state, velocity over ground north and east, roll, pitch, heading, the current, delivered thrusts: (18,)."""
+    assign(seen[:8], s)
     cn, ce = velocity_at(s[6], depths, earlier, later, share)
     # [n', e'] = R(psi) [u, v] + c(z)
     north, east = level_to_ned(s[2], s[3], s[4])
-    out[8], out[9] = north + cn, east + ce
-    out[10], out[11] = sum_of_sines(t, amplitude, waves)
-    out[12] = wrap_angle(s[4])
-    out[13], out[14] = cn, ce
+    seen[8], seen[9] = north + cn, east + ce
+    seen[10], seen[11] = sum_of_sines(t, amplitude, waves)
+    seen[12] = wrap_angle(s[4])
+    seen[13], seen[14] = cn, ce
     for i in range(3):
-        out[15 + i] = factor * F[i]
-    return out
+        seen[15 + i] = factor * F[i]
 
 
 @kernel

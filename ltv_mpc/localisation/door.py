@@ -15,13 +15,16 @@ wild   an inertial sample that differs from the one before by more than a vehicl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from ltv_mpc.signals import AdcpPing, GnssFix, ImuSample, LblRange, Signal, TdcpFix, Triple
+from ltv_mpc.compiled import kernel
+from ltv_mpc.localisation.preintegration import readings
+from ltv_mpc.signals import AdcpPing, Array, GnssFix, ImuSample, LblRange, Signal, TdcpFix, Triple
 
 AHEAD_NS = 250_000_000
 """The clocks of two computers may differ by some of it."""
@@ -74,6 +77,23 @@ class Door:
                 return "stuck"
         return "wild" if isinstance(message, ImuSample) and self._is_wild(message) else None
 
+    def lets_through(self, samples: Sequence[ImuSample], received_ns: Sequence[int], measured: Array) -> bool:
+        """Whether inertial samples, ``measured`` (K, 6), would all be let in, as far as a quick look can tell."""
+        way, before = self._ways.get(ImuSample), self._sample
+        if way is None or way.back or before is None or self._to_agree:
+            return False
+        stamps = [before.t_ns, *(sample.t_ns for sample in samples)]
+        if self._last[ImuSample][0] != before.t_ns or stamps[1] < way.newest_ns:
+            return False
+        if any(sample.t_ns > came_ns + AHEAD_NS for sample, came_ns in zip(samples, received_ns, strict=True)):
+            return False
+        return _follow_one_another(np.array(stamps), readings([before]), measured)
+
+    def let_through(self, sample: ImuSample, received_ns: int) -> None:
+        """The last of those that were."""
+        self._sample, self._last[ImuSample] = sample, (sample.t_ns, _READINGS[ImuSample](sample))
+        self._ways[ImuSample] = _Way(sample.t_ns, received_ns - sample.t_ns)
+
     def _went_back(self, kind: type[Signal], t_ns: int, received_ns: int) -> bool:
         took_ns = received_ns - t_ns
         way = self._ways.get(kind)
@@ -98,6 +118,23 @@ class Door:
         elif self._to_agree:
             self._to_agree -= 1
         return self._to_agree > 0
+
+
+@kernel
+def _follow_one_another(stamps_ns: npt.NDArray[np.int64], before: Array, measured: Array) -> bool:
+    """Each sample (K, 6) after ``before`` (1, 6) is later, differs, and by no more than a vehicle can do in between."""
+    for k in range(len(measured)):
+        seconds = max((stamps_ns[k + 1] - stamps_ns[k]) * 1e-9, LEAST_S)
+        last = before[0] if k == 0 else measured[k - 1]
+        differs = False
+        for i in range(6):
+            change = abs(measured[k, i] - last[i])
+            differs |= change > 0.0
+            if not change <= (TURN_RADPS2 if i < 3 else JERK_MPS3) * seconds:
+                return False
+        if stamps_ns[k + 1] <= stamps_ns[k] or not differs:
+            return False
+    return True
 
 
 def _apart(a: Triple, b: Triple, most: float) -> bool:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import bisect
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ltv_mpc.currents import WaterPrior
@@ -33,11 +33,12 @@ from ltv_mpc.localisation.former import Former
 from ltv_mpc.localisation.health import Monitor, verdict_of
 from ltv_mpc.localisation.late import History, spacing_ns
 from ltv_mpc.localisation.output import estimate
+from ltv_mpc.localisation.preintegration import readings
 from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite, usable
 from ltv_mpc.localisation.resume import Resumption
 from ltv_mpc.localisation.state import Belief, grid
 from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
-from ltv_mpc.node import Inbox, OnMessage, Progress, no_progress
+from ltv_mpc.node import Due, Inbox, OnMessage, Progress, no_progress
 from ltv_mpc.signals import (
     AdcpPing,
     BottomTrack,
@@ -79,6 +80,9 @@ RECENT_NS = 2_500_000_000
 
 _MOST_RECENT = 6000
 """Messages kept: an inertial unit at 1 kHz and the others; a bound for when there is none."""
+
+_AT_ONCE = 2
+"""Fewer samples are not worth it."""
 
 _MOST_WAITING = 1000
 """Messages that wait for an inertial sample; beyond, the oldest is dropped: the unit has failed."""
@@ -164,6 +168,41 @@ class Estimator:
                 self._restore(signal)
         return out
 
+    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        """``step`` for each in turn; inertial samples between which nothing else happens at once."""
+        signals: list[list[Signal]] = []
+        while (first := len(signals)) < len(due):
+            done = self._go_through(due, first)
+            signals += [[] for _ in range(done)] if done else [self.step(*due[first])]
+        return signals
+
+    def _go_through(self, due: Sequence[Due], first: int) -> int:
+        """How many of them, from ``first`` on, were samples that only had to be integrated, and have been."""
+        history = self._history
+        busy = self._open or self._waiting or self._anew is not None or self._former is not None
+        if history is None or busy or not finite(history.filter.belief):
+            return 0
+        samples: list[ImuSample] = []
+        received_ns: list[int] = []
+        for _, inbox in due[first:]:
+            sample = inbox[0].signal
+            if len(inbox) != 1 or not isinstance(sample, ImuSample) or sample.t_ns >= self._next_ns:
+                break
+            samples.append(sample)
+            received_ns.append(inbox[0].received_t_ns)
+        number = history.follows(samples)
+        if number < _AT_ONCE:
+            return 0
+        samples = samples[:number]
+        measured = readings(samples)
+        if not self._door.lets_through(samples, received_ns[:number], measured):
+            return 0
+        number = history.advance_through(samples, measured)
+        self._door.let_through(samples[number - 1], received_ns[number - 1])
+        self._remember(samples[:number])
+        self._used(history)
+        return number
+
     def _restore(self, restore: Restore) -> None:
         """Go on from what another process of this node has left; not where it has begun by itself."""
         checkpoint = restore.estimator
@@ -206,13 +245,22 @@ class Estimator:
         return self._history
 
     def _use(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
-        self._recent.append(message)
-        if isinstance(message, ImuSample):
-            while self._recent[0].t_ns < message.t_ns - RECENT_NS:
-                self._recent.popleft()
+        self._remember([message])
         if self._anew is not None:
             self._anew.take(message)
         self._apply(history, message, out)
+        self._used(history)
+
+    def _remember(self, messages: Sequence[ImuSample | Aiding]) -> None:
+        """For a filter that begins anew."""
+        self._recent.extend(messages)
+        newest = messages[-1]
+        if isinstance(newest, ImuSample):
+            while self._recent[0].t_ns < newest.t_ns - RECENT_NS:
+                self._recent.popleft()
+
+    def _used(self, history: History) -> None:
+        """What there is to look after when messages have been used."""
         if self._anew is None and not finite(history.filter.belief) and self._restarts.knows_a_place:
             self._anew = self._restarts.begin(history.filter.belief.t_ns, self._recent)
         if self._anew is not None and not self._anew.waiting_for:

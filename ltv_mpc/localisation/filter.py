@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -27,7 +27,7 @@ from ltv_mpc.localisation.correction import Correction, correct
 from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
 from ltv_mpc.localisation.measurements.adcp import AdcpModel, Indices
 from ltv_mpc.localisation.measurements.rows import Rows
-from ltv_mpc.localisation.preintegration import carry, integrate, noise_of
+from ltv_mpc.localisation.preintegration import carry, integrate, noise_of, readings
 from ltv_mpc.localisation.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.window import follow
@@ -118,6 +118,34 @@ class Filter:
         if belief.t_ns < t_ns:
             self._integrate(t_ns, sample)
 
+    def follows(self, samples: Sequence[ImuSample], until_ns: int) -> int:
+        """How many of these samples, from the first on, only integration follows: each goes on where the last ended,
+        and starts before ``until_ns``.
+        """
+        now_ns = self.belief.t_ns
+        if self._at_epoch or self._coasted_ns:
+            return 0
+        for number, sample in enumerate(samples):
+            if now_ns >= until_ns or sample.t_ns <= now_ns or gap.before(sample, now_ns):
+                return number
+            now_ns = sample.t_ns
+        return len(samples)
+
+    def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
+        """``advance`` to the time of each of samples that follow, ``measured`` (K, 6), and none beyond one after which
+        the belief is not finite; how many.
+        """
+        belief = self.belief
+        times_ns = np.array([belief.t_ns, *(sample.t_ns for sample in samples)])
+        done = integrate(
+            belief.x, belief.R, self._Phi, self._Q, measured, np.diff(times_ns) * 1e-9, self._noise, self._earth
+        )
+        last = samples[done - 1]
+        self.rate = last.angular_rate_radps
+        self._pending_ns += last.t_ns - belief.t_ns
+        belief.t_ns = last.t_ns
+        return done
+
     def _integrate(self, t_ns: int, sample: ImuSample) -> None:
         belief = self.belief
         step_ns = t_ns - belief.t_ns
@@ -127,9 +155,8 @@ class Filter:
             belief.R,
             self._Phi,
             self._Q,
-            self.rate,
-            sample.specific_force_mps2,
-            step_ns * 1e-9,
+            readings([sample]),
+            np.array([step_ns * 1e-9]),
             self._noise,
             self._earth,
         )

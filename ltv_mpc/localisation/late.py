@@ -15,7 +15,7 @@ Cost    A snapshot copies the covariance, a late message repeats as much of the 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -23,7 +23,7 @@ from ltv_mpc.localisation.adaptation import BACK_NS, Change
 from ltv_mpc.localisation.filter import Aiding, Filter, Snapshot
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.node import Progress, no_progress
-from ltv_mpc.signals import ImuSample, LblRange
+from ltv_mpc.signals import Array, ImuSample, LblRange
 
 REACH_NS = 1_250_000_000
 """A message that is later is dropped: the longest latency that a sensors file may have, and a quarter for the bus."""
@@ -88,6 +88,17 @@ class History:
         self._progress()
         self.filter.advance(t_ns, sample)
         stretches[-1].done.append(Done(t_ns, sample))
+
+    def follows(self, samples: Sequence[ImuSample]) -> int:
+        """As ``Filter.follows``, until a snapshot is to be taken."""
+        return self.filter.follows(samples, self._stretches[-1].t_ns + self._spacing_ns)
+
+    def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
+        """As ``Filter.advance_through``."""
+        self._progress()
+        done = self.filter.advance_through(samples, measured)
+        self._stretches[-1].done.extend(Done(sample.t_ns, sample) for sample in samples[:done])
+        return done
 
     def correct(self, message: Aiding) -> None:
         """As ``Filter.correct``: of the filter's own instant."""

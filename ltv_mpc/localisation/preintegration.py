@@ -14,13 +14,14 @@ Source  Lupton & Sukkarieh 2012, IEEE T-RO 28(1); Groves 2013, chapters 5 and 14
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import GRAVITY_MPS2, rotation_exp
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, Triple
+from ltv_mpc.signals import Array, ImuSample
 
 
 def noise_of(imu: Imu) -> Array:
@@ -35,6 +36,11 @@ def noise_of(imu: Imu) -> Array:
             imu.accelerometer_bias_tau_s,
         ]
     )
+
+
+def readings(samples: Sequence[ImuSample]) -> Array:
+    """(K, 6): angular rate (rad/s) and specific force (m/s2) of each."""
+    return np.array([(*sample.angular_rate_radps, *sample.specific_force_mps2) for sample in samples])
 
 
 @kernel
@@ -79,15 +85,27 @@ def _transition(A: Array, C: Array, a: Array, W: Array, dt: float, keep_g: float
 
 
 @kernel
-def integrate(
-    x: Array, R: Array, Phi: Array, Q: Array, rate: Triple, force: Triple, dt: float, noise: Array, W: Array
-) -> None:
-    """One sample of ``dt`` (s), in place: x (n,) and R (3, 3) move, Phi and Q (15, 15) gather its transition."""
+def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: Array, noise: Array, W: Array) -> int:
+    """One sample after the other, in place: x (n,) and R (3, 3) move, Phi and Q (15, 15) gather their transitions.
+
+    ``measured`` (K, 6): mean angular rate and specific force of each, over its dt (K,) (s). How many; beyond one after
+    which position and velocity are not finite, none.
+    """
+    for k in range(len(dt)):
+        _integrate(x, R, Phi, Q, measured[k], dt[k], noise, W)
+        if not math.isfinite(x[0] + x[2] + x[3] + x[5]):
+            return k + 1
+    return len(dt)
+
+
+@kernel
+def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: float, noise: Array, W: Array) -> None:
+    """One sample."""
     w = np.empty(3)
     f = np.empty(3)
     for i in range(3):
-        w[i] = rate[i] - x[9 + i]
-        f[i] = force[i] - x[12 + i]
+        w[i] = measured[i] - x[9 + i]
+        f[i] = measured[3 + i] - x[12 + i]
     C = rotation_exp(-0.5 * dt * W) @ R @ rotation_exp(0.5 * dt * w)  # R_mid
     a = C @ f
     v = x[3:6].copy()

@@ -16,14 +16,17 @@ controller that died and was started again takes over with its first plan, and t
 from __future__ import annotations
 
 import enum
-from bisect import bisect_right
+from bisect import bisect_left
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import msgspec
 import numpy as np
+import numpy.typing as npt
 
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.safety.ages import Period
 from ltv_mpc.safety.health import of_plans
-from ltv_mpc.signals import Health, Plan, Triple
+from ltv_mpc.signals import Array, Health, Plan, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6
@@ -45,20 +48,16 @@ class Verdict(enum.StrEnum):
     OUTSIDE_SLEW = "outside_slew"
 
 
-class _Followed(msgspec.Struct, frozen=True):
-    """A plan as plain numbers: commands are asked for a hundred times a second."""
+class _Followed(NamedTuple):
+    """A plan as compiled code reads it."""
 
-    t_ns: list[int]
-    thrust_N: list[list[float]]
+    start_ns: int
+    end_ns: int
+    t_ns: npt.NDArray[np.int64]  # (M,)
+    thrust_N: Array  # (M, 3)
 
-    def target(self, t_ns: int, rest: Triple) -> Triple:
-        times = self.t_ns
-        if t_ns > times[-1]:
-            return rest
-        i = min(max(bisect_right(times, t_ns) - 1, 0), len(times) - 2)
-        s = (t_ns - times[i]) / (times[i + 1] - times[i])
-        a, b = self.thrust_N[i], self.thrust_N[i + 1]
-        return a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+
+_NONE = _Followed(0, -1, np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
 
 class Gate:
@@ -69,8 +68,8 @@ class Gate:
         self._low = np.array([t.min_N for t in vehicle.thrusters])
         self._high = np.array([t.max_N for t in vehicle.thrusters])
         self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
-        self._limits = list(zip(self._low.tolist(), self._high.tolist(), self._slew.tolist(), strict=True))
-        self._rest = (0.0, 0.0, vehicle.failsafe_vertical_N)
+        self._limits = np.stack([self._low, self._high, self._slew])
+        self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
         self._last_sequence: dict[int, int] = {}  # by epoch, the one accepted last at the end
         self._epoch: int | None = None  # of the commander
         self._accepted_ns = 0
@@ -88,11 +87,11 @@ class Gate:
             self.plans_refused += 1
             return verdict
         self._accepted(epoch, sequence, plan.cycle_t_ns, t_ns)
-        followed = _Followed(plan.t_ns.tolist(), plan.thrust_N.tolist())
-        start = followed.t_ns[0]
+        start_ns, end_ns = int(plan.t_ns[0]), int(plan.t_ns[-1])
+        followed = _Followed(start_ns, end_ns, plan.t_ns.astype(np.int64), plan.thrust_N.astype(np.float64, order="C"))
         # It replaces what was to start with it or after it; what starts before stays in force until then.
-        self._plans = [p for p in self._plans if p.t_ns[0] < start] + [followed]
-        if t_ns > start:
+        self._plans = [p for p in self._plans if p.start_ns < start_ns] + [followed]
+        if t_ns > start_ns:
             self.plans_late += 1
             return Verdict.LATE
         return Verdict.ACCEPTED
@@ -102,7 +101,7 @@ class Gate:
         return of_plans(
             silent_ns=None if self._epoch is None else t_ns - self._accepted_ns,
             period_ns=self._period.median_ns,
-            left_ns=self._plans[-1].t_ns[-1] - t_ns if self._plans else -1,
+            left_ns=self._plans[-1].end_ns - t_ns if self._plans else -1,
         )
 
     def _accepted(self, epoch: int, sequence: int, cycle_ns: int, t_ns: int) -> None:
@@ -130,29 +129,62 @@ class Gate:
 
     def command_at(self, t_ns: int) -> Triple:
         """The command (N) at ``t_ns``, not before the time asked for last; linear from there to here."""
-        if self._t_ns is None:
-            self._t_ns = t_ns
-        if t_ns < self._t_ns:
-            raise ValueError(f"commands at {self._t_ns} ns are out already, {t_ns} ns is before")
-        if t_ns == self._t_ns:
-            return self._command
-        plans = self._plans
-        while len(plans) > 1 and plans[1].t_ns[0] <= t_ns:
-            del plans[0]
-        target = plans[0].target(t_ns, self._rest) if plans and plans[0].t_ns[0] <= t_ns else self._rest
-        seconds = (t_ns - self._t_ns) * 1e-9
-        y, limits = self._command, self._limits
-        self._command = (
-            _towards(y[0], target[0], seconds, limits[0]),
-            _towards(y[1], target[1], seconds, limits[1]),
-            _towards(y[2], target[2], seconds, limits[2]),
-        )
-        self._t_ns = t_ns
+        if t_ns != self._t_ns:
+            self.commands_at([t_ns])
         return self._command
 
+    def commands_at(self, times_ns: Sequence[int]) -> Array:
+        """The commands (N) at these times, (K, 3), as if each were asked for in turn."""
+        if self._t_ns is None:
+            self._t_ns = times_ns[0]
+        if times_ns[0] < self._t_ns:
+            raise ValueError(f"commands at {self._t_ns} ns are out already, {times_ns[0]} ns is before")
+        plans, times, y = self._plans, np.array(times_ns), np.array(self._command)
+        commands = np.empty((len(times), 3))
+        done = 0
+        while done < len(times):
+            while len(plans) > 1 and plans[1].start_ns <= times_ns[done]:
+                del plans[0]
+            until = bisect_left(times_ns, plans[1].start_ns, done) if len(plans) > 1 else len(times)
+            plan = plans[0] if plans else _NONE
+            here = commands[done:until]
+            _follow(y, self._t_ns, times[done:until], plan.t_ns, plan.thrust_N, self._rest, self._limits, here)
+            self._t_ns, done = times_ns[until - 1], until
+        port, starboard, vertical = y.tolist()
+        self._command = port, starboard, vertical
+        return commands
 
-def _towards(y: float, target: float, seconds: float, limits: Triple) -> float:
-    """y + clip(T - y, -slew dt, slew dt), with T in the box: comparisons, of which a call of max() costs three."""
-    low, high, slew = limits
-    change, reach = (low if target < low else high if target > high else target) - y, slew * seconds
-    return y + (-reach if change < -reach else reach if change > reach else change)
+
+@kernel
+def _follow(
+    y: Array,
+    from_ns: int,
+    times_ns: npt.NDArray[np.int64],
+    knots_ns: npt.NDArray[np.int64],
+    thrust: Array,
+    rest: Array,
+    limits: Array,
+    commands: Array,
+) -> None:
+    """y (3,) goes from ``from_ns`` on towards one plan, or to rest before and after it, and is written at each time.
+
+    ``limits`` (3, 3): low, high and slew of each thruster.
+    """
+    M = len(knots_ns)
+    T = np.empty(3)
+    for k in range(len(times_ns)):
+        t_ns = times_ns[k]
+        if M > 0 and knots_ns[0] <= t_ns <= knots_ns[M - 1]:
+            i = min(max(np.searchsorted(knots_ns, t_ns, side="right") - 1, 0), M - 2)
+            s = (t_ns - knots_ns[i]) / (knots_ns[i + 1] - knots_ns[i])
+            for j in range(3):
+                T[j] = thrust[i, j] + s * (thrust[i + 1, j] - thrust[i, j])
+        else:
+            assign(T, rest)
+        seconds = (t_ns - from_ns) * 1e-9
+        for j in range(3):
+            # y + clip(T - y, -slew dt, slew dt), with T in the box
+            change, reach = min(max(T[j], limits[0, j]), limits[1, j]) - y[j], limits[2, j] * seconds
+            y[j] += min(max(change, -reach), reach)
+            commands[k, j] = y[j]
+        from_ns = t_ns

@@ -173,7 +173,10 @@ class _Plant:
     def go(self, from_ns: int, until_ns: int) -> None:
         """The motion, in steps of 10 ms, under the commands that the gate lets through."""
         times = [*range(from_ns, until_ns, STEP_NS), until_ns] if until_ns > from_ns else [from_ns]
-        commands = np.array([self._command, *(self._gate.command_at(t) for t in times[1:])])
+        commands = np.empty((len(times), 3))
+        commands[0] = self._command
+        if len(times) > 1:
+            commands[1:] = self._gate.commands_at(times[1:])
         self._command = tuple(commands[-1].tolist())
         water = np.array([self._current, self._current])
         motion.drive(

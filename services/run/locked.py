@@ -22,6 +22,7 @@ from sim.grading.summary import Messages, Summary
 from sim.lockstep import EPOCH, Cause, LockStep
 from sim.plant import Plant
 from sim.sensors.node import Sensors
+from sim.stretches import Stretches
 
 LATEST = frozenset(topic.signal for topic in topics.TOPICS if topic.delivery is topics.LATEST)
 
@@ -71,7 +72,8 @@ def _go(
     """The summary, and what was learned of the water."""
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer)
-    lockstep = LockStep(
+    way = Stretches if writer is None else LockStep  # without records nobody asks in which order nodes were stepped
+    lockstep = way(
         nodes(situation, unheard=writer is not None),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),

@@ -13,13 +13,14 @@ Source  Groves 2013, sections 5.4 (navigation equations in a local frame) and 4.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation_exp, rotation_log
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, ImuSample, Triple
+from ltv_mpc.signals import Array, ImuSample
 from sim.draws import Stream, generator
 from sim.sensors.drift import Drift
 from sim.sensors.instant import Instant
@@ -39,7 +40,12 @@ class InertialUnit:
         )
         self._walks = np.repeat([settings.angle_random_walk_rad_per_rts, settings.velocity_random_walk_mps_per_rts], 3)
         self._earth_rate = earth_rate(latitude_rad) if settings.senses_earth_rate else np.zeros(3)
-        self._last: Instant | None = None
+        self._last: Instant | None = None  # to which the last sample reached
+
+    @property
+    def has_begun(self) -> bool:
+        """Its first interval has."""
+        return self._last is not None
 
     @property
     def gyro_bias_radps(self) -> Array:
@@ -53,34 +59,40 @@ class InertialUnit:
 
     def sample(self, now: Instant) -> list[ImuSample]:
         """The mean over the interval that ends now."""
-        last, self._last = self._last, now
-        if last is None:
-            return []
-        interval_ns = now.t_ns - last.t_ns
+        if self._last is not None:
+            return self.samples([now])
+        self._last = now
+        return []
+
+    def samples(self, instants: Sequence[Instant]) -> list[ImuSample]:
+        """The means over the intervals that end there, which are of one length; once it has begun."""
+        assert self._last is not None
+        ends = [self._last, *instants]
+        interval_ns = instants[0].t_ns - self._last.t_ns
         dt = interval_ns * 1e-9
         kept, fresh = self._bias.shares(dt)
-        p, q, r, x, y, z = measured(
-            last.rotation,
-            last.velocity_mps,
-            now.rotation,
-            now.velocity_mps,
+        rows = measured(
+            np.array([instant.rotation for instant in ends]),
+            np.array([instant.velocity_mps for instant in ends]),
             self._earth_rate,
             dt,
             self._walks,
             self._bias.value,
             kept,
             fresh,
-            self._draws.standard_normal(12),
+            self._draws.standard_normal((len(instants), 12)),
         ).tolist()
+        self._last = instants[-1]
         return [
             ImuSample(
                 t_ns=now.t_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z)
             )
+            for now, (p, q, r, x, y, z) in zip(instants, rows, strict=True)
         ]
 
 
 @kernel
-def increments(R1: Array, v1: Triple, R2: Array, v2: Triple, W: Array, dt: float) -> Array:
+def increments(R1: Array, v1: Array, R2: Array, v2: Array, W: Array, dt: float) -> Array:
     """Error-free mean angular rate and specific force between two instants, shape (6,)."""
     w = rotation_log(R1.T @ rotation_exp(dt * W) @ R2) / dt
     R_mid = rotation_exp(-0.5 * dt * W) @ R1 @ rotation_exp(0.5 * dt * w)
@@ -97,23 +109,18 @@ def increments(R1: Array, v1: Triple, R2: Array, v2: Triple, W: Array, dt: float
 
 @kernel
 def measured(
-    R1: Array,
-    v1: Triple,
-    R2: Array,
-    v2: Triple,
-    W: Array,
-    dt: float,
-    walks: Array,
-    bias: Array,
-    kept: Array,
-    fresh: Array,
-    draws: Array,
+    R: Array, v: Array, W: Array, dt: float, walks: Array, bias: Array, kept: Array, fresh: Array, draws: Array
 ) -> Array:
-    """``increments`` with their errors, (6,). ``bias`` goes on in place by its shares of dt (``Drift.shares``); draws
-    (12,): of white noise, then of what is new in the bias.
+    """``increments`` from each of K + 1 instants dt apart to the next, with their errors, (K, 6).
+
+    ``bias`` goes on in place by its shares of dt (``Drift.shares``); draws (K, 12): of white noise, then of what is new
+    in the bias.
     """
-    means = increments(R1, v1, R2, v2, W, dt)
-    for i in range(6):
-        bias[i] = kept[i] * bias[i] + fresh[i] * draws[6 + i]
-        means[i] = means[i] + walks[i] / math.sqrt(dt) * draws[i] + bias[i]
+    K = len(draws)
+    means = np.empty((K, 6))
+    for k in range(K):
+        assign(means[k], increments(R[k], v[k], R[k + 1], v[k + 1], W, dt))
+        for i in range(6):
+            bias[i] = kept[i] * bias[i] + fresh[i] * draws[k, 6 + i]
+            means[k, i] = means[k, i] + walks[i] / math.sqrt(dt) * draws[k, i] + bias[i]
     return means

@@ -6,10 +6,14 @@ w = phi / h; position and velocity are linear (at 100 Hz and 0.3 m/s2 that is of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
 import msgspec
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import rotation, rotation_exp, rotation_log
 from ltv_mpc.signals import Array, Triple, Truth
 
@@ -33,35 +37,42 @@ class Instant(msgspec.Struct, frozen=True, eq=False):
         return _plus(self.velocity_mps, self.rotation @ np.cross(self.angular_rate_radps, lever_m))
 
 
-class Motion:
-    """Between two truths, ``earlier`` and ``later``."""
+class Motion(NamedTuple):
+    """Between two truths."""
 
-    def __init__(self, earlier: Truth, later: Truth, before: Motion | None = None) -> None:
-        """``later`` must be after ``earlier``. ``before``: the motion that ended with it, if it is at hand."""
-        self._earlier, self._later = earlier, later
-        self._h_ns = later.t_ns - earlier.t_ns
-        self._R1: Array
-        self._R2: Array
-        if before is not None and before._later is earlier:
-            self._R1 = before._R2
-        else:
-            self._R1 = rotation(*earlier.attitude_rad)
-        self._R2, self._phi, self._rate = turned_to(self._R1, later.attitude_rad, self._h_ns * 1e-9)
+    earlier: Truth
+    later: Truth
+    R1: Array  # (3, 3) of the earlier
+    R2: Array  # of the later
+    phi: Array  # (3,) log(R1^T R2)
+    rate: Array  # (3,) phi / h
 
     def at(self, t_ns: int) -> Instant:
         """The instant ``t_ns``, from that of the earlier truth to that of the later one."""
-        a, b = self._earlier, self._later
+        a, b = self.earlier, self.later
         if t_ns == b.t_ns:
-            return Instant(t_ns, b.position_m, b.velocity_mps, self._R2, self._rate, b.yaw_rate_radps)
-        s = (t_ns - a.t_ns) / self._h_ns
+            return Instant(t_ns, b.position_m, b.velocity_mps, self.R2, self.rate, b.yaw_rate_radps)
+        s = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
         return Instant(
             t_ns,
             _mix(a.position_m, b.position_m, s),
             _mix(a.velocity_mps, b.velocity_mps, s),
-            turned(self._R1, self._phi, s),
-            self._rate,
+            turned(self.R1, self.phi, s),
+            self.rate,
             a.yaw_rate_radps + s * (b.yaw_rate_radps - a.yaw_rate_radps),
         )
+
+
+def through(truths: Sequence[Truth], before: Motion | None = None) -> list[Motion]:
+    """From each truth to the next, which must be after it. ``before``: the motion that ended with the first, if it is
+    at hand.
+    """
+    first = truths[0]
+    R1 = before.R2 if before is not None and before.later is first else rotation(*first.attitude_rad)
+    attitude = np.array([truth.attitude_rad for truth in truths[1:]])
+    seconds = np.array([(b.t_ns - a.t_ns) * 1e-9 for a, b in pairwise(truths)])
+    R, phi, rate = turned_through(R1, attitude, seconds)
+    return [Motion(a, b, R[k], R[k + 1], phi[k], rate[k]) for k, (a, b) in enumerate(pairwise(truths))]
 
 
 def _plus(a: Triple, b: Array) -> Triple:
@@ -74,11 +85,16 @@ def _mix(a: Triple, b: Triple, s: float) -> Triple:
 
 
 @kernel
-def turned_to(R1: Array, attitude: Triple, h: float) -> tuple[Array, Array, Array]:
-    """R2 of the attitude, phi = log(R1^T R2), and w = phi / h."""
-    R2 = rotation(*attitude)
-    phi = rotation_log(R1.T @ R2)
-    return R2, phi, phi / h
+def turned_through(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, Array]:
+    """R1 and then R of each attitude (K, 3), together (K+1, 3, 3); phi = log(R_k^T R_k+1) and w = phi / h, (K, 3)."""
+    K = len(h)
+    R, phi, w = np.empty((K + 1, 3, 3)), np.empty((K, 3)), np.empty((K, 3))
+    assign(R[0], R1)
+    for k in range(K):
+        assign(R[k + 1], rotation(attitude[k, 0], attitude[k, 1], attitude[k, 2]))
+        assign(phi[k], rotation_log(R[k].T @ R[k + 1]))
+        assign(w[k], phi[k] / h[k])
+    return R, phi, w
 
 
 @kernel

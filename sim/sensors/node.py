@@ -10,11 +10,12 @@ of validity; of one validity, in the order of the list of sensors. What has not 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from heapq import heapify, heapreplace
+from heapq import heapify, heappush, heapreplace
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Inbox, OnMessage
+from ltv_mpc.node import Due, Inbox, OnMessage, one_by_one
 from ltv_mpc.signals import (
     AdcpPing,
     BottomTrack,
@@ -35,7 +36,7 @@ from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.gnss import Receiver
 from sim.sensors.imu import InertialUnit
-from sim.sensors.instant import Instant, Motion
+from sim.sensors.instant import Instant, Motion, through
 from sim.sensors.lbl import Transceiver, arrival_ns
 from sim.sensors.perfect import PerfectState
 from sim.sensors.pressure import Gauge
@@ -137,6 +138,38 @@ class Sensors:
                 signals += self._measure(arrival.signal)
         return signals
 
+    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        """``step`` for each in turn; where the inertial unit measures at every truth, its samples at once."""
+        truths = [arrival.signal for _, inbox in due for arrival in inbox if isinstance(arrival.signal, Truth)]
+        imu = self._mounted[0].sensor if self._mounted else None
+        if not (isinstance(imu, InertialUnit) and len(truths) == len(due) and self._is_measured_at(truths, imu)):
+            return one_by_one(self, due)
+        assert self._last is not None
+        motions = through([self._last, *truths], self._motion)
+        samples = imu.samples([motion.at(motion.later.t_ns) for motion in motions])
+        self._last, self._motion = truths[-1], motions[-1]
+        self._due = [(t_ns, order) for t_ns, order in self._due if order]
+        heapify(self._due)
+        signals: list[list[Signal]] = []
+        for motion, sample in zip(motions, samples, strict=True):
+            t_ns = sample.t_ns
+            if self._on_the_way or (self._due and self._due[0][0] <= t_ns):
+                self._on_the_way.append(_OnTheWay(t_ns, 0, t_ns, sample))
+                self._sample(motion, t_ns)
+                signals.append(self._arrived(t_ns))
+            else:
+                signals.append([sample])
+        heappush(self._due, (truths[-1].t_ns + self._mounted[0].period_ns, 0))
+        return signals
+
+    def _is_measured_at(self, truths: Sequence[Truth], imu: InertialUnit) -> bool:
+        """At each of them, and nowhere else, the inertial unit, the first of the sensors, is due."""
+        period_ns, last = self._mounted[0].period_ns, self._last
+        if last is None or self._lbl is not None or not imu.has_begun:
+            return False
+        ends = [last.t_ns, *(truth.t_ns for truth in truths)]
+        return (ends[1], 0) in self._due and all(b - a == period_ns for a, b in pairwise(ends))
+
     def _measure(self, truth: Truth) -> list[Signal]:
         last, self._last = self._last, truth
         if last is None:
@@ -145,7 +178,7 @@ class Sensors:
             heapify(self._due)
             return []  # whatever of it is due comes with the next truth
         if self._lbl is not None or (self._due and self._due[0][0] <= truth.t_ns):
-            self._motion = Motion(last, truth, self._motion)
+            (self._motion,) = through([last, truth], self._motion)
             self._sample(self._motion, truth.t_ns)
         return self._arrived(truth.t_ns) if self._on_the_way else []
 

@@ -10,6 +10,7 @@ A feature is added to that, with depths of its own between the cells, and likewi
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -113,6 +114,13 @@ class WaterColumn:
         if second != self._second:
             self._second, self._ends = second, (self._sample(second), self._sample(second + 1))
         return self._ends[0], self._ends[1], (t_ns - second * KNOT_NS) / KNOT_NS
+
+    def throughout(self, times_ns: Sequence[int]) -> tuple[Array, Array, Array]:
+        """``between`` at times of one second, its end left out: both samples, and each time's share, (M,)."""
+        earlier, later, _ = self.between(times_ns[0])
+        if self._still:
+            return earlier, later, np.zeros(len(times_ns))
+        return earlier, later, np.array([self.between(t_ns)[2] for t_ns in times_ns])
 
     def at(self, depth_m: float, t_ns: int) -> Pair:
         """North and east velocity (m/s)."""

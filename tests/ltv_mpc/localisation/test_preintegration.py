@@ -35,8 +35,8 @@ def start(seed=0):
 
 def run(x, R, rates, forces, earth=FAST_EARTH, noise=NOISE, dt=DT):
     Phi, Q = np.eye(15), np.zeros((15, 15))
-    for w, f in zip(rates, forces, strict=True):
-        integrate(x, R, Phi, Q, tuple(w.tolist()), tuple(f.tolist()), dt, noise, earth)
+    measured = np.hstack([rates, forces])
+    assert integrate(x, R, Phi, Q, measured, np.full(len(measured), dt), noise, earth) == len(measured)
     return Phi, Q
 
 

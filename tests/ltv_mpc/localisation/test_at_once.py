@@ -1,0 +1,182 @@
+"""Many steps of the estimator at once are those one by one, bit for bit, whatever its instruments send."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.door import AHEAD_NS, Door
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.preintegration import readings
+from ltv_mpc.node import Arrival, Due
+from ltv_mpc.signals import AdcpPing, ImuSample, PressureDepth, Signal
+from services.bus import wire
+from services.run import locked
+from services.run.situation import Override, Situation, resolve
+from sim.lockstep import LockStep
+
+S = 1_000_000_000
+
+
+class Ears:
+    """What the sensors say."""
+
+    def __init__(self) -> None:
+        self.said: list[Arrival] = []
+
+    def stepped(self, *_: object) -> None:
+        pass
+
+    def published(self, node: str, message: Arrival) -> None:
+        if node == "sensors":
+            self.said.append(message)
+
+
+@pytest.fixture(scope="module")
+def situation() -> Situation:
+    settings = ("run.duration_s=30.0", "run.surface_time_s=3.0", "run.seed=8", "sensors=realistic")
+    return resolve("descent", [Override("test", settings)])
+
+
+@pytest.fixture(scope="module")
+def said(situation: Situation) -> list[Arrival]:
+    ears, scenario = Ears(), situation.scenario
+    nodes = locked.nodes(situation)
+    LockStep(nodes, start_ns=scenario.start_ns, latest=locked.LATEST, observe=ears).advance(scenario.end_ns)
+    return ears.said
+
+
+def estimator(situation: Situation) -> Estimator:
+    return Estimator(situation.suite, situation.scenario.estimator, situation.prior)
+
+
+def payload(signal: Signal) -> bytes:
+    return wire.encode(signal, wire.Header(epoch=1, sequence=0, sent_monotonic_us=0))
+
+
+def both(situation: Situation, arrivals: Sequence[Arrival], chunk: int) -> tuple[list[bytes], dict[str, int]]:
+    """What the estimator says to them, once it has been seen to say the same in chunks."""
+    due: list[Due] = [(arrival.signal.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
+    one, other = estimator(situation), estimator(situation)
+    slow = [[payload(signal) for signal in one.step(*step)] for step in due]
+    fast: list[list[bytes]] = []
+    for first in range(0, len(due), chunk):
+        fast += [[payload(x) for x in signals] for signals in other.steps(due[first : first + chunk])]
+    assert fast == slow
+    assert dict(other.account) == dict(one.account)
+    assert one.filter is not None
+    assert other.filter is not None
+    for name in ("x", "P", "R"):
+        np.testing.assert_array_equal(getattr(other.filter.belief, name), getattr(one.filter.belief, name))
+    return [x for signals in slow for x in signals], dict(one.account)
+
+
+def changed(message: Arrival, **fields: object) -> Arrival:
+    return msgspec.structs.replace(message, signal=msgspec.structs.replace(message.signal, **fields))
+
+
+def is_imu(message: Arrival, from_s: float, to_s: float) -> bool:
+    return isinstance(message.signal, ImuSample) and from_s * S < message.signal.t_ns <= to_s * S
+
+
+@pytest.mark.parametrize("chunk", [7, 60])
+def test_of_a_quiet_descent(situation: Situation, said: list[Arrival], chunk: int) -> None:
+    out, account = both(situation, said, chunk)
+    assert len(out) > 300
+    assert not {key for key in account if key.startswith("imu.")}
+
+
+def test_where_samples_are_lost(situation: Situation, said: list[Arrival]) -> None:
+    """One, some, two seconds of them, and every second one for a while."""
+    lost = ((6.0, 6.01), (8.0, 8.05), (12.0, 14.0))
+    arrivals = [m for m in said if not any(is_imu(m, *when) for when in lost)]
+    arrivals = [m for i, m in enumerate(arrivals) if not (is_imu(m, 20.0, 21.0) and i % 2)]
+    _, account = both(situation, arrivals, 40)
+    assert account["imu.gap"] > 3
+
+
+def test_where_samples_are_wild_stuck_or_ahead_of_time(situation: Situation, said: list[Arrival]) -> None:
+    arrivals: list[Arrival] = []
+    for message in said:
+        if is_imu(message, 6.0, 6.03):
+            message = changed(message, specific_force_mps2=(50.0, 0.0, 0.0))
+        elif is_imu(message, 9.0, 9.2):
+            message = changed(message, angular_rate_radps=(0.1, 0.0, 0.0), specific_force_mps2=(0.1, 0.0, -9.8))
+        elif is_imu(message, 15.0, 15.05):
+            message = changed(message, t_ns=message.signal.t_ns + 2 * AHEAD_NS)  # type: ignore[attr-defined]
+        arrivals.append(message)
+    _, account = both(situation, arrivals, 40)
+    assert min(account[f"imu.{why}"] for why in ("wild", "stuck", "ahead")) > 2
+
+
+def test_where_others_come_late_or_before_the_samples_that_cover_them(
+    situation: Situation, said: list[Arrival]
+) -> None:
+    arrivals = list(said)
+    for i, message in enumerate(said):
+        if isinstance(message.signal, AdcpPing) and message.signal.t_ns % (2 * S) < S:
+            j = min(i + 55, len(said) - 1)
+            arrivals.remove(message)
+            arrivals.insert(j, msgspec.structs.replace(message, received_t_ns=said[j].received_t_ns))
+        elif isinstance(message.signal, PressureDepth) and 10 * S < message.signal.t_ns < 12 * S:
+            arrivals.remove(message)
+            arrivals.insert(i - 4, message)
+    _, account = both(situation, arrivals, 40)
+    assert account["adcp.late_applied"] > 5
+
+
+def test_where_the_filter_begins_anew(situation: Situation, said: list[Arrival]) -> None:
+    """A jump of every compass, gyro and ping that no filter survives."""
+    arrivals = [
+        changed(m, angular_rate_radps=tuple(w + 0.1 for w in m.signal.angular_rate_radps))  # type: ignore[attr-defined]
+        if is_imu(m, 12.0, 16.0)
+        else m
+        for m in said
+    ]
+    out, _ = both(situation, arrivals, 40)
+    assert len(out) > 300
+
+
+def test_what_the_quick_look_lets_through_the_door_does() -> None:
+    rng = np.random.default_rng(4)
+    let = refused = 0
+    for _ in range(300):
+        door, other = Door(), Door()
+        samples: list[ImuSample] = []
+        t_ns = 0
+        force = np.array([0.0, 0.0, -9.8])
+        for _ in range(12):
+            t_ns += int(
+                rng.choice(
+                    [10_000_000, 10_000_000, 10_000_000, 2_000_000, 0, -300_000_000],
+                    p=[0.4, 0.3, 0.2, 0.08, 0.01, 0.01],
+                )
+            )
+            if rng.random() > 0.02:
+                force = force + rng.normal(0.0, rng.choice([0.1, 0.1, 0.1, 0.5]), 3)
+            samples.append(
+                ImuSample(
+                    t_ns=t_ns,
+                    interval_ns=10_000_000,
+                    angular_rate_radps=(0.0, 0.0, 0.1),
+                    specific_force_mps2=tuple(force),
+                )
+            )
+        came_ns = [s.t_ns + int(rng.choice([0, 5_000_000, -AHEAD_NS - 1], p=[0.5, 0.49, 0.01])) for s in samples]
+        for sample, received_ns in zip(samples[:3], came_ns[:3], strict=True):
+            assert door.refusal(sample.t_ns, sample, received_ns) == other.refusal(sample.t_ns, sample, received_ns)
+        verdicts = [door.refusal(s.t_ns, s, r) for s, r in zip(samples[3:], came_ns[3:], strict=True)]
+        if other.lets_through(samples[3:], came_ns[3:], readings(samples[3:])):
+            let += 1
+            assert verdicts == [None] * 9
+            other.let_through(samples[-1], came_ns[-1])
+            later = msgspec.structs.replace(samples[-1], t_ns=samples[-1].t_ns + 10_000_000)
+            assert door.refusal(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
+            assert other.refusal(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
+        else:
+            refused += any(verdict is not None for verdict in verdicts)
+    assert let > 50
+    assert refused > 50

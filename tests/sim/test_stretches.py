@@ -1,0 +1,247 @@
+"""Stretches against lock step one step at a time: the same signals, in the same order, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage, Schedule, one_by_one
+from ltv_mpc.signals import (
+    CycleTiming,
+    Disturbance,
+    Estimate,
+    ImuSample,
+    Plan,
+    PlanOrigin,
+    PressureDepth,
+    Rejected,
+    RunEvent,
+    Signal,
+    Solve,
+    SolveStatus,
+    Truth,
+)
+from services.bus import wire
+from services.run import locked
+from services.run.folder import RunFolder
+from services.run.situation import Override, Situation, resolve
+from sim.lockstep import LockStep
+from sim.plant import Plant
+from sim.sensors.node import Sensors
+from sim.stretches import Stretches
+
+MS = 1_000_000
+S = 1000 * MS
+
+
+class Ears:
+    """What is published, as bytes."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[str, int, int, type[Signal], bytes]] = []
+
+    def stepped(self, *_: object) -> None:
+        pass
+
+    def published(self, node: str, message: Arrival) -> None:
+        header = wire.Header(epoch=message.epoch, sequence=message.sequence, sent_monotonic_us=0)
+        payload = wire.encode(message.signal, header)
+        self.said.append((node, message.received_t_ns, message.sequence, type(message.signal), payload))
+
+
+def said_by(
+    way: type[LockStep] | type[Stretches], nodes: Sequence[Node], start_ns: int, until: Sequence[int], delay_ns: int = 0
+) -> list[tuple[str, int, int, type[Signal], bytes]]:
+    ears = Ears()
+    lockstep = way(nodes, start_ns=start_ns, compute_delay_ns=delay_ns, observe=ears, refused=locked.refused)
+    for until_ns in until:
+        lockstep.advance(until_ns)
+    return ears.said
+
+
+# --- a descent -------------------------------------------------------------------------------------------------------
+
+
+def descent(*settings: str, duration_s: float = 8.0) -> Situation:
+    of_all = (f"run.duration_s={duration_s}", "run.seed=5", "run.surface_time_s=3.0")
+    return resolve("descent", [Override("test", (*of_all, *settings))])
+
+
+class Storm:
+    """Pushes the vehicle for a while; stands where another process would."""
+
+    name = "operator"
+    schedule = Grid(300 * MS)
+    reads: tuple[type[Signal], ...] = ()
+    writes: tuple[type[Signal], ...] = (Disturbance,)
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002
+        if t_ns not in (1500 * MS, 3900 * MS):
+            return []
+        return [Disturbance(until_t_ns=t_ns + 1234 * MS, force_N=(10.0, -5.0, 1.0), yaw_moment_Nm=2.0)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "storm"),
+    [
+        (("sensors=paper",), False),
+        (("sensors=realistic", "run.compute_delay_s=0.25"), False),
+        (("sensors=realistic", "run.compute_delay_s=0.71", "water.change_mps_per_rts=0.01"), True),
+        (("run.perfect_state=true", "water.change_mps_per_rts=0.01"), True),
+        (("sensors=paper", "water.feature.kind=front", "water.feature.at_s=4.0", "water.feature.width_s=1.0"), False),
+    ],
+)
+def test_of_a_descent_every_signal_is_the_same_to_the_bit(settings: tuple[str, ...], storm: bool) -> None:
+    situation = descent(*settings)
+    scenario = situation.scenario
+
+    def said(way: type[LockStep] | type[Stretches]) -> list[tuple[str, int, int, type[Signal], bytes]]:
+        nodes = locked.nodes(situation)
+        until = [*range(scenario.start_ns, scenario.end_ns, 700 * MS), scenario.end_ns]
+        delay_ns = round(scenario.run.compute_delay_s * 1e9)
+        return said_by(way, [Storm(), *nodes] if storm else nodes, scenario.start_ns, until, delay_ns)
+
+    one_by_one, at_once = said(LockStep), said(Stretches)
+    assert {kind for *_, kind, _ in one_by_one} >= {Truth, ImuSample, Estimate, Plan, CycleTiming}
+    assert at_once == one_by_one
+
+
+def test_an_unrecorded_run_has_the_summary_of_a_recorded_one(tmp_path: Any) -> None:
+    situation = descent("sensors=paper", duration_s=4.0)
+    recorded, unrecorded = locked.run(situation, RunFolder(tmp_path)), locked.run(situation)
+    of_both = [msgspec.structs.replace(s, messages=recorded.messages) for s in (recorded, unrecorded)]
+    assert of_both[0] == of_both[1]
+
+
+def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the plant, the sensors and the estimator: how often each is asked, and how many single steps are left."""
+    single: dict[str, int] = {}
+
+    def counted(kind: type, method: str) -> None:
+        inner = getattr(kind, method)
+
+        def outer(self: Any, *given: Any) -> Any:
+            single[kind.__name__] = single.get(kind.__name__, 0) + 1
+            return inner(self, *given)
+
+        monkeypatch.setattr(kind, method, outer)
+
+    counted(Plant, "_go")
+    counted(Sensors, "step")
+    counted(Estimator, "step")
+    situation = descent("sensors=paper", duration_s=4.0)
+    scenario = situation.scenario
+    nodes = locked.nodes(situation, unheard=False)
+    said = said_by(Stretches, nodes, scenario.start_ns, [scenario.end_ns])
+    ticks = sum(kind is Truth for *_, kind, _ in said)
+    assert ticks == 701
+    assert single["Plant"] < ticks / 5
+    assert single["Sensors"] < ticks / 20
+    assert single["Estimator"] < ticks / 2
+
+
+# --- rules, on nodes small enough ------------------------------------------------------------------------------------
+
+
+class Fake:
+    """Answers with a function; ``seen`` is what it was handed."""
+
+    def __init__(
+        self,
+        name: str,
+        schedule: Schedule,
+        reads: tuple[type[Signal], ...] = (),
+        writes: tuple[type[Signal], ...] = (),
+        answer: Callable[[int, Inbox], list[Signal]] = lambda _t_ns, _inbox: [],
+    ) -> None:
+        self.name, self.schedule, self.reads, self.writes, self._answer = name, schedule, reads, writes, answer
+        self.seen: list[tuple[int, list[tuple[type[Signal], int, int]]]] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
+        return self._answer(t_ns, inbox)
+
+
+class Many(Fake):
+    """The same, at once."""
+
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.bulks: list[int] = []
+
+    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        self.bulks.append(len(due))
+        return one_by_one(self, due)
+
+
+def event(name: str) -> Callable[[int, Inbox], list[Signal]]:
+    return lambda t_ns, _: [RunEvent(t_ns=t_ns, node=name, kind="k", text="")]
+
+
+def depth(t_ns: int, _: Inbox) -> list[Signal]:
+    """Two measurements, of which the second is wrong at every third instant."""
+    wrong = t_ns % (30 * MS) == 0
+    return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=1.0), PressureDepth(t_ns=t_ns, depth_m=np.nan if wrong else 2.0)]
+
+
+def estimate(t_ns: int, _: Inbox) -> list[Signal]:
+    return [Estimate.at_rest(north_m=t_ns * 1e-9)]
+
+
+def table(fake: type[Fake]) -> list[Fake]:
+    """Two on grids, two on messages, two that cycle at other periods, and messages of each kind between them."""
+    return [
+        fake("first", Grid(10 * MS), (Plan,), (RunEvent,), event("first")),
+        fake("second", Grid(25 * MS), (), (PressureDepth,), depth),
+        fake("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), (Estimate,), estimate),
+        fake("last", OnMessage((Estimate,)), (Estimate, RunEvent)),
+        Fake("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), (Plan,), plan),
+        Fake("other", Cycle(70 * MS), (Estimate, Plan, PressureDepth, CycleTiming)),
+    ]
+
+
+def plan(t_ns: int, _: Inbox) -> list[Signal]:
+    """At two of three cycles."""
+    knots = t_ns + 70 * MS * np.arange(3)
+    made = Plan(
+        cycle_t_ns=t_ns,
+        t_ns=knots,
+        thrust_N=np.zeros((3, 3)),
+        states=np.zeros((3, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+    )
+    return [made] if t_ns % (210 * MS) else []
+
+
+@pytest.mark.parametrize("delay_ms", [0, 30, 90])
+@pytest.mark.parametrize("pieces_ms", [(1000,), (0, 1, 69, 70, 333, 1000)])
+def test_each_step_is_given_what_lock_step_gives_it(delay_ms: int, pieces_ms: tuple[int, ...]) -> None:
+    slow, fast = table(Fake), table(Many)
+    until = [ms * MS for ms in pieces_ms]
+    one = said_by(LockStep, slow, -35 * MS, until, delay_ms * MS)
+    other = said_by(Stretches, fast, -35 * MS, until, delay_ms * MS)
+    assert [node.seen for node in fast] == [node.seen for node in slow]
+    assert other == one
+    assert any(kind is Rejected for *_, kind, _ in one)
+    assert max(bulk for node in fast[:4] for bulk in node.bulks) > 2  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("nodes", "why"),
+    [
+        ([Fake("c", Cycle(MS)), Fake("g", Grid(MS))], "cycle come last"),
+        ([Fake("a", Grid(MS), (Truth,)), Fake("b", Grid(MS), (), (Truth,))], "a reads Truth"),
+        ([Fake("a", Grid(MS), (Truth,), (Truth,))], "a reads Truth"),
+        ([Fake("a", Grid(MS), (Rejected,))], "a reads Rejected"),
+        ([Fake("a", Grid(MS), (Estimate,))], "a reads Estimate"),
+    ],
+)
+def test_what_cannot_be_done_by_stretches_is_refused(nodes: list[Fake], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Stretches(nodes, start_ns=0)
