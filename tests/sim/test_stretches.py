@@ -183,10 +183,17 @@ def event(name: str) -> Callable[[int, Inbox], list[Signal]]:
     return lambda t_ns, _: [RunEvent(t_ns=t_ns, node=name, kind="k", text="")]
 
 
-def depth(t_ns: int, _: Inbox) -> list[Signal]:
-    """Two measurements, of which the second is wrong at every third instant."""
+def depth(t_ns: int, inbox: Inbox) -> list[Signal]:
+    """Two measurements, of which the second is wrong at every third instant, and then what causes no step."""
     wrong = t_ns % (30 * MS) == 0
-    return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=1.0), PressureDepth(t_ns=t_ns, depth_m=np.nan if wrong else 2.0)]
+    measured = [1.0, np.nan if wrong else 2.0]
+    return [*(PressureDepth(t_ns=t_ns, depth_m=depth_m) for depth_m in measured), *event("second")(t_ns, inbox)]
+
+
+def first(t_ns: int, inbox: Inbox) -> list[Signal]:
+    """An event, and at times a wrong measurement."""
+    wrong: list[Signal] = [PressureDepth(t_ns=t_ns, depth_m=np.nan)] if t_ns % (20 * MS) == 0 else []
+    return event("first")(t_ns, inbox) + wrong
 
 
 def estimate(t_ns: int, _: Inbox) -> list[Signal]:
@@ -196,8 +203,8 @@ def estimate(t_ns: int, _: Inbox) -> list[Signal]:
 def table(fake: type[Fake]) -> list[Fake]:
     """Two on grids, two on messages, two that cycle at other periods, and messages of each kind between them."""
     return [
-        fake("first", Grid(10 * MS), (Plan,), (RunEvent,), event("first")),
-        fake("second", Grid(25 * MS), (), (PressureDepth,), depth),
+        fake("first", Grid(10 * MS), (Plan,), (RunEvent, PressureDepth), first),
+        fake("second", Grid(25 * MS), (), (PressureDepth, RunEvent), depth),
         fake("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), (Estimate,), estimate),
         fake("last", OnMessage((Estimate,)), (Estimate, RunEvent)),
         Fake("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), (Plan,), plan),
