@@ -12,7 +12,7 @@ from ltv_mpc.localisation.door import AHEAD_NS, Door
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.preintegration import readings
 from ltv_mpc.node import Arrival, Due
-from ltv_mpc.signals import AdcpPing, ImuSample, LocalisationReport, PressureDepth, Signal
+from ltv_mpc.signals import AdcpPing, CompassHeading, ImuSample, LocalisationReport, PressureDepth, Signal
 from services.bus import wire
 from services.run import locked
 from services.run.situation import Override, Situation, resolve
@@ -35,25 +35,30 @@ class Ears:
             self.said.append(message)
 
 
-@pytest.fixture(scope="module")
-def situation() -> Situation:
-    settings = ("run.duration_s=50.0", "run.surface_time_s=12.0", "run.seed=8", "sensors=realistic")
+def descent(sensors: str) -> Situation:
+    settings = ("run.duration_s=50.0", "run.surface_time_s=12.0", "run.seed=8", f"sensors={sensors}")
     return resolve("descent", [Override("test", settings)])
 
 
-@pytest.fixture(scope="module")
-def said(situation: Situation) -> list[Arrival]:
+def heard(situation: Situation) -> list[Arrival]:
     ears, scenario = Ears(), situation.scenario
     nodes = locked.nodes(situation)
     LockStep(nodes, start_ns=scenario.start_ns, latest=locked.LATEST, observe=ears).advance(scenario.end_ns)
     return ears.said
 
 
+@pytest.fixture(scope="module")
+def situation() -> Situation:
+    return descent("realistic")
+
+
+@pytest.fixture(scope="module")
+def said(situation: Situation) -> list[Arrival]:
+    return heard(situation)
+
+
 def estimator(situation: Situation) -> Estimator:
     return Estimator(situation.suite, situation.scenario.estimator, situation.prior)
-
-
-BIAS = (0.98, -0.98, 0.0)
 
 
 def payload(signal: Signal) -> bytes:
@@ -88,15 +93,22 @@ def is_imu(message: Arrival, from_s: float, to_s: float) -> bool:
 @pytest.mark.parametrize("chunk", [7, 60])
 def test_of_a_quiet_descent(situation: Situation, said: list[Arrival], chunk: int) -> None:
     out, account = both(situation, said, chunk)
-    assert len(out) > 300
+    assert len(out) > 500
     assert not {key for key in account if key.startswith("imu.")}
 
 
-def test_where_samples_are_lost(situation: Situation, said: list[Arrival]) -> None:
+def test_of_satellites_that_come_at_once() -> None:
+    """Each fix's position is remembered when time goes on from it."""
+    situation = descent("paper")
+    _, account = both(situation, heard(situation), 40)
+    assert account["tdcp.used"] > 2
+    assert "tdcp.other_epoch" not in account
+
+
+@pytest.mark.parametrize("lost", [(6.03, 6.04), (8.03, 8.08), (12.03, 13.24), (17.03, 19.04)])
+def test_where_samples_are_lost(situation: Situation, said: list[Arrival], lost: tuple[float, float]) -> None:
     """One, some, a second and two of them, from within an interval between two estimates, and every second one."""
-    lost = ((6.03, 6.04), (8.03, 8.08), (12.03, 13.24), (17.03, 19.04))
-    arrivals = [m for m in said if not any(is_imu(m, *when) for when in lost)]
-    arrivals = [m for i, m in enumerate(arrivals) if not (is_imu(m, 24.0, 25.0) and i % 2)]
+    arrivals = [m for i, m in enumerate(said) if not is_imu(m, *lost) and not (is_imu(m, 24.0, 25.0) and i % 2)]
     _, account = both(situation, arrivals, 40)
     assert account["imu.gap"] > 3
 
@@ -130,8 +142,8 @@ def test_where_others_come_late_or_before_the_samples_that_cover_them(
     for i, message in enumerate(said):
         if isinstance(message.signal, AdcpPing) and message.signal.t_ns % (2 * S) < S:
             held.append(message)
-        elif isinstance(message.signal, PressureDepth) and 10 * S < message.signal.t_ns < 12 * S:
-            arrivals.append(changed(message, t_ns=message.signal.t_ns + 55_000_000))
+        elif isinstance(message.signal, PressureDepth | CompassHeading):
+            arrivals.append(changed(message, t_ns=message.signal.t_ns + 55_000_000))  # between two estimates
         else:
             arrivals.append(message)
         if i % 60 == 0:
@@ -141,17 +153,25 @@ def test_where_others_come_late_or_before_the_samples_that_cover_them(
     assert account["adcp.late_applied"] > 5
 
 
-def test_where_the_filter_begins_anew(situation: Situation, said: list[Arrival]) -> None:
-    """An accelerometer's bias a hundred times as large, for as long as it takes, and then no longer."""
-    arrivals = [
-        changed(m, specific_force_mps2=tuple(f + b for f, b in zip(m.signal.specific_force_mps2, BIAS, strict=True)))  # type: ignore[attr-defined]
-        if is_imu(m, 10.0, 34.0)
-        else m
-        for m in said
-    ]
+@pytest.mark.parametrize("what", ["accelerometer", "profiler"])
+def test_where_the_filter_begins_anew(situation: Situation, said: list[Arrival], what: str) -> None:
+    """A bias a hundred times as large, or a wrong scale, for as long as it takes, and then no longer."""
+
+    def wrong(message: Arrival) -> Arrival:
+        signal = message.signal
+        if what == "accelerometer" and isinstance(signal, ImuSample):
+            x, y, z = signal.specific_force_mps2
+            return changed(message, specific_force_mps2=(x + 0.98, y - 0.98, z))
+        if what == "profiler" and isinstance(signal, AdcpPing):
+            return changed(message, beam_velocity_mps=1.5 * signal.beam_velocity_mps)
+        return message
+
+    arrivals = [wrong(m) if 10 * S < m.received_t_ns < 34 * S else m for m in said]
     out, _ = both(situation, arrivals, 40)
     reports = [signal for signal in out if isinstance(signal, LocalisationReport)]
     assert reports[-1].restarts >= 1
+    returned = any("went back" in report.why for report in reports)
+    assert returned == (what == "profiler")
 
 
 def test_what_the_quick_look_lets_through_the_door_does() -> None:
