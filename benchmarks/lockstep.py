@@ -15,17 +15,19 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from ltv_mpc.node import Inbox, Node
+from ltv_mpc.node import Due, Inbox, InBulk, Node, one_by_one
 from ltv_mpc.signals import Signal
 from services.run import locked
 from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
-from sim.lockstep import LockStep
+from sim.stretches import Stretches
 
 SETTINGS: dict[str, tuple[str, ...]] = {
     "full loop, paper": ("sensors=paper",),
@@ -52,20 +54,24 @@ def shares(of: Situation) -> dict[str, float]:
     """Of the time that one run takes, each node's; the rest is admission's and lock step's own."""
     spent: Counter[str] = Counter()
 
-    def timed(node: Node) -> Node:
-        step = node.step
+    class Timed:
+        """A node whose steps are timed."""
 
-        def wrapped(t_ns: int, inbox: Inbox) -> list[Signal]:
+        def __init__(self, node: Node) -> None:
+            self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
+            self._steps = node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
+
+        def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+            return self.steps([(t_ns, inbox)])[0]
+
+        def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
             started = time.perf_counter()
-            said = step(t_ns, inbox)
-            spent[node.name] += time.perf_counter() - started
+            said = self._steps(due)
+            spent[self.name] += time.perf_counter() - started
             return said
 
-        node.step = wrapped  # type: ignore[method-assign]
-        return node
-
-    nodes = [timed(node) for node in locked.nodes(of, unheard=False)]
-    lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=locked.LATEST, refused=locked.refused)
+    nodes = [Timed(node) for node in locked.nodes(of, unheard=False)]
+    lockstep = Stretches(nodes, start_ns=of.scenario.start_ns, latest=locked.LATEST, refused=locked.refused)
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)
     whole = time.perf_counter() - started

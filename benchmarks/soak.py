@@ -4,7 +4,8 @@ misses by quarter.
     .venv/bin/python -m benchmarks.soak [--minutes 60] [--speed 10] [--every-s 10] [--out DIR] [--json]
 
 `hover` by `ltv-mpc sim`, looked at from outside (/proc) all the while, and ended by Ctrl-C after so much wall time.
-Memory is the resident set, what several processes share divided among them (Pss of smaps_rollup): forks share much.
+Memory is what a process has written, what several forks share of it divided among them (Pss_Anon of smaps_rollup). Pages
+of files, as libraries, are not in it: they are shared with whatever else runs, and come and go with that.
 
     growth   of a process: median of its last quarter minus that of its second one; the first is for warming up
     misses   from the run's recording: cycles whose plan was not solved, plans that came late, messages missing by their
@@ -80,7 +81,7 @@ def look(pid: int, at_s: float) -> Look | None:
     folder = Path("/proc", str(pid))
     try:
         rollup = (folder / "smaps_rollup").read_text(encoding="utf-8")
-        (pss,) = (line.split()[1] for line in rollup.splitlines() if line.startswith("Pss:"))
+        (pss,) = (line.split()[1] for line in rollup.splitlines() if line.startswith("Pss_Anon:"))
         return Look(at_s, int(pss) / 1024, len(os.listdir(folder / "fd")), len(os.listdir(folder / "task")))
     except (OSError, ValueError):
         return None
