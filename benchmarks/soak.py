@@ -4,8 +4,8 @@ misses by quarter.
     .venv/bin/python -m benchmarks.soak [--minutes 60] [--speed 10] [--every-s 10] [--out DIR] [--json]
 
 `hover` by `ltv-mpc sim`, looked at from outside (/proc) all the while, and ended by Ctrl-C after so much wall time.
-Memory is what a process has written, what several forks share of it divided among them (Pss_Anon of smaps_rollup). Pages
-of files, as libraries, are not in it: they are shared with whatever else runs, and come and go with that.
+Memory is what a process has written, what several forks share of it divided among them (Pss_Anon of smaps_rollup).
+Pages of files, as of libraries, are not in it: whatever else runs shares them, and they come and go with that.
 
     growth   of a process: median of its last quarter minus that of its second one; the first is for warming up
     misses   from the run's recording: cycles whose plan was not solved, plans that came late, messages missing by their
