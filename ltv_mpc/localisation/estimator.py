@@ -172,36 +172,41 @@ class Estimator:
         """``step`` for each in turn; inertial samples between which nothing else happens at once."""
         signals: list[list[Signal]] = []
         while (first := len(signals)) < len(due):
-            done = self._go_through(due, first)
-            signals += [[] for _ in range(done)] if done else [self.step(*due[first])]
+            signals += self._go_through(due, first) or [self.step(*due[first])]
         return signals
 
-    def _go_through(self, due: Sequence[Due], first: int) -> int:
-        """How many of them, from ``first`` on, were samples that only had to be integrated, and have been."""
+    def _go_through(self, due: Sequence[Due], first: int) -> list[list[Signal]]:
+        """What is said at those of them, from ``first`` on, that were samples which only had to be integrated, at most
+        up to the next estimate; empty where there are none.
+        """
         history = self._history
         busy = self._open or self._waiting or self._anew is not None or self._former is not None
         if history is None or busy or not finite(history.filter.belief):
-            return 0
+            return []
         samples: list[ImuSample] = []
         received_ns: list[int] = []
         for _, inbox in due[first:]:
             sample = inbox[0].signal
-            if len(inbox) != 1 or not isinstance(sample, ImuSample) or sample.t_ns >= self._next_ns:
+            if len(inbox) != 1 or not isinstance(sample, ImuSample) or sample.t_ns > self._next_ns:
                 break
             samples.append(sample)
             received_ns.append(inbox[0].received_t_ns)
         number = history.follows(samples)
         if number < _AT_ONCE:
-            return 0
+            return []
         samples = samples[:number]
         measured = readings(samples)
         if not self._door.lets_through(samples, received_ns[:number], measured):
-            return 0
+            return []
         number = history.advance_through(samples, measured)
         self._door.let_through(samples[number - 1], received_ns[number - 1])
         self._remember(samples[:number])
+        signals: list[list[Signal]] = [[] for _ in range(number)]
+        self._reach(samples[number - 1].t_ns)
+        if self._open and not self._awaited:
+            self._publish(history.filter, signals[-1])
         self._used(history)
-        return number
+        return signals
 
     def _restore(self, restore: Restore) -> None:
         """Go on from what another process of this node has left; not where it has begun by itself."""
@@ -337,14 +342,18 @@ class Estimator:
             history.advance(stop_ns, sample)
             if self._former is not None:
                 self._former.advance(stop_ns, sample)
-            if stop_ns == self._next_ns:
-                self._open = True
-                self._next_ns += self._period_ns
-                self._awaited = self._due(stop_ns)
+            self._reach(stop_ns)
             while self._waiting and self._waiting[0].t_ns == stop_ns:
                 self._correct(history, self._waiting.pop(0), out)
             if self._open and not self._awaited:
                 self._publish(filter_, out)
+
+    def _reach(self, t_ns: int) -> None:
+        """The filter has come to this instant; an estimate of it is open until all that is due then is here."""
+        if t_ns == self._next_ns:
+            self._open = True
+            self._next_ns += self._period_ns
+            self._awaited = self._due(t_ns)
 
     def _due(self, t_ns: int) -> list[type[Signal]]:
         """What the sensors file has at ``t_ns`` and at once; satellites only until the descent begins, at 0."""

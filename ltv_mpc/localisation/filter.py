@@ -48,6 +48,9 @@ Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeadin
 """What corrects the filter; the inertial unit moves it."""
 
 
+_EYE = np.eye(CORE)
+
+
 class Verdict(NamedTuple):
     """What came of one message: the innovations as they stood before the gate, and which of them passed it."""
 
@@ -211,7 +214,7 @@ class Filter:
             P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
         water_column.walk(belief, self._config, dt)
         self.water.grow(belief, dt)
-        self._Phi[:] = np.eye(CORE)
+        self._Phi[:] = _EYE
         self._Q[:] = 0.0
         self._pending_ns = 0
 
