@@ -1,8 +1,8 @@
 """What a node is: a pure step. It never asks what time it is, draws no unseeded number, and keeps no thread.
 
-Two callers exist: ``sim/lockstep.py`` (one process, simulated clock) and ``services/process/runner.py`` (Zenoh, wall
-clock). Given the same state and the same (t_ns, inbox) a step returns the same signals, bit for bit; so a recording
-replays through the nodes without tolerances.
+Three callers exist: ``sim/lockstep.py`` (one process, simulated clock), ``sim/stretches.py`` (the same, faster, for
+whoever only listens) and ``services/process/runner.py`` (Zenoh, wall clock). Given the same state and the same
+(t_ns, inbox) a step returns the same signals, bit for bit; so a recording replays through the nodes without tolerances.
 """
 
 from __future__ import annotations
