@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ from ltv_mpc.currents import WaterPrior, read_prior, write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.state import Belief
-from ltv_mpc.node import Inbox, Node
+from ltv_mpc.node import Due, InBulk, Node, one_by_one
 from ltv_mpc.signals import CurrentProfile, Estimate, Signal, Truth
 from services.cli.app import run
 from services.nodes import estimator as process
@@ -60,14 +61,14 @@ def visit(here: Situation) -> Visit:
 
 
 def listen(node: Node, said: dict[type[Signal], Any]) -> None:
-    step = node.step
+    steps = node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
 
-    def listening(t_ns: int, inbox: Inbox) -> Sequence[Signal]:
-        out = step(t_ns, inbox)
-        said.update((type(signal), signal) for signal in out)
+    def listening(due: Sequence[Due]) -> list[list[Signal]]:
+        out = steps(due)
+        said.update((type(signal), signal) for signals in out for signal in signals)
         return out
 
-    node.step = listening  # type: ignore[method-assign]
+    node.steps = listening  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")

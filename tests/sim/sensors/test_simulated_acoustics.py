@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from ltv_mpc import frames
 from ltv_mpc.localisation.suite import Lbl, Usbl
 from ltv_mpc.signals import Truth
-from sim.sensors.instant import Instant, Motion
+from sim.sensors.instant import Instant, through
 from sim.sensors.lbl import Transceiver, arrival_ns
 from sim.sensors.usbl import Ship
 
@@ -73,7 +73,7 @@ def said_along(settings, *, seed=1, step_ns=10 * MS, until_s=3.0):
     said = []
     called_ns = 123 * MS
     for at in range(0, round(until_s * S), step_ns):
-        motion = Motion(path(at / S), path((at + step_ns) / S))
+        (motion,) = through([path(at / S), path((at + step_ns) / S)])
         if at < called_ns <= at + step_ns:
             assert transceiver.sample(motion.at(called_ns)) == []
         said += [(at + step_ns, message) for message in transceiver.answers(motion, at + step_ns)]
@@ -113,7 +113,7 @@ def calls(settings, count, *, seed=1):
     transceiver = Transceiver(settings, seed)
     heard = np.full((count, len(settings.transponders_m)), np.nan)
     wild = np.zeros_like(heard, dtype=bool)
-    still = Motion(truth(0), truth(2 * S))
+    (still,) = through([truth(0), truth(2 * S)])
     for k in range(count):
         transceiver.sample(still.at(0))
         for message in transceiver.answers(still, 2 * S):
@@ -166,13 +166,14 @@ def test_a_tenth_of_the_answers_is_lost_and_a_twentieth_longer_but_never_shorter
 
 def test_a_head_out_of_the_water_calls_nobody_and_a_transponder_far_away_never_answers():
     out = Transceiver(LBL, 1)
-    world = Motion(truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3)))
+    (world,) = through([truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3))])
     out.sample(world.at(0))  # 0.4 m above the origin, at 0.3 m
     assert out.answers(world, S) == []
     far = msgspec.structs.replace(LBL, **PERFECT, transponders_m=((46_000.0, 0.0, 60.0), (100.0, 0.0, 60.0)))
     transceiver = Transceiver(far, 1)
-    transceiver.sample(Motion(truth(0), truth(S)).at(0))
-    said = [x for k in range(70) for x in transceiver.answers(Motion(truth(k * S), truth((k + 1) * S)), (k + 1) * S)]
+    transceiver.sample(through([truth(0), truth(S)])[0].at(0))
+    motions = through([truth(k * S) for k in range(71)])
+    said = [x for motion in motions for x in transceiver.answers(motion, motion.later.t_ns)]
     assert [message.transponder for message in said] == [1]
 
 
