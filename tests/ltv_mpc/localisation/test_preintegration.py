@@ -170,6 +170,14 @@ def test_gathered_noise_is_that_of_every_sample_moved_to_the_end():
     np.testing.assert_array_equal(x, y)
 
 
+def test_it_stops_at_the_sample_after_which_nothing_is_finite():
+    x, R = start()
+    measured = np.tile(np.hstack([RATE, FORCE]), (5, 1))
+    measured[2, 3] = np.inf
+    done = integrate(x, R, np.eye(15), np.zeros((15, 15)), measured, np.full(5, DT), NOISE, FAST_EARTH)
+    assert done == 3
+
+
 def test_the_large_covariance_is_moved_as_its_fifteen_first_states_are():
     """T P T^T + Q with T = diag(Phi, 1), and not a bit of symmetry lost."""
     rng = np.random.default_rng(6)

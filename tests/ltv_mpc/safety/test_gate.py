@@ -67,6 +67,26 @@ def test_a_plan_that_waits_is_replaced_by_a_newer_one_that_starts_no_later():
     assert commands(gate, 2 * S, 4 * S)[-1].tolist() == [10.0, 10.0, 10.0]
 
 
+def test_commands_at_many_times_are_those_at_each_in_turn():
+    """Also where a plan starts, or the last one ends, in between."""
+    one, many = Gate(VEHICLE), Gate(VEHICLE)
+    offered = [
+        plan(0, [[0, 0, 0], [30, -30, 20], [60, -30, 20], [31, 0, 50]]),
+        plan(455_000_000, [[45, -30, 20], [45, 0, 10], [20, 0, 10]]),
+        plan(930_000_000, [[20, 5, 10], [20, 5, 10]]),
+    ]
+    for gate in (one, many):
+        assert gate.command_at(0) == (0.0, 0.0, 0.0)
+        assert [gate.offer(x, 1, i, 0) for i, x in enumerate(offered)] == [Verdict.ACCEPTED] * 3
+    times = [int(t) for t in np.cumsum(np.random.default_rng(1).integers(0, 2 * STEP_NS, 250))]
+    for first in range(0, 250, 50):
+        chunk = times[first : first + 50]
+        np.testing.assert_array_equal(many.commands_at(chunk), [one.command_at(t) for t in chunk])
+    assert times[-1] > 2 * S
+    with pytest.raises(ValueError, match="is before"):
+        many.commands_at([times[-2], times[-1]])
+
+
 def test_after_its_last_knot_the_lateral_thrusts_ramp_to_zero_and_the_vertical_one_to_the_failsafe():
     gate = Gate(VEHICLE)
     gate.command_at(0)
