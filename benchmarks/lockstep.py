@@ -16,13 +16,12 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
-from ltv_mpc.node import Due, Inbox, InBulk, Node, one_by_one
+from ltv_mpc.node import Due, Inbox, Node, steps_of
 from ltv_mpc.signals import Signal
 from services.run import locked
 from services.run.folder import RunFolder
@@ -59,7 +58,7 @@ def shares(of: Situation) -> dict[str, float]:
 
         def __init__(self, node: Node) -> None:
             self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
-            self._steps = node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
+            self._steps = steps_of(node)
 
         def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
             return self.steps([(t_ns, inbox)])[0]

@@ -8,6 +8,7 @@ whoever only listens) and ``services/process/runner.py`` (Zenoh, wall clock). Gi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import msgspec
@@ -81,6 +82,11 @@ class InBulk(Protocol):
 def one_by_one(node: Node, due: Sequence[Due]) -> list[list[Signal]]:
     """What ``steps`` are made of."""
     return [node.step(t_ns, inbox) for t_ns, inbox in due]
+
+
+def steps_of(node: Node) -> Callable[[Sequence[Due]], list[list[Signal]]]:
+    """The node's own ``steps``, or its ``step`` for each in turn."""
+    return node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
 
 
 Stopwatch: TypeAlias = Callable[[str], None]

@@ -216,10 +216,7 @@ class LockStep:
             reader.inbox.append(rejected)
 
     def _numbered(self, seat: _Seat, signal: Signal, at_ns: int) -> Arrival:
-        kind = type(signal)
-        sequence = seat.sequences.get(kind, 0)
-        seat.sequences[kind] = sequence + 1
-        message = Arrival(signal, EPOCH, sequence, at_ns)
+        message = numbered(signal, seat.sequences, at_ns)
         if self._observe is not None:
             self._observe.published(seat.name, message)
         return message
@@ -232,6 +229,14 @@ class LockStep:
         if kind in self._latest:
             reader.inbox = [earlier for earlier in reader.inbox if type(earlier.signal) is not kind]
         reader.inbox.append(message)
+
+
+def numbered(signal: Signal, sequences: dict[type[Signal], int], at_ns: int) -> Arrival:
+    """As it is published; ``sequences`` are the next ones of its writer by type, and are kept up."""
+    kind = type(signal)
+    sequence = sequences.get(kind, 0)
+    sequences[kind] = sequence + 1
+    return Arrival(signal, EPOCH, sequence, at_ns)
 
 
 def timing_of(plan: Plan, start_ns: int, delay_ns: int) -> CycleTiming:

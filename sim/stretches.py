@@ -18,9 +18,9 @@ from operator import itemgetter
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from ltv_mpc.admission import refusal
-from ltv_mpc.node import Arrival, Cycle, Due, InBulk, Node, OnMessage, one_by_one
+from ltv_mpc.node import Arrival, Cycle, Due, Node, OnMessage, steps_of
 from ltv_mpc.signals import Plan, Rejected, Signal
-from sim.lockstep import EPOCH, LATEST, Refuse, refused_by_name, timing_of
+from sim.lockstep import LATEST, Refuse, numbered, refused_by_name, timing_of
 
 
 class Listener(Protocol):
@@ -57,7 +57,7 @@ class _Seat:
         self.causes = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
         self.period_ns = 0 if isinstance(schedule, OnMessage) else schedule.period_ns
         self.next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
-        self.steps = node.steps if isinstance(node, InBulk) else lambda due: one_by_one(node, due)
+        self.steps = steps_of(node)
         self.heard: list[tuple[Place, Arrival]] = []  # and not handed on yet
         self.sequences: dict[type[Signal], int] = {}  # of the next signal of a type
 
@@ -176,7 +176,7 @@ class Stretches:
     def _publish(self, seat: _Seat, signals: list[Signal], at_ns: int, index: int) -> None:
         for signal in signals:
             place, kind = (at_ns, index, next(self._count)), type(signal)
-            message = _numbered(seat, signal, at_ns)
+            message = numbered(signal, seat.sequences, at_ns)
             self._said.append((place, seat.name, message))
             readers = self._readers.get(kind)
             if not readers:
@@ -208,14 +208,8 @@ class Stretches:
                 self._refusals.append(refused)
                 continue
             place, reader, at_ns = refused.place, refused.reader, refused.place[0]
-            told = _numbered(reader, self._refused(reader.name, refused.message, refused.reason), at_ns)
+            rejected = self._refused(reader.name, refused.message, refused.reason)
+            told = numbered(rejected, reader.sequences, at_ns)
             self._said.append((place, reader.name, told))
             if Rejected in reader.node.reads:
                 reader.heard.append((place, told))
-
-
-def _numbered(seat: _Seat, signal: Signal, at_ns: int) -> Arrival:
-    kind = type(signal)
-    sequence = seat.sequences.get(kind, 0)
-    seat.sequences[kind] = sequence + 1
-    return Arrival(signal, EPOCH, sequence, at_ns)

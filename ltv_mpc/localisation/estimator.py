@@ -81,9 +81,6 @@ RECENT_NS = 2_500_000_000
 _MOST_RECENT = 6000
 """Messages kept: an inertial unit at 1 kHz and the others; a bound for when there is none."""
 
-_AT_ONCE = 2
-"""Fewer samples are not worth it."""
-
 _MOST_WAITING = 1000
 """Messages that wait for an inertial sample; beyond, the oldest is dropped: the unit has failed."""
 
@@ -192,7 +189,7 @@ class Estimator:
             samples.append(sample)
             received_ns.append(inbox[0].received_t_ns)
         number = history.follows(samples)
-        if number < _AT_ONCE:
+        if not number:
             return []
         samples = samples[:number]
         measured = readings(samples)

@@ -13,6 +13,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -119,7 +120,7 @@ class Filter:
         if gap_ns:
             self._cross(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
         if belief.t_ns < t_ns:
-            self._integrate(t_ns, sample)
+            self._integrate([t_ns], [sample], readings([sample]))
 
     def follows(self, samples: Sequence[ImuSample], until_ns: int) -> int:
         """How many of these samples, from the first on, only integration follows: each goes on where the last ended,
@@ -138,40 +139,24 @@ class Filter:
         """``advance`` to the time of each of samples that follow, ``measured`` (K, 6), and none beyond one after which
         the belief is not finite; how many.
         """
-        belief = self.belief
-        times_ns = np.array([belief.t_ns, *(sample.t_ns for sample in samples)])
-        done = integrate(
-            belief.x, belief.R, self._Phi, self._Q, measured, np.diff(times_ns) * 1e-9, self._noise, self._earth
-        )
-        last = samples[done - 1]
-        self.rate = last.angular_rate_radps
-        self._pending_ns += last.t_ns - belief.t_ns
-        belief.t_ns = last.t_ns
-        return done
+        return self._integrate([sample.t_ns for sample in samples], samples, measured)
 
-    def _integrate(self, t_ns: int, sample: ImuSample) -> None:
+    def _integrate(self, until_ns: Sequence[int], samples: Sequence[ImuSample], measured: Array) -> int:
+        """By each sample until its time, as ``preintegration.integrate`` has it; how many."""
         belief = self.belief
-        step_ns = t_ns - belief.t_ns
-        self.rate = sample.angular_rate_radps
-        integrate(
-            belief.x,
-            belief.R,
-            self._Phi,
-            self._Q,
-            readings([sample]),
-            np.array([step_ns * 1e-9]),
-            self._noise,
-            self._earth,
-        )
-        belief.t_ns = t_ns
-        self._pending_ns += step_ns
+        seconds = np.array([(b - a) * 1e-9 for a, b in pairwise([belief.t_ns, *until_ns])])
+        done = integrate(belief.x, belief.R, self._Phi, self._Q, measured, seconds, self._noise, self._earth)
+        self.rate = samples[done - 1].angular_rate_radps
+        self._pending_ns += until_ns[done - 1] - belief.t_ns
+        belief.t_ns = until_ns[done - 1]
+        return done
 
     def _cross(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
         """To ``t_ns``, within the ``gap_ns`` before ``sample`` of which nothing was measured."""
         belief = self.belief
         seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
         if gap_ns <= gap.BRIDGED_NS:
-            self._integrate(t_ns, sample)
+            self._integrate([t_ns], [sample], readings([sample]))
             gap.doubt(self._Q, seconds, gap_s)
             return
         down = belief.R[2]

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
-from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, OnMessage, Schedule
+from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, OnMessage
 from ltv_mpc.signals import (
     CycleTiming,
     Estimate,
     Plan,
-    PlanOrigin,
     PressureDepth,
     Rejected,
     RunEvent,
     Signal,
-    Solve,
-    SolveStatus,
     Truth,
 )
 from sim import lockstep
-
-MS = 1_000_000
+from tests.sim.table import MS, Fake, plan
 
 
 def truth(t_ns: int) -> Truth:
@@ -50,39 +45,6 @@ def estimate(t_ns: int) -> Estimate:
         velocity_north_mps=0.0,
         velocity_east_mps=0.0,
     )
-
-
-def plan(cycle_t_ns: int, estimate_t_ns: int) -> Plan:
-    knots = cycle_t_ns + 300 * MS * np.arange(3)
-    return Plan(
-        cycle_t_ns=cycle_t_ns,
-        t_ns=knots,
-        thrust_N=np.zeros((3, 3)),
-        states=np.zeros((3, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-        estimate_t_ns=estimate_t_ns,
-    )
-
-
-class Fake:
-    """A node that answers with a function and keeps what it was handed."""
-
-    def __init__(self, name: str, schedule: Schedule, reads: tuple[type[Signal], ...], answer: Any = None) -> None:
-        self.name = name
-        self.schedule = schedule
-        self.reads = reads
-        self.writes: tuple[type[Signal], ...] = ()
-        self.answer = answer or (lambda _t_ns, _inbox: [])
-        self.seen: list[tuple[int, list[tuple[type[Signal], int, int]]]] = []
-
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
-        self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
-        return self.answer(t_ns, inbox)
-
-    @property
-    def times_ms(self) -> list[float]:
-        return [t_ns / MS for t_ns, _ in self.seen]
 
 
 class Log:

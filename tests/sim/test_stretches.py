@@ -10,20 +10,17 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage, Schedule, one_by_one
+from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage, one_by_one
 from ltv_mpc.signals import (
     CycleTiming,
     Disturbance,
     Estimate,
     ImuSample,
     Plan,
-    PlanOrigin,
     PressureDepth,
     Rejected,
     RunEvent,
     Signal,
-    Solve,
-    SolveStatus,
     Truth,
 )
 from services.bus import wire
@@ -34,8 +31,8 @@ from sim.lockstep import LockStep
 from sim.plant import Plant
 from sim.sensors.node import Sensors
 from sim.stretches import Stretches
+from tests.sim.table import MS, Fake, plan
 
-MS = 1_000_000
 S = 1000 * MS
 
 
@@ -148,25 +145,6 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
 # --- rules, on nodes small enough ------------------------------------------------------------------------------------
 
 
-class Fake:
-    """Answers with a function; ``seen`` is what it was handed."""
-
-    def __init__(
-        self,
-        name: str,
-        schedule: Schedule,
-        reads: tuple[type[Signal], ...] = (),
-        writes: tuple[type[Signal], ...] = (),
-        answer: Callable[[int, Inbox], list[Signal]] = lambda _t_ns, _inbox: [],
-    ) -> None:
-        self.name, self.schedule, self.reads, self.writes, self._answer = name, schedule, reads, writes, answer
-        self.seen: list[tuple[int, list[tuple[type[Signal], int, int]]]] = []
-
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
-        self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
-        return self._answer(t_ns, inbox)
-
-
 class Many(Fake):
     """The same, at once."""
 
@@ -203,27 +181,18 @@ def estimate(t_ns: int, _: Inbox) -> list[Signal]:
 def table(fake: type[Fake]) -> list[Fake]:
     """Two on grids, two on messages, two that cycle at other periods, and messages of each kind between them."""
     return [
-        fake("first", Grid(10 * MS), (Plan,), (RunEvent, PressureDepth), first),
-        fake("second", Grid(25 * MS), (), (PressureDepth, RunEvent), depth),
-        fake("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), (Estimate,), estimate),
+        fake("first", Grid(10 * MS), (Plan,), first, (RunEvent, PressureDepth)),
+        fake("second", Grid(25 * MS), (), depth, (PressureDepth, RunEvent)),
+        fake("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), estimate, (Estimate,)),
         fake("last", OnMessage((Estimate,)), (Estimate, RunEvent)),
-        Fake("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), (Plan,), plan),
+        Fake("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), plans, (Plan,)),
         Fake("other", Cycle(70 * MS), (Estimate, Plan, PressureDepth, CycleTiming)),
     ]
 
 
-def plan(t_ns: int, _: Inbox) -> list[Signal]:
+def plans(t_ns: int, _: Inbox) -> list[Signal]:
     """At two of three cycles."""
-    knots = t_ns + 70 * MS * np.arange(3)
-    made = Plan(
-        cycle_t_ns=t_ns,
-        t_ns=knots,
-        thrust_N=np.zeros((3, 3)),
-        states=np.zeros((3, 6)),
-        origin=PlanOrigin.SOLVED,
-        solve=Solve(status=SolveStatus.SOLVED),
-    )
-    return [made] if t_ns % (210 * MS) else []
+    return [plan(t_ns, t_ns)] if t_ns % (210 * MS) else []
 
 
 @pytest.mark.parametrize("delay_ms", [0, 30, 90])
@@ -243,8 +212,8 @@ def test_each_step_is_given_what_lock_step_gives_it(delay_ms: int, pieces_ms: tu
     ("nodes", "why"),
     [
         ([Fake("c", Cycle(MS)), Fake("g", Grid(MS))], "cycle come last"),
-        ([Fake("a", Grid(MS), (Truth,)), Fake("b", Grid(MS), (), (Truth,))], "a reads Truth"),
-        ([Fake("a", Grid(MS), (Truth,), (Truth,))], "a reads Truth"),
+        ([Fake("a", Grid(MS), (Truth,)), Fake("b", Grid(MS), writes=(Truth,))], "a reads Truth"),
+        ([Fake("a", Grid(MS), (Truth,), writes=(Truth,))], "a reads Truth"),
         ([Fake("a", Grid(MS), (Rejected,))], "a reads Rejected"),
         ([Fake("a", Grid(MS), (Estimate,))], "a reads Estimate"),
     ],

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from ltv_mpc.currents import WaterPrior, read_prior, write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.state import Belief
-from ltv_mpc.node import Due, InBulk, Node, one_by_one
+from ltv_mpc.node import Due, Node, steps_of
 from ltv_mpc.signals import CurrentProfile, Estimate, Signal, Truth
 from services.cli.app import run
 from services.nodes import estimator as process
@@ -61,7 +60,7 @@ def visit(here: Situation) -> Visit:
 
 
 def listen(node: Node, said: dict[type[Signal], Any]) -> None:
-    steps = node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
+    steps = steps_of(node)
 
     def listening(due: Sequence[Due]) -> list[list[Signal]]:
         out = steps(due)

@@ -1,0 +1,52 @@
+"""Nodes and plans small enough to write down by hand what lock step hands to whom."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ltv_mpc.node import Inbox, Schedule
+from ltv_mpc.signals import Plan, PlanOrigin, Signal, Solve, SolveStatus
+
+MS = 1_000_000
+
+
+def plan(cycle_t_ns: int, estimate_t_ns: int) -> Plan:
+    knots = cycle_t_ns + 300 * MS * np.arange(3)
+    return Plan(
+        cycle_t_ns=cycle_t_ns,
+        t_ns=knots,
+        thrust_N=np.zeros((3, 3)),
+        states=np.zeros((3, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+        estimate_t_ns=estimate_t_ns,
+    )
+
+
+class Fake:
+    """A node that answers with a function and keeps what it was handed."""
+
+    def __init__(
+        self,
+        name: str,
+        schedule: Schedule,
+        reads: tuple[type[Signal], ...] = (),
+        answer: Any = None,
+        writes: tuple[type[Signal], ...] = (),
+    ) -> None:
+        self.name = name
+        self.schedule = schedule
+        self.reads = reads
+        self.writes = writes
+        self.answer = answer or (lambda _t_ns, _inbox: [])
+        self.seen: list[tuple[int, list[tuple[type[Signal], int, int]]]] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
+        return self.answer(t_ns, inbox)
+
+    @property
+    def times_ms(self) -> list[float]:
+        return [t_ns / MS for t_ns, _ in self.seen]
