@@ -77,6 +77,16 @@ def skew(a: Array) -> Array:
 
 
 @kernel
+def product(A: Array, B: Array) -> Array:
+    """A B of two (3, 3): in compiled code, where a library's call takes longer than the sums."""
+    C = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+    return C
+
+
+@kernel
 def rotation_exp(phi: Array) -> Array:
     """exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ with t = |phi|, shape (3, 3)."""
     x, y, z = phi[0], phi[1], phi[2]

@@ -6,7 +6,8 @@ S = H P H^T + R,  each row passes if residual_i^2 / S_ii <= gate;  of those that
 any P; ``correct`` moves a belief by the error and carries P over to the estimate that has moved (``turning.py``).
 Exact   P stays symmetric to the last bit: of few rows both triangles are reckoned by the same sums, of many one
         triangle is, and the other written from it tile by tile.
-Cost    H is sparse: H P costs m w n, S m^2 w, W m^2 n, W^T W m n^2 / 2; then one pass over P.
+Cost    H is sparse: H P costs m w n, S m w (s + m / 2) with s the states that H touches, W m^2 n, W^T W m n^2 / 2; then
+        one pass over P. Where s is much less than m, s rows that say the same take the place of m (``sufficient.py``).
 """
 
 from __future__ import annotations
@@ -21,12 +22,16 @@ from scipy.linalg.lapack import dpotrf
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.localisation.measurements.rows import Rows
-from ltv_mpc.localisation.state import Belief
-from ltv_mpc.localisation.turning import HEADING, swing
+from ltv_mpc.localisation.state import Belief, shift
+from ltv_mpc.localisation.sufficient import innovation, project, sufficient, touched
+from ltv_mpc.localisation.turning import HEADING, swing, turned
 from ltv_mpc.signals import Array
 
 _FEW = 4
 """Rows up to which no library is called: its calls would take longer than the sums, and be another pass over P."""
+
+_MUCH_LESS = 0.75
+"""Of the rows' number. Below it, making fewer of them is paid back by what is done with them."""
 
 _TILE = 32
 """Two tiles of P, 16 kB, stay in the innermost cache while one becomes the other's transpose."""
@@ -44,42 +49,10 @@ class Correction(NamedTuple):
 
 
 @kernel
-def _project(P: Array, state: npt.NDArray[np.int64], partial: Array, variance: Array) -> tuple[Array, Array]:
-    """H P, (m, n), and S = H P H^T + R, (m, m)."""
-    m, w = state.shape
-    n = P.shape[0]
-    HP, S = np.zeros((m, n)), np.zeros((m, m))
-    for i in range(m):
-        for a in range(w):
-            c, s = partial[i, a], state[i, a]
-            if c != 0.0:
-                for k in range(n):
-                    HP[i, k] += c * P[s, k]
-    PH = np.empty((n, m))  # whose rows S is a sum of: all at once, where rows of H P would be picked one by one
-    for i in range(m):
-        for k in range(n):
-            PH[k, i] = HP[i, k]
-    for j in range(m):
-        for a in range(w):
-            c, s = partial[j, a], state[j, a]
-            if c != 0.0:
-                for i in range(j, m):
-                    S[j, i] += c * PH[s, i]
-        for i in range(j):
-            S[j, i] = S[i, j]
-        S[j, j] += variance[j]
-    return HP, S
-
-
-@kernel
-def _fold(HP: Array, S: Array, residual: Array) -> tuple[bool, Array]:
-    """S = L L^T; HP := L^-1 HP = W and residual := L^-1 residual, in place; the error W^T L^-1 residual, (n,).
-
-    False and anything if S is not definite.
-    """
+def _fold(HP: Array, S: Array, residual: Array) -> bool:
+    """S = L L^T; HP := L^-1 HP = W and residual := L^-1 residual, in place. False and anything if S is not definite."""
     m, n = HP.shape
     L = np.zeros((m, m))
-    error = np.zeros(n)
     for i in range(m):
         for j in range(i + 1):
             s = S[i, j]
@@ -90,7 +63,7 @@ def _fold(HP: Array, S: Array, residual: Array) -> tuple[bool, Array]:
             elif s > 0.0:
                 L[i, i] = math.sqrt(s)
             else:
-                return False, error
+                return False
         for k in range(i):
             c = L[i, k]
             residual[i] -= c * residual[k]
@@ -99,8 +72,32 @@ def _fold(HP: Array, S: Array, residual: Array) -> tuple[bool, Array]:
         residual[i] /= L[i, i]
         for j in range(n):
             HP[i, j] /= L[i, i]
-            error[j] += HP[i, j] * residual[i]
-    return True, error
+    return True
+
+
+@kernel
+def _gated(S: Array, z: Array, gate: float) -> tuple[npt.NDArray[np.bool_], Array, int]:
+    """Which rows pass, (m,), residual^2 / S_ii of each, (m,), and how many."""
+    m = len(z)
+    accepted, nis, passed = np.zeros(m, dtype=np.bool_), np.empty(m), 0
+    for i in range(m):
+        nis[i] = z[i] * z[i] / S[i, i]
+        accepted[i] = nis[i] <= gate
+        passed += accepted[i]
+    return accepted, nis, passed
+
+
+@kernel
+def _tell(W: Array, residual: Array) -> tuple[Array, Array]:
+    """The error W^T L^-1 residual, (n,), with ``residual`` = L^-1 residual, and the diagonal of W^T W, (n,)."""
+    m, n = W.shape
+    error, told = np.zeros(n), np.zeros(n)
+    for i in range(m):
+        w, c = W[i], residual[i]
+        for j in range(n):
+            error[j] += c * w[j]
+            told[j] += w[j] * w[j]
+    return error, told
 
 
 @kernel
@@ -123,17 +120,24 @@ def _subtract(P: Array, W: Array, a: Array, b: Array) -> None:
 
 
 @kernel
-def _mirror(P: Array, a: Array, b: Array) -> None:
-    """P := P + a b^T + b a^T, of which only the upper triangle is read, and both are written, tile by tile."""
+def _mirror(P: Array, a: Array) -> None:
+    """``reduce`` where W^T W has been subtracted: only the upper triangle is read, both are written, tile by tile."""
     n = P.shape[0]
+    b = P[HEADING].copy()
+    for j in range(HEADING):
+        b[j] = P[j, HEADING]
+    half = 0.5 * b[HEADING]
+    for j in range(n):
+        b[j] += half * a[j]
     for top in range(0, n, _TILE):
         bottom = min(top + _TILE, n)
         for left in range(top, n, _TILE):
             right = min(left + _TILE, n)
             for i in range(top, bottom):
-                ai, bi = a[i], b[i]
-                for j in range(max(i, left), right):
-                    P[i, j] += ai * b[j] + bi * a[j]
+                ai, bi, first = a[i], b[i], max(i, left)
+                row, a_, b_ = P[i][first:right], a[first:right], b[first:right]  # vectors: of slices from 0 on
+                for j in range(len(row)):
+                    row[j] += ai * b_[j] + bi * a_[j]
             for j in range(left, right):
                 for i in range(top, min(bottom, j)):
                     P[j, i] = P[i, j]
@@ -141,20 +145,28 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 @kernel
 def _weigh_few(
-    P: Array, state: npt.NDArray[np.int64], partial: Array, z: Array, variance: Array, gate: float
+    P: Array, rows: Rows, gate: float
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, Array]:
     """The fields of a ``Correction``, and W, of few rows: without a library's calls."""
-    HP, S = _project(P, state, partial, variance)
-    m, n = HP.shape
-    accepted, nis = np.zeros(m, dtype=np.bool_), np.empty(m)
-    passed = 0
+    state, partial, z, variance = rows.state, rows.partial, rows.residual, rows.variance
+    (m, w), n = state.shape, P.shape[0]
+    HP, S = np.zeros((m, n)), np.zeros((m, m))
     for i in range(m):
-        nis[i] = z[i] * z[i] / S[i, i]
-        accepted[i] = nis[i] <= gate
-        passed += accepted[i]
-    W, of_passed, residual, told = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed), np.zeros(n)
+        for a in range(w):
+            c, s = partial[i, a], state[i, a]
+            if c != 0.0:
+                for k in range(n):
+                    HP[i, k] += c * P[s, k]
+    for i in range(m):
+        for j in range(i + 1):
+            for a in range(w):
+                S[i, j] += partial[j, a] * HP[i, state[j, a]]
+            S[j, i] = S[i, j]
+        S[i, i] += variance[i]
+    accepted, nis, passed = _gated(S, z, gate)
+    W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     if passed == 0:
-        return accepted, nis, S, True, np.zeros(n), told, W
+        return accepted, nis, S, True, np.zeros(n), np.zeros(n), W
     a = 0
     for i in range(m):
         if accepted[i]:
@@ -166,12 +178,9 @@ def _weigh_few(
                     of_passed[a, b] = S[i, j]
                     b += 1
             a += 1
-    definite, error = _fold(W, of_passed, residual)
-    if not definite:
-        return np.zeros_like(accepted), nis, S, False, np.zeros(n), told, np.empty((0, n))
-    for a in range(passed):
-        for j in range(n):
-            told[j] += W[a, j] * W[a, j]
+    if not _fold(W, of_passed, residual):
+        return np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), np.empty((0, n))
+    error, told = _tell(W, residual)
     return accepted, nis, S, True, error, told, W
 
 
@@ -181,27 +190,61 @@ def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
     ``P`` (n, n), symmetric, C-contiguous, is only read. W has no row where nothing passed or S is not definite.
     """
     if len(rows.residual) <= _FEW:
-        accepted, nis, S, definite, error, told, W = _weigh_few(P, *rows, gate)
+        accepted, nis, S, definite, error, told, W = _weigh_few(P, rows, gate)
         return Correction(accepted, nis, S, definite, error, told), W
-    HP, S = _project(P, rows.state, rows.partial, rows.variance)
-    nis = rows.residual**2 / np.diagonal(S)
-    accepted = nis <= gate
-    residual = rows.residual
-    nothing = np.zeros(len(P)), np.empty((0, len(P)))
-    if not accepted.any():
-        return Correction(accepted, nis, S, True, nothing[0], nothing[0]), nothing[1]
-    of_accepted = S
-    if not accepted.all():
-        HP = HP[accepted]
-        of_accepted = S[np.ix_(accepted, accepted)]
-        residual = residual[accepted]
+    places, local = touched(rows.state, rows.partial, len(P))
+    S = innovation(P, places, local, rows.partial, rows.variance)
+    z, n = rows.residual, len(P)
+    accepted, nis, passed = _gated(S, z, gate)
+    if passed == 0:
+        return Correction(accepted, nis, S, True, np.zeros(n), np.zeros(n)), np.empty((0, n))
+    if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
+        HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
+    elif passed == len(z):
+        HP, of_passed = project(P, places, local, rows.partial), S
+    else:
+        HP, of_passed = project(P, places, local[accepted], rows.partial[accepted]), S[np.ix_(accepted, accepted)]
+        z = z[accepted]
     # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
-    L, info = dpotrf(of_accepted.T, lower=1, clean=0)
+    L, info = dpotrf(of_passed.T, lower=1, clean=0)
     if info != 0:
-        return Correction(np.zeros_like(accepted), nis, S, False, nothing[0], nothing[0]), nothing[1]
-    WT = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, m'): W^T = (H P)^T L^-T
-    W, error = WT.T, WT @ dtrsv(L, residual, lower=1)
-    return Correction(accepted, nis, S, True, error, np.einsum("mn,mn->n", W, W)), W
+        nothing = np.zeros_like(accepted)
+        return Correction(nothing, nis, S, False, np.zeros(n), np.zeros(n)), np.empty((0, n))
+    W = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T  # W^T = (H P)^T L^-T
+    return Correction(accepted, nis, S, True, *_tell(W, dtrsv(L, z, lower=1))), W
+
+
+@kernel
+def _reduce_few(P: Array, W: Array, a: Array) -> None:
+    """``reduce`` by few rows."""
+    b = P[HEADING].copy()
+    for k in range(W.shape[0]):
+        c = W[k, HEADING]
+        for j in range(len(b)):
+            b[j] -= c * W[k, j]
+    half = 0.5 * b[HEADING]
+    for j in range(len(b)):
+        b[j] += half * a[j]
+    _subtract(P, W, a, b)
+
+
+@kernel
+def _correct_few(
+    x: Array,
+    R: Array,
+    P: Array,
+    rows: Rows,
+    gate: float,
+    mean: int,
+    north: int,
+    east: int,
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array]:
+    """``correct`` by few rows but for the mounting: the fields of a ``Correction``. Places as in ``turning.turned``."""
+    accepted, nis, S, definite, error, told, W = _weigh_few(P, rows, gate)
+    if W.shape[0]:
+        shift(x, R, error)
+        _reduce_few(P, W, turned(error, mean, north, east))
+    return accepted, nis, S, definite, error, told
 
 
 def reduce(P: Array, W: Array, a: Array | None = None) -> None:
@@ -209,22 +252,13 @@ def reduce(P: Array, W: Array, a: Array | None = None) -> None:
 
     M P M^T = P + a b^T + b a^T with b = P_.s + a P_ss / 2.
     """
-    many = len(W) > _FEW
-    if many:
-        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # the upper triangle of P
     if a is None:
-        a = b = np.zeros(len(P))
+        a = np.zeros(len(P))
+    if len(W) <= _FEW:
+        _reduce_few(P, W, a)
     else:
-        h = P[HEADING].copy()
-        if many:
-            h[:HEADING] = P[:HEADING, HEADING]
-        elif len(W):
-            h -= W[:, HEADING] @ W
-        b = h + (0.5 * h[HEADING]) * a
-    if many:
-        _mirror(P, a, b)
-    else:
-        _subtract(P, W, a, b)
+        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # the upper triangle of P
+        _mirror(P, a)
 
 
 def update(P: Array, rows: Rows, gate: float) -> Correction:
@@ -237,8 +271,14 @@ def update(P: Array, rows: Rows, gate: float) -> Correction:
 
 def correct(belief: Belief, rows: Rows, gate: float) -> Correction:
     """Update ``belief`` in place by the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom)."""
+    layout = belief.layout
+    if len(rows.residual) <= _FEW:
+        water = layout.mean.start, layout.north.start, layout.east.start
+        correction = Correction(*_correct_few(belief.x, belief.R, belief.P, rows, gate, *water))
+        belief.turn_mounting(correction.error)
+        return correction
     correction, W = weigh(belief.P, rows, gate)
     if len(W):
         belief.add(correction.error)
-        reduce(belief.P, W, swing(correction.error, belief.layout))
+        reduce(belief.P, W, swing(correction.error, layout))
     return correction

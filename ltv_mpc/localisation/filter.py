@@ -13,7 +13,6 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -28,7 +27,7 @@ from ltv_mpc.localisation.correction import Correction, correct
 from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
 from ltv_mpc.localisation.measurements.adcp import AdcpModel, Indices
 from ltv_mpc.localisation.measurements.rows import Rows
-from ltv_mpc.localisation.preintegration import carry, integrate, noise_of, readings
+from ltv_mpc.localisation.preintegration import carry, core_of, integrate, noise_of, readings
 from ltv_mpc.localisation.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.window import follow
@@ -47,9 +46,6 @@ from ltv_mpc.signals import (
 
 Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeading | BottomTrack | LblRange | UsblFix
 """What corrects the filter; the inertial unit moves it."""
-
-
-_EYE = np.eye(CORE)
 
 
 class Verdict(NamedTuple):
@@ -144,7 +140,8 @@ class Filter:
     def _integrate(self, until_ns: Sequence[int], samples: Sequence[ImuSample], measured: Array) -> int:
         """By each sample until its time, as ``preintegration.integrate`` has it; how many."""
         belief = self.belief
-        seconds = np.array([(b - a) * 1e-9 for a, b in pairwise([belief.t_ns, *until_ns])])
+        stamps_ns = np.array([belief.t_ns, *until_ns])
+        seconds = 1e-9 * (stamps_ns[1:] - stamps_ns[:-1])
         done = integrate(belief.x, belief.R, self._Phi, self._Q, measured, seconds, self._noise, self._earth)
         self.rate = samples[done - 1].angular_rate_radps
         self._pending_ns += until_ns[done - 1] - belief.t_ns
@@ -199,8 +196,6 @@ class Filter:
             P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
         water_column.walk(belief, self._config, dt)
         self.water.grow(belief, dt)
-        self._Phi[:] = _EYE
-        self._Q[:] = 0.0
         self._pending_ns = 0
 
     def settled(self) -> Belief:
@@ -219,8 +214,7 @@ class Filter:
 
     def core_covariance(self) -> Array:
         """Of the core at the belief's time, (15, 15), without moving the rest."""
-        C = self._Phi @ self.belief.P[:CORE, :CORE] @ self._Phi.T + self._Q
-        return 0.5 * (C + C.T)
+        return core_of(self.belief.P, self._Phi, self._Q)
 
     @property
     def rate_variance(self) -> float:

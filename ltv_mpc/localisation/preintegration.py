@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import GRAVITY_MPS2, rotation_exp
+from ltv_mpc.frames import GRAVITY_MPS2, product, rotation_exp
 from ltv_mpc.localisation.suite import Imu
 from ltv_mpc.signals import Array, ImuSample
 
@@ -50,6 +50,12 @@ def _cross(a: Array, b: Array) -> Array:
     c[1] = a[2] * b[0] - a[0] * b[2]
     c[2] = a[0] * b[1] - a[1] * b[0]
     return c
+
+
+@kernel
+def _turned(R: Array, world: Array, body: Array) -> Array:
+    """exp(world^) R exp(body^), (3, 3)."""
+    return product(product(rotation_exp(world), R), rotation_exp(body))
 
 
 @kernel
@@ -106,16 +112,17 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
     for i in range(3):
         w[i] = measured[i] - x[9 + i]
         f[i] = measured[3 + i] - x[12 + i]
-    C = rotation_exp(-0.5 * dt * W) @ R @ rotation_exp(0.5 * dt * w)  # R_mid
-    a = C @ f
-    v = x[3:6].copy()
+    C = _turned(R, -0.5 * dt * W, 0.5 * dt * w)  # R_mid
+    a, v = np.empty(3), x[3:6].copy()
+    for i in range(3):
+        a[i] = C[i, 0] * f[0] + C[i, 1] * f[1] + C[i, 2] * f[2]
     coriolis = _cross(W, v)
     for i in range(3):
         x[3 + i] += dt * (a[i] - 2.0 * coriolis[i])
     x[5] += dt * GRAVITY_MPS2
     for i in range(3):
         x[i] += 0.5 * dt * (v[i] + x[3 + i])
-    assign(R, rotation_exp(-dt * W) @ R @ rotation_exp(dt * w))
+    assign(R, _turned(R, -dt * W, dt * w))
     keep_g = math.exp(-dt / noise[3])
     keep_a = math.exp(-dt / noise[5])
     for i in range(3):
@@ -125,7 +132,9 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
     _transition(Phi, C, a, W, dt, keep_g, keep_a)
     # Q := Phi_k Q Phi_k^T + Q_k, by rows, then by columns (Q is symmetric, so its transpose serves)
     _transition(Q, C, a, W, dt, keep_g, keep_a)
-    assign(Q, Q.T.copy())
+    for i in range(1, Q.shape[0]):
+        for j in range(i):
+            Q[i, j], Q[j, i] = Q[j, i], Q[i, j]
     _transition(Q, C, a, W, dt, keep_g, keep_a)
     s_g = noise[0] * noise[0] * dt
     s_a = noise[1] * noise[1] * dt
@@ -143,13 +152,34 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
 
 
 @kernel
+def core_of(P: Array, Phi: Array, Q: Array) -> Array:
+    """What ``carry`` would make of the core's covariance: Phi P_cc Phi^T + Q, (15, 15), symmetric to the last bit."""
+    c = Phi.shape[0]
+    moved, out = np.zeros((c, c)), np.empty((c, c))
+    for i in range(c):
+        for a in range(c):
+            f = Phi[i, a]
+            if f != 0.0:
+                for j in range(c):
+                    moved[i, j] += f * P[a, j]
+    for i in range(c):
+        for j in range(i, c):
+            upper = lower = 0.0
+            for a in range(c):
+                upper += moved[i, a] * Phi[j, a]
+                lower += moved[j, a] * Phi[i, a]
+            out[i, j] = out[j, i] = 0.5 * (upper + lower + Q[i, j] + Q[j, i])
+    return out
+
+
+@kernel
 def carry(P: Array, Phi: Array, Q: Array) -> None:
     """The large covariance (n, n) over all that was gathered, in place: P_cr := Phi P_cr, P_cc := Phi P_cc Phi^T + Q.
 
-    c: the fifteen core states, r: all others. P stays symmetric to the last bit.
+    c: the fifteen core states, r: all others. P stays symmetric to the last bit. Gathering begins anew, Phi = I, Q = 0.
     """
     n, c = P.shape[0], Phi.shape[0]
-    moved = np.zeros((c, n))
+    core, moved = core_of(P, Phi, Q), np.zeros((c, n))
     for i in range(c):
         for a in range(c):
             f = Phi[i, a]
@@ -157,15 +187,13 @@ def carry(P: Array, Phi: Array, Q: Array) -> None:
                 for j in range(n):
                     moved[i, j] += f * P[a, j]
     for i in range(c):
+        for j in range(c):
+            P[i, j] = core[i, j]
         for j in range(c, n):
             P[i, j] = moved[i, j]
-        for j in range(i, c):
-            upper = lower = 0.0
-            for a in range(c):
-                upper += moved[i, a] * Phi[j, a]
-                lower += moved[j, a] * Phi[i, a]
-            P[i, j] = 0.5 * (upper + lower + Q[i, j] + Q[j, i])
-            P[j, i] = P[i, j]
     for j in range(c, n):
         for i in range(c):
             P[j, i] = moved[i, j]
+    for i in range(c):
+        for j in range(c):
+            Phi[i, j], Q[i, j] = 1.0 if i == j else 0.0, 0.0

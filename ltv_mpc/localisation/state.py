@@ -18,7 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltv_mpc.frames import rotation_exp, skew
+from ltv_mpc.compiled import assign, kernel
+from ltv_mpc.frames import product, rotation_exp, skew
 from ltv_mpc.localisation.column import Column
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.suite import Adcp, Suite
@@ -29,6 +30,7 @@ VELOCITY = slice(3, 6)
 ATTITUDE = slice(6, 9)
 GYRO_BIAS = slice(9, 12)
 ACCELEROMETER_BIAS = slice(12, 15)
+_ATTITUDE = ATTITUDE.start
 CORE = 15
 """The states that the inertial unit drives: the first fifteen, in every layout."""
 
@@ -108,6 +110,14 @@ def reach_m(adcp: Adcp) -> tuple[float, float]:
     return nearby + upward * adcp.range_m, nearby + downward * adcp.range_m
 
 
+@kernel
+def shift(x: Array, R: Array, error: Array) -> None:
+    """x := x + error, (n,), and R := exp(phi^) R, (3, 3), with phi the attitude's part of it, in place."""
+    for k in range(len(x)):
+        x[k] += error[k]
+    assign(R, product(rotation_exp(error[_ATTITUDE : _ATTITUDE + 3]), R))
+
+
 @dataclass(slots=True, kw_only=True)
 class Belief:
     """The filter's best guess at ``t_ns`` and the covariance of its error.
@@ -153,10 +163,14 @@ class Belief:
 
     def add(self, error: Array) -> None:
         """Estimate + error, (n,), in the sense of the file's head. The covariance is not touched."""
-        self.x += error
-        self.R = rotation_exp(error[ATTITUDE]) @ self.R
-        if self.layout.mounting.stop > self.layout.mounting.start:
-            self.mounting = rotation_exp(error[self.layout.mounting]) @ self.mounting
+        shift(self.x, self.R, error)
+        self.turn_mounting(error)
+
+    def turn_mounting(self, error: Array) -> None:
+        """The part of ``add`` that is the mounting's."""
+        mounting = self.layout.mounting
+        if mounting.stop > mounting.start:
+            self.mounting = rotation_exp(error[mounting]) @ self.mounting
 
     def clone_position(self, lever_m: Triple = (0.0, 0.0, 0.0)) -> None:
         """The antenna's position of this instant becomes the satellite epoch's: x_e := p + q with q = R l.

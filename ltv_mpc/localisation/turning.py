@@ -16,20 +16,31 @@ from __future__ import annotations
 
 import numpy as np
 
+from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.state import ATTITUDE, VELOCITY, Layout
 from ltv_mpc.signals import Array
 
 HEADING = ATTITUDE.stop - 1
 """Place of phi_d."""
 
+_VELOCITY = VELOCITY.start
+
+
+@kernel
+def turned(correction: Array, mean: int, north: int, east: int) -> Array:
+    """a, (n,), of the estimate that ``correction`` (n,) has just moved; a[HEADING] = 0.
+
+    ``mean`` is the place of m, ``north`` and ``east`` those of the water's first node.
+    """
+    a = np.zeros(len(correction))
+    v = _VELOCITY
+    a[v], a[v + 1] = -correction[v + 1], correction[v]
+    a[mean], a[mean + 1] = -correction[mean + 1], correction[mean]
+    for k in range(east - north):
+        a[north + k], a[east + k] = -correction[east + k], correction[north + k]
+    return a
+
 
 def swing(correction: Array, layout: Layout) -> Array:
-    """a, (n,), of the estimate that ``correction`` (n,) has just moved; a[HEADING] = 0."""
-    a = np.zeros(len(correction))
-    for north, east in (
-        (VELOCITY.start, VELOCITY.start + 1),
-        (layout.mean.start, layout.mean.start + 1),
-        (layout.north, layout.east),
-    ):
-        a[north], a[east] = -correction[east], correction[north]
-    return a
+    """``turned`` by the places of ``layout``."""
+    return turned(correction, layout.mean.start, layout.north.start, layout.east.start)

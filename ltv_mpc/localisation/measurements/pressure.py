@@ -1,27 +1,33 @@
 """Depth from pressure: of the gauge at lever arm l, positive down.
 
-z = p_d + q_d + n,  q = R l;  partials in ``lever.py``
+z = p_d + q_d + n,  q = R l,  dz = dp_d + phi_n q_e - phi_e q_n        (phi x q, ``lever.py``)
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.localisation.measurements import lever
+from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, Belief
 from ltv_mpc.localisation.suite import Pressure
-from ltv_mpc.signals import PressureDepth
+from ltv_mpc.signals import Array, PressureDepth, Triple
 
-_STATE = np.array([[2, *range(ATTITUDE.start, ATTITUDE.stop)]])
+_STATE = np.array([[2, ATTITUDE.start, ATTITUDE.start + 1]])
 
 
 def rows(belief: Belief, depth: PressureDepth, pressure: Pressure) -> Rows:
     """One row."""
-    gauge = lever.point(belief, pressure.lever_arm_m)
-    return Rows(
-        state=_STATE,
-        partial=np.array([[1.0, *gauge.by_attitude[2]]]),
-        residual=np.array([depth.depth_m - belief.x[2] - gauge.offset[2]]),
-        variance=np.array([pressure.depth_sd_m**2]),
-    )
+    partial, residual, variance = _row(belief.x, belief.R, pressure.lever_arm_m, depth.depth_m, pressure.depth_sd_m)
+    return Rows(_STATE, partial, residual, variance)
+
+
+@kernel
+def _row(x: Array, R: Array, l: Triple, depth_m: float, sd_m: float) -> tuple[Array, Array, Array]:  # noqa: E741
+    """Partials (1, 3), residual (1,), variance (1,)."""
+    q_n = R[0, 0] * l[0] + R[0, 1] * l[1] + R[0, 2] * l[2]
+    q_e = R[1, 0] * l[0] + R[1, 1] * l[1] + R[1, 2] * l[2]
+    q_d = R[2, 0] * l[0] + R[2, 1] * l[1] + R[2, 2] * l[2]
+    partial = np.empty((1, 3))
+    partial[0, 0], partial[0, 1], partial[0, 2] = 1.0, q_e, -q_n
+    return partial, np.full(1, depth_m - x[2] - q_d), np.full(1, sd_m * sd_m)
