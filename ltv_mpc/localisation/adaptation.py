@@ -37,6 +37,7 @@ from __future__ import annotations
 
 import enum
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -136,15 +137,12 @@ class Adaptation:
 
     def hear(self, t_ns: int, u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> None:
         """Innovations r (m,) of one ping with covariance S; u (m, 3) each row's beam in NED."""
-        most = _CUT * np.sqrt(np.diagonal(S))
-        r = np.clip(r, -most, most)
-        known, d, V = _contrast(u, r, S)
-        if known:
-            self._means.add(t_ns, d[:2], V[:2, :2])
-            self._downward.add(t_ns, d[2:], V[2:, 2:])
-        known, d, V = _contrast((cell - cell.mean())[:, None] * u[:, :2], r, S)
-        if known:
-            self._slopes.add(t_ns, d, V)
+        ways, shear = _contrasts(u, cell, r, S)
+        if ways.known:
+            self._means.add(t_ns, ways.d[:2], ways.V[:2, :2])
+            self._downward.add(t_ns, ways.d[2:], ways.V[2:, 2:])
+        if shear.known:
+            self._slopes.add(t_ns, shear.d, shear.V)
 
     def seen(self, t_ns: int) -> Change:
         """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""
@@ -183,28 +181,20 @@ class Adaptation:
 
         ``upper`` are the nodes of the grid below which its cells lie.
         """
-        layout, first = belief.layout, belief.column.first
-        window = slice(first, first + layout.north.stop - layout.north.start)
+        layout = belief.layout
         dt = 0.0 if self._t_ns is None else (belief.t_ns - self._t_ns) * 1e-9
         self._t_ns = belief.t_ns
         keep = math.exp(-dt / _NODES_S)
-        moved, allowed = keep * self._moved, keep * keep * self._allowed
-        both = slice(layout.north.start, layout.east.stop)  # north, and east behind it
-        variance = told[both].reshape(2, -1)
-        some = variance > 0.0
-        moved[:, window] += error[both].reshape(2, -1) / np.sqrt(np.where(some, variance, np.inf))
-        allowed[:, window] += some
-        self._moved, self._allowed = moved, allowed
-
-        around = np.zeros(layout.nodes, dtype=bool)
-        around[upper] = around[upper + 1] = True
-        seen = np.flatnonzero(around)
-        a = allowed[:, seen]
-        z = np.minimum(moved[:, seen] ** 2 / np.where(a > 0.0, a, np.inf), _Z_MOST)
-        self._average += -math.expm1(-dt / _AVERAGED_S) * (float(z.mean()) - self._average)
+        states = layout.north.start, layout.east.start
+        self._moved, self._allowed, z = _moved(
+            self._moved, self._allowed, keep, error, told, *states, belief.column.first, upper
+        )
+        self._average += -math.expm1(-dt / _AVERAGED_S) * (z - self._average)
 
     def grow(self, belief: Belief, dt: float) -> None:
         """What is granted over the last ``dt`` (s), into the covariance."""
+        if not (self._until_ns or self._to_open):
+            return
         q = self.walk_mps_per_rts(belief.t_ns)
         if q > 0.0:
             layout = belief.layout
@@ -231,15 +221,86 @@ def _doubt(belief: Belief) -> None:
 
 
 @kernel
-def _contrast(X: Array, r: Array, S: Array) -> tuple[bool, Array, Array]:
-    """d = D^T r, (k,), and V = D^T S D, (k, k), with D (m, k) of least squares, D^T X = 1; False where beams of one
-    plane alone say nothing across it.
+def _moved(
+    moved: Array,
+    allowed: Array,
+    keep: float,
+    error: Array,
+    told: Array,
+    north: int,
+    east: int,
+    first: int,
+    upper: npt.NDArray[np.int64],
+) -> tuple[Array, Array, float]:
+    """m and a, (2, nodes), with one ping more, ``keep`` for exp(-dt / tau); the mean of z over all nodes that it sees.
+
+    The states of the nodes from ``first`` on begin at ``north`` and ``east``.
     """
-    X, S, k = np.ascontiguousarray(X), np.ascontiguousarray(S), X.shape[1]
-    normal = X.T @ X
+    m, a = keep * moved, keep * keep * allowed
+    for axis, start in enumerate((north, east)):
+        for k in range(east - north):
+            if told[start + k] > 0.0:
+                m[axis, first + k] += error[start + k] / math.sqrt(told[start + k])
+                a[axis, first + k] += 1.0
+    seen = np.zeros(moved.shape[1], dtype=np.bool_)
+    for k in upper:
+        seen[k] = seen[k + 1] = True
+    total, count = 0.0, 0
+    for axis in range(2):
+        for k in range(moved.shape[1]):
+            if seen[k]:
+                count += 1
+                if a[axis, k] > 0.0:
+                    total += min(m[axis, k] ** 2 / a[axis, k], _Z_MOST)
+    return m, a, total / count
+
+
+class _Contrast(NamedTuple):
+    """d = D^T r, (k,), and V = D^T S D, (k, k), with D (m, k) of least squares, D^T X = 1."""
+
+    known: bool  # not where beams of one plane alone say nothing across it
+    d: Array
+    V: Array
+
+
+@kernel
+def _contrasts(u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> tuple[_Contrast, _Contrast]:
+    """Of innovations r (m,), each cut to ``_CUT`` deviations: of a velocity of all water, X = u (m, 3), and of a shear,
+    X = (cell - mean) u, north and east.
+    """
+    m = len(r)
+    cut, middle = np.empty(m), cell.sum() / m
+    X, SX = np.empty((5, m)), np.zeros((5, m))
+    for i in range(m):
+        most = _CUT * math.sqrt(S[i, i])
+        cut[i] = min(max(r[i], -most), most)
+        for a in range(3):
+            X[a, i] = u[i, a]
+        for a in range(2):
+            X[3 + a, i] = (cell[i] - middle) * u[i, a]
+    for i in range(m):
+        for a in range(5):
+            c = X[a, i]
+            for j in range(m):
+                SX[a, j] += c * S[i, j]
+    return _contrast(X[:3], SX[:3], cut), _contrast(X[3:], SX[3:], cut)
+
+
+@kernel
+def _contrast(XT: Array, SXT: Array, r: Array) -> _Contrast:
+    """By X^T (k, m) and X^T S."""
+    k = len(XT)
+    normal, told, spread = np.zeros((k, k)), np.zeros(k), np.zeros((k, k))
+    for a in range(k):
+        for i in range(len(r)):
+            told[a] += XT[a, i] * r[i]
+        for b in range(k):
+            for i in range(len(r)):
+                normal[a, b] += XT[a, i] * XT[b, i]
+                spread[a, b] += XT[a, i] * SXT[b, i]
     sd = np.sqrt(np.maximum(np.diag(normal), 1e-12))
     shares = np.linalg.eigvalsh(normal / np.outer(sd, sd))
     if not shares[k - 1] < _WORST * shares[0]:
-        return False, np.zeros(k), np.zeros((k, k))
-    D = X @ np.linalg.inv(normal)
-    return True, D.T @ r, D.T @ (S @ D)
+        return _Contrast(False, np.zeros(k), np.zeros((k, k)))
+    G = np.linalg.inv(normal)
+    return _Contrast(True, G @ told, G @ spread @ G)

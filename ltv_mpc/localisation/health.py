@@ -111,9 +111,12 @@ class Monitor:
 
     def _judge(self, name: str, t_ns: int) -> tuple[float | None, SensorStatus]:
         window = self._window[name]
-        passed = sum(j.passed for j in window)
-        rows = sum(j.rows for j in window)
-        nis = sum(j.squares for j in window) / passed / self._expected if passed else None
+        rows = passed = 0
+        squares = pairs = 0.0
+        for judged in window:
+            rows, passed = rows + judged.rows, passed + judged.passed
+            squares, pairs = squares + judged.squares, pairs + judged.pairs
+        nis = squares / passed / self._expected if passed else None
         last_ns = self._last_ns.get(name)
         if last_ns is None or t_ns - last_ns > self._silent_ns[name]:
             ended = name in AT_SURFACE and t_ns > 0
@@ -121,7 +124,7 @@ class Monitor:
         if len(window) >= 2 and 2 * passed < rows:
             return nis, SensorStatus.REJECTED
         if nis is not None and len(window) >= FEWEST:
-            low, high = band(passed * passed / sum(j.pairs for j in window))
+            low, high = band(passed * passed / pairs)
             if nis > high or (nis < low and name not in ONLY_TOO_LARGE):
                 return nis, SensorStatus.INCONSISTENT
         return nis, SensorStatus.OK
@@ -130,14 +133,21 @@ class Monitor:
 @kernel
 def _judged(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
     """Of a message's rows: how many passed, the sum of their x, and of rho_ij^2 over all their pairs."""
-    passed, squares, pairs = 0, 0.0, 0.0
+    weight = np.zeros(len(residual))
+    for i in range(len(residual)):
+        if accepted[i]:
+            weight[i] = 1.0 / S[i, i]
+    passed, squares, pairs, of_each = 0, 0.0, 0.0, np.zeros(len(residual))
     for i in range(len(residual)):
         if accepted[i]:
             passed += 1
-            squares += residual[i] * residual[i] / S[i, i]
+            squares += residual[i] * residual[i] * weight[i]
+            row = S[i]
             for j in range(len(residual)):
-                if accepted[j]:
-                    pairs += S[i, j] * S[i, j] / (S[i, i] * S[j, j])
+                of_each[j] += row[j] * row[j] * weight[i] * weight[j]
+    for j in range(len(residual)):
+        if accepted[j]:
+            pairs += of_each[j]
     return passed, squares, pairs
 
 
