@@ -65,14 +65,21 @@ def _out_of_range(signal: Judged, ranges: dict[str, Range]) -> Reason:
         if isinstance(value, tuple):
             inside = all(low <= x <= high for x in value)
         elif isinstance(value, np.ndarray):
-            # NaN passes through min and max, and fails the comparison.
-            inside = value.size == 0 or bool(low <= value.min() and value.max() <= high)
+            inside = value.size == 0 or _between(value, low, high)
         else:
             inside = low <= value <= high
         if not inside:
             shown = "an entry" if isinstance(value, np.ndarray) else value
             return f"{name} = {shown}: must be from {low:g} to {high:g} ({unit})"
     return None
+
+
+def _between(values: Array, low: float, high: float) -> bool:
+    """NaN passes through products, min and max, and fails the comparison."""
+    # One number too large makes a sum of squares too large: a product, where min and max take two passes.
+    if values.dtype == np.float64 and low < 0.0 < high and np.vdot(values, values) <= min(low * low, high * high):
+        return True
+    return bool(low <= values.min() and values.max() <= high)
 
 
 def _tdcp(s: TdcpFix) -> Reason:
@@ -120,6 +127,9 @@ INDEFINITE = 1e-6 * np.eye(6)
 def _covariance(P: Array) -> Reason:
     if P.shape != (6, 6):
         return f"covariance {P.shape}: must be (6, 6)"
+    # As a filter writes it: finite variances, symmetric to the bit, positive definite, and so finite everywhere.
+    if math.isfinite(sum(P.diagonal().tolist())) and (P == P.T).all() and dpotrf(P, lower=1, clean=0)[1] == 0:
+        return None
     if not math.isfinite(np.vdot(P, P)):  # else infinity over infinity below
         return "covariance: must be finite"
     variances = P.diagonal().tolist()

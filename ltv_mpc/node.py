@@ -37,7 +37,7 @@ class OnMessage(msgspec.Struct, frozen=True):
 Schedule: TypeAlias = Grid | Cycle | OnMessage
 
 
-class Arrival(msgspec.Struct, frozen=True, eq=False):
+class Arrival(msgspec.Struct, frozen=True, eq=False, gc=False):
     """One entry of an inbox: a signal that passed admission, its source's epoch and sequence, and its arrival."""
 
     signal: Signal

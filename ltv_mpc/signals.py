@@ -26,8 +26,10 @@ Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
 
 
-class Signal(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True):
-    """A message. Arrays are numpy arrays inside and lists on the wire."""
+class Signal(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
+    """A message. Arrays are numpy arrays inside and lists on the wire. Nothing in it leads back to it: it needs no
+    collector of cycles.
+    """
 
 
 class Health(enum.StrEnum):

@@ -114,7 +114,7 @@ class Plant:
         commands = self._gate.commands_at([max(t, 0) for t in times_ns[1:]])
         port, starboard, vertical = commands[-1].tolist()
         self._command = port, starboard, vertical
-        seconds = np.diff(t_ns) * 1e-9
+        seconds = (t_ns[1:] - t_ns[:-1]) * 1e-9
         disturbance = self._disturbance
         if disturbance is not None and disturbance.until_t_ns <= times_ns[0]:
             disturbance = self._disturbance = None

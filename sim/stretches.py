@@ -80,12 +80,14 @@ class _Seat:
         times = list(range(self.next_ns, end_ns + 1, self.period_ns))
         if times:
             self.next_ns = times[-1] + self.period_ns
-        return times, [(t_ns, self.take((t_ns, self.index, 0))) for t_ns in times]
+        return times, [(t_ns, self.take((t_ns, self.index, 0)) if self.heard else []) for t_ns in times]
 
     def _on_message(self, end_ns: int) -> tuple[list[int], list[Due]]:
         heard, causes = self.heard, self.causes
-        # At one instant what causes no step comes first.
-        heard.sort(key=lambda x: (x[0][0], type(x[1].signal) in causes, x[0]))
+        heard.sort(key=_by_place)
+        if not causes.issuperset([type(message.signal) for _, message in heard]):
+            # At one instant what causes no step comes first.
+            heard.sort(key=lambda x: (x[0][0], type(x[1].signal) in causes))
         times: list[int] = []
         due: list[Due] = []
         inbox: list[Arrival] = []
@@ -150,8 +152,7 @@ class Stretches:
             for seat in self._flowing:
                 times, due = seat.due(end_ns)
                 if due:
-                    for at_ns, signals in zip(times, seat.steps(due), strict=True):
-                        self._publish(seat, signals, at_ns, seat.index)
+                    self._publish(seat, times, seat.steps(due), seat.index)
             if cycle is not None and is_due:
                 self._tell((end_ns, cycle.index, 0))
                 self._cycle(cycle)
@@ -170,23 +171,25 @@ class Stretches:
         delay_ns = 0 if plan is None else self._delay_ns  # without a plan nothing was computed
         if plan is not None:
             outputs = [*outputs, timing_of(plan, at_ns, delay_ns)]
-        self._publish(seat, outputs, at_ns + delay_ns, _ON_ITS_WAY if delay_ns else seat.index)
+        self._publish(seat, [at_ns + delay_ns], [outputs], _ON_ITS_WAY if delay_ns else seat.index)
         seat.next_ns = at_ns + max(seat.period_ns, delay_ns)
 
-    def _publish(self, seat: _Seat, signals: list[Signal], at_ns: int, index: int) -> None:
-        for signal in signals:
-            place, kind = (at_ns, index, next(self._count)), type(signal)
-            message = numbered(signal, seat.sequences, at_ns)
-            self._said.append((place, seat.name, message))
-            readers = self._readers.get(kind)
-            if not readers:
-                continue
-            reason = refusal(signal)
-            for reader in readers:
-                if reason is None:
-                    reader.heard.append((place, message))
-                else:
-                    self._refusals.append(_Refusal(place, reader, message, reason))
+    def _publish(self, seat: _Seat, times_ns: Sequence[int], outputs: Sequence[Sequence[Signal]], index: int) -> None:
+        name, sequences, numbers = seat.name, seat.sequences, self._count
+        said, readers_of = self._said.append, self._readers.get
+        for at_ns, signals in zip(times_ns, outputs, strict=True):
+            for signal in signals:
+                place, message = (at_ns, index, next(numbers)), numbered(signal, sequences, at_ns)
+                said((place, name, message))
+                readers = readers_of(type(signal))
+                if readers is None:
+                    continue
+                reason = refusal(signal)
+                for reader in readers:
+                    if reason is None:
+                        reader.heard.append((place, message))
+                    else:
+                        self._refusals.append(_Refusal(place, reader, message, reason))
 
     def _tell(self, before: Place) -> None:
         """Who observes of all that was said before; whose messages were refused, of that."""

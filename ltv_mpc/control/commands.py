@@ -45,12 +45,11 @@ class SentCommands:
 
     def reported(self, t_ns: int, command_N: Triple) -> None:
         """The actuators say what was in force at ``t_ns``."""
-        now = np.array([t_ns], dtype=np.int64)
-        command = np.array(command_N)
-        if np.abs(self.at(now)[0] - command).max() <= AGREES_N:
+        port, starboard, vertical = command_N
+        if _apart(self._t, self._thrust, t_ns, port, starboard, vertical) <= AGREES_N:
             return
-        times, commands = [t_ns], [command]
-        target = self.at(now)[0]
+        times, commands = [t_ns], [np.array(command_N)]
+        target = self.at(np.array(times, dtype=np.int64))[0]
         while np.abs(target - commands[-1]).max() > AGREES_N and times[-1] < t_ns + KEPT_NS:
             times.append(times[-1] + CATCH_UP_NS)
             target = self.at(np.array(times[-1:], dtype=np.int64))[0]
@@ -127,3 +126,13 @@ def command_at(t: Times, thrust: Array, at: int, i: int) -> float:
     # Differences of times are exact in float64 and keep their nanoseconds.
     part = float(at - t[k - 1]) / float(t[k] - t[k - 1])
     return float(thrust[k - 1, i] + part * (thrust[k, i] - thrust[k - 1, i]))
+
+
+@kernel
+def _apart(t: Times, thrust: Array, at: int, port: float, starboard: float, vertical: float) -> float:
+    """By how much these differ from the commands at one time, by knots as in ``command_at``: the largest of three."""
+    return max(
+        abs(command_at(t, thrust, at, 0) - port),
+        abs(command_at(t, thrust, at, 1) - starboard),
+        abs(command_at(t, thrust, at, 2) - vertical),
+    )

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation_exp, rotation_log
+from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, product, rotation_exp, rotation_log
 from ltv_mpc.localisation.suite import Imu
 from ltv_mpc.signals import Array, ImuSample
 from sim.draws import Stream, generator
@@ -94,16 +94,17 @@ class InertialUnit:
 @kernel
 def increments(R1: Array, v1: Array, R2: Array, v2: Array, W: Array, dt: float) -> Array:
     """Error-free mean angular rate and specific force between two instants, shape (6,)."""
-    w = rotation_log(R1.T @ rotation_exp(dt * W) @ R2) / dt
-    R_mid = rotation_exp(-0.5 * dt * W) @ R1 @ rotation_exp(0.5 * dt * w)
+    w = rotation_log(product(R1.T, product(rotation_exp(dt * W), R2))) / dt
+    R_mid = product(product(rotation_exp(-0.5 * dt * W), R1), rotation_exp(0.5 * dt * w))
     x, y, z = 0.5 * (v1[0] + v2[0]), 0.5 * (v1[1] + v2[1]), 0.5 * (v1[2] + v2[2])
     a = np.empty(3)
     a[0] = (v2[0] - v1[0]) / dt + 2.0 * (W[1] * z - W[2] * y)
     a[1] = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)
     a[2] = (v2[2] - v1[2]) / dt + 2.0 * (W[0] * y - W[1] * x) - GRAVITY_MPS2
     means = np.empty(6)
-    assign(means[:3], w)
-    assign(means[3:], R_mid.T @ a)
+    for i in range(3):
+        means[i] = w[i]
+        means[3 + i] = R_mid[0, i] * a[0] + R_mid[1, i] * a[1] + R_mid[2, i] * a[2]
     return means
 
 

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import rotation, rotation_exp, rotation_log
+from ltv_mpc.frames import product, rotation, rotation_exp, rotation_log
 from ltv_mpc.signals import Array, Triple, Truth
 
 
@@ -92,7 +92,7 @@ def turned_through(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, 
     assign(R[0], R1)
     for k in range(K):
         assign(R[k + 1], rotation(attitude[k, 0], attitude[k, 1], attitude[k, 2]))
-        assign(phi[k], rotation_log(R[k].T @ R[k + 1]))
+        assign(phi[k], rotation_log(product(R[k].T, R[k + 1])))
         assign(w[k], phi[k] / h[k])
     return R, phi, w
 
