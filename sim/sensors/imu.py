@@ -14,16 +14,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, product, rotation_exp, rotation_log
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, ImuSample
+from ltv_mpc.signals import Array, ImuSample, Triple
 from sim.draws import Stream, generator
 from sim.sensors.drift import Drift
 from sim.sensors.instant import Instant
+
+
+class _End(NamedTuple):
+    """To which the last sample reached."""
+
+    t_ns: int
+    rotation: Array
+    velocity_mps: Triple
 
 
 class InertialUnit:
@@ -40,7 +49,7 @@ class InertialUnit:
         )
         self._walks = np.repeat([settings.angle_random_walk_rad_per_rts, settings.velocity_random_walk_mps_per_rts], 3)
         self._earth_rate = earth_rate(latitude_rad) if settings.senses_earth_rate else np.zeros(3)
-        self._last: Instant | None = None  # to which the last sample reached
+        self._last: _End | None = None
 
     @property
     def has_begun(self) -> bool:
@@ -59,35 +68,38 @@ class InertialUnit:
 
     def sample(self, now: Instant) -> list[ImuSample]:
         """The mean over the interval that ends now."""
-        if self._last is not None:
-            return self.samples([now])
-        self._last = now
-        return []
+        before, here = self._last, _End(now.t_ns, now.rotation, now.velocity_mps)
+        if before is None:
+            self._last = here
+            return []
+        rotation, velocity = np.stack([before.rotation, here.rotation]), [before.velocity_mps, here.velocity_mps]
+        return self.samples([before.t_ns, here.t_ns], rotation, velocity)
 
-    def samples(self, instants: Sequence[Instant]) -> list[ImuSample]:
-        """The means over the intervals that end there, which are of one length; once it has begun."""
-        assert self._last is not None
-        ends = [self._last, *instants]
-        interval_ns = instants[0].t_ns - self._last.t_ns
+    def samples(self, t_ns: Sequence[int], rotation: Array, velocity_mps: Sequence[Triple]) -> list[ImuSample]:
+        """The means from each of these K + 1 instants to the next, all of one length; once it has begun.
+
+        ``rotation`` (K+1, 3, 3), body to world. The first instant is that to which the last sample reached.
+        """
+        interval_ns = t_ns[1] - t_ns[0]
         dt = interval_ns * 1e-9
         kept, fresh = self._bias.shares(dt)
         rows = measured(
-            np.array([instant.rotation for instant in ends]),
-            np.array([instant.velocity_mps for instant in ends]),
+            rotation,
+            np.array(velocity_mps),
             self._earth_rate,
             dt,
             self._walks,
             self._bias.value,
             kept,
             fresh,
-            self._draws.standard_normal((len(instants), 12)),
+            self._draws.standard_normal((len(t_ns) - 1, 12)),
         ).tolist()
-        self._last = instants[-1]
+        self._last = _End(t_ns[-1], rotation[-1], velocity_mps[-1])
         return [
             ImuSample(
-                t_ns=now.t_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z)
+                t_ns=end_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z)
             )
-            for now, (p, q, r, x, y, z) in zip(instants, rows, strict=True)
+            for end_ns, (p, q, r, x, y, z) in zip(t_ns[1:], rows, strict=True)
         ]
 
 

@@ -7,7 +7,6 @@ w = phi / h; position and velocity are linear (at 100 Hz and 0.3 m/s2 that is of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import msgspec
@@ -63,16 +62,34 @@ class Motion(NamedTuple):
         )
 
 
-def through(truths: Sequence[Truth], before: Motion | None = None) -> list[Motion]:
+class Motions:
+    """From each of K + 1 truths to the next: a motion is made when it is asked for."""
+
+    def __init__(self, truths: Sequence[Truth], rotation: Array, phi: Array, rate: Array) -> None:
+        """``rotation`` (K+1, 3, 3), ``phi`` and ``rate`` (K, 3) as in ``Motion``."""
+        self.truths, self.rotation = truths, rotation
+        self._phi, self._rate = phi, rate
+
+    def __len__(self) -> int:
+        return len(self._phi)
+
+    def __getitem__(self, k: int) -> Motion:
+        """From truth k to the next, k >= 0."""
+        if k >= len(self):
+            raise IndexError(k)
+        R = self.rotation
+        return Motion(self.truths[k], self.truths[k + 1], R[k], R[k + 1], self._phi[k], self._rate[k])
+
+
+def through(truths: Sequence[Truth], before: Motion | None = None) -> Motions:
     """From each truth to the next, which must be after it. ``before``: the motion that ended with the first, if it is
     at hand.
     """
     first = truths[0]
     R1 = before.R2 if before is not None and before.later is first else rotation(*first.attitude_rad)
     attitude = np.array([truth.attitude_rad for truth in truths[1:]])
-    seconds = np.array([(b.t_ns - a.t_ns) * 1e-9 for a, b in pairwise(truths)])
-    R, phi, rate = turned_through(R1, attitude, seconds)
-    return [Motion(a, b, R[k], R[k + 1], phi[k], rate[k]) for k, (a, b) in enumerate(pairwise(truths))]
+    t_ns = np.array([truth.t_ns for truth in truths])
+    return Motions(truths, *turned_through(R1, attitude, (t_ns[1:] - t_ns[:-1]) * 1e-9))
 
 
 def _plus(a: Triple, b: Array) -> Triple:

@@ -145,17 +145,18 @@ class Sensors:
         if not (isinstance(imu, InertialUnit) and len(truths) == len(due) and self._is_measured_at(truths, imu)):
             return one_by_one(self, due)
         assert self._last is not None
-        motions = through([self._last, *truths], self._motion)
-        samples = imu.samples([motion.at(motion.later.t_ns) for motion in motions])
-        self._last, self._motion = truths[-1], motions[-1]
+        ends = [self._last, *truths]
+        motions = through(ends, self._motion)
+        samples = imu.samples([end.t_ns for end in ends], motions.rotation, [end.velocity_mps for end in ends])
+        self._last, self._motion = truths[-1], motions[len(truths) - 1]
         self._due = [(t_ns, order) for t_ns, order in self._due if order]
         heapify(self._due)
         signals: list[list[Signal]] = []
-        for motion, sample in zip(motions, samples, strict=True):
+        for k, sample in enumerate(samples):
             t_ns = sample.t_ns
             if self._on_the_way or (self._due and self._due[0][0] <= t_ns):
                 self._on_the_way.append(_OnTheWay(t_ns, 0, t_ns, sample))
-                self._sample(motion, t_ns)
+                self._sample(motions[k], t_ns)
                 signals.append(self._arrived(t_ns))
             else:
                 signals.append([sample])
@@ -178,7 +179,7 @@ class Sensors:
             heapify(self._due)
             return []  # whatever of it is due comes with the next truth
         if self._lbl is not None or (self._due and self._due[0][0] <= truth.t_ns):
-            (self._motion,) = through([last, truth], self._motion)
+            self._motion = through([last, truth], self._motion)[0]
             self._sample(self._motion, truth.t_ns)
         return self._arrived(truth.t_ns) if self._on_the_way else []
 
