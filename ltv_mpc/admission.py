@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, TypeAlias, get_args, get_origin
+from types import NoneType
+from typing import Annotated, Any, TypeAlias, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -46,15 +47,14 @@ Judged: TypeAlias = Signal | InboxEntry | InputReport | SensorReport | Reference
 
 def refusal(signal: Judged) -> Reason:
     """Why a node must not see this signal, or None. A type without a row is refused."""
-    inside = INSIDE.get(type(signal))
-    if inside is not None and inside(signal):
-        return None
-    ranges = RANGES.get(type(signal))
-    if ranges is None:
-        return f"{type(signal).__name__} is not admitted anywhere"
-    consistency = CONSISTENCY.get(type(signal))
-    reason = consistency(signal) if consistency is not None else None
-    return reason or _out_of_range(signal, ranges)
+    kind = type(signal)
+    inside = INSIDE.get(kind)
+    if inside is None:
+        return f"{kind.__name__} is not admitted anywhere"
+    consistency = CONSISTENCY.get(kind)
+    if consistency is not None and (reason := consistency(signal)) is not None:
+        return reason
+    return None if inside(signal) else _out_of_range(signal, RANGES[kind])
 
 
 def _out_of_range(signal: Judged, ranges: dict[str, Range]) -> Reason:
@@ -65,7 +65,7 @@ def _out_of_range(signal: Judged, ranges: dict[str, Range]) -> Reason:
         if isinstance(value, tuple):
             inside = all(low <= x <= high for x in value)
         elif isinstance(value, np.ndarray):
-            inside = value.size == 0 or _between(value, low, high)
+            inside = _between(value, low, high)
         else:
             inside = low <= value <= high
         if not inside:
@@ -79,7 +79,7 @@ def _between(values: Array, low: float, high: float) -> bool:
     # One number too large makes a sum of squares too large: a product, where min and max take two passes.
     if values.dtype == np.float64 and low < 0.0 < high and np.vdot(values, values) <= min(low * low, high * high):
         return True
-    return bool(low <= values.min() and values.max() <= high)
+    return values.size == 0 or bool(low <= values.min() and values.max() <= high)
 
 
 def _tdcp(s: TdcpFix) -> Reason:
@@ -256,24 +256,32 @@ CONSISTENCY: Mapping[type, Callable[[Any], Reason]] = {
 """What relates one field to another, judged first: lengths, shapes, order."""
 
 
-def _comparisons(kind: type, ranges: Mapping[str, Range]) -> Callable[[Any], bool] | None:
-    """Of a type of plain numbers and tuples of them, all its comparisons as one expression: every message comes by
-    here, and a loop over its fields takes four times as long. None: it has other fields, or more is asked of it.
+def _comparison(value: str, of: Any, low: float, high: float) -> str:
+    """That the expression ``value`` of the type ``of`` lies in a range."""
+    if get_origin(of) is Annotated:
+        of = get_args(of)[0]
+    arguments = get_args(of)
+    if NoneType in arguments:
+        (given,) = (argument for argument in arguments if argument is not NoneType)
+        return f"({value} is None or {_comparison(value, given, low, high)})"
+    if get_origin(of) is np.ndarray:
+        return f"_between({value}, {low!r}, {high!r})"
+    if get_origin(of) is not tuple:
+        return f"{low!r} <= {value} <= {high!r}"
+    if Ellipsis in arguments:
+        return f"all({low!r} <= x <= {high!r} for x in {value})"
+    return " and ".join(f"{low!r} <= {value}[{i}] <= {high!r}" for i in range(len(arguments)))
+
+
+def _comparisons(kind: type, ranges: Mapping[str, Range]) -> Callable[[Any], bool]:
+    """All of a type as one expression: every message comes by here, and a loop over its fields takes four times as
+    long.
     """
-    if kind in CONSISTENCY:
-        return None
     types = {field.name: field.type for field in msgspec.structs.fields(kind)}
-    terms = []
-    for name, (low, high, _) in ranges.items():
-        if types[name] in (int, float):
-            terms.append(f"{low!r} <= s.{name} <= {high!r}")
-        elif get_origin(types[name]) is tuple and Ellipsis not in get_args(types[name]):
-            terms += [f"{low!r} <= s.{name}[{i}] <= {high!r}" for i in range(len(get_args(types[name])))]
-        else:
-            return None
-    compiled: Callable[[Any], bool] = eval("lambda s: " + (" and ".join(terms) or "True"))
+    terms = [_comparison(f"s.{name}", types[name], low, high) for name, (low, high, _) in ranges.items()]
+    compiled: Callable[[Any], bool] = eval("lambda s: " + (" and ".join(terms) or "True"), {"_between": _between})
     return compiled
 
 
-INSIDE = {kind: inside for kind, ranges in RANGES.items() if (inside := _comparisons(kind, ranges)) is not None}
-"""Of types that ask for nothing else."""
+INSIDE = {kind: _comparisons(kind, ranges) for kind, ranges in RANGES.items()}
+"""Whether all numbers lie in their range; where one does not, ``_out_of_range`` has the words."""

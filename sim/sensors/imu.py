@@ -96,9 +96,7 @@ class InertialUnit:
         ).tolist()
         self._last = _End(t_ns[-1], rotation[-1], velocity_mps[-1])
         return [
-            ImuSample(
-                t_ns=end_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z)
-            )
+            ImuSample(t_ns=end_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z))
             for end_ns, (p, q, r, x, y, z) in zip(t_ns[1:], rows, strict=True)
         ]
 
