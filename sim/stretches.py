@@ -108,6 +108,8 @@ class _Seat:
 class Stretches:
     """The nodes of one run from ``start_ns`` on, as in ``LockStep``, with the same meaning of every argument.
 
+    ``heard`` are the types of which ``observe`` is told, None for all; signals of others are counted in ``untold``.
+
     Raises ``ValueError`` where a node on a grid or on messages reads what itself or one after it in the list writes, is
     told of refused messages, or wants the newest only; or where one stands after a node that cycles.
     """
@@ -119,11 +121,14 @@ class Stretches:
         start_ns: int,
         compute_delay_ns: int = 0,
         observe: Listener | None = None,
+        heard: frozenset[type[Signal]] | None = None,
         latest: frozenset[type[Signal]] = LATEST,
         refused: Refuse = refused_by_name,
     ) -> None:
         self._delay_ns = compute_delay_ns
         self._observe = observe
+        self._heard = heard
+        self.untold = 0
         self._latest = latest
         self._refused = refused
         seats = [_Seat(index, node, start_ns) for index, node in enumerate(nodes)]
@@ -176,11 +181,15 @@ class Stretches:
 
     def _publish(self, seat: _Seat, times_ns: Sequence[int], outputs: Sequence[Sequence[Signal]], index: int) -> None:
         name, sequences, numbers = seat.name, seat.sequences, self._count
+        heard = None if index == _ON_ITS_WAY else self._heard  # what is on its way may never be told
         said, readers_of = self._said.append, self._readers.get
         for at_ns, signals in zip(times_ns, outputs, strict=True):
             for signal in signals:
                 place, message = (at_ns, index, next(numbers)), numbered(signal, sequences, at_ns)
-                said((place, name, message))
+                if heard is None or type(signal) in heard:
+                    said((place, name, message))
+                else:
+                    self.untold += 1
                 readers = readers_of(type(signal))
                 if readers is None:
                     continue

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.currents import WaterPrior
@@ -75,7 +75,8 @@ def _go(
     _leave_alone()
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer)
-    way = Stretches if writer is None else LockStep  # without records nobody asks in which order nodes were stepped
+    # Without records nobody asks in which order nodes were stepped.
+    way = partial(Stretches, heard=log.heard) if writer is None else LockStep
     lockstep = way(
         nodes(situation, unheard=writer is not None),
         start_ns=scenario.start_ns,
@@ -90,7 +91,8 @@ def _go(
         lockstep.advance(t_ns)
         if progress is not None:
             progress(t_ns)
-    messages = Messages(published=log.published_count, dropped=0, rejected=log.rejected_count)
+    untold = lockstep.untold if isinstance(lockstep, Stretches) else 0
+    messages = Messages(published=log.published_count + untold, dropped=0, rejected=log.rejected_count)
     return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages), log.learned.prior()
 
 
@@ -113,6 +115,11 @@ class _Log:
         self.rejected_count = 0
         self._hears = grader.hears
         self._writer = writer
+
+    @property
+    def heard(self) -> frozenset[type[Signal]]:
+        """Of which types it takes more than their number, without a recording."""
+        return self._hears | {Estimate, Rejected}
 
     def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:
         if self._writer is None:

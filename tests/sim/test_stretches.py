@@ -108,6 +108,35 @@ def test_of_a_descent_every_signal_is_the_same_to_the_bit(settings: tuple[str, .
     assert at_once == one_by_one
 
 
+@pytest.mark.parametrize("delay_s", [0.0, 0.71])
+def test_who_wants_some_types_hears_of_these_and_of_how_many_others(delay_s: float) -> None:
+    """Plans that are on their way when the run ends are neither told nor counted."""
+    situation = descent(f"run.compute_delay_s={delay_s}", duration_s=4.0)
+
+    def told(heard: frozenset[type[Signal]] | None) -> tuple[list[tuple[str, int, int, type[Signal], bytes]], int]:
+        ears = Ears()
+        stretches = Stretches(
+            locked.nodes(situation),
+            start_ns=situation.scenario.start_ns,
+            compute_delay_ns=round(delay_s * 1e9),
+            observe=ears,
+            heard=heard,
+            refused=locked.refused,
+        )
+        stretches.advance(situation.scenario.end_ns)
+        return ears.said, stretches.untold
+
+    wanted: frozenset[type[Signal]] = frozenset({Truth, Estimate, Plan})
+    everything, none = told(None)
+    some, others = told(wanted)
+    assert none == 0
+    if not delay_s:
+        assert some == [said for said in everything if said[3] in wanted]
+        assert others == len(everything) - len(some)
+    assert [said for said in some if said[3] in wanted] == [said for said in everything if said[3] in wanted]
+    assert len(some) + others == len(everything)
+
+
 def test_an_unrecorded_run_has_the_summary_of_a_recorded_one(tmp_path: Any) -> None:
     situation = descent("sensors=paper", duration_s=4.0)
     recorded, unrecorded = locked.run(situation, RunFolder(tmp_path)), locked.run(situation)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -117,6 +118,20 @@ def test_where_the_actuators_report_another_command_it_goes_from_there_to_the_pl
     np.testing.assert_allclose(at[:, 0], [10.0, 30.0, 40.0, 40.0], atol=0.02)
     np.testing.assert_allclose(at[:, 1], 40.0, atol=0.02)
     np.testing.assert_allclose(at[:, 2], [62.5, 42.5, 40.0, 40.0], atol=0.02)
+
+
+@pytest.mark.parametrize("thruster", range(3))
+def test_one_thruster_that_does_something_else_is_enough(thruster):
+    """Between knots, each by itself; what rounding makes is none."""
+    sent = SentCommands(PAPER)
+    sent.sent(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20], [10, 40, -20]]))
+    before = [part.copy() for part in sent.knots]
+    now = sent.at(np.array([750_000_000]))[0]
+    sent.reported(750_000_000, tuple(now + 0.005))
+    np.testing.assert_array_equal(sent.knots[1], before[1])
+    now[thruster] += 1.0
+    sent.reported(750_000_000, tuple(now))
+    np.testing.assert_allclose(sent.at(np.array([750_000_000]))[0], now)
 
 
 def test_a_new_controller_takes_the_reported_command_and_lets_it_go_to_rest():

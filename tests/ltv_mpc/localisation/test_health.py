@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from ltv_mpc.localisation.filter import Verdict
-from ltv_mpc.localisation.health import FALSE_ALARM, Monitor, band, verdict_of
+from ltv_mpc.localisation.health import FALSE_ALARM, Monitor, _judged, band, verdict_of
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.signals import FilterStatus, SensorReport, SensorStatus
 
@@ -155,3 +155,18 @@ def test_a_report_of_a_sensor_that_the_vehicle_does_not_have_is_not_made():
     names = {r.sensor for r in Monitor(SUITE, GATE).sensors(0, {})}
     assert names == {"gnss", "tdcp", "adcp", "pressure", "compass"}
     assert all(isinstance(r, SensorReport) for r in Monitor(SUITE, GATE).sensors(0, {}))
+
+
+def test_rows_count_as_often_as_they_are_independent():
+    """Squared correlations of those that passed, of unlike variances; what was refused is not looked at."""
+    rng = np.random.default_rng(4)
+    root = rng.standard_normal((12, 3))
+    S = root @ root.T + np.diag(rng.uniform(0.1, 9.0, 12))
+    residual, accepted = rng.standard_normal(12), np.arange(12) != 5
+    passed, squares, pairs = _judged(residual, S, accepted)
+    variance = np.diag(S)[accepted]
+    assert passed == 11
+    assert squares == pytest.approx(np.sum(residual[accepted] ** 2 / variance))
+    assert pairs == pytest.approx(np.sum(S[np.ix_(accepted, accepted)] ** 2 / np.outer(variance, variance)))
+    S[5, :] = S[:, 5] = np.nan
+    assert _judged(residual, S, accepted) == (passed, squares, pairs)
