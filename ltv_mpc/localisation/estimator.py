@@ -19,6 +19,7 @@ from __future__ import annotations
 import bisect
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 from ltv_mpc.currents import WaterPrior
@@ -182,9 +183,10 @@ class Estimator:
             return []
         samples: list[ImuSample] = []
         received_ns: list[int] = []
-        for _, inbox in due[first:]:
+        next_ns = self._next_ns
+        for _, inbox in islice(due, first, None):
             sample = inbox[0].signal
-            if len(inbox) != 1 or not isinstance(sample, ImuSample) or sample.t_ns > self._next_ns:
+            if len(inbox) != 1 or not isinstance(sample, ImuSample) or sample.t_ns > next_ns:
                 break
             samples.append(sample)
             received_ns.append(inbox[0].received_t_ns)

@@ -126,9 +126,11 @@ class Filter:
         if self._at_epoch or self._coasted_ns:
             return 0
         for number, sample in enumerate(samples):
-            if now_ns >= until_ns or sample.t_ns <= now_ns or gap.before(sample, now_ns):
+            t_ns = sample.t_ns
+            goes_on = t_ns > now_ns and (t_ns - sample.interval_ns == now_ns or not gap.before(sample, now_ns))
+            if now_ns >= until_ns or not goes_on:
                 return number
-            now_ns = sample.t_ns
+            now_ns = t_ns
         return len(samples)
 
     def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:

@@ -97,7 +97,7 @@ class History:
         """As ``Filter.advance_through``."""
         self._progress()
         done = self.filter.advance_through(samples, measured)
-        self._stretches[-1].done.extend(Done(sample.t_ns, sample) for sample in samples[:done])
+        self._stretches[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
         return done
 
     def correct(self, message: Aiding) -> None:

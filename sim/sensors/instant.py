@@ -17,6 +17,9 @@ from ltv_mpc.frames import product, rotation, rotation_exp, rotation_log
 from ltv_mpc.signals import Array, Triple, Truth
 
 
+_ORIGIN = (0.0, 0.0, 0.0)
+
+
 class Instant(msgspec.Struct, frozen=True, eq=False):
     """Where the vehicle is and how it moves. ``rotation`` is body to world, ``angular_rate_radps`` in body axes."""
 
@@ -29,10 +32,14 @@ class Instant(msgspec.Struct, frozen=True, eq=False):
 
     def point_m(self, lever_m: Triple) -> Triple:
         """Where the vehicle's point ``lever_m`` (FRD) is: p + R l, NED."""
+        if lever_m == _ORIGIN:
+            return self.position_m
         return _plus(self.position_m, self.rotation @ np.array(lever_m))
 
     def point_velocity_mps(self, lever_m: Triple) -> Triple:
         """How it moves over ground: v + R (w x l), NED."""
+        if lever_m == _ORIGIN:
+            return self.velocity_mps
         return _plus(self.velocity_mps, self.rotation @ np.cross(self.angular_rate_radps, lever_m))
 
 
