@@ -82,10 +82,10 @@ class Door:
         way, before = self._ways.get(ImuSample), self._sample
         if way is None or way.back or before is None or self._to_agree:
             return False
-        stamps = [before.t_ns, *(sample.t_ns for sample in samples)]
+        stamps = [before.t_ns, *[sample.t_ns for sample in samples]]
         if self._last[ImuSample][0] != before.t_ns or stamps[1] < way.newest_ns:
             return False
-        if any(sample.t_ns > came_ns + AHEAD_NS for sample, came_ns in zip(samples, received_ns, strict=True)):
+        if stamps[-1] > min(received_ns) + AHEAD_NS:  # which all are before, if they are in order
             return False
         return _follow_one_another(np.array(stamps), readings([before]), measured)
 

@@ -113,13 +113,12 @@ class _Log:
         self.learned = Learned()
         self.published_count = 0
         self.rejected_count = 0
-        self._hears = grader.hears
         self._writer = writer
 
     @property
     def heard(self) -> frozenset[type[Signal]]:
         """Of which types it takes more than their number, without a recording."""
-        return self._hears | {Estimate, Rejected}
+        return self.grader.hears | {Estimate, Rejected}
 
     def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:
         if self._writer is None:
@@ -137,14 +136,12 @@ class _Log:
 
     def published(self, node: str, message: Arrival) -> None:
         signal = message.signal
-        kind = type(signal)
         self.published_count += 1
-        if kind is Rejected:
-            self.rejected_count += 1
-        elif isinstance(signal, Estimate):
+        if isinstance(signal, Estimate):
             self.learned.hear(signal)
-        if kind in self._hears:
-            self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        elif isinstance(signal, Rejected):
+            self.rejected_count += 1
+        self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
         if self._writer is not None:
             self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
 

@@ -16,7 +16,6 @@ from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import product, rotation, rotation_exp, rotation_log
 from ltv_mpc.signals import Array, Triple, Truth
 
-
 _ORIGIN = (0.0, 0.0, 0.0)
 
 

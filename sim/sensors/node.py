@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from heapq import heapify, heappush, heapreplace
-from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from ltv_mpc.localisation.suite import Suite
@@ -168,8 +167,9 @@ class Sensors:
         period_ns, last = self._mounted[0].period_ns, self._last
         if last is None or self._lbl is not None or not imu.has_begun:
             return False
-        ends = [last.t_ns, *(truth.t_ns for truth in truths)]
-        return (ends[1], 0) in self._due and all(b - a == period_ns for a, b in pairwise(ends))
+        first_ns = last.t_ns + period_ns
+        stamps = [truth.t_ns for truth in truths]
+        return (first_ns, 0) in self._due and stamps == [first_ns + k * period_ns for k in range(len(stamps))]
 
     def _measure(self, truth: Truth) -> list[Signal]:
         last, self._last = self._last, truth
