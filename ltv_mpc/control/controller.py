@@ -298,6 +298,7 @@ class Controller:
         self._shifted(start, NOT_RUN)
         self._damped(start, "")
         self._released(start, "", self._nothing)
+        self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
 
     def resume(self, plan: Plan | None, checkpoint: ControllerCheckpoint | None, t_ns: int) -> None:
         """Go on at ``t_ns`` from where a controller was that is no more: by the plan in force, and what it wrote down

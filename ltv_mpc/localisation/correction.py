@@ -120,15 +120,9 @@ def _subtract(P: Array, W: Array, a: Array, b: Array) -> None:
 
 
 @kernel
-def _mirror(P: Array, a: Array) -> None:
-    """``reduce`` where W^T W has been subtracted: only the upper triangle is read, both are written, tile by tile."""
+def _mirror(P: Array, a: Array, b: Array) -> None:
+    """P := P + a b^T + b a^T, of which only the upper triangle is read, and both are written, tile by tile."""
     n = P.shape[0]
-    b = P[HEADING].copy()
-    for j in range(HEADING):
-        b[j] = P[j, HEADING]
-    half = 0.5 * b[HEADING]
-    for j in range(n):
-        b[j] += half * a[j]
     for top in range(0, n, _TILE):
         bottom = min(top + _TILE, n)
         for left in range(top, n, _TILE):
@@ -215,9 +209,11 @@ def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
 
 
 @kernel
-def _reduce_few(P: Array, W: Array, a: Array) -> None:
-    """``reduce`` by few rows."""
-    b = P[HEADING].copy()
+def _turn(P: Array, W: Array, a: Array) -> Array:
+    """b of ``reduce``, (n,), of P - W^T W with P's upper triangle."""
+    b: Array = P[HEADING].copy()
+    for j in range(HEADING):
+        b[j] = P[j, HEADING]
     for k in range(W.shape[0]):
         c = W[k, HEADING]
         for j in range(len(b)):
@@ -225,7 +221,7 @@ def _reduce_few(P: Array, W: Array, a: Array) -> None:
     half = 0.5 * b[HEADING]
     for j in range(len(b)):
         b[j] += half * a[j]
-    _subtract(P, W, a, b)
+    return b
 
 
 @kernel
@@ -243,7 +239,8 @@ def _correct_few(
     accepted, nis, S, definite, error, told, W = _weigh_few(P, rows, gate)
     if W.shape[0]:
         shift(x, R, error)
-        _reduce_few(P, W, turned(error, mean, north, east))
+        a = turned(error, mean, north, east)
+        _subtract(P, W, a, _turn(P, W, a))
     return accepted, nis, S, definite, error, told
 
 
@@ -252,13 +249,18 @@ def reduce(P: Array, W: Array, a: Array | None = None) -> None:
 
     M P M^T = P + a b^T + b a^T with b = P_.s + a P_ss / 2.
     """
-    if a is None:
-        a = np.zeros(len(P))
-    if len(W) <= _FEW:
-        _reduce_few(P, W, a)
-    else:
+    many = len(W) > _FEW
+    if many:
         dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # the upper triangle of P
-        _mirror(P, a)
+        W = W[:0]  # is subtracted
+    if a is None:
+        a = b = np.zeros(len(P))  # of a filter that may have no heading
+    else:
+        b = _turn(P, W, a)
+    if many:
+        _mirror(P, a, b)
+    else:
+        _subtract(P, W, a, b)
 
 
 def update(P: Array, rows: Rows, gate: float) -> Correction:

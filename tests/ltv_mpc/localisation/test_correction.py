@@ -113,6 +113,18 @@ def test_any_covariance_can_be_updated_without_a_belief(n, m):
     np.testing.assert_array_equal(P, P.T)
 
 
+@pytest.mark.parametrize("m", [1, 20])
+def test_a_covariance_without_a_heading_is_not_read_beyond_its_end(m):
+    memory = np.full(1000, np.nan)
+    P = memory[:9].reshape(3, 3)
+    P[:] = np.eye(3)
+    rng = np.random.default_rng(m)
+    rows = Rows(np.arange(m)[:, None] % 3, np.ones((m, 1)), rng.standard_normal(m), np.ones(m))
+    update(P, rows, OPEN)
+    measured = np.bincount(np.arange(m) % 3, minlength=3)
+    np.testing.assert_allclose(P, np.diag(1.0 / (1.0 + measured)), atol=1e-12)
+
+
 def test_rows_beyond_the_gate_say_that_nothing_is_to_be_added():
     P = np.eye(4)
     rows = Rows(np.array([[0]]), np.ones((1, 1)), np.array([1e3]), np.ones(1))

@@ -52,6 +52,8 @@ for k in range(1, 301):
         z = 0.02 * rng.standard_normal((4, 15))
         z[0, k // 30] = 5.0  # one beyond the gate
         z[1] = np.nan
+        if k == 240:
+            z[2:] = np.nan  # as many states as rows
         feed(AdcpPing(t_ns=t, range_m=1.0 + np.arange(15.0), beam_velocity_mps=z))
         feed(BottomTrack(t_ns=t, range_m=9.0 + 0 * z[:, 0], beam_velocity_mps=z[:, 0]))
         feed(LblRange(t_ns=t - 100_000_000, transponder=0, travel_time_s=0.08))
