@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dpotrf
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import Belief, shift
-from ltv_mpc.localisation.sufficient import innovation, project, sufficient, touched
+from ltv_mpc.localisation.sufficient import entries, innovation, project, spread, sufficient, touched
 from ltv_mpc.localisation.turning import HEADING, swing, turned
 from ltv_mpc.signals import Array
 
@@ -142,21 +142,10 @@ def _weigh_few(
     P: Array, rows: Rows, gate: float
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, Array]:
     """The fields of a ``Correction``, and W, of few rows: without a library's calls."""
-    state, partial, z, variance = rows.state, rows.partial, rows.residual, rows.variance
-    (m, w), n = state.shape, P.shape[0]
-    HP, S = np.zeros((m, n)), np.zeros((m, m))
-    for i in range(m):
-        for a in range(w):
-            c, s = partial[i, a], state[i, a]
-            if c != 0.0:
-                for k in range(n):
-                    HP[i, k] += c * P[s, k]
-    for i in range(m):
-        for j in range(i + 1):
-            for a in range(w):
-                S[i, j] += partial[j, a] * HP[i, state[j, a]]
-            S[j, i] = S[i, j]
-        S[i, i] += variance[i]
+    z, m, n = rows.residual, len(rows.residual), P.shape[0]
+    H = entries(rows.state, rows.partial)
+    HP = project(H, P)
+    S = spread(H, np.ascontiguousarray(HP.T), rows.variance)
     accepted, nis, passed = _gated(S, z, gate)
     W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     if passed == 0:
@@ -195,9 +184,9 @@ def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
     if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
         HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
     elif passed == len(z):
-        HP, of_passed = project(P, places, local, rows.partial), S
+        HP, of_passed = project(entries(rows.state, rows.partial), P), S
     else:
-        HP, of_passed = project(P, places, local[accepted], rows.partial[accepted]), S[np.ix_(accepted, accepted)]
+        HP, of_passed = project(entries(rows.state[accepted], rows.partial[accepted]), P), S[np.ix_(accepted, accepted)]
         z = z[accepted]
     # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
     L, info = dpotrf(of_passed.T, lower=1, clean=0)

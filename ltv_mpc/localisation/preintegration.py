@@ -155,13 +155,28 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
 def core_of(P: Array, Phi: Array, Q: Array) -> Array:
     """What ``carry`` would make of the core's covariance: Phi P_cc Phi^T + Q, (15, 15), symmetric to the last bit."""
     c = Phi.shape[0]
-    moved, out = np.zeros((c, c)), np.empty((c, c))
+    return _core(_forward(P, Phi, c), Phi, Q)
+
+
+@kernel
+def _forward(P: Array, Phi: Array, n: int) -> Array:
+    """Phi P_c, its first n columns, (15, n)."""
+    c = Phi.shape[0]
+    moved = np.zeros((c, n))
     for i in range(c):
         for a in range(c):
             f = Phi[i, a]
             if f != 0.0:
-                for j in range(c):
+                for j in range(n):
                     moved[i, j] += f * P[a, j]
+    return moved
+
+
+@kernel
+def _core(moved: Array, Phi: Array, Q: Array) -> Array:
+    """``core_of`` by ``moved`` = Phi P_c."""
+    c = Phi.shape[0]
+    out = np.empty((c, c))
     for i in range(c):
         for j in range(i, c):
             upper = lower = 0.0
@@ -179,13 +194,8 @@ def carry(P: Array, Phi: Array, Q: Array) -> None:
     c: the fifteen core states, r: all others. P stays symmetric to the last bit. Gathering begins anew, Phi = I, Q = 0.
     """
     n, c = P.shape[0], Phi.shape[0]
-    core, moved = core_of(P, Phi, Q), np.zeros((c, n))
-    for i in range(c):
-        for a in range(c):
-            f = Phi[i, a]
-            if f != 0.0:
-                for j in range(n):
-                    moved[i, j] += f * P[a, j]
+    moved = _forward(P, Phi, n)
+    core = _core(moved, Phi, Q)
     for i in range(c):
         for j in range(c):
             P[i, j] = core[i, j]

@@ -16,6 +16,7 @@ Source  Bierman 1977, Factorization Methods for Discrete Sequential Estimation, 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -79,52 +80,61 @@ def _combine(out: Array, of: npt.NDArray[np.int64], by: Array, count: int, rows:
         a += 1
 
 
+class Entries(NamedTuple):
+    """Of rows (m, w), those that are not zero: in which columns, how large, and how many in each row."""
+
+    of: npt.NDArray[np.int64]  # (m, w)
+    by: Array  # (m, w)
+    counts: npt.NDArray[np.int64]  # (m,)
+
+
 @kernel
-def project(P: Array, places: npt.NDArray[np.int64], local: npt.NDArray[np.int64], partial: Array) -> Array:
-    """H P, (m, n)."""
-    m, w = local.shape
-    HP = np.zeros((m, P.shape[0]))
-    of, by = np.empty(w, dtype=np.int64), np.empty(w)
+def entries(column: npt.NDArray[np.int64], value: Array) -> Entries:
+    """Of ``value`` (m, w) in the columns ``column`` (m, w)."""
+    m, w = value.shape
+    of, by, counts = np.empty((m, w), dtype=np.int64), np.empty((m, w)), np.zeros(m, dtype=np.int64)
     for i in range(m):
-        count = 0
         for a in range(w):
-            if local[i, a] >= 0:
-                of[count], by[count] = places[local[i, a]], partial[i, a]
-                count += 1
-        _combine(HP[i], of, by, count, P, 0)
+            if value[i, a] != 0.0:
+                of[i, counts[i]], by[i, counts[i]] = column[i, a], value[i, a]
+                counts[i] += 1
+    return Entries(of, by, counts)
+
+
+@kernel
+def project(H: Entries, P: Array) -> Array:
+    """H P, (m, n), of rows that name rows of P (k, n)."""
+    HP = np.zeros((len(H.counts), P.shape[1]))
+    for i in range(len(HP)):
+        _combine(HP[i], H.of[i], H.by[i], H.counts[i], P, 0)
     return HP
+
+
+@kernel
+def spread(H: Entries, PH: Array, variance: Array) -> Array:
+    """S = H P H^T + R, (m, m), symmetric to the last bit, of P H^T (k, m)."""
+    m = len(variance)
+    S = np.zeros((m, m))
+    for i in range(m):
+        _combine(S[i], H.of[i], H.by[i], H.counts[i], PH, i)
+        for j in range(i):
+            S[i, j] = S[j, i]
+        S[i, i] += variance[i]
+    return S
 
 
 @kernel
 def innovation(
     P: Array, places: npt.NDArray[np.int64], local: npt.NDArray[np.int64], partial: Array, variance: Array
 ) -> Array:
-    """S = H P H^T + R, (m, m), symmetric to the last bit."""
-    (m, w), s = local.shape, len(places)
-    own = np.empty((s, s))  # of P
+    """S of rows as in ``touched``: of the states that they touch alone."""
+    s = len(places)
+    own = np.empty((s, s))
     for i in range(s):
         for j in range(s):
             own[i, j] = P[places[i], places[j]]
-    of, by, counts = np.empty((m, w), dtype=np.int64), np.empty((m, w)), np.empty(m, dtype=np.int64)
-    PH, row = np.empty((s, m)), np.empty(s)
-    for i in range(m):
-        count = 0
-        for a in range(w):
-            if local[i, a] >= 0:
-                of[i, count], by[i, count] = local[i, a], partial[i, a]
-                count += 1
-        counts[i] = count
-        row[:] = 0.0
-        _combine(row, of[i], by[i], count, own, 0)
-        for k in range(s):
-            PH[k, i] = row[k]
-    S = np.zeros((m, m))
-    for i in range(m):
-        _combine(S[i], of[i], by[i], counts[i], PH, i)
-        for j in range(i):
-            S[i, j] = S[j, i]
-        S[i, i] += variance[i]
-    return S
+    H = entries(local, partial)
+    return spread(H, np.ascontiguousarray(project(H, own).T), variance)
 
 
 @kernel
@@ -183,27 +193,15 @@ def sufficient(
 
     A row of weight zero does not count.
     """
-    s, n = len(places), P.shape[0]
+    s = len(places)
     CT, told = _root(local, partial, weight, z, s)
-    HP = np.zeros((s, n))
-    of, by, counts = np.empty((s, s), dtype=np.int64), np.empty((s, s)), np.empty(s, dtype=np.int64)
-    source = np.empty(s, dtype=np.int64)
+    own, whole = np.empty((s, s), dtype=np.int64), np.empty((s, s), dtype=np.int64)  # columns, among s and among n
     for i in range(s):
-        count = 0
-        for k in range(i, s):
-            if CT[i, k] != 0.0:
-                of[i, count], by[i, count], source[count] = k, CT[i, k], places[k]
-                count += 1
-        counts[i] = count
-        _combine(HP[i], source, by[i], count, P, 0)
+        for k in range(s):
+            own[i, k], whole[i, k] = k, places[k]
+    HP = project(entries(whole, CT), P)
     PH = np.empty((s, s))
     for k in range(s):
         for i in range(s):
             PH[k, i] = HP[i, places[k]]
-    S = np.zeros((s, s))
-    for i in range(s):
-        _combine(S[i], of[i], by[i], counts[i], PH, i)
-        for j in range(i):
-            S[i, j] = S[j, i]
-        S[i, i] += 1.0
-    return HP, S, told
+    return HP, spread(entries(own, CT), PH, np.ones(s)), told

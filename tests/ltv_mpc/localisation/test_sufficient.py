@@ -9,7 +9,7 @@ from ltv_mpc.localisation.correction import correct, update
 from ltv_mpc.localisation.measurements.adcp import AdcpModel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import Belief, Layout
-from ltv_mpc.localisation.sufficient import _root, innovation, project, sufficient, touched
+from ltv_mpc.localisation.sufficient import _root, entries, innovation, project, sufficient, touched
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import write_prior
 from ltv_mpc.signals import AdcpPing
@@ -71,7 +71,7 @@ def test_innovations_and_projection_are_the_textbooks(P):
     S = innovation(P, places, local, rows.partial, rows.variance)
     np.testing.assert_allclose(S, H @ P @ H.T + np.diag(rows.variance), rtol=1e-12, atol=1e-13)
     np.testing.assert_array_equal(S, S.T)
-    np.testing.assert_allclose(project(P, places, local, rows.partial), H @ P, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(project(entries(rows.state, rows.partial), P), H @ P, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("m", [60, 61, 200])
