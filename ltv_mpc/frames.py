@@ -14,6 +14,7 @@ import math
 
 import numpy as np
 
+from ltv_mpc import so3
 from ltv_mpc.compiled import kernel
 from ltv_mpc.signals import Array, Triple
 
@@ -22,9 +23,6 @@ GRAVITY_MPS2 = 9.80665
 
 EARTH_RATE_RADPS = 7.292115e-5
 """Rotation of the Earth against the stars (WGS 84)."""
-
-_SMALL = 1e-4
-"""Angle (rad) below which the series to the fourth power is exact to double precision."""
 
 
 def gravity() -> Array:
@@ -49,13 +47,8 @@ def wrap_angle(angle: float) -> float:
 @kernel
 def rotation(roll: float, pitch: float, heading: float) -> Array:
     """R = Rz(heading) Ry(pitch) Rx(roll), body to world, shape (3, 3)."""
-    cr, sr = math.cos(roll), math.sin(roll)
-    cp, sp = math.cos(pitch), math.sin(pitch)
-    ch, sh = math.cos(heading), math.sin(heading)
     R = np.empty((3, 3))
-    R[0, 0], R[0, 1], R[0, 2] = ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr
-    R[1, 0], R[1, 1], R[1, 2] = sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr
-    R[2, 0], R[2, 1], R[2, 2] = -sp, cp * sr, cp * cr
+    so3.write(so3.of_angles(roll, pitch, heading), R)
     return R
 
 
@@ -77,32 +70,10 @@ def skew(a: Array) -> Array:
 
 
 @kernel
-def product(A: Array, B: Array) -> Array:
-    """A B of two (3, 3): in compiled code, where a library's call takes longer than the sums."""
-    C = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
-    return C
-
-
-@kernel
 def rotation_exp(phi: Array) -> Array:
-    """exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ with t = |phi|, shape (3, 3)."""
-    x, y, z = phi[0], phi[1], phi[2]
-    t2 = x * x + y * y + z * z
-    t = math.sqrt(t2)
-    if t < _SMALL:
-        a = 1.0 - t2 / 6.0
-        b = 0.5 - t2 / 24.0
-    else:
-        a = math.sin(t) / t
-        half = math.sin(0.5 * t) / t  # 1 - cos t = 2 sin^2(t/2), without cancellation
-        b = 2.0 * half * half
+    """exp(phi^), shape (3, 3)."""
     R = np.empty((3, 3))
-    R[0, 0], R[0, 1], R[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    R[1, 0], R[1, 1], R[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
-    R[2, 0], R[2, 1], R[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+    so3.write(so3.exp(phi[0], phi[1], phi[2]), R)
     return R
 
 
@@ -110,23 +81,5 @@ def rotation_exp(phi: Array) -> Array:
 def rotation_log(R: Array) -> Array:
     """The rotation vector phi of R, |phi| <= pi, shape (3,)."""
     phi = np.empty(3)
-    # (R - R^T) / 2 = sin(t) axis^,  (trace R - 1) / 2 = cos(t)
-    phi[0] = 0.5 * (R[2, 1] - R[1, 2])
-    phi[1] = 0.5 * (R[0, 2] - R[2, 0])
-    phi[2] = 0.5 * (R[1, 0] - R[0, 1])
-    sine = math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
-    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
-    t = math.atan2(sine, cosine)
-    if cosine > -0.9:
-        phi *= 1.0 + sine * sine / 6.0 if sine < _SMALL else t / sine
-        return phi
-    # Near half a turn the sine vanishes: the axis comes from R + R^T = 2 cos(t) I + 2 (1 - cos t) axis axis^T.
-    j = 0
-    for i in range(1, 3):
-        if R[i, i] > R[j, j]:
-            j = i
-    sign = 1.0 if phi[j] >= 0.0 else -1.0
-    for i in range(3):
-        phi[i] = 0.5 * (R[i, j] + R[j, i]) - (cosine if i == j else 0.0)
-    phi *= sign * t / math.sqrt(phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2])
+    phi[0], phi[1], phi[2] = so3.log(so3.read(R))
     return phi

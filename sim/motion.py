@@ -13,26 +13,40 @@ Integrated by the classical Runge-Kutta method of order 4.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
-from ltv_mpc.vehicle.dynamics import coefficients, derivative, heave_acceleration
+from ltv_mpc.signals import Array, Triple
+from ltv_mpc.vehicle.dynamics import coefficients, heave_acceleration, rates
 from ltv_mpc.vehicle.flow import lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.thruster import revolutions, thrust
 from sim.water.column import gradient_at, velocity_at
 
 
+class Propeller(NamedTuple):
+    """One thruster, as compiled code reads it."""
+
+    diameter: float  # m
+    most: float  # rev/s
+    lag: float  # s
+
+
 class Body(NamedTuple):
-    """The true vehicle, as compiled code reads it."""
+    """The true vehicle, likewise: numbers alone, for a step of it takes less time than the making of its arrays."""
 
     p: Coefficients
-    propellers: Array  # (3, 3): diameter (m), n_max (rev/s), lag (s) of each
+    port: Propeller
+    starboard: Propeller
+    vertical: Propeller
     rho: float  # kg/m3
     factor: float  # true thrust over that of eq 8
+
+
+State: TypeAlias = tuple[float, float, float, float, float, float, float, float]
+"""s."""
 
 
 def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:
@@ -46,7 +60,14 @@ def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:
 @kernel
 def body(flat: Array) -> Body:
     """The inverse of ``pack``."""
-    return Body(coefficients(flat), flat[19:28].reshape(3, 3), flat[28], flat[29])
+    return Body(
+        coefficients(flat),
+        Propeller(flat[19], flat[20], flat[21]),
+        Propeller(flat[22], flat[23], flat[24]),
+        Propeller(flat[25], flat[26], flat[27]),
+        flat[28],
+        flat[29],
+    )
 
 
 @kernel
@@ -68,61 +89,79 @@ def step(
     eq 8 gives for n at the end. ``held`` keeps depth and sinking speed. The water: ``WaterColumn.between``.
     """
     true = body(flat)
-    propellers, rho = true.propellers, true.rho
-    # n at the start, the middle and the end of the step, shape (3, 3)
-    revs = np.empty((3, 3))
-    for i in range(3):
-        d, n_max, lag = propellers[i, 0], propellers[i, 1], propellers[i, 2]
-        inflow = s[2] if i < 2 else s[7]
-        a = min(max(revolutions(y0[i], inflow, rho, d), -n_max), n_max)
-        b = min(max(revolutions(y1[i], inflow, rho, d), -n_max), n_max)
-        for j in range(3):
-            # n(t) = w n(0) + w0 n_c(0) + w1 n_c(h)
-            w, w0, w1 = lag_weights(0.5 * j * h, h, lag)
-            revs[j, i] = w * n[i] + w0 * a + w1 * b
-    k1, k2, k3, k4 = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
-    _slope(true, s, revs[0], held, depths, earlier, later, share, k1)
-    _slope(true, s + 0.5 * h * k1, revs[1], held, depths, earlier, later, share, k2)
-    _slope(true, s + 0.5 * h * k2, revs[1], held, depths, earlier, later, share, k3)
-    _slope(true, s + h * k3, revs[2], held, depths, earlier, later, share, k4)
+    x = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7]
+    port = _revolutions(true.port, true.rho, n[0], y0[0], y1[0], x[2], h)
+    starboard = _revolutions(true.starboard, true.rho, n[1], y0[1], y1[1], x[2], h)
+    vertical = _revolutions(true.vertical, true.rho, n[2], y0[2], y1[2], x[7], h)
+    begin, middle, end = (
+        (port[0], starboard[0], vertical[0]),
+        (port[1], starboard[1], vertical[1]),
+        (port[2], starboard[2], vertical[2]),
+    )
+    k1 = _slope(true, x, begin, held, depths, earlier, later, share)
+    k2 = _slope(true, _along(x, k1, 0.5 * h), middle, held, depths, earlier, later, share)
+    k3 = _slope(true, _along(x, k2, 0.5 * h), middle, held, depths, earlier, later, share)
+    k4 = _slope(true, _along(x, k3, h), end, held, depths, earlier, later, share)
     for i in range(8):
         s[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
     if s[6] < 0.0:
         s[6] = 0.0
         s[7] = max(s[7], 0.0)
-    for i in range(3):
-        n[i] = revs[2, i]
-        F[i] = thrust(n[i], s[2] if i < 2 else s[7], rho, propellers[i, 0])
+    n[0], n[1], n[2] = end
+    F[0], F[1], F[2] = _thrusts(true, end, s[2], s[7])
+
+
+@kernel
+def _revolutions(of: Propeller, rho: float, n: float, y0: float, y1: float, inflow: float, h: float) -> Triple:
+    """n at the start, the middle and the end of the step."""
+    a = min(max(revolutions(y0, inflow, rho, of.diameter), -of.most), of.most)
+    b = min(max(revolutions(y1, inflow, rho, of.diameter), -of.most), of.most)
+    return _turning(of, n, a, b, 0.0, h), _turning(of, n, a, b, 0.5 * h, h), _turning(of, n, a, b, h, h)
+
+
+@kernel
+def _turning(of: Propeller, n: float, a: float, b: float, t: float, h: float) -> float:
+    """n(t) = w n(0) + w0 n_c(0) + w1 n_c(h)."""
+    w, w0, w1 = lag_weights(t, h, of.lag)
+    return w * n + w0 * a + w1 * b
+
+
+@kernel
+def _along(s: State, k: State, h: float) -> State:
+    """s + h k."""
+    return (
+        s[0] + h * k[0], s[1] + h * k[1], s[2] + h * k[2], s[3] + h * k[3],
+        s[4] + h * k[4], s[5] + h * k[5], s[6] + h * k[6], s[7] + h * k[7],
+    )  # fmt: skip
+
+
+@kernel
+def _thrusts(true: Body, n: Triple, surge: float, heave: float) -> Triple:
+    """What eq 8 gives."""
+    return (
+        thrust(n[0], surge, true.rho, true.port.diameter),
+        thrust(n[1], surge, true.rho, true.starboard.diameter),
+        thrust(n[2], heave, true.rho, true.vertical.diameter),
+    )
 
 
 @kernel
 def _slope(
-    true: Body,
-    s: Array,
-    n: Array,
-    held: bool,
-    depths: Array,
-    earlier: Array,
-    later: Array,
-    share: float,
-    ds: Array,
-) -> None:
-    """ds = s' (8,), written in place."""
-    z, w = s[6], s[7]
-    F = np.empty(3)
-    for i in range(3):
-        F[i] = true.factor * thrust(n[i], s[2] if i < 2 else w, true.rho, true.propellers[i, 0])
-    c, cr = np.empty(2), np.empty(2)
-    c[0], c[1] = velocity_at(z, depths, earlier, later, share)
+    true: Body, s: State, n: Triple, held: bool, depths: Array, earlier: Array, later: Array, share: float
+) -> State:
+    """s'."""
+    _, _, u, v, psi, r, z, w = s
+    F1, F2, F3 = _thrusts(true, n, u, w)
+    cn, ce = velocity_at(z, depths, earlier, later, share)
     # c' = dc/dz w: the water's change as the vehicle sinks through it
     shear = gradient_at(z, depths, earlier, later, share)
-    cr[0], cr[1] = shear[0] * w, shear[1] * w
-    derivative(s[:6], F[:2], c, cr, true.p, ds[:6])
-    ds[6] = w
-    ds[7] = heave_acceleration(w, F[2], true.p)
-    if held or (z <= 0.0 and w <= 0.0 and ds[7] < 0.0):
-        ds[6] = 0.0
-        ds[7] = 0.0
+    north, east, surge, sway, heading, yaw = rates(
+        u, v, psi, r, true.factor * F1, true.factor * F2, cn, ce, shear[0] * w, shear[1] * w, true.p
+    )
+    heave = heave_acceleration(w, true.factor * F3, true.p)
+    if held or (z <= 0.0 and w <= 0.0 and heave < 0.0):
+        return north, east, surge, sway, heading, yaw, 0.0, 0.0
+    return north, east, surge, sway, heading, yaw, w, heave
 
 
 @kernel

@@ -18,10 +18,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import GRAVITY_MPS2, product, rotation_exp
+from ltv_mpc import so3
+from ltv_mpc.compiled import kernel
+from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, ImuSample
+from ltv_mpc.signals import Array, ImuSample, Triple
+from ltv_mpc.so3 import Nine
 
 
 def noise_of(imu: Imu) -> Array:
@@ -44,22 +46,14 @@ def readings(samples: Sequence[ImuSample]) -> Array:
 
 
 @kernel
-def _cross(a: Array, b: Array) -> Array:
-    c = np.empty(3)
-    c[0] = a[1] * b[2] - a[2] * b[1]
-    c[1] = a[2] * b[0] - a[0] * b[2]
-    c[2] = a[0] * b[1] - a[1] * b[0]
-    return c
+def _turned(R: Nine, W: Triple, w: Triple, dt: float) -> Nine:
+    """exp(-W dt) R exp(w dt)."""
+    world = so3.exp(-dt * W[0], -dt * W[1], -dt * W[2])
+    return so3.times(so3.times(world, R), so3.exp(dt * w[0], dt * w[1], dt * w[2]))
 
 
 @kernel
-def _turned(R: Array, world: Array, body: Array) -> Array:
-    """exp(world^) R exp(body^), (3, 3)."""
-    return product(product(rotation_exp(world), R), rotation_exp(body))
-
-
-@kernel
-def _transition(A: Array, C: Array, a: Array, W: Array, dt: float, keep_g: float, keep_a: float) -> None:
+def _transition(A: Array, C: Nine, a: Triple, W: Triple, dt: float, keep_g: float, keep_a: float) -> None:
     """A := Phi_k A for one sample, A is (15, m). C = R_mid, a = R_mid f, keep = exp(-dt/tau) of each bias."""
     h = 0.5 * dt
     for j in range(A.shape[1]):
@@ -68,13 +62,13 @@ def _transition(A: Array, C: Array, a: Array, W: Array, dt: float, keep_g: float
         g0, g1, g2 = A[9, j], A[10, j], A[11, j]
         b0, b1, b2 = A[12, j], A[13, j], A[14, j]
         # t = W x phi1 + R_mid db_g
-        t0 = W[1] * q2 - W[2] * q1 + C[0, 0] * g0 + C[0, 1] * g1 + C[0, 2] * g2
-        t1 = W[2] * q0 - W[0] * q2 + C[1, 0] * g0 + C[1, 1] * g1 + C[1, 2] * g2
-        t2 = W[0] * q1 - W[1] * q0 + C[2, 0] * g0 + C[2, 1] * g1 + C[2, 2] * g2
+        t0 = W[1] * q2 - W[2] * q1 + C[0] * g0 + C[1] * g1 + C[2] * g2
+        t1 = W[2] * q0 - W[0] * q2 + C[3] * g0 + C[4] * g1 + C[5] * g2
+        t2 = W[0] * q1 - W[1] * q0 + C[6] * g0 + C[7] * g1 + C[8] * g2
         # R_mid db_a
-        B0 = C[0, 0] * b0 + C[0, 1] * b1 + C[0, 2] * b2
-        B1 = C[1, 0] * b0 + C[1, 1] * b1 + C[1, 2] * b2
-        B2 = C[2, 0] * b0 + C[2, 1] * b1 + C[2, 2] * b2
+        B0 = C[0] * b0 + C[1] * b1 + C[2] * b2
+        B1 = C[3] * b0 + C[4] * b1 + C[5] * b2
+        B2 = C[6] * b0 + C[7] * b1 + C[8] * b2
         # dv2 = dv1 - dt (a x m + R_mid db_a + 2 W x dv1), m = phi at the middle
         m0, m1, m2 = q0 - h * t0, q1 - h * t1, q2 - h * t2
         n0 = v0 - dt * (a[1] * m2 - a[2] * m1 + B0 + 2.0 * (W[1] * v2 - W[2] * v1))
@@ -97,32 +91,36 @@ def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: Arr
     ``measured`` (K, 6): mean angular rate and specific force of each, over its dt (K,) (s). How many; beyond one after
     which position and velocity are not finite, none.
     """
+    earth = W[0], W[1], W[2]
     for k in range(len(dt)):
-        _integrate(x, R, Phi, Q, measured[k], dt[k], noise, W)
+        _integrate(x, R, Phi, Q, measured[k], dt[k], noise, earth)
         if not math.isfinite(x[0] + x[2] + x[3] + x[5]):
             return k + 1
     return len(dt)
 
 
 @kernel
-def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: float, noise: Array, W: Array) -> None:
+def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: float, noise: Array, W: Triple) -> None:
     """One sample."""
-    w = np.empty(3)
-    f = np.empty(3)
-    for i in range(3):
-        w[i] = measured[i] - x[9 + i]
-        f[i] = measured[3 + i] - x[12 + i]
-    C = _turned(R, -0.5 * dt * W, 0.5 * dt * w)  # R_mid
-    a, v = np.empty(3), x[3:6].copy()
-    for i in range(3):
-        a[i] = C[i, 0] * f[0] + C[i, 1] * f[1] + C[i, 2] * f[2]
-    coriolis = _cross(W, v)
-    for i in range(3):
-        x[3 + i] += dt * (a[i] - 2.0 * coriolis[i])
+    w = measured[0] - x[9], measured[1] - x[10], measured[2] - x[11]
+    f0, f1, f2 = measured[3] - x[12], measured[4] - x[13], measured[5] - x[14]
+    R1 = so3.read(R)
+    C = _turned(R1, W, w, 0.5 * dt)  # R_mid
+    a = (
+        C[0] * f0 + C[1] * f1 + C[2] * f2,
+        C[3] * f0 + C[4] * f1 + C[5] * f2,
+        C[6] * f0 + C[7] * f1 + C[8] * f2,
+    )
+    v0, v1, v2 = x[3], x[4], x[5]
+    # v2 = v1 + dt (R_mid f + g - 2 W x v1),  p2 = p1 + dt (v1 + v2) / 2
+    x[3] += dt * (a[0] - 2.0 * (W[1] * v2 - W[2] * v1))
+    x[4] += dt * (a[1] - 2.0 * (W[2] * v0 - W[0] * v2))
+    x[5] += dt * (a[2] - 2.0 * (W[0] * v1 - W[1] * v0))
     x[5] += dt * GRAVITY_MPS2
-    for i in range(3):
-        x[i] += 0.5 * dt * (v[i] + x[3 + i])
-    assign(R, _turned(R, -dt * W, dt * w))
+    x[0] += 0.5 * dt * (v0 + x[3])
+    x[1] += 0.5 * dt * (v1 + x[4])
+    x[2] += 0.5 * dt * (v2 + x[5])
+    so3.write(_turned(R1, W, w, dt), R)
     keep_g = math.exp(-dt / noise[3])
     keep_a = math.exp(-dt / noise[5])
     for i in range(3):

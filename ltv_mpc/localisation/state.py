@@ -18,8 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import product, rotation_exp, skew
+from ltv_mpc import so3
+from ltv_mpc.compiled import kernel
+from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.column import Column
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.suite import Adcp, Suite
@@ -115,7 +116,8 @@ def shift(x: Array, R: Array, error: Array) -> None:
     """x := x + error, (n,), and R := exp(phi^) R, (3, 3), with phi the attitude's part of it, in place."""
     for k in range(len(x)):
         x[k] += error[k]
-    assign(R, product(rotation_exp(error[_ATTITUDE : _ATTITUDE + 3]), R))
+    phi = error[_ATTITUDE : _ATTITUDE + 3]
+    so3.write(so3.times(so3.exp(phi[0], phi[1], phi[2]), so3.read(R)), R)
 
 
 @dataclass(slots=True, kw_only=True)

@@ -18,10 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, product, rotation_exp, rotation_log
+from ltv_mpc import so3
+from ltv_mpc.compiled import kernel
+from ltv_mpc.frames import GRAVITY_MPS2, earth_rate
 from ltv_mpc.localisation.suite import Imu
 from ltv_mpc.signals import Array, ImuSample, Triple
+from ltv_mpc.so3 import Nine
 from sim.draws import Stream, generator
 from sim.sensors.drift import Drift
 from sim.sensors.instant import Instant
@@ -102,20 +104,22 @@ class InertialUnit:
 
 
 @kernel
-def increments(R1: Array, v1: Array, R2: Array, v2: Array, W: Array, dt: float) -> Array:
-    """Error-free mean angular rate and specific force between two instants, shape (6,)."""
-    w = rotation_log(product(R1.T, product(rotation_exp(dt * W), R2))) / dt
-    R_mid = product(product(rotation_exp(-0.5 * dt * W), R1), rotation_exp(0.5 * dt * w))
+def increments(R1: Nine, v1: Array, R2: Nine, v2: Array, W: Array, dt: float) -> tuple[Triple, Triple]:
+    """Error-free mean angular rate and specific force between two instants."""
+    turn = so3.log(so3.times(so3.transposed(R1), so3.times(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
+    w = turn[0] / dt, turn[1] / dt, turn[2] / dt
+    h = 0.5 * dt
+    R_mid = so3.times(so3.times(so3.exp(-h * W[0], -h * W[1], -h * W[2]), R1), so3.exp(h * w[0], h * w[1], h * w[2]))
     x, y, z = 0.5 * (v1[0] + v2[0]), 0.5 * (v1[1] + v2[1]), 0.5 * (v1[2] + v2[2])
-    a = np.empty(3)
-    a[0] = (v2[0] - v1[0]) / dt + 2.0 * (W[1] * z - W[2] * y)
-    a[1] = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)
-    a[2] = (v2[2] - v1[2]) / dt + 2.0 * (W[0] * y - W[1] * x) - GRAVITY_MPS2
-    means = np.empty(6)
-    for i in range(3):
-        means[i] = w[i]
-        means[3 + i] = R_mid[0, i] * a[0] + R_mid[1, i] * a[1] + R_mid[2, i] * a[2]
-    return means
+    a0 = (v2[0] - v1[0]) / dt + 2.0 * (W[1] * z - W[2] * y)
+    a1 = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)
+    a2 = (v2[2] - v1[2]) / dt + 2.0 * (W[0] * y - W[1] * x) - GRAVITY_MPS2
+    f = (
+        R_mid[0] * a0 + R_mid[3] * a1 + R_mid[6] * a2,
+        R_mid[1] * a0 + R_mid[4] * a1 + R_mid[7] * a2,
+        R_mid[2] * a0 + R_mid[5] * a1 + R_mid[8] * a2,
+    )
+    return w, f
 
 
 @kernel
@@ -129,9 +133,12 @@ def measured(
     """
     K = len(draws)
     means = np.empty((K, 6))
+    here = so3.read(R[0])
     for k in range(K):
-        assign(means[k], increments(R[k], v[k], R[k + 1], v[k + 1], W, dt))
+        before, here = here, so3.read(R[k + 1])
+        w, f = increments(before, v[k], here, v[k + 1], W, dt)
         for i in range(6):
             bias[i] = kept[i] * bias[i] + fresh[i] * draws[k, 6 + i]
-            means[k, i] = means[k, i] + walks[i] / math.sqrt(dt) * draws[k, i] + bias[i]
+            mean = w[i] if i < 3 else f[i - 3]
+            means[k, i] = mean + walks[i] / math.sqrt(dt) * draws[k, i] + bias[i]
     return means

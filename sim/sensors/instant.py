@@ -12,8 +12,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.frames import product, rotation, rotation_exp, rotation_log
+from ltv_mpc import so3
+from ltv_mpc.compiled import kernel
+from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.signals import Array, Triple, Truth
 
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -112,11 +113,14 @@ def turned_through(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, 
     """R1 and then R of each attitude (K, 3), together (K+1, 3, 3); phi = log(R_k^T R_k+1) and w = phi / h, (K, 3)."""
     K = len(h)
     R, phi, w = np.empty((K + 1, 3, 3)), np.empty((K, 3)), np.empty((K, 3))
-    assign(R[0], R1)
+    here = so3.read(R1)
+    so3.write(here, R[0])
     for k in range(K):
-        assign(R[k + 1], rotation(attitude[k, 0], attitude[k, 1], attitude[k, 2]))
-        assign(phi[k], rotation_log(product(R[k].T, R[k + 1])))
-        assign(w[k], phi[k] / h[k])
+        before, here = here, so3.of_angles(attitude[k, 0], attitude[k, 1], attitude[k, 2])
+        so3.write(here, R[k + 1])
+        turn = so3.log(so3.times(so3.transposed(before), here))
+        for i in range(3):
+            phi[k, i], w[k, i] = turn[i], turn[i] / h[k]
     return R, phi, w
 
 

@@ -166,9 +166,9 @@ def velocity_at(depth: float, depths: Array, earlier: Array, later: Array, share
     w = 0.0 if k < 0 or k >= last else (depth - depths[k]) / (depths[k + 1] - depths[k])
     north = earlier[a, 0] + w * (earlier[b, 0] - earlier[a, 0])
     east = earlier[a, 1] + w * (earlier[b, 1] - earlier[a, 1])
-    if share > 0.0:
-        north += share * (later[a, 0] + w * (later[b, 0] - later[a, 0]) - north)
-        east += share * (later[a, 1] + w * (later[b, 1] - later[a, 1]) - east)
+    # Also where the share is zero: to branch costs more, for then who holds ``later`` is counted on both ways.
+    north += share * (later[a, 0] + w * (later[b, 0] - later[a, 0]) - north)
+    east += share * (later[a, 1] + w * (later[b, 1] - later[a, 1]) - east)
     return north, east
 
 
@@ -176,15 +176,15 @@ def velocity_at(depth: float, depths: Array, earlier: Array, later: Array, share
 def gradient_at(depth: float, depths: Array, earlier: Array, later: Array, share: float) -> Pair:
     """Gradient dc/dz = (c_k+1 - c_k) / (z_k+1 - z_k) within the cells, 0 beyond."""
     k = _cell(depth, depths)
-    if k < 0 or k >= len(depths) - 1:
-        return 0.0, 0.0
-    step = depths[k + 1] - depths[k]
-    north = earlier[k + 1, 0] - earlier[k, 0]
-    east = earlier[k + 1, 1] - earlier[k, 1]
-    if share > 0.0:
-        north += share * (later[k + 1, 0] - later[k, 0] - north)
-        east += share * (later[k + 1, 1] - later[k, 1] - east)
-    return north / step, east / step
+    last = len(depths) - 1
+    a, b = max(k, 0), min(k + 1, last)
+    step = depths[b] - depths[a]
+    north = earlier[b, 0] - earlier[a, 0]
+    east = earlier[b, 1] - earlier[a, 1]
+    north += share * (later[b, 0] - later[a, 0] - north)
+    east += share * (later[b, 1] - later[a, 1] - east)
+    within = step > 0.0  # else beyond
+    return (north / step if within else 0.0), (east / step if within else 0.0)
 
 
 @kernel

@@ -1,0 +1,111 @@
+"""Rotations as nine numbers, for compiled code: there an array of nine costs two calls to the allocator, and numbers
+stay in registers. What they mean is in ``frames.py``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+from ltv_mpc.compiled import kernel
+from ltv_mpc.signals import Array, Triple
+
+Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+"""A (3, 3), row by row."""
+
+SMALL = 1e-4
+"""Angle (rad) below which the series to the fourth power is exact to double precision."""
+
+
+@kernel
+def read(R: Array) -> Nine:
+    """An array (3, 3) as numbers."""
+    return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
+
+
+@kernel
+def write(M: Nine, R: Array) -> None:
+    """The numbers into an array (3, 3)."""
+    R[0, 0], R[0, 1], R[0, 2] = M[0], M[1], M[2]
+    R[1, 0], R[1, 1], R[1, 2] = M[3], M[4], M[5]
+    R[2, 0], R[2, 1], R[2, 2] = M[6], M[7], M[8]
+
+
+@kernel
+def transposed(M: Nine) -> Nine:
+    """M^T."""
+    return M[0], M[3], M[6], M[1], M[4], M[7], M[2], M[5], M[8]
+
+
+@kernel
+def times(A: Nine, B: Nine) -> Nine:
+    """A B."""
+    return (
+        A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
+        A[0] * B[1] + A[1] * B[4] + A[2] * B[7],
+        A[0] * B[2] + A[1] * B[5] + A[2] * B[8],
+        A[3] * B[0] + A[4] * B[3] + A[5] * B[6],
+        A[3] * B[1] + A[4] * B[4] + A[5] * B[7],
+        A[3] * B[2] + A[4] * B[5] + A[5] * B[8],
+        A[6] * B[0] + A[7] * B[3] + A[8] * B[6],
+        A[6] * B[1] + A[7] * B[4] + A[8] * B[7],
+        A[6] * B[2] + A[7] * B[5] + A[8] * B[8],
+    )
+
+
+@kernel
+def of_angles(roll: float, pitch: float, heading: float) -> Nine:
+    """R = Rz(heading) Ry(pitch) Rx(roll), body to world."""
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    ch, sh = math.cos(heading), math.sin(heading)
+    return (
+        ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr,
+        sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr,
+        -sp, cp * sr, cp * cr,
+    )  # fmt: skip
+
+
+@kernel
+def exp(x: float, y: float, z: float) -> Nine:
+    """exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ of phi = [x, y, z] with t = |phi|."""
+    t2 = x * x + y * y + z * z
+    t = math.sqrt(t2)
+    if t < SMALL:
+        a = 1.0 - t2 / 6.0
+        b = 0.5 - t2 / 24.0
+    else:
+        a = math.sin(t) / t
+        half = math.sin(0.5 * t) / t  # 1 - cos t = 2 sin^2(t/2), without cancellation
+        b = 2.0 * half * half
+    return (
+        1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y,
+        b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x,
+        b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y),
+    )  # fmt: skip
+
+
+@kernel
+def log(M: Nine) -> Triple:
+    """The rotation vector phi of M, |phi| <= pi."""
+    # (M - M^T) / 2 = sin(t) axis^,  (trace M - 1) / 2 = cos(t)
+    x, y, z = 0.5 * (M[7] - M[5]), 0.5 * (M[2] - M[6]), 0.5 * (M[3] - M[1])
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (M[0] + M[4] + M[8] - 1.0)
+    t = math.atan2(sine, cosine)
+    if cosine > -0.9:
+        part = 1.0 + sine * sine / 6.0 if sine < SMALL else t / sine
+        return part * x, part * y, part * z
+    # Near half a turn the sine vanishes: the axis comes from M + M^T = 2 cos(t) I + 2 (1 - cos t) axis axis^T, by the
+    # row whose diagonal is largest.
+    if M[0] >= M[4] and M[0] >= M[8]:
+        sign = 1.0 if x >= 0.0 else -1.0
+        x, y, z = M[0] - cosine, 0.5 * (M[1] + M[3]), 0.5 * (M[2] + M[6])
+    elif M[4] >= M[8]:
+        sign = 1.0 if y >= 0.0 else -1.0
+        x, y, z = 0.5 * (M[1] + M[3]), M[4] - cosine, 0.5 * (M[5] + M[7])
+    else:
+        sign = 1.0 if z >= 0.0 else -1.0
+        x, y, z = 0.5 * (M[2] + M[6]), 0.5 * (M[5] + M[7]), M[8] - cosine
+    part = sign * t / math.sqrt(x * x + y * y + z * z)
+    return part * x, part * y, part * z
