@@ -40,6 +40,7 @@ from ltv_mpc.signals import (
     Signal,
     StepRecord,
     TdcpFix,
+    Times,
 )
 
 Reason: TypeAlias = str | None
@@ -49,13 +50,8 @@ Judged: TypeAlias = Signal | InboxEntry | InputReport | SensorReport | Reference
 def refusal(signal: Judged) -> Reason:
     """Why a node must not see this signal, or None. A type without a row is refused."""
     kind = type(signal)
-    inside = INSIDE.get(kind)
-    if inside is None:
-        return f"{kind.__name__} is not admitted anywhere"
-    consistency = CONSISTENCY.get(kind)
-    if consistency is not None and (reason := consistency(signal)) is not None:
-        return reason
-    return None if inside(signal) else _out_of_range(signal)
+    judge = JUDGES.get(kind)
+    return f"{kind.__name__} is not admitted anywhere" if judge is None else judge(signal)
 
 
 def _out_of_range(signal: Judged) -> Reason:
@@ -70,11 +66,19 @@ def _out_of_range(signal: Judged) -> Reason:
 
 
 def _between(values: Array, low: float, high: float) -> bool:
-    """NaN passes through products, min and max, and fails the comparison."""
-    # One number too large makes a sum of squares too large: a product, where min and max take two passes.
+    """NaN is the least and the largest of all, passes through products, and fails the comparison."""
+    if values.size == 0:
+        return True
+    # One number too large makes a sum of squares too large: a product, where least and largest take two passes.
     if values.dtype == np.float64 and low < 0.0 < high and np.vdot(values, values) <= min(low * low, high * high):
         return True
-    return values.size == 0 or bool(low <= values.min() and values.max() <= high)
+    # By their places: a third of what ``min`` and ``max`` take.
+    return bool(low <= values.item(values.argmin()) and values.item(values.argmax()) <= high)
+
+
+def _increases(values: Array | Times) -> bool:
+    """From each to the next; NaN does not. To count takes a fifth of what ``all`` does."""
+    return bool(np.count_nonzero(values[1:] > values[:-1]) == len(values) - 1)
 
 
 def _tdcp(s: TdcpFix) -> Reason:
@@ -84,7 +88,7 @@ def _tdcp(s: TdcpFix) -> Reason:
 def _adcp(s: AdcpPing) -> Reason:
     if s.range_m.ndim != 1 or not len(s.range_m) or s.beam_velocity_mps.shape != (4, len(s.range_m)):
         return f"range_m {s.range_m.shape}, beam_velocity_mps {s.beam_velocity_mps.shape}: must be (K,), (4, K)"
-    if not (s.range_m[1:] > s.range_m[:-1]).all():
+    if not _increases(s.range_m):
         return "range_m: must increase"
     # NaN is a beam without return, and passes; infinity is rubbish, and does not.
     if (np.abs(s.beam_velocity_mps) > SPEED.high).any():
@@ -111,7 +115,7 @@ def _profile(s: CurrentProfile) -> Reason:
         return "depth_m, north_mps, east_mps: must be of one length, at least 1"
     if s.sd_mps is not None and s.sd_mps.shape != shape:
         return "sd_mps: must have one entry for each depth"
-    return None if (s.depth_m[1:] > s.depth_m[:-1]).all() else "depth_m: must increase"
+    return None if _increases(s.depth_m) else "depth_m: must increase"
 
 
 ASYMMETRY = 1e-9
@@ -148,7 +152,7 @@ def _plan(s: Plan) -> Reason:
     if knots < 2 or s.thrust_N.shape != (knots, 3) or s.states.shape != (knots, 6):
         shapes = f"t_ns {s.t_ns.shape}, thrust_N {s.thrust_N.shape}, states {s.states.shape}"
         return f"{shapes}: must be (N+1,), (N+1, 3), (N+1, 6), N at least 1"
-    if not (s.t_ns[1:] > s.t_ns[:-1]).all():
+    if not _increases(s.t_ns):
         return "t_ns: knots must increase"
     return refusal(s.solve)
 
@@ -286,6 +290,14 @@ def _by_field(kind: type) -> dict[str, Callable[[Any], bool]]:
     return {name: _compiled(comparison) for name, comparison in _comparisons(kind).items()}
 
 
-# One expression: every message comes by here, and a loop over its fields takes four times as long.
-INSIDE = {kind: _compiled(" and ".join(_comparisons(kind).values()) or "True") for kind in RANGES}
-"""Whether all numbers lie in their range; where one does not, ``_out_of_range`` has the words."""
+def _judge(kind: type) -> Callable[[Any], Reason]:
+    """``refusal`` of one type."""
+    # One expression: every message comes by here, and a loop over its fields takes four times as long.
+    inside, consistency = _compiled(" and ".join(_comparisons(kind).values()) or "True"), CONSISTENCY.get(kind)
+    if consistency is None:
+        return lambda signal: None if inside(signal) else _out_of_range(signal)
+    return lambda signal: consistency(signal) or (None if inside(signal) else _out_of_range(signal))
+
+
+JUDGES = {kind: _judge(kind) for kind in RANGES}
+"""Of each type that is admitted anywhere."""

@@ -17,10 +17,10 @@ from itertools import count
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from ltv_mpc.admission import refusal
+from ltv_mpc.admission import JUDGES, refusal
 from ltv_mpc.node import Arrival, Cycle, Due, Node, OnMessage, steps_of
 from ltv_mpc.signals import Plan, Rejected, Signal
-from sim.lockstep import LATEST, Refuse, numbered, refused_by_name, timing_of
+from sim.lockstep import EPOCH, LATEST, Refuse, refused_by_name, timing_of
 
 
 class Listener(Protocol):
@@ -48,6 +48,23 @@ class _Refusal(NamedTuple):
     reason: str
 
 
+class _Route:
+    """Where one node's signals of one type go. Looked up once for each, not a thing at a time."""
+
+    __slots__ = ("judge", "published", "readers", "told")
+
+    def __init__(self, kind: type[Signal], readers: Sequence[_Seat], told: bool) -> None:
+        self.judge = JUDGES.get(kind, refusal)
+        self.readers = tuple(readers)
+        self.told = told
+        self.published = 0
+
+    def numbered(self, signal: Signal, at_ns: int) -> Arrival:
+        """As it is published."""
+        self.published += 1
+        return Arrival(signal, EPOCH, self.published - 1, at_ns)
+
+
 class _Seat:
     """A node's place at the table: what has been said to it, and when it is due."""
 
@@ -59,7 +76,7 @@ class _Seat:
         self.next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
         self.steps = steps_of(node)
         self.heard: list[tuple[Place, Arrival]] = []  # and not handed on yet
-        self.sequences: dict[type[Signal], int] = {}  # of the next signal of a type
+        self.routes: dict[type[Signal], _Route] = {}
 
     def due(self, end_ns: int) -> tuple[list[int], list[Due]]:
         """When, and what for, it is to be stepped up to ``end_ns``."""
@@ -180,25 +197,30 @@ class Stretches:
         seat.next_ns = at_ns + max(seat.period_ns, delay_ns)
 
     def _publish(self, seat: _Seat, times_ns: Sequence[int], outputs: Sequence[Sequence[Signal]], index: int) -> None:
-        name, sequences, numbers = seat.name, seat.sequences, self._count
-        heard = None if index == _ON_ITS_WAY else self._heard  # what is on its way may never be told
-        said, readers_of = self._said.append, self._readers.get
+        name, routes, said, numbers = seat.name, seat.routes, self._said.append, self._count
+        on_its_way = index == _ON_ITS_WAY  # what is may never be told
         for at_ns, signals in zip(times_ns, outputs, strict=True):
             for signal in signals:
-                place, message = (at_ns, index, next(numbers)), numbered(signal, sequences, at_ns)
-                if heard is None or type(signal) in heard:
+                kind = type(signal)
+                route = routes.get(kind) or self._route(seat, kind)
+                place, message = (at_ns, index, next(numbers)), route.numbered(signal, at_ns)
+                if route.told or on_its_way:
                     said((place, name, message))
                 else:
                     self.untold += 1
-                readers = readers_of(type(signal))
-                if readers is None:
+                if not route.readers:
                     continue
-                reason = refusal(signal)
-                for reader in readers:
+                reason = route.judge(signal)
+                for reader in route.readers:
                     if reason is None:
                         reader.heard.append((place, message))
                     else:
                         self._refusals.append(_Refusal(place, reader, message, reason))
+
+    def _route(self, seat: _Seat, kind: type[Signal]) -> _Route:
+        """Of ``kind`` from this seat."""
+        told = self._heard is None or kind in self._heard
+        return seat.routes.setdefault(kind, _Route(kind, self._readers.get(kind, ()), told))
 
     def _tell(self, before: Place) -> None:
         """Who observes of all that was said before; whose messages were refused, of that."""
@@ -221,7 +243,7 @@ class Stretches:
                 continue
             place, reader, at_ns = refused.place, refused.reader, refused.place[0]
             rejected = self._refused(reader.name, refused.message, refused.reason)
-            told = numbered(rejected, reader.sequences, at_ns)
+            told = self._route(reader, Rejected).numbered(rejected, at_ns)
             self._said.append((place, reader.name, told))
             if Rejected in reader.node.reads:
                 reader.heard.append((place, told))

@@ -58,6 +58,7 @@ class Door:
     def __init__(self) -> None:
         self._last: dict[type[Signal], tuple[int, object]] = {}
         self._sample: ImuSample | None = None
+        self._measured: Array | None = None  # of that sample, (1, 6), where it was one of many
         self._to_agree = 0
         self._ways: dict[type[Signal], _Way] = {}
 
@@ -87,11 +88,13 @@ class Door:
             return False
         if stamps[-1] > min(received_ns) + AHEAD_NS:  # which all are before, if they are in order
             return False
-        return _follow_one_another(np.array(stamps), readings([before]), measured)
+        last = readings([before]) if self._measured is None else self._measured
+        return _follow_one_another(np.array(stamps), last, measured)
 
-    def let_through(self, sample: ImuSample, received_ns: int) -> None:
-        """The last of those that were."""
+    def let_through(self, sample: ImuSample, received_ns: int, measured: Array) -> None:
+        """The last of those that were; ``measured`` (1, 6)."""
         self._sample, self._last[ImuSample] = sample, (sample.t_ns, _READINGS[ImuSample](sample))
+        self._measured = measured
         self._ways[ImuSample] = _Way(sample.t_ns, received_ns - sample.t_ns)
 
     def _went_back(self, kind: type[Signal], t_ns: int, received_ns: int) -> bool:
@@ -108,7 +111,7 @@ class Door:
         return False
 
     def _is_wild(self, sample: ImuSample) -> bool:
-        before, self._sample = self._sample, sample
+        before, self._sample, self._measured = self._sample, sample, None
         if before is None or before.t_ns == sample.t_ns:
             return False
         seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, LEAST_S)

@@ -148,7 +148,12 @@ class Estimator:
         unknown_transponder. Messages: late, late_applied, duplicate, ahead, stale, stuck, wild,
         without_imu, gap.
         """
-        return self._account if self._filter is None else self._account + self._filter.account
+        if self._filter is None:
+            return self._account
+        account = Counter(self._account)
+        for what, count in self._filter.account.items():
+            account[what] += count
+        return account
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each message carries its own time)
         """Use every message of the inbox in its order."""
@@ -177,7 +182,9 @@ class Estimator:
         """What is said at those of them, from ``first`` on, that were samples which only had to be integrated, at most
         up to the next estimate; empty where there are none.
         """
-        history = self._history
+        history, inbox = self._history, due[first][1]
+        if len(inbox) != 1 or type(inbox[0].signal) is not ImuSample:  # asked first: it mostly is not
+            return []
         busy = self._open or self._waiting or self._anew is not None or self._former is not None
         if history is None or busy or not finite(history.filter.belief):
             return []
@@ -186,7 +193,7 @@ class Estimator:
         next_ns = self._next_ns
         for _, inbox in islice(due, first, None):
             sample = inbox[0].signal
-            if len(inbox) != 1 or not isinstance(sample, ImuSample) or sample.t_ns > next_ns:
+            if len(inbox) != 1 or type(sample) is not ImuSample or sample.t_ns > next_ns:
                 break
             samples.append(sample)
             received_ns.append(inbox[0].received_t_ns)
@@ -198,7 +205,7 @@ class Estimator:
         if not self._door.lets_through(samples, received_ns[:number], measured):
             return []
         number = history.advance_through(samples, measured)
-        self._door.let_through(samples[number - 1], received_ns[number - 1])
+        self._door.let_through(samples[number - 1], received_ns[number - 1], measured[number - 1 : number])
         self._remember(samples[:number])
         signals: list[list[Signal]] = [[] for _ in range(number)]
         self._reach(samples[number - 1].t_ns)

@@ -18,7 +18,7 @@ Filter  inconsistent when what ties its velocity or its depth down (profiler, bo
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -63,7 +63,7 @@ class Monitor:
         self._silent_ns = _silent_after(suite)
         self._window: dict[str, deque[_Judged]] = {name: deque() for name in self._silent_ns}
         self._last_ns: dict[str, int] = {}
-        self._reported: Counter[str] = Counter()
+        self._reported: Mapping[str, int] = {}
         self.broken = False  # a covariance of innovations was not positive definite: the filter's own is not either
 
     def hear(self, verdict: Verdict) -> None:
@@ -84,24 +84,25 @@ class Monitor:
 
     def sensors(self, t_ns: int, account: Mapping[str, int]) -> tuple[SensorReport, ...]:
         """One report a sensor at ``t_ns``; ``account`` counts from the beginning (``Estimator.account``)."""
-        new = Counter(account)
-        new.subtract(self._reported)
-        self._reported = Counter(account)
+        new: dict[str, dict[str, int]] = {name: {} for name in self._window}
+        for key, count in account.items():
+            name, _, what = key.partition(".")
+            more = count - self._reported.get(key, 0)
+            if name in new and more > 0:
+                new[name][what] = more
+        self._reported = dict(account)
         reports = []
         for name, window in self._window.items():
             while window and window[0].t_ns <= t_ns - WINDOW_NS:
                 window.popleft()
-            refused = {
-                key.partition(".")[2]: count
-                for key, count in sorted(new.items())
-                if count > 0 and key.startswith(f"{name}.") and key.partition(".")[2] not in ("used", "late_applied")
-            }
+            counts = new[name]
+            refused = {what: counts[what] for what in sorted(counts) if what not in ("used", "late_applied")}
             nis, status = self._judge(name, t_ns)
             reports.append(
                 SensorReport(
                     sensor=name,
                     status=status,
-                    used=new[f"{name}.used"],
+                    used=counts.get("used", 0),
                     refused=refused,
                     nis=nis,
                     last_t_ns=self._last_ns.get(name),
@@ -113,9 +114,8 @@ class Monitor:
         window = self._window[name]
         rows = passed = 0
         squares = pairs = 0.0
-        for judged in window:
-            rows, passed = rows + judged.rows, passed + judged.passed
-            squares, pairs = squares + judged.squares, pairs + judged.pairs
+        for _, of_one, through, their_squares, their_pairs in window:
+            rows, passed, squares, pairs = rows + of_one, passed + through, squares + their_squares, pairs + their_pairs
         nis = squares / passed / self._expected if passed else None
         last_ns = self._last_ns.get(name)
         if last_ns is None or t_ns - last_ns > self._silent_ns[name]:

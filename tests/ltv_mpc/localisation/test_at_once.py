@@ -206,10 +206,17 @@ def test_what_the_quick_look_lets_through_the_door_does() -> None:
         if other.lets_through(samples[3:], came_ns[3:], readings(samples[3:])):
             let += 1
             assert verdicts == [None] * 9
-            other.let_through(samples[-1], came_ns[-1])
+            other.let_through(samples[-1], came_ns[-1], readings(samples[-1:]))
             later = msgspec.structs.replace(samples[-1], t_ns=samples[-1].t_ns + 10_000_000)
+            assert not other.lets_through([later], [came_ns[-1] + 10_000_000], readings([later]))  # stuck
+            turned = msgspec.structs.replace(later, angular_rate_radps=(0.0, 0.0, 0.11))
+            assert other.lets_through([turned], [came_ns[-1] + 10_000_000], readings([turned]))
             assert door.refusal(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
             assert other.refusal(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
+            # A sample that came by itself is what the next are held against, not the last of many before it.
+            assert other.refusal(turned.t_ns, turned, came_ns[-1] + 10_000_000) is None
+            again = msgspec.structs.replace(turned, t_ns=turned.t_ns + 10_000_000)
+            assert not other.lets_through([again], [came_ns[-1] + 20_000_000], readings([again]))
         else:
             refused += any(verdict is not None for verdict in verdicts)
     assert let > 50
