@@ -57,12 +57,7 @@ class _Route:
         self.judge = JUDGES.get(kind, refusal)
         self.readers = tuple(readers)
         self.told = told
-        self.published = 0
-
-    def numbered(self, signal: Signal, at_ns: int) -> Arrival:
-        """As it is published."""
-        self.published += 1
-        return Arrival(signal, EPOCH, self.published - 1, at_ns)
+        self.published = 0  # of them
 
 
 class _Seat:
@@ -203,7 +198,8 @@ class Stretches:
             for signal in signals:
                 kind = type(signal)
                 route = routes.get(kind) or self._route(seat, kind)
-                place, message = (at_ns, index, next(numbers)), route.numbered(signal, at_ns)
+                place, message = (at_ns, index, next(numbers)), Arrival(signal, EPOCH, route.published, at_ns)
+                route.published += 1
                 if route.told or on_its_way:
                     said((place, name, message))
                 else:
@@ -243,7 +239,9 @@ class Stretches:
                 continue
             place, reader, at_ns = refused.place, refused.reader, refused.place[0]
             rejected = self._refused(reader.name, refused.message, refused.reason)
-            told = self._route(reader, Rejected).numbered(rejected, at_ns)
+            route = self._route(reader, Rejected)
+            told = Arrival(rejected, EPOCH, route.published, at_ns)
+            route.published += 1
             self._said.append((place, reader.name, told))
             if Rejected in reader.node.reads:
                 reader.heard.append((place, told))

@@ -119,11 +119,11 @@ class Gate:
             return Verdict.OUT_OF_ORDER
         if self._epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
             return Verdict.SECOND_COMMANDER
-        thrust, seconds = plan.thrust_N, np.diff(plan.t_ns) * 1e-9
+        thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
         # Written so that NaN is outside.
         if not ((thrust >= self._low - TOLERANCE_N) & (thrust <= self._high + TOLERANCE_N)).all():
             return Verdict.OUTSIDE_BOX
-        if not (np.abs(np.diff(thrust, axis=0)) <= seconds[:, None] * self._slew + TOLERANCE_N).all():
+        if not (np.abs(thrust[1:] - thrust[:-1]) <= seconds[:, None] * self._slew + TOLERANCE_N).all():
             return Verdict.OUTSIDE_SLEW
         return Verdict.ACCEPTED
 

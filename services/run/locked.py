@@ -59,22 +59,27 @@ def run(
     the vehicle time.
     """
     if folder is None:
-        return _go(situation, None, progress, stop)[0]
+        return _go(situation, None, progress, stop, learns=False)[0]
     metadata = {"mode": LOCKSTEP, "seed": str(situation.scenario.run.seed), **situation.files}
     start_ns = situation.scenario.start_ns
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary, water = _go(situation, writer, progress, stop)
+        summary, water = _go(situation, writer, progress, stop, learns=True)
     folder.write_result(summary, water)
     return summary
 
 
 def _go(
-    situation: Situation, writer: RunWriter | None, progress: Callable[[int], None] | None, stop: Callable[[], bool]
+    situation: Situation,
+    writer: RunWriter | None,
+    progress: Callable[[int], None] | None,
+    stop: Callable[[], bool],
+    *,
+    learns: bool,
 ) -> tuple[Summary, WaterPrior | None]:
-    """The summary, and what was learned of the water."""
+    """The summary, and if it ``learns`` what there was to be learned of the water."""
     _leave_alone()
     scenario = situation.scenario
-    log = _Log(Grader(situation.vehicle), writer)
+    log = _Log(Grader(situation.vehicle), writer, Learned() if learns else None)
     # Without records nobody asks in which order nodes were stepped.
     way = partial(Stretches, heard=log.heard) if writer is None else LockStep
     lockstep = way(
@@ -93,7 +98,8 @@ def _go(
             progress(t_ns)
     untold = lockstep.untold if isinstance(lockstep, Stretches) else 0
     messages = Messages(published=log.published_count + untold, dropped=0, rejected=log.rejected_count)
-    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages), log.learned.prior()
+    water = None if log.learned is None else log.learned.prior()
+    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages), water
 
 
 @cache
@@ -108,9 +114,9 @@ def _leave_alone() -> None:
 class _Log:
     """The run's observer: everything to the recording, if there is one, and to the grader."""
 
-    def __init__(self, grader: Grader, writer: RunWriter | None) -> None:
+    def __init__(self, grader: Grader, writer: RunWriter | None, learned: Learned | None) -> None:
         self.grader = grader
-        self.learned = Learned()
+        self.learned = learned
         self.published_count = 0
         self.rejected_count = 0
         self._writer = writer
@@ -137,13 +143,13 @@ class _Log:
     def published(self, node: str, message: Arrival) -> None:
         signal = message.signal
         self.published_count += 1
-        if isinstance(signal, Estimate):
-            self.learned.hear(signal)
-        elif isinstance(signal, Rejected):
-            self.rejected_count += 1
         self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        if type(signal) is Rejected:
+            self.rejected_count += 1
         if self._writer is not None:
             self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
+        if self.learned is not None and isinstance(signal, Estimate):
+            self.learned.hear(signal)
 
 
 def _header(sequence: int) -> wire.Header:

@@ -51,7 +51,7 @@ def visit(here: Situation) -> Visit:
         listen(node, said)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(locked, "nodes", lambda _, **_every: nodes)
-        _, saved = locked._go(here, None, None, lambda: False)
+        _, saved = locked._go(here, None, None, lambda: False, learns=True)
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None
     assert estimator.filter is not None
