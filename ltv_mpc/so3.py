@@ -86,6 +86,13 @@ def exp(x: float, y: float, z: float) -> Nine:
 
 
 @kernel
+def strapdown(R: Nine, W: Triple, w: Triple, dt: float) -> Nine:
+    """exp(-W dt) R exp(w dt): R after dt at the rate w (body) against the stars, on an Earth that turns at W (NED)."""
+    world = exp(-dt * W[0], -dt * W[1], -dt * W[2])
+    return times(times(world, R), exp(dt * w[0], dt * w[1], dt * w[2]))
+
+
+@kernel
 def log(M: Nine) -> Triple:
     """The rotation vector phi of M, |phi| <= pi."""
     # (M - M^T) / 2 = sin(t) axis^,  (trace M - 1) / 2 = cos(t)

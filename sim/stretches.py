@@ -51,13 +51,19 @@ class _Refusal(NamedTuple):
 class _Route:
     """Where one node's signals of one type go. Looked up once for each, not a thing at a time."""
 
-    __slots__ = ("judge", "published", "readers", "told")
+    __slots__ = ("_published", "judge", "readers", "told")
 
     def __init__(self, kind: type[Signal], readers: Sequence[_Seat], told: bool) -> None:
         self.judge = JUDGES.get(kind, refusal)
         self.readers = tuple(readers)
         self.told = told
-        self.published = 0  # of them
+        self._published = 0
+
+    def numbered(self, signal: Signal, at_ns: int) -> Arrival:
+        """The next of them, as it is published."""
+        number = self._published
+        self._published = number + 1
+        return Arrival(signal, EPOCH, number, at_ns)
 
 
 class _Seat:
@@ -198,8 +204,7 @@ class Stretches:
             for signal in signals:
                 kind = type(signal)
                 route = routes.get(kind) or self._route(seat, kind)
-                place, message = (at_ns, index, next(numbers)), Arrival(signal, EPOCH, route.published, at_ns)
-                route.published += 1
+                place, message = (at_ns, index, next(numbers)), route.numbered(signal, at_ns)
                 if route.told or on_its_way:
                     said((place, name, message))
                 else:
@@ -239,9 +244,7 @@ class Stretches:
                 continue
             place, reader, at_ns = refused.place, refused.reader, refused.place[0]
             rejected = self._refused(reader.name, refused.message, refused.reason)
-            route = self._route(reader, Rejected)
-            told = Arrival(rejected, EPOCH, route.published, at_ns)
-            route.published += 1
+            told = self._route(reader, Rejected).numbered(rejected, at_ns)
             self._said.append((place, reader.name, told))
             if Rejected in reader.node.reads:
                 reader.heard.append((place, told))

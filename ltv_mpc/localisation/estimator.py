@@ -151,8 +151,7 @@ class Estimator:
         if self._filter is None:
             return self._account
         account = Counter(self._account)
-        for what, count in self._filter.account.items():
-            account[what] += count
+        account.update(self._filter.account)
         return account
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each message carries its own time)
@@ -182,11 +181,9 @@ class Estimator:
         """What is said at those of them, from ``first`` on, that were samples which only had to be integrated, at most
         up to the next estimate; empty where there are none.
         """
-        history, inbox = self._history, due[first][1]
-        if len(inbox) != 1 or type(inbox[0].signal) is not ImuSample:  # asked first: it mostly is not
-            return []
+        history = self._history
         busy = self._open or self._waiting or self._anew is not None or self._former is not None
-        if history is None or busy or not finite(history.filter.belief):
+        if history is None or busy:
             return []
         samples: list[ImuSample] = []
         received_ns: list[int] = []
@@ -197,6 +194,8 @@ class Estimator:
                 break
             samples.append(sample)
             received_ns.append(inbox[0].received_t_ns)
+        if not samples or not finite(history.filter.belief):
+            return []
         number = history.follows(samples)
         if not number:
             return []

@@ -46,13 +46,6 @@ def readings(samples: Sequence[ImuSample]) -> Array:
 
 
 @kernel
-def _turned(R: Nine, W: Triple, w: Triple, dt: float) -> Nine:
-    """exp(-W dt) R exp(w dt)."""
-    world = so3.exp(-dt * W[0], -dt * W[1], -dt * W[2])
-    return so3.times(so3.times(world, R), so3.exp(dt * w[0], dt * w[1], dt * w[2]))
-
-
-@kernel
 def _transition(A: Array, C: Nine, a: Triple, W: Triple, dt: float, keep_g: float, keep_a: float) -> None:
     """A := Phi_k A for one sample, A is (15, m). C = R_mid, a = R_mid f, keep = exp(-dt/tau) of each bias."""
     h = 0.5 * dt
@@ -105,7 +98,7 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
     w = measured[0] - x[9], measured[1] - x[10], measured[2] - x[11]
     f0, f1, f2 = measured[3] - x[12], measured[4] - x[13], measured[5] - x[14]
     R1 = so3.read(R)
-    C = _turned(R1, W, w, 0.5 * dt)  # R_mid
+    C = so3.strapdown(R1, W, w, 0.5 * dt)  # R_mid
     a = (
         C[0] * f0 + C[1] * f1 + C[2] * f2,
         C[3] * f0 + C[4] * f1 + C[5] * f2,
@@ -120,7 +113,7 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
     x[0] += 0.5 * dt * (v0 + x[3])
     x[1] += 0.5 * dt * (v1 + x[4])
     x[2] += 0.5 * dt * (v2 + x[5])
-    so3.write(_turned(R1, W, w, dt), R)
+    so3.write(so3.strapdown(R1, W, w, dt), R)
     keep_g = math.exp(-dt / noise[3])
     keep_a = math.exp(-dt / noise[5])
     for i in range(3):

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import cache, partial
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Arrival, Inbox, Node
 from ltv_mpc.signals import Estimate, InboxEntry, Rejected, Signal, StepRecord
@@ -59,12 +58,12 @@ def run(
     the vehicle time.
     """
     if folder is None:
-        return _go(situation, None, progress, stop, learns=False)[0]
+        return _go(situation, None, progress, stop)
     metadata = {"mode": LOCKSTEP, "seed": str(situation.scenario.run.seed), **situation.files}
-    start_ns = situation.scenario.start_ns
+    start_ns, learned = situation.scenario.start_ns, Learned()
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary, water = _go(situation, writer, progress, stop, learns=True)
-    folder.write_result(summary, water)
+        summary = _go(situation, writer, progress, stop, learned)
+    folder.write_result(summary, learned.prior())
     return summary
 
 
@@ -73,13 +72,12 @@ def _go(
     writer: RunWriter | None,
     progress: Callable[[int], None] | None,
     stop: Callable[[], bool],
-    *,
-    learns: bool,
-) -> tuple[Summary, WaterPrior | None]:
-    """The summary, and if it ``learns`` what there was to be learned of the water."""
+    learned: Learned | None = None,
+) -> Summary:
+    """``learned`` hears what there is to be learned of the water."""
     _leave_alone()
     scenario = situation.scenario
-    log = _Log(Grader(situation.vehicle), writer, Learned() if learns else None)
+    log = _Log(Grader(situation.vehicle), writer, learned)
     # Without records nobody asks in which order nodes were stepped.
     way = partial(Stretches, heard=log.heard) if writer is None else LockStep
     lockstep = way(
@@ -98,8 +96,7 @@ def _go(
             progress(t_ns)
     untold = lockstep.untold if isinstance(lockstep, Stretches) else 0
     messages = Messages(published=log.published_count + untold, dropped=0, rejected=log.rejected_count)
-    water = None if log.learned is None else log.learned.prior()
-    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages), water
+    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages)
 
 
 @cache
@@ -116,9 +113,9 @@ class _Log:
 
     def __init__(self, grader: Grader, writer: RunWriter | None, learned: Learned | None) -> None:
         self.grader = grader
-        self.learned = learned
         self.published_count = 0
         self.rejected_count = 0
+        self._learned = learned
         self._writer = writer
 
     @property
@@ -148,8 +145,8 @@ class _Log:
             self.rejected_count += 1
         if self._writer is not None:
             self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
-        if self.learned is not None and isinstance(signal, Estimate):
-            self.learned.hear(signal)
+        if self._learned is not None and isinstance(signal, Estimate):
+            self._learned.hear(signal)
 
 
 def _header(sequence: int) -> wire.Header:

@@ -108,8 +108,7 @@ def increments(R1: Nine, v1: Array, R2: Nine, v2: Array, W: Array, dt: float) ->
     """Error-free mean angular rate and specific force between two instants."""
     turn = so3.log(so3.times(so3.transposed(R1), so3.times(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
     w = turn[0] / dt, turn[1] / dt, turn[2] / dt
-    h = 0.5 * dt
-    R_mid = so3.times(so3.times(so3.exp(-h * W[0], -h * W[1], -h * W[2]), R1), so3.exp(h * w[0], h * w[1], h * w[2]))
+    R_mid = so3.strapdown(R1, (W[0], W[1], W[2]), w, 0.5 * dt)
     x, y, z = 0.5 * (v1[0] + v2[0]), 0.5 * (v1[1] + v2[1]), 0.5 * (v1[2] + v2[2])
     a0 = (v2[0] - v1[0]) / dt + 2.0 * (W[1] * z - W[2] * y)
     a1 = (v2[1] - v1[1]) / dt + 2.0 * (W[2] * x - W[0] * z)

@@ -49,9 +49,11 @@ def visit(here: Situation) -> Visit:
     said: dict[type[Signal], Any] = {}
     for node in nodes:
         listen(node, said)
+    learned = Learned()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(locked, "nodes", lambda _, **_every: nodes)
-        _, saved = locked._go(here, None, None, lambda: False, learns=True)
+        locked._go(here, None, None, lambda: False, learned)
+    saved = learned.prior()
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None
     assert estimator.filter is not None
