@@ -3,6 +3,7 @@
 Seen    A ping's innovations are fitted, by least squares over its rows, with a velocity of all water past the vehicle
         and with a shear, D of ``innovations.py``. Water that changes everywhere at once, as a front does, shows in the
         velocity's two horizontal parts, internal waves in the shear; what shows in the vertical part is no water.
+        Slower fronts hardly show in any mean, but in what ``onsets.py`` sums.
 Granted a random walk of all nodes that are states, smooth over depth,
             P_water += q^2 dt exp(-|z_i - z_j| / 30 m),  north and east,
         of one of two strengths q, while it lasts:
@@ -16,6 +17,10 @@ Unit    A gyro that fails slowly tilts the level, g b t^2 / 2 of velocity that l
         does not. So what shows over 10 s alone, or again when a front has just been granted, is granted both: the fast
         walk, and once, at the beginning, doubt of gyros and level and of how much of the water's motion was the
         vehicle's. The filter then learns the gyro's bias as soon as the walk is over, and its covariance holds either.
+On      What was granted as fast for 10 s is granted for as long as the water drifts on (``drift.py``), and where that
+        grows as a tilt makes it grow, it is the unit.
+Over    What ``onsets.py`` finds when it has gone by is made up for there and then: estimate and covariance become what
+        they would be, had it been known; the fast walk holds for another 10 s, should it not be over quite yet.
 Back    A front is seen three to ten seconds after it came; until then the filter has taken it for a tilt and a
         velocity of the vehicle, and is sure of them. So it is granted from ``BACK_NS`` before it was seen: the filter
         goes back and does these seconds again (``late.py``).
@@ -44,7 +49,9 @@ import numpy.typing as npt
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation import innovations
+from ltv_mpc.localisation.drift import Drift
 from ltv_mpc.localisation.innovations import Mean
+from ltv_mpc.localisation.onsets import LIMIT, LIMIT_TOO, Found, Onsets
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
 from ltv_mpc.signals import Array
 
@@ -71,6 +78,10 @@ _LIMIT_1, _LIMIT_2 = innovations.limit(1), innovations.limit(2)
 _LONGEST_NS = 120_000_000_000
 _BEYOND_NS = 2_000_000_000
 """For so long a call for what no water does is remembered: a second, the time between two reports, and another."""
+_LONGEST_FRONT_S = 50.0
+"""Since what was granted began. What goes on for longer is not water."""
+_BEFORE_NS = 1_000_000_000
+"""So long before a grant ends it is asked whether it is still needed, and then for so long more."""
 
 
 class Change(enum.IntEnum):
@@ -101,7 +112,10 @@ class Adaptation:
         self._held_ns: dict[Change, int] = {}
         self._to_open = False  # the inertial unit's doubt, when time goes on
         self._t_ns: int | None = None  # of the last corrections
-        self.forget()
+        self._onsets = Onsets()
+        self._drift: Drift | None = None  # while FAST is granted
+        self._tilts = False  # it is the unit's
+        self._clear()
 
     def copy(self) -> Adaptation:
         """Independent of this one."""
@@ -109,10 +123,16 @@ class Adaptation:
         other.__dict__.update(self.__dict__)
         other._means, other._downward, other._slopes = self._means.copy(), self._downward.copy(), self._slopes.copy()
         other._until_ns, other._held_ns = dict(self._until_ns), dict(self._held_ns)
+        other._onsets = self._onsets.copy()
+        other._drift = None if self._drift is None else self._drift.copy()
         return other
 
-    def forget(self) -> None:
-        """What pings have shown so far: it was the profiler's. What is granted stays."""
+    def forget(self, belief: Belief) -> None:
+        """What pings have shown so far: it was the profiler's, or is accounted for. What is granted stays."""
+        self._onsets.forget(belief)
+        self._clear()
+
+    def _clear(self) -> None:
         self._means, self._downward, self._slopes = Mean(_MEANS_S, 2), Mean(_MEANS_S, 1), Mean(_SLOPES_S, 2)
         self._beyond_ns: int | None = None
         self._moved, self._allowed = np.zeros((2, self._nodes)), np.zeros((2, self._nodes))  # m, a
@@ -144,7 +164,19 @@ class Adaptation:
         if shear.known:
             self._slopes.add(t_ns, shear.d, shear.V)
 
-    def seen(self, t_ns: int) -> Change:
+    def before(self, belief: Belief) -> None:
+        """A ping is to be used."""
+        self._onsets.settle(belief)
+
+    def began(self, belief: Belief) -> Found | None:
+        """What the sums of the pings so far show of what began lately; None: nothing."""
+        if belief.t_ns < self._from_ns or self.beyond(belief.t_ns):
+            return None
+        means = self._means.chi_square() > _LIMIT_2
+        moves = means.any() and not self._lasting(means, belief.t_ns) and self.change(belief.t_ns) < Change.FAST
+        return self._onsets.found(belief, LIMIT_TOO if moves else LIMIT, BACK_NS)
+
+    def seen(self, t_ns: int, began: Found | None = None) -> Change:
         """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""
         granted, limit = self.change(t_ns), _LIMIT_2
         means = self._means.chi_square() > limit
@@ -152,9 +184,12 @@ class Adaptation:
             self._beyond_ns = t_ns
         if self.beyond(t_ns) or t_ns < self._from_ns:
             return Change.NONE
+        if self._tilts:
+            return Change.UNIT
         if means.any() and granted < Change.FAST:
-            lasting = not means[:-1].any() or self._lately(Change.FAST, t_ns) or self._lately(Change.UNIT, t_ns)
-            return Change.UNIT if lasting else Change.FAST
+            return Change.UNIT if self._lasting(means, t_ns) else Change.FAST
+        if began is not None and not began.old and granted < Change.FAST:
+            return Change.FAST
         if (self._slopes.chi_square() > limit).any() and granted < Change.SLOW:
             return Change.SLOW
         return Change.NONE
@@ -164,6 +199,11 @@ class Adaptation:
         self._held_ns[change] = until_ns - now_ns
         self._until_ns[change] = until_ns
         self._to_open = change is Change.UNIT
+        self._tilts = False
+
+    def _lasting(self, means: npt.NDArray[np.bool_], t_ns: int) -> bool:
+        """It shows over the longest time alone, or again."""
+        return not means[:-1].any() or self._lately(Change.FAST, t_ns) or self._lately(Change.UNIT, t_ns)
 
     def _lately(self, change: Change, t_ns: int) -> bool:
         """It was granted, and has ended no longer ago than it was held."""
@@ -190,9 +230,29 @@ class Adaptation:
             self._moved, self._allowed, keep, error, told, *states, belief.column.first, upper
         )
         self._average += -math.expm1(-dt / _AVERAGED_S) * (z - self._average)
+        if self.change(belief.t_ns) is Change.FAST:
+            slots = upper - belief.column.first
+            self._follow(belief, np.array([error[layout.north][slots].mean(), error[layout.east][slots].mean()]))
+        else:
+            self._drift = None
+
+    def _follow(self, belief: Belief, moved_mps: Array) -> None:
+        """Where the water goes while FAST is granted: for longer where it goes on."""
+        if self._drift is None:
+            self._drift = Drift()
+        self._drift.add(belief, moved_mps)
+        if self._until_ns[Change.FAST] > belief.t_ns + _BEFORE_NS:
+            return
+        level = np.diagonal(belief.P)[ATTITUDE][:2]
+        if self._drift.goes_on(math.sqrt(level.max())):
+            if self._drift.lasts_s > _LONGEST_FRONT_S or self._drift.is_a_tilt():
+                self._tilts = True
+            else:
+                self._until_ns[Change.FAST] = belief.t_ns + _BEFORE_NS
 
     def grow(self, belief: Belief, dt: float) -> None:
         """What is granted over the last ``dt`` (s), into the covariance."""
+        self._onsets.grow(dt)
         if not (self._until_ns or self._to_open):
             return
         q = self.walk_mps_per_rts(belief.t_ns)

@@ -17,6 +17,7 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.column import Column, Link
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Filter
+from ltv_mpc.localisation.signatures import Signatures
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import node_prior
@@ -84,6 +85,7 @@ def belief_of(
         R=checkpoint.attitude.copy(),
         mounting=checkpoint.mounting.copy(),
         P=P,
+        astray=Signatures.of(layout.size, 0),
         epoch_t_ns=checkpoint.epoch_t_ns,
         column=column,
     )

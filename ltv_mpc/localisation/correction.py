@@ -22,6 +22,7 @@ from scipy.linalg.lapack import dpotrf
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.localisation.measurements.rows import Rows
+from ltv_mpc.localisation.signatures import corrected
 from ltv_mpc.localisation.state import Belief, shift
 from ltv_mpc.localisation.sufficient import entries, innovation, project, spread, sufficient, touched
 from ltv_mpc.localisation.turning import HEADING, swing, turned
@@ -49,9 +50,11 @@ class Correction(NamedTuple):
 
 
 @kernel
-def _fold(HP: Array, S: Array, residual: Array) -> bool:
-    """S = L L^T; HP := L^-1 HP = W and residual := L^-1 residual, in place. False and anything if S is not definite."""
-    m, n = HP.shape
+def _fold(HP: Array, HE: Array, S: Array, residual: Array) -> bool:
+    """S = L L^T; HP := L^-1 HP = W, HE := L^-1 HE = Y and residual := L^-1 residual, in place. False and anything if S
+    is not definite.
+    """
+    (m, n), K = HP.shape, HE.shape[1]
     L = np.zeros((m, m))
     for i in range(m):
         for j in range(i + 1):
@@ -69,9 +72,13 @@ def _fold(HP: Array, S: Array, residual: Array) -> bool:
             residual[i] -= c * residual[k]
             for j in range(n):
                 HP[i, j] -= c * HP[k, j]
+            for j in range(K):
+                HE[i, j] -= c * HE[k, j]
         residual[i] /= L[i, i]
         for j in range(n):
             HP[i, j] /= L[i, i]
+        for j in range(K):
+            HE[i, j] /= L[i, i]
     return True
 
 
@@ -139,21 +146,23 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 @kernel
 def _weigh_few(
-    P: Array, rows: Rows, gate: float
-) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, Array]:
-    """The fields of a ``Correction``, and W, of few rows: without a library's calls."""
+    P: Array, E: Array, rows: Rows, gate: float
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, Array, Array, Array]:
+    """The fields of a ``Correction``, and W, Y and y, of few rows: without a library's calls."""
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
     H = entries(rows.state, rows.partial)
-    HP = project(H, P)
+    HP, HE = project(H, P), project(H, E)
     S = spread(H, np.ascontiguousarray(HP.T), rows.variance)
     accepted, nis, passed = _gated(S, z, gate)
     W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
+    Y = np.empty((passed, E.shape[1]))
     if passed == 0:
-        return accepted, nis, S, True, np.zeros(n), np.zeros(n), W
+        return accepted, nis, S, True, np.zeros(n), np.zeros(n), W, Y, residual
     a = 0
     for i in range(m):
         if accepted[i]:
             assign(W[a], HP[i])
+            assign(Y[a], HE[i])
             residual[a] = z[i]
             b = 0
             for j in range(m):
@@ -161,40 +170,53 @@ def _weigh_few(
                     of_passed[a, b] = S[i, j]
                     b += 1
             a += 1
-    if not _fold(W, of_passed, residual):
-        return np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), np.empty((0, n))
+    if not _fold(W, Y, of_passed, residual):
+        return np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), W[:0], Y[:0], residual[:0]
     error, told = _tell(W, residual)
-    return accepted, nis, S, True, error, told, W
+    return accepted, nis, S, True, error, told, W, Y, residual
 
 
-def weigh(P: Array, rows: Rows, gate: float) -> tuple[Correction, Array]:
-    """What the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom) tell, and their W, (m', n).
+class White(NamedTuple):
+    """Rows that passed, or as many as say the same, made independent, of variance 1; none where S is not definite."""
 
-    ``P`` (n, n), symmetric, C-contiguous, is only read. W has no row where nothing passed or S is not definite.
+    W: Array  # (m', n), L^-1 H P
+    Y: Array  # (m', K), L^-1 H E
+    y: Array  # (m',), L^-1 residual
+
+
+def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, White]:
+    """What the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom) tell.
+
+    ``P`` (n, n), symmetric, and ``E`` (n, K), both C-contiguous, are only read.
     """
     if len(rows.residual) <= _FEW:
-        accepted, nis, S, definite, error, told, W = _weigh_few(P, rows, gate)
-        return Correction(accepted, nis, S, definite, error, told), W
+        accepted, nis, S, definite, error, told, W, Y, y = _weigh_few(P, E, rows, gate)
+        return Correction(accepted, nis, S, definite, error, told), White(W, Y, y)
     places, local = touched(rows.state, rows.partial, len(P))
     S = innovation(P, places, local, rows.partial, rows.variance)
     z, n = rows.residual, len(P)
+    nothing = White(np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0))
     accepted, nis, passed = _gated(S, z, gate)
     if passed == 0:
-        return Correction(accepted, nis, S, True, np.zeros(n), np.zeros(n)), np.empty((0, n))
+        return Correction(accepted, nis, S, True, np.zeros(n), np.zeros(n)), nothing
     if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
-        HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
+        H, HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
     elif passed == len(z):
-        HP, of_passed = project(entries(rows.state, rows.partial), P), S
+        H, of_passed = entries(rows.state, rows.partial), S
+        HP = project(H, P)
     else:
-        HP, of_passed = project(entries(rows.state[accepted], rows.partial[accepted]), P), S[np.ix_(accepted, accepted)]
-        z = z[accepted]
+        H, of_passed = entries(rows.state[accepted], rows.partial[accepted]), S[np.ix_(accepted, accepted)]
+        HP, z = project(H, P), z[accepted]
     # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
     L, info = dpotrf(of_passed.T, lower=1, clean=0)
     if info != 0:
-        nothing = np.zeros_like(accepted)
-        return Correction(nothing, nis, S, False, np.zeros(n), np.zeros(n)), np.empty((0, n))
+        return Correction(np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n)), nothing
     W = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T  # W^T = (H P)^T L^-T
-    return Correction(accepted, nis, S, True, *_tell(W, dtrsv(L, z, lower=1))), W
+    y = dtrsv(L, z, lower=1)
+    Y = nothing.Y
+    if E.shape[1]:
+        Y = dtrsm(1.0, L, project(H, E).T, side=1, lower=1, trans_a=1, overwrite_b=1).T
+    return Correction(accepted, nis, S, True, *_tell(W, y)), White(W, Y, y)
 
 
 @kernel
@@ -214,10 +236,21 @@ def _turn(P: Array, W: Array, a: Array) -> Array:
 
 
 @kernel
+def swing_too(E: Array, a: Array) -> None:
+    """E := M E of ``reduce``."""
+    for i in range(len(a)):
+        for j in range(E.shape[1]):
+            E[i, j] += a[i] * E[HEADING, j]
+
+
+@kernel
 def _correct_few(
     x: Array,
     R: Array,
     P: Array,
+    E: Array,
+    score: Array,
+    information: Array,
     rows: Rows,
     gate: float,
     mean: int,
@@ -225,11 +258,14 @@ def _correct_few(
     east: int,
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array]:
     """``correct`` by few rows but for the mounting: the fields of a ``Correction``. Places as in ``turning.turned``."""
-    accepted, nis, S, definite, error, told, W = _weigh_few(P, rows, gate)
+    accepted, nis, S, definite, error, told, W, Y, y = _weigh_few(P, E, rows, gate)
     if W.shape[0]:
         shift(x, R, error)
         a = turned(error, mean, north, east)
         _subtract(P, W, a, _turn(P, W, a))
+        if E.shape[1]:
+            corrected(E, score, information, W, Y, y)
+            swing_too(E, a)
     return accepted, nis, S, definite, error, told
 
 
@@ -254,22 +290,27 @@ def reduce(P: Array, W: Array, a: Array | None = None) -> None:
 
 def update(P: Array, rows: Rows, gate: float) -> Correction:
     """Of any covariance (n, n), symmetric, C-contiguous, in place; the caller adds ``error`` to its estimate."""
-    correction, W = weigh(P, rows, gate)
-    if len(W):
-        reduce(P, W)
+    correction, white = weigh(P, np.empty((len(P), 0)), rows, gate)
+    if len(white.W):
+        reduce(P, white.W)
     return correction
 
 
 def correct(belief: Belief, rows: Rows, gate: float) -> Correction:
     """Update ``belief`` in place by the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom)."""
-    layout = belief.layout
+    layout, astray = belief.layout, belief.astray
+    E, score, information = astray.error, astray.score, astray.information
     if len(rows.residual) <= _FEW:
         water = layout.mean.start, layout.north.start, layout.east.start
-        correction = Correction(*_correct_few(belief.x, belief.R, belief.P, rows, gate, *water))
+        correction = Correction(*_correct_few(belief.x, belief.R, belief.P, E, score, information, rows, gate, *water))
         belief.turn_mounting(correction.error)
         return correction
-    correction, W = weigh(belief.P, rows, gate)
-    if len(W):
+    correction, white = weigh(belief.P, E, rows, gate)
+    if len(white.W):
         belief.add(correction.error)
-        reduce(belief.P, W, swing(correction.error, layout))
+        a = swing(correction.error, layout)
+        reduce(belief.P, white.W, a)
+        if E.shape[1]:
+            astray.corrected(*white)
+            swing_too(E, a)
     return correction

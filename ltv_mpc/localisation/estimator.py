@@ -307,7 +307,7 @@ class Estimator:
             self._account.update(current.account)
             self._monitor.forget()
             former.filter.account.clear()  # counted by the one in its place
-            former.filter.water.forget()
+            former.filter.water.forget(former.filter.belief)
             self._go_on(former.filter)
             self._restarts.recall(former.memory)
             self._returned_ns = t_ns

@@ -27,7 +27,9 @@ from ltv_mpc.localisation.correction import Correction, correct
 from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
 from ltv_mpc.localisation.measurements.adcp import AdcpModel, Indices
 from ltv_mpc.localisation.measurements.rows import Rows
+from ltv_mpc.localisation.onsets import COLUMNS
 from ltv_mpc.localisation.preintegration import carry, core_of, integrate, noise_of, readings
+from ltv_mpc.localisation.signatures import Signatures
 from ltv_mpc.localisation.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.window import follow
@@ -97,6 +99,8 @@ class Filter:
         self.water = Adaptation(
             belief.layout.nodes, config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns
         )
+        if config.adapts_to_water:
+            belief.astray = Signatures.of(belief.layout.size, COLUMNS)
         self._coasted_ns = 0  # over the gap that it is in
         self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
 
@@ -187,12 +191,13 @@ class Filter:
         if self._pending_ns == 0:
             return
         belief, dt = self.belief, self._pending_ns * 1e-9
-        P = belief.P
-        carry(P, self._Phi, self._Q)
+        P, E = belief.P, belief.astray.error
+        carry(P, E, self._Phi, self._Q)
         bias = belief.layout.compass_bias
         if bias.stop > bias.start:
             keep = math.exp(-dt / self._suite.compass.bias_tau_s)
             belief.x[bias] *= keep
+            E[bias] *= keep
             P[bias, :] *= keep
             P[:, bias] *= keep
             P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
@@ -236,6 +241,7 @@ class Filter:
         suite = self._suite
         match message:
             case AdcpPing():
+                self.water.before(self.belief)
                 ping = self._adcp.linearise(self.belief, message, self.rate)
                 self.account["adcp.no_return"] += ping.without_return
                 self.account["adcp.outside_grid"] += ping.outside_grid

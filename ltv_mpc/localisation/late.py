@@ -146,12 +146,22 @@ class History:
             self._repeat(again[after:])
 
     def adapt(self) -> Change:
-        """Grant the water what the last ping showed that it needs, from ``BACK_NS`` ago, or as far as it reaches."""
+        """Grant the water what the last ping showed that it needs, from ``BACK_NS`` ago, or as far as it reaches; or
+        make up for what it has done, from now on: behind this nothing goes back.
+        """
         filter_ = self.filter
-        now_ns = filter_.belief.t_ns
-        change = filter_.water.seen(now_ns)
+        water, belief = filter_.water, filter_.belief
+        now_ns = belief.t_ns
+        began = water.began(belief)
+        if began is not None and began.old:
+            began.make_up(belief)
+            water.forget(belief)
+            water.grant(Change.FAST, water.hold(Change.FAST, now_ns), now_ns)
+            self._stretches[:] = [_Stretch(filter_.snapshot(), [])]
+            return Change.FAST
+        change = water.seen(now_ns, began)
         if change is not Change.NONE:
-            until_ns = filter_.water.hold(change, now_ns)
+            until_ns = water.hold(change, now_ns)
             first = max((i for i, s in enumerate(self._stretches) if s.t_ns <= now_ns - BACK_NS), default=0)
             again = [done for stretch in self._stretches[first:] for done in stretch.done]
             filter_.restore(self._stretches[first].snapshot)

@@ -179,10 +179,11 @@ def _core(moved: Array, Phi: Array, Q: Array) -> Array:
 
 
 @kernel
-def carry(P: Array, Phi: Array, Q: Array) -> None:
+def carry(P: Array, E: Array, Phi: Array, Q: Array) -> None:
     """The large covariance (n, n) over all that was gathered, in place: P_cr := Phi P_cr, P_cc := Phi P_cc Phi^T + Q.
 
-    c: the fifteen core states, r: all others. P stays symmetric to the last bit. Gathering begins anew, Phi = I, Q = 0.
+    Likewise mean errors E (n, K), E_c := Phi E_c (``signatures.py``). c: the fifteen core states, r: all others.
+    P stays symmetric to the last bit. Gathering begins anew, Phi = I, Q = 0.
     """
     n, c = P.shape[0], Phi.shape[0]
     moved = _forward(P, Phi, n)
@@ -195,6 +196,9 @@ def carry(P: Array, Phi: Array, Q: Array) -> None:
     for j in range(c, n):
         for i in range(c):
             P[j, i] = moved[i, j]
+    along = _forward(E, Phi, E.shape[1])
     for i in range(c):
+        for j in range(E.shape[1]):
+            E[i, j] = along[i, j]
         for j in range(c):
             Phi[i, j], Q[i, j] = 1.0 if i == j else 0.0, 0.0

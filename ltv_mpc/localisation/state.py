@@ -23,6 +23,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.column import Column
 from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.signatures import Signatures
 from ltv_mpc.localisation.suite import Adcp, Suite
 from ltv_mpc.signals import Array, Triple
 
@@ -134,6 +135,7 @@ class Belief:
     R: Array
     mounting: Array
     P: Array
+    astray: Signatures  # of what the filter does not know of
     epoch_t_ns: int  # of the clone
     column: Column  # what belongs to the water beside its states
 
@@ -148,6 +150,7 @@ class Belief:
             R=np.eye(3),
             mounting=np.eye(3),
             P=np.zeros((n, n)),
+            astray=Signatures.of(n, 0),
             epoch_t_ns=t_ns,
             column=Column.certain(layout.nodes),
         )
@@ -160,6 +163,7 @@ class Belief:
             R=self.R.copy(),
             mounting=self.mounting.copy(),
             P=self.P.copy(),
+            astray=self.astray.copy(),
             column=self.column.copy(),
         )
 
@@ -189,4 +193,6 @@ class Belief:
         self.P[e, :] = rows
         self.P[:, e] = rows.T
         self.P[e, e] = 0.5 * (own + own.T)
+        E = self.astray.error
+        E[e] = E[p] + J @ E[ATTITUDE]
         self.epoch_t_ns = self.t_ns

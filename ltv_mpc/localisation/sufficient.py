@@ -188,8 +188,8 @@ def sufficient(
     partial: Array,
     weight: Array,
     z: Array,
-) -> tuple[Array, Array, Array]:
-    """Of the rows that say the same as (m, w) with ``weight`` = 1 / R: H P, (s, n), S, (s, s), and residuals, (s,).
+) -> tuple[Entries, Array, Array, Array]:
+    """Of the rows that say the same as (m, w) with ``weight`` = 1 / R: H, H P, (s, n), S, (s, s), and residuals, (s,).
 
     A row of weight zero does not count.
     """
@@ -199,9 +199,10 @@ def sufficient(
     for i in range(s):
         for k in range(s):
             own[i, k], whole[i, k] = k, places[k]
-    HP = project(entries(whole, CT), P)
+    H = entries(whole, CT)
+    HP = project(H, P)
     PH = np.empty((s, s))
     for k in range(s):
         for i in range(s):
             PH[k, i] = HP[i, places[k]]
-    return HP, spread(entries(own, CT), PH, np.ones(s)), told
+    return H, HP, spread(entries(own, CT), PH, np.ones(s)), told

@@ -12,6 +12,7 @@ Append  c_k = c + A (g - g_then),  P_k. = A P_g.,  P_kp += rho B,  P_kk = A P_gg
         its covariance with the error in position, which only grows while nothing measures position, stays as it was,
         else shrinks by rho, the smallest eigenvalue of S^-1 S_now, if that is below 1; attitude and drifting biases of
         now stand for those of then; a walk since is noise of both neighbours, w (1 + A A^T) over the water's part of A.
+        What hypotheses would do to it (``signatures.py``) is what they do to g: E_k = A E_g.
 Source  Marginal and conditional of a Gaussian: e.g. Bishop 2006, section 2.3.
 """
 
@@ -82,6 +83,8 @@ def _shift(belief: Belief, *, down: bool) -> None:
         order[axis] = np.clip(np.arange(axis.start, axis.stop) + step, axis.start, axis.stop - 1)
     belief.x[:] = belief.x[order]
     P[:] = P[np.ix_(order, order)]
+    E = belief.astray.error
+    E[:] = E[order]
     column.first += step
 
     node = column.first + bottom
@@ -97,6 +100,7 @@ def _shift(belief: Belief, *, down: bool) -> None:
         rho_B = _kept(link.S, _regression(P, _HORIZONTAL, g)[1]) * link.B
     k = _places(layout, bottom)
     belief.x[k] = link.c + link.A @ (belief.x[g] - link.then)
+    E[k] = link.A @ E[g]
     P[k, :] = link.A @ P[g, :]
     own = P[np.ix_(k, g)] @ link.A.T + C
     P[np.ix_(k, _HORIZONTAL)] += rho_B

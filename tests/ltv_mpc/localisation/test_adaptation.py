@@ -14,6 +14,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.measurements.rows import Rows
+from ltv_mpc.localisation.onsets import Found
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.signals import AdcpPing, ImuSample
@@ -87,7 +88,7 @@ def granted(monkeypatch):
         return restore(self, then)
 
     def spy_grant(self, change, until_ns, now_ns):
-        log.append(Granted(change, now_ns, back_ns[-1], until_ns))
+        log.append(Granted(change, now_ns, back_ns[-1] if back_ns else now_ns, until_ns))
         return grant(self, change, until_ns, now_ns)
 
     monkeypatch.setattr(Filter, "restore", spy_restore)
@@ -122,6 +123,48 @@ def test_a_front_is_seen_within_seconds_and_the_velocity_then_is_as_good_as_the_
         assert granted[0].change is Change.FAST
         assert 20 * SECOND < granted[0].at_ns < 26 * SECOND
     assert off < 9.5
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """When something was, while a filter ran (s)."""
+    log, make_up = [], Found.make_up
+    monkeypatch.setattr(
+        Found, "make_up", lambda found, belief: (log.append(belief.t_ns * 1e-9), make_up(found, belief))
+    )
+    return log
+
+
+def ramp(size_mps, from_s, lasts_s):
+    return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / lasts_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
+
+
+def test_a_front_that_takes_long_is_granted_for_as_long_as_the_water_drifts(make_dive, run, granted):
+    """0.24 m/s in 16 s: seen in its first seconds, and granted beyond the ten of a short one."""
+    dive = make_dive(PAPER, 40, duration_s=END_S)
+    messages = with_water(dive, ramp(0.24, 20.0, 16.0))
+    filter_ = run(messages)
+    assert [one.change for one in granted] == [Change.FAST]
+    held_ns = granted[0].until_ns
+    assert held_ns < 35 * SECOND  # ten seconds would have ended before it
+    assert filter_.water.change(held_ns + 2 * SECOND) is Change.FAST
+    assert filter_.water.change(41 * SECOND) is Change.NONE
+    assert off_by(filter_, dive) < 9.2
+
+
+@pytest.mark.parametrize(("size", "lasts_s", "seeds"), [(0.08, 12.0, (41, 42)), (0.2, 25.0, (40, 43))])
+def test_a_front_that_no_mean_shows_is_made_up_for(make_dive, run, granted, made_up, size, lasts_s, seeds):
+    """It began longer ago than the filter goes back. 99 % of chi-square of twice 2 degrees is 13.3."""
+    off = 0.0
+    for seed in seeds:
+        made_up.clear()
+        dive = make_dive(PAPER, seed, duration_s=60.0)
+        messages = with_water(dive, ramp(size, 20.0 if lasts_s < 20 else 15.0, lasts_s))
+        assert off_by(run(messages, BLIND), dive) > 100
+        off += off_by(run(messages), dive)
+        assert len(made_up) == 1
+        assert granted[-1].change is Change.FAST
+    assert off < 13.3
 
 
 def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives, run, granted):
@@ -173,7 +216,7 @@ def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_the
 
 def test_a_second_grant_that_goes_back_beyond_the_first_keeps_it(dives, run, monkeypatch):
     calls = {60: Change.SLOW, 61: Change.FAST}
-    monkeypatch.setattr(Adaptation, "seen", lambda _, t_ns: calls.pop(t_ns // 333_333_333, Change.NONE))
+    monkeypatch.setattr(Adaptation, "seen", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, Change.NONE))
     water = run([m for m in dives[0].messages if m.t_ns <= 35 * SECOND]).water
     assert calls == {}
     assert water.change(35 * SECOND) is Change.SLOW

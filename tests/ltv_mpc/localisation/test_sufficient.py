@@ -87,7 +87,7 @@ def test_fewer_rows_have_the_information_of_all_also_where_it_is_singular(P, m):
     assert np.linalg.matrix_rank(J) < len(places)
     np.testing.assert_allclose(CT.T @ CT, J, atol=1e-10 * J.max())
     np.testing.assert_allclose(CT.T @ told, H.T @ (weight * rows.residual), atol=1e-9)
-    HP, S, z = sufficient(P, places, local, rows.partial, weight, rows.residual)
+    _, HP, S, z = sufficient(P, places, local, rows.partial, weight, rows.residual)
     full = np.zeros((len(places), N))
     full[:, places] = CT
     np.testing.assert_allclose(HP, full @ P, atol=1e-9)

@@ -10,6 +10,7 @@ import pytest
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter
+from ltv_mpc.localisation.signatures import Signatures
 from ltv_mpc.localisation.state import Belief, Layout, grid, reach_m
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.survey import learned
@@ -49,6 +50,23 @@ def states_of(belief, nodes):
     """Places of the nodes' north, then east."""
     slots = np.asarray(nodes) - belief.column.first
     return np.concatenate([belief.layout.north.start + slots, belief.layout.east.start + slots])
+
+
+def test_what_hypotheses_would_do_to_the_belief_goes_with_its_window():
+    """As the estimate itself does, which is linear, down where nobody has been."""
+    rng = np.random.default_rng(5)
+    belief = Belief.blank(LAYOUT, 0)
+    write_prior(belief, WINDOW)
+    other = belief.copy()
+    belief.astray = Signatures.of(LAYOUT.size, 1)
+    belief.astray.error[:, 0] = rng.standard_normal(LAYOUT.size)
+    belief.astray.error[2] = 0.0  # at one depth
+    other.x += belief.astray.error[:, 0]
+    for depth_m in (9.0, 20.0, 31.0):
+        sink(belief, depth_m)
+        sink(other, depth_m)
+        np.testing.assert_allclose(belief.astray.error[:, 0], other.x - belief.x, atol=1e-12)
+    assert belief.column.first > 0
 
 
 @pytest.mark.parametrize("name", ["paper", "realistic"])
