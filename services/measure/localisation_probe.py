@@ -160,12 +160,17 @@ class Probe:
             bound_velocity_m2ps2=np.diagonal(limit.covariance[0])[3:5].copy(),
             true_error_m=self._true_error(),
             drawn=self._drawn,
-            nees={name: _squares(rows) for name, rows in self._nees.items()},
+            nees=self.nees,
             nis={name: _squares(rows) for name, rows in self._nis.items()},
             least_eigenvalue=float(self._least),
             asymmetry=self._asymmetry,
             missed=self._missed,
         )
+
+    @property
+    def nees(self) -> dict[str, Squares]:
+        """Of each quantity, so far."""
+        return {name: _squares(rows) for name, rows in self._nees.items()}
 
     def _true_error(self) -> float:
         track = np.array([truth.position_m[:2] for truth in self._track if truth.t_ns >= 0])

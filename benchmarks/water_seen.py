@@ -1,0 +1,221 @@
+"""Does the filter notice water that its prior does not foretell, and is its velocity as good as it says?
+
+    .venv/bin/python -m benchmarks.water_seen [--sensors NAME ...] [--runs N] [--seed FIRST] [--only PART ...]
+                                              [--currents FILE.csv ...] [--json]
+
+Descents of the full loop in lock step, with a feature of the water that no filter has been told of, in a measured
+profile, or with a gyro that fails; each second the true error of velocity (three axes) against the filter's covariance.
+    noticed  share of runs whose filter says after the beginning that the water is not as foretold, or that it is itself
+             inconsistent, and how long after, median and most. In water as foretold: false alarms
+    silent   share of seconds with a velocity beyond chi-square's 99 % while the filter says that all is well: one of
+             a hundred in a consistent filter that says nothing
+    NEES     of velocity and of the cells that beams have seen, per degree of freedom, after the beginning
+    off      rms of the horizontal velocity's error over the last 20 s, and what the filter says of it
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from ltv_mpc.localisation.state import VELOCITY
+from ltv_mpc.node import Arrival, Node
+from ltv_mpc.signals import Array, Estimate, FilterStatus, LocalisationReport
+from services.measure import batch
+from services.measure.localisation_probe import LOOK_NS, Probe
+from services.run import locked
+from services.run.situation import Situation
+from sim.lockstep import LockStep
+from sim.sensors.imu import InertialUnit
+from sim.sensors.node import Sensors
+
+BEGINS_S = 50.0
+"""What has a beginning begins then: in 10 m of depth, with water seen and errors settled."""
+
+LAST = 20
+BEYOND = float(chdtri(3, 0.01))
+
+
+class Case(NamedTuple):
+    """What a descent goes through."""
+
+    name: str
+    settings: tuple[str, ...] = ()
+    from_s: float = BEGINS_S
+    gyro_radps: float = 0.0  # its bias about the body's x axis is so much more from ``from_s`` on
+
+
+def _feature(kind: str, **keys: float) -> tuple[str, ...]:
+    return f'water.feature.kind="{kind}"', *(f"water.feature.{key}={value}" for key, value in keys.items())
+
+
+def _front(step_mps: float, width_s: float) -> Case:
+    settings = _feature("front", step_mps=step_mps, width_s=width_s, at_s=BEGINS_S + 0.5 * width_s)
+    return Case(f"front {100 * step_mps:g} cm/s in {width_s:g} s", settings)
+
+
+def _waves(amplitude_mps: float, period_s: float) -> Case:
+    settings = _feature("waves", amplitude_mps=amplitude_mps, period_s=period_s)
+    return Case(f"waves {100 * amplitude_mps:g} cm/s, {period_s:g} s", settings, 0.0)
+
+
+def _step(step_mps: float) -> Case:
+    return Case(f"step {100 * step_mps:g} cm/s at 25 m", _feature("step", step_mps=step_mps, at_m=25.0), 0.0)
+
+
+def _gyro(deg_per_h: float) -> Case:
+    return Case(f"gyro {deg_per_h:g} deg/h", gyro_radps=math.radians(deg_per_h) / 3600.0)
+
+
+CASES = (
+    Case("as foretold"),
+    _front(0.1, 5.0),
+    _front(0.2, 5.0),
+    _front(0.1, 10.0),
+    _front(0.2, 10.0),
+    _front(0.1, 15.0),
+    _front(0.2, 15.0),
+    _front(0.1, 30.0),
+    _front(0.2, 30.0),
+    _waves(0.05, 300.0),
+    _waves(0.05, 600.0),
+    _step(0.1),
+    _step(0.3),
+    _gyro(10.0),
+    _gyro(30.0),
+    _gyro(100.0),
+)
+
+
+class Run(NamedTuple):
+    """One descent, at whole seconds (T,)."""
+
+    t_s: Array
+    velocity: Array  # (T,) normalised squared error, 3 degrees of freedom
+    cells: Array  # (T, 2) of the cells: square, degrees of freedom
+    well: Array  # (T,) whether the filter says that all is well
+    off: Array  # (T, 2) squares of the horizontal velocity's error and of what the filter says of it (m2/s2)
+
+
+class Watch(Probe):
+    """Keeps what the filter says besides, and has a gyro fail."""
+
+    def __init__(self, situation: Situation, nodes: Sequence[Node], case: Case) -> None:
+        super().__init__(situation, nodes)
+        self._case = case
+        self._failed = case.gyro_radps == 0.0
+        self._unit = next(u for n in nodes if isinstance(n, Sensors) for u in n.sensors if isinstance(u, InertialUnit))
+        self._said = FilterStatus.NOMINAL
+        self.rows: dict[int, tuple[bool, float, float]] = {}
+
+    def published(self, node: str, message: Arrival) -> None:
+        """One message."""
+        super().published(node, message)
+        match message.signal:
+            case LocalisationReport() as report:
+                self._said = report.status
+            case Estimate() as estimate if self.truth is not None and estimate.t_ns % LOOK_NS == 0:
+                north, east, _ = self.truth.velocity_mps
+                off = (estimate.velocity_north_mps - north) ** 2 + (estimate.velocity_east_mps - east) ** 2
+                said = float(np.trace(estimate.covariance[2:4, 2:4])) if estimate.covariance is not None else math.nan
+                self.rows[estimate.t_ns] = self._said is FilterStatus.NOMINAL, off, said
+        if not self._failed and self.truth is not None and self.truth.t_ns >= self._case.from_s * 1e9:
+            self._failed = True
+            self._unit._bias.value[0] += self._case.gyro_radps
+
+
+def descend(job: tuple[batch.Job, Case]) -> Run:
+    """Run it, watched."""
+    situation = job[0].situation()
+    nodes = locked.nodes(situation)
+    watch = Watch(situation, nodes, job[1])
+    scenario = situation.scenario
+    LockStep(nodes, start_ns=scenario.start_ns, observe=watch, latest=locked.LATEST).advance(scenario.end_ns)
+    velocity, cells = watch.nees["velocity"], watch.nees["cells"]
+    of = {t: (square, dof) for t, square, dof in zip(cells.t_ns, cells.square, cells.dof, strict=True)}
+    rows = [watch.rows[t] for t in velocity.t_ns.tolist()]
+    return Run(
+        t_s=velocity.t_ns * 1e-9,
+        velocity=velocity.square,
+        cells=np.array([of.get(t, (0.0, 0)) for t in velocity.t_ns], dtype=np.float64),
+        well=np.array([well for well, _, _ in rows]),
+        off=np.array([squares for _, *squares in rows]),
+    )
+
+
+def figures(case: Case, runs: Sequence[Run]) -> dict[str, float | None]:
+    """Of one row."""
+    told = [run.t_s[(run.t_s >= case.from_s) & ~run.well] - case.from_s for run in runs]
+    delays = [float(t[0]) for t in told if len(t)]
+    after = np.concatenate([run.t_s >= case.from_s for run in runs])
+    velocity = np.concatenate([run.velocity for run in runs])[after]
+    cells = np.concatenate([run.cells for run in runs])[after].sum(axis=0)
+    well = np.concatenate([run.well for run in runs])[after]
+    off, said = np.sqrt(np.mean([run.off[-LAST:].mean(axis=0) for run in runs], axis=0))
+    return {
+        "runs": len(runs),
+        "noticed": len(delays) / len(runs),
+        "delay_median_s": float(np.median(delays)) if delays else None,
+        "delay_max_s": max(delays, default=None),
+        "silent": float((well & (velocity > BEYOND)).mean()),
+        "velocity_nees_per_dof": float(velocity.mean() / VELOCITY_AXES),
+        "cells_nees_per_dof": float(cells[0] / cells[1]),
+        "off_mps": float(off),
+        "said_mps": float(said),
+    }
+
+
+VELOCITY_AXES = VELOCITY.stop - VELOCITY.start
+
+
+def table(sensors: str, rows: dict[str, dict[str, float | None]]) -> Iterator[str]:
+    """One line a case."""
+    yield f"{sensors:<36}{'noticed':>8}{'after (s)':>12}{'silent':>8}{'NEES v':>8}{'cells':>7}{'off, said (cm/s)':>18}"
+    for name, row in rows.items():
+        after = "" if row["delay_median_s"] is None else f"{row['delay_median_s']:.0f} to {row['delay_max_s']:.0f}"
+        off = f"{100 * (row['off_mps'] or 0.0):.1f}, {100 * (row['said_mps'] or 0.0):.1f}"
+        nees = f"{row['velocity_nees_per_dof']:>8.2f}{row['cells_nees_per_dof']:>7.2f}"
+        yield f"{name:<36}{row['noticed']:>8.0%}{after:>12}{row['silent']:>8.1%}{nees}{off:>18}"
+
+
+def main() -> None:
+    """The tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sensors", nargs="+", default=["paper", "realistic"])
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", default=[""], help="cases whose name holds one of these")
+    parser.add_argument("--currents", nargs="*", default=[], type=Path)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    measured = [
+        Case(file.stem, ('water.kind="measured"', f'water.file="{file.resolve()}"'), 0.0) for file in options.currents
+    ]
+    cases = [case for case in (*CASES, *measured) if any(part in case.name for part in options.only)]
+    result: dict[str, dict[str, dict[str, float | None]]] = {}
+    for sensors in options.sensors:
+        jobs = [
+            (batch.Job("descent", (f'sensors="{sensors}"', f"run.seed={options.seed + n}", *case.settings)), case)
+            for case in cases
+            for n in range(options.runs)
+        ]
+        runs = dict(batch.each(descend, jobs))
+        result[sensors] = {
+            case.name: figures(case, [runs[i * options.runs + n] for n in range(options.runs)])
+            for i, case in enumerate(cases)
+        }
+        if not options.json:
+            print("\n".join(table(sensors, result[sensors])), end="\n\n", flush=True)
+    if options.json:
+        print(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()
