@@ -172,9 +172,12 @@ class Adaptation:
         """What the sums of the pings so far show of what began lately; None: nothing."""
         if belief.t_ns < self._from_ns or self.beyond(belief.t_ns):
             return None
+        found = self._onsets.found(belief, LIMIT_TOO, BACK_NS)
+        if found is None or found.twice > LIMIT:
+            return found
         means = self._means.chi_square() > _LIMIT_2
         moves = means.any() and not self._lasting(means, belief.t_ns) and self.change(belief.t_ns) < Change.FAST
-        return self._onsets.found(belief, LIMIT_TOO if moves else LIMIT, BACK_NS)
+        return found if moves else None
 
     def seen(self, t_ns: int, began: Found | None = None) -> Change:
         """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""

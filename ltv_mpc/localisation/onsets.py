@@ -55,6 +55,7 @@ _LEAST = 1e-4
 class Found(NamedTuple):
     """Of the mixture: by how much the estimate is to be moved, and a root of what that adds to its covariance."""
 
+    twice: float  # the largest 2 ln L
     old: bool  # very likely
     error: Array  # (n,)
     root: Array  # (n, r)
@@ -124,7 +125,7 @@ class Onsets:
         roots += [math.sqrt(share[k]) * (move - error)[:, None] for k, move in zip(some, moves, strict=True)]
         roots.append(_SHAPE * error[:, None])
         old = share[self._began[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
-        return Found(bool(old), error, np.concatenate(roots, axis=1))
+        return Found(float(twice.max()), bool(old), error, np.concatenate(roots, axis=1))
 
 
 @kernel

@@ -179,7 +179,7 @@ def test_it_stops_at_the_sample_after_which_nothing_is_finite():
 
 
 def test_the_large_covariance_is_moved_as_its_fifteen_first_states_are():
-    """T P T^T + Q with T = diag(Phi, 1), and not a bit of symmetry lost."""
+    """T P T^T + Q with T = diag(Phi, 1), and not a bit of symmetry lost; and T E."""
     rng = np.random.default_rng(6)
     root, Phi, own = rng.standard_normal((40, 40)), rng.standard_normal((15, 15)), rng.standard_normal((15, 15))
     Phi[rng.uniform(size=Phi.shape) < 0.5] = 0.0
@@ -188,6 +188,9 @@ def test_the_large_covariance_is_moved_as_its_fifteen_first_states_are():
     T, Q = np.eye(40), np.zeros((40, 40))
     T[:15, :15], Q[:15, :15] = Phi, own @ own.T
     expected = T @ P @ T.T + Q
-    carry(P, Phi, Q[:15, :15].copy())
+    E = rng.standard_normal((40, 3))
+    moved = T @ E
+    carry(P, E, Phi, Q[:15, :15].copy())
+    np.testing.assert_allclose(E, moved, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-10)
     np.testing.assert_array_equal(P, P.T)

@@ -30,7 +30,7 @@ def compiled():
     return {
         (name, key): len(value.signatures)
         for name, module in list(sys.modules.items()) if name.startswith("ltv_mpc")
-        for key, value in vars(module).items() if hasattr(value, "signatures")
+        for key, value in vars(module).items() if hasattr(value, "nopython_signatures")
     }
 
 rehearse(full if sys.argv[1] == "full" else base, config)
