@@ -88,8 +88,10 @@ def test_the_stages_are_parts_of_the_cycle(profiled: tuple[dict[str, Any], Path]
         assert list(row["stage_us"]) == list(STAGES)
         for spread in (row["cycle_us"], *row["stage_us"].values()):
             assert 0 < spread["median"] <= spread["p90"] <= spread["p99"] <= spread["max"]
-        longest = sum(spread["max"] for spread in row["stage_us"].values())
-        assert max(spread["max"] for spread in row["stage_us"].values()) < row["cycle_us"]["max"] < 1.5 * longest + 1000
+        assert max(spread["max"] for spread in row["stage_us"].values()) < row["cycle_us"]["max"]
+        # of the middle cycle, for a machine that does something else for some ms does so between two stages as well
+        middle = sum(spread["median"] for spread in row["stage_us"].values())
+        assert 0.5 * middle < row["cycle_us"]["median"] < 2.0 * middle + 500
 
 
 def test_ratios_are_to_piqp_at_the_same_horizon(profiled: tuple[dict[str, Any], Path]) -> None:
