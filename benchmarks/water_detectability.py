@@ -58,42 +58,45 @@ class Change(NamedTuple):
     gyro_radps: float = 0.0
 
 
-def _front(step_mps: float, width_s: float) -> Change:
+def front(step_mps: float, width_s: float) -> Change:
     """A front that begins at ``BEGINS_S``."""
     shape = Shape(kind="front", step_mps=step_mps, width_s=width_s, at_s=BEGINS_S + 0.5 * width_s)
     return Change(f"front {100 * step_mps:g} cm/s in {width_s:g} s", shape)
 
 
-def _waves(amplitude_mps: float, period_s: float) -> Change:
+def waves(amplitude_mps: float, period_s: float) -> Change:
+    """Internal waves, from the start on."""
     shape = Shape(kind="waves", amplitude_mps=amplitude_mps, period_s=period_s)
     return Change(f"waves {100 * amplitude_mps:g} cm/s, {period_s:g} s", shape)
 
 
-def _step(step_mps: float) -> Change:
+def step(step_mps: float) -> Change:
+    """A jump over depth, 25 m down."""
     return Change(f"step {100 * step_mps:g} cm/s at 25 m", Shape(kind="step", step_mps=step_mps, at_m=25.0))
 
 
-def _gyro(deg_per_h: float) -> Change:
+def gyro(deg_per_h: float) -> Change:
+    """A fault that begins at ``BEGINS_S``."""
     return Change(f"gyro {deg_per_h:g} deg/h", gyro_radps=math.radians(deg_per_h) / 3600.0)
 
 
 CHANGES = (
-    _front(0.1, 10.0),
-    _front(0.1, 30.0),
-    _front(0.1, 60.0),
-    _front(0.05, 100.0),
-    _front(0.1, 100.0),
-    _front(0.2, 100.0),
-    _front(0.2, 140.0),
-    _waves(0.02, 600.0),
-    _waves(0.05, 600.0),
-    _waves(0.05, 300.0),
-    _waves(0.05, 200.0),
-    _step(0.1),
-    _step(0.3),
-    _gyro(10.0),
-    _gyro(30.0),
-    _gyro(100.0),
+    front(0.1, 10.0),
+    front(0.1, 30.0),
+    front(0.1, 60.0),
+    front(0.05, 100.0),
+    front(0.1, 100.0),
+    front(0.2, 100.0),
+    front(0.2, 140.0),
+    waves(0.02, 600.0),
+    waves(0.05, 600.0),
+    waves(0.05, 300.0),
+    waves(0.05, 200.0),
+    step(0.1),
+    step(0.3),
+    gyro(10.0),
+    gyro(30.0),
+    gyro(100.0),
 )
 
 

@@ -22,9 +22,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from scipy.special import chdtri
 
+from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, waves
 from ltv_mpc.localisation.state import VELOCITY
 from ltv_mpc.node import Arrival, Node
 from ltv_mpc.signals import Array, Estimate, FilterStatus, LocalisationReport
@@ -36,61 +38,47 @@ from sim.lockstep import LockStep
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
 
-BEGINS_S = 50.0
-"""What has a beginning begins then: in 10 m of depth, with water seen and errors settled."""
-
 LAST = 20
-BEYOND = float(chdtri(3, 0.01))
+VELOCITY_AXES = VELOCITY.stop - VELOCITY.start
+BEYOND = float(chdtri(VELOCITY_AXES, 0.01))
 
 
 class Case(NamedTuple):
-    """What a descent goes through."""
+    """What a descent goes through: a change that nobody has foretold, or water of another kind."""
 
-    name: str
+    change: Change
     settings: tuple[str, ...] = ()
-    from_s: float = BEGINS_S
-    gyro_radps: float = 0.0  # its bias about the body's x axis is so much more from ``from_s`` on
+
+    @property
+    def from_s(self) -> float:
+        """When it begins."""
+        water = self.change.water
+        return 0.0 if self.settings or (water is not None and water.kind != "front") else BEGINS_S
+
+    def job(self, sensors: str, seed: int) -> batch.Job:
+        """Its descent."""
+        feature = {} if self.change.water is None else msgspec.to_builtins(self.change.water)
+        water = [f"water.feature.{key}={json.dumps(value)}" for key, value in feature.items()]
+        return batch.Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *water, *self.settings))
 
 
-def _feature(kind: str, **keys: float) -> tuple[str, ...]:
-    return f'water.feature.kind="{kind}"', *(f"water.feature.{key}={value}" for key, value in keys.items())
-
-
-def _front(step_mps: float, width_s: float) -> Case:
-    settings = _feature("front", step_mps=step_mps, width_s=width_s, at_s=BEGINS_S + 0.5 * width_s)
-    return Case(f"front {100 * step_mps:g} cm/s in {width_s:g} s", settings)
-
-
-def _waves(amplitude_mps: float, period_s: float) -> Case:
-    settings = _feature("waves", amplitude_mps=amplitude_mps, period_s=period_s)
-    return Case(f"waves {100 * amplitude_mps:g} cm/s, {period_s:g} s", settings, 0.0)
-
-
-def _step(step_mps: float) -> Case:
-    return Case(f"step {100 * step_mps:g} cm/s at 25 m", _feature("step", step_mps=step_mps, at_m=25.0), 0.0)
-
-
-def _gyro(deg_per_h: float) -> Case:
-    return Case(f"gyro {deg_per_h:g} deg/h", gyro_radps=math.radians(deg_per_h) / 3600.0)
-
-
-CASES = (
-    Case("as foretold"),
-    _front(0.1, 5.0),
-    _front(0.2, 5.0),
-    _front(0.1, 10.0),
-    _front(0.2, 10.0),
-    _front(0.1, 15.0),
-    _front(0.2, 15.0),
-    _front(0.1, 30.0),
-    _front(0.2, 30.0),
-    _waves(0.05, 300.0),
-    _waves(0.05, 600.0),
-    _step(0.1),
-    _step(0.3),
-    _gyro(10.0),
-    _gyro(30.0),
-    _gyro(100.0),
+CHANGES = (
+    Change("as foretold"),
+    front(0.1, 5.0),
+    front(0.2, 5.0),
+    front(0.1, 10.0),
+    front(0.2, 10.0),
+    front(0.1, 15.0),
+    front(0.2, 15.0),
+    front(0.1, 30.0),
+    front(0.2, 30.0),
+    waves(0.05, 300.0),
+    waves(0.05, 600.0),
+    step(0.1),
+    step(0.3),
+    gyro(10.0),
+    gyro(30.0),
+    gyro(100.0),
 )
 
 
@@ -107,10 +95,9 @@ class Run(NamedTuple):
 class Watch(Probe):
     """Keeps what the filter says besides, and has a gyro fail."""
 
-    def __init__(self, situation: Situation, nodes: Sequence[Node], case: Case) -> None:
+    def __init__(self, situation: Situation, nodes: Sequence[Node], gyro_radps: float) -> None:
         super().__init__(situation, nodes)
-        self._case = case
-        self._failed = case.gyro_radps == 0.0
+        self._to_fail_radps = gyro_radps
         self._unit = next(u for n in nodes if isinstance(n, Sensors) for u in n.sensors if isinstance(u, InertialUnit))
         self._said = FilterStatus.NOMINAL
         self.rows: dict[int, tuple[bool, float, float]] = {}
@@ -126,13 +113,13 @@ class Watch(Probe):
                 off = (estimate.velocity_north_mps - north) ** 2 + (estimate.velocity_east_mps - east) ** 2
                 said = float(np.trace(estimate.covariance[2:4, 2:4])) if estimate.covariance is not None else math.nan
                 self.rows[estimate.t_ns] = self._said is FilterStatus.NOMINAL, off, said
-        if not self._failed and self.truth is not None and self.truth.t_ns >= self._case.from_s * 1e9:
-            self._failed = True
-            self._unit._bias.value[0] += self._case.gyro_radps
+        if self.truth is not None and self.truth.t_ns >= BEGINS_S * 1e9:
+            self._unit._bias.value[0] += self._to_fail_radps
+            self._to_fail_radps = 0.0
 
 
-def descend(job: tuple[batch.Job, Case]) -> Run:
-    """Run it, watched."""
+def descend(job: tuple[batch.Job, float]) -> Run:
+    """Run it, watched, with a fault of the gyro (rad/s)."""
     situation = job[0].situation()
     nodes = locked.nodes(situation)
     watch = Watch(situation, nodes, job[1])
@@ -172,9 +159,6 @@ def figures(case: Case, runs: Sequence[Run]) -> dict[str, float | None]:
     }
 
 
-VELOCITY_AXES = VELOCITY.stop - VELOCITY.start
-
-
 def table(sensors: str, rows: dict[str, dict[str, float | None]]) -> Iterator[str]:
     """One line a case."""
     yield f"{sensors:<36}{'noticed':>8}{'after (s)':>12}{'silent':>8}{'NEES v':>8}{'cells':>7}{'off, said (cm/s)':>18}"
@@ -196,19 +180,20 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     measured = [
-        Case(file.stem, ('water.kind="measured"', f'water.file="{file.resolve()}"'), 0.0) for file in options.currents
+        Case(Change(file.stem), ('water.kind="measured"', f'water.file="{file.resolve()}"'))
+        for file in options.currents
     ]
-    cases = [case for case in (*CASES, *measured) if any(part in case.name for part in options.only)]
+    cases = [
+        case for case in (*map(Case, CHANGES), *measured) if any(part in case.change.name for part in options.only)
+    ]
     result: dict[str, dict[str, dict[str, float | None]]] = {}
     for sensors in options.sensors:
         jobs = [
-            (batch.Job("descent", (f'sensors="{sensors}"', f"run.seed={options.seed + n}", *case.settings)), case)
-            for case in cases
-            for n in range(options.runs)
+            (case.job(sensors, options.seed + n), case.change.gyro_radps) for case in cases for n in range(options.runs)
         ]
         runs = dict(batch.each(descend, jobs))
         result[sensors] = {
-            case.name: figures(case, [runs[i * options.runs + n] for n in range(options.runs)])
+            case.change.name: figures(case, [runs[i * options.runs + n] for n in range(options.runs)])
             for i, case in enumerate(cases)
         }
         if not options.json:

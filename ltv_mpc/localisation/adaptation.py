@@ -19,8 +19,9 @@ Unit    A gyro that fails slowly tilts the level, g b t^2 / 2 of velocity that l
         vehicle's. The filter then learns the gyro's bias as soon as the walk is over, and its covariance holds either.
 On      What was granted as fast for 10 s is granted for as long as the water drifts on (``drift.py``), and where that
         grows as a tilt makes it grow, it is the unit.
-Over    What ``onsets.py`` finds when it has gone by is made up for there and then: estimate and covariance become what
-        they would be, had it been known; the fast walk holds for another 10 s, should it not be over quite yet.
+Old     What ``onsets.py`` finds to have begun before that which ``BACK_NS`` reaches is made up for there and then:
+        estimate and covariance become what they would be, had it been known; and the fast walk is granted from now on,
+        should it not be over yet.
 Back    A front is seen three to ten seconds after it came; until then the filter has taken it for a tilt and a
         velocity of the vehicle, and is sure of them. So it is granted from ``BACK_NS`` before it was seen: the filter
         goes back and does these seconds again (``late.py``).

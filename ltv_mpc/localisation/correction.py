@@ -236,7 +236,7 @@ def _turn(P: Array, W: Array, a: Array) -> Array:
 
 
 @kernel
-def swing_too(E: Array, a: Array) -> None:
+def _swing_too(E: Array, a: Array) -> None:
     """E := M E of ``reduce``."""
     for i in range(len(a)):
         for j in range(E.shape[1]):
@@ -265,7 +265,7 @@ def _correct_few(
         _subtract(P, W, a, _turn(P, W, a))
         if E.shape[1]:
             corrected(E, score, information, W, Y, y)
-            swing_too(E, a)
+            _swing_too(E, a)
     return accepted, nis, S, definite, error, told
 
 
@@ -312,5 +312,5 @@ def correct(belief: Belief, rows: Rows, gate: float) -> Correction:
         reduce(belief.P, white.W, a)
         if E.shape[1]:
             astray.corrected(*white)
-            swing_too(E, a)
+            _swing_too(E, a)
     return correction

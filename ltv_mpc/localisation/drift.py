@@ -15,10 +15,10 @@ import math
 
 import numpy as np
 
+from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.state import Belief
 from ltv_mpc.signals import Array
 
-GRAVITY_MPS2 = 9.81
 SLOPE_S = 5.0
 TIMES = 2.0
 _FEWEST = 4

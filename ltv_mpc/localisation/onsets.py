@@ -40,7 +40,6 @@ LIMIT = 32.0
 """Sixty descents through water as foretold: 23 at most with the paper's sensors, 28 with realistic ones."""
 LIMIT_TOO = 26.0
 
-
 _SD_MPS2 = 0.01
 """10 cm/s in 10 s."""
 _OLD = 0.9

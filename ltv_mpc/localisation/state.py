@@ -135,7 +135,7 @@ class Belief:
     R: Array
     mounting: Array
     P: Array
-    astray: Signatures  # of what the filter does not know of
+    astray: Signatures  # what hypotheses that the filter knows nothing of would do to it
     epoch_t_ns: int  # of the clone
     column: Column  # what belongs to the water beside its states
 

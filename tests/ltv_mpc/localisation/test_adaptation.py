@@ -27,9 +27,12 @@ END_S = 45.0
 CELLS = 20
 
 
-def front(t_s, depth_m):
-    """0.14 m/s over ten seconds, to the north-east, at all depths."""
-    return 0.14 * np.clip((t_s - 20.0) / 10.0, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
+def ramp(size_mps, from_s, lasts_s):
+    """All water comes to move by so much more, to the north-east, at all depths."""
+    return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / lasts_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
+
+
+front = ramp(0.14, 20.0, 10.0)
 
 
 def waves(t_s, depth_m):
@@ -133,10 +136,6 @@ def made_up(monkeypatch):
         Found, "make_up", lambda found, belief: (log.append(belief.t_ns * 1e-9), make_up(found, belief))
     )
     return log
-
-
-def ramp(size_mps, from_s, lasts_s):
-    return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / lasts_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
 
 
 def test_a_front_that_takes_long_is_granted_for_as_long_as_the_water_drifts(make_dive, run, granted):
