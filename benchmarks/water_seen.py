@@ -10,6 +10,7 @@ profile, or with a gyro that fails; each second the true error of velocity (thre
     silent   share of seconds with a velocity beyond chi-square's 99 % while the filter says that all is well: one of
              a hundred in a consistent filter that says nothing
     NEES     of velocity and of the cells that beams have seen, per degree of freedom, after the beginning
+    finer    what no cell holds of the water (``sim/grading/cells.py``), rms over depth, mean of the runs
     off      rms of the horizontal velocity's error over the last 20 s, and what the filter says of it
 """
 
@@ -90,6 +91,7 @@ class Run(NamedTuple):
     cells: Array  # (T, 2) of the cells: square, degrees of freedom
     well: Array  # (T,) whether the filter says that all is well
     off: Array  # (T, 2) squares of the horizontal velocity's error and of what the filter says of it (m2/s2)
+    finer_mps: float  # at the end
 
 
 class Watch(Probe):
@@ -134,6 +136,7 @@ def descend(job: tuple[batch.Job, float]) -> Run:
         cells=np.array([of.get(t, (0.0, 0)) for t in velocity.t_ns], dtype=np.float64),
         well=np.array([well for well, _, _ in rows]),
         off=np.array([squares for _, *squares in rows]),
+        finer_mps=watch.finer_mps(scenario.end_ns),
     )
 
 
@@ -154,6 +157,7 @@ def figures(case: Case, runs: Sequence[Run]) -> dict[str, float | None]:
         "silent": float((well & (velocity > BEYOND)).mean()),
         "velocity_nees_per_dof": float(velocity.mean() / VELOCITY_AXES),
         "cells_nees_per_dof": float(cells[0] / cells[1]),
+        "finer_mps": float(np.mean([run.finer_mps for run in runs])),
         "off_mps": float(off),
         "said_mps": float(said),
     }
@@ -161,12 +165,14 @@ def figures(case: Case, runs: Sequence[Run]) -> dict[str, float | None]:
 
 def table(sensors: str, rows: dict[str, dict[str, float | None]]) -> Iterator[str]:
     """One line a case."""
-    yield f"{sensors:<36}{'noticed':>8}{'after (s)':>12}{'silent':>8}{'NEES v':>8}{'cells':>7}{'off, said (cm/s)':>18}"
+    wide = f"{'noticed':>8}{'after (s)':>12}{'silent':>8}{'NEES v':>8}{'cells':>7}{'finer':>7}{'off, said (cm/s)':>18}"
+    yield f"{sensors:<36}{wide}"
     for name, row in rows.items():
         after = "" if row["delay_median_s"] is None else f"{row['delay_median_s']:.0f} to {row['delay_max_s']:.0f}"
         off = f"{100 * (row['off_mps'] or 0.0):.1f}, {100 * (row['said_mps'] or 0.0):.1f}"
         nees = f"{row['velocity_nees_per_dof']:>8.2f}{row['cells_nees_per_dof']:>7.2f}"
-        yield f"{name:<36}{row['noticed']:>8.0%}{after:>12}{row['silent']:>8.1%}{nees}{off:>18}"
+        finer = f"{100 * (row['finer_mps'] or 0.0):>7.2f}"
+        yield f"{name:<36}{row['noticed']:>8.0%}{after:>12}{row['silent']:>8.1%}{nees}{finer}{off:>18}"
 
 
 def main() -> None:

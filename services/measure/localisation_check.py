@@ -2,6 +2,7 @@
 
 drift      of one horizontal axis over the descent, rms over the runs and both axes; the bound likewise, each run's own
 consistent each quantity's NEES and each sensor's NIS, summed over the runs, inside chi-square's 95 % band by instant
+per dof    the mean square, with its standard error over the runs: what is constant in a run is one draw of each
 slope, R2  of the final drift against the error of velocity at submergence, through the origin, both axes
 """
 
@@ -44,9 +45,11 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     r2: float
     nees_in_band: dict[str, float]
     nees_per_dof: dict[str, float]
+    nees_standard_error: dict[str, float]  # of nees_per_dof, by what the runs differ
     cells_nees_per_dof: float
     nis_in_band: dict[str, float]
     nis_per_dof: dict[str, float]
+    nis_standard_error: dict[str, float]
     drawn_per_dof: dict[str, float]  # of the true biases themselves: how far from 1 these seeds are
     least_eigenvalue: float
     largest_asymmetry: float
@@ -95,6 +98,20 @@ def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
     return result
 
 
+def standard_error(runs: Sequence[Mapping[str, Squares]], name: str) -> float:
+    """Of the mean square per degree of freedom over the runs: they are independent, the instants of one are not.
+
+    With S_r the sum of squares of run r and n_r its degrees of freedom, m = sum S_r / sum n_r (a ratio estimate:
+    Cochran 1977, Sampling techniques, section 2.11):  se^2 = R / (R - 1) sum (S_r - m n_r)^2 / (sum n_r)^2
+    """
+    have = [run[name] for run in runs if name in run]
+    S, n = np.array([one.square.sum() for one in have]), np.array([one.dof.sum() for one in have], dtype=np.float64)
+    if len(have) < 2:
+        return float("nan")
+    left = S - S.sum() / n.sum() * n
+    return float(np.sqrt(len(have) / (len(have) - 1) * (left @ left)) / n.sum())
+
+
 def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> Result:
     """The figures."""
     first = work[0].situation()
@@ -123,9 +140,11 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
         r2=float(1.0 - np.sum((drift - slope * velocity) ** 2) / np.sum(drift**2)),
         nees_in_band={name: c.in_band for name, c in nees.items()},
         nees_per_dof={name: c.per_dof for name, c in nees.items()},
+        nees_standard_error={name: standard_error([record.nees for record in records], name) for name in nees},
         cells_nees_per_dof=nees["cells"].per_dof,
         nis_in_band={name: c.in_band for name, c in nis.items()},
         nis_per_dof={name: c.per_dof for name, c in nis.items()},
+        nis_standard_error={name: standard_error([record.nis for record in records], name) for name in nis},
         drawn_per_dof={
             name: sum(record.drawn[name][0] for record in records) / sum(record.drawn[name][1] for record in records)
             for name in records[0].drawn
@@ -168,15 +187,16 @@ def table(of: Result) -> str:
         f"velocity  {1e3 * of.velocity_error_rms_mps:.2f} mm/s at submergence, the filter says "
         f"{1e3 * of.velocity_said_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
         f"drift = {of.slope_s:.0f} s x velocity error, R2 {of.r2:.2f}",
-        f"{'':<24} {'in 95 % band':>12} {'per dof':>8} {'drawn':>8}",
+        f"{'':<24} {'in 95 % band':>12} {'per dof':>8} {'+-':>6} {'drawn':>8}",
     ]
-    for kind, shares, means in (
-        ("NEES", of.nees_in_band, of.nees_per_dof),
-        ("NIS ", of.nis_in_band, of.nis_per_dof),
+    for kind, shares, means, errors in (
+        ("NEES", of.nees_in_band, of.nees_per_dof, of.nees_standard_error),
+        ("NIS ", of.nis_in_band, of.nis_per_dof, of.nis_standard_error),
     ):
         for name, share in shares.items():
             seeds = f"{of.drawn_per_dof[name]:8.2f}" if kind == "NEES" and name in of.drawn_per_dof else ""
-            lines.append(f"{kind} {name:<19} {100 * share:>10.0f} % {means[name]:8.2f} {seeds}".rstrip())
+            mean = f"{means[name]:8.2f} {errors[name]:6.2f}"
+            lines.append(f"{kind} {name:<19} {100 * share:>10.0f} % {mean} {seeds}".rstrip())
     return "\n".join(lines)
 
 

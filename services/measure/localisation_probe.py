@@ -23,6 +23,7 @@ from services.measure.batch import Job
 from services.run import locked
 from services.run.situation import Situation
 from sim.grading.bound import Trajectory, bound
+from sim.grading.cells import Cells
 from sim.grading.consistency import TrueState, drawn, nees, nodes_around, squared
 from sim.lockstep import Cause, LockStep
 from sim.sensors.adcp import Profiler, beams
@@ -105,6 +106,7 @@ class Probe:
         }
         config = situation.scenario.estimator
         self._grid, self._cell_m = grid(config), config.cell_m
+        self._cells = Cells(self._grid, situation.water.depth_m)
         self.seen = np.zeros(len(self._grid), dtype=bool)  # nodes of the grid that a beam has measured so far
         self._beams = beams(situation.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
         self._lever = np.array(situation.suite.adcp.lever_arm_m)
@@ -172,6 +174,10 @@ class Probe:
         """Of each quantity, so far."""
         return {name: _squares(rows) for name, rows in self._nees.items()}
 
+    def finer_mps(self, t_ns: int) -> float:
+        """What the filter's cells cannot hold of the water."""
+        return self._cells.finer_mps(self._situation.water.over(self._cells.depth_m, t_ns))
+
     def _true_error(self) -> float:
         track = np.array([truth.position_m[:2] for truth in self._track if truth.t_ns >= 0])
         return float(np.hypot(*(track - track[0]).T).mean())
@@ -231,7 +237,7 @@ class Probe:
             near_bias_mps=self._profiler.near_bias_mps,
             mounting=self._profiler.mounting,
             compass_bias_rad=self._compass.bias_rad,
-            water_mps=self._situation.water.over(self._grid, truth.t_ns),
+            water_mps=self._cells.fit(self._situation.water.over(self._cells.depth_m, truth.t_ns)),
         )
 
     def _trajectory(self) -> Trajectory:

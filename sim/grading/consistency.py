@@ -38,7 +38,7 @@ class TrueState(NamedTuple):
     near_bias_mps: Array  # (4,)
     mounting: Array  # (3, 3)
     compass_bias_rad: float
-    water_mps: Array  # (G, 2) at the nodes of the filter's grid
+    water_mps: Array  # (G, 2) of the filter's cells (``cells.py``)
 
 
 class Consistency(NamedTuple):

@@ -95,6 +95,15 @@ def test_a_run_that_lacks_an_instant_adds_nothing_to_it() -> None:
     assert graded.consistency.dof.tolist() == [1, 4, 1]
 
 
+def test_a_standard_error_counts_runs_and_not_instants() -> None:
+    drawn = np.random.default_rng(5).standard_normal((40, 3)) ** 2
+    for instants in (1, 50):
+        runs = [{"bias": squares([*range(instants)], [x.sum()] * instants, [3] * instants)} for x in drawn]
+        expected = (drawn.sum(axis=1) / 3).std(ddof=1) / math.sqrt(40)
+        assert check.standard_error(runs, "bias") == pytest.approx(expected)
+    assert math.isnan(check.standard_error(runs[:1], "bias"))
+
+
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("short") / "short.toml"
