@@ -2,6 +2,10 @@
 
 S = H P H^T + R,  each row passes if residual_i^2 / S_ii <= gate;  of those that pass, with S = L L^T, W = L^-1 H P:
     error = W^T L^-1 residual,   P := P - W^T W
+Doubted are rows beyond the gate up to a limit, where one is given: of measurements that come seldom, most of S is the
+state's own error, and so is most of a residual that is too large. They are used with as much noise as makes them just
+pass, S_ii := residual_i^2 / gate, so that none, right or wrong, moves a state by more than one that passes could
+(Huber 1981, Robust statistics; Yang, He & Xu 2001, J. Geodesy 75, adaptively robust filtering).
 ``weigh`` says what the rows tell of the error, ``reduce`` what then is left of the covariance, ``update`` does both on
 any P; ``correct`` moves a belief by the error and carries P over to the estimate that has moved (``turning.py``).
 Exact   P stays symmetric to the last bit: of few rows both triangles are reckoned by the same sums, of many one
@@ -47,6 +51,7 @@ class Correction(NamedTuple):
     definite: bool  # S was positive definite; if not, nothing has been touched, and P must not be trusted
     error: Array  # (n,), of the estimate: what is to be added to it; zero if no row passed
     told: Array  # (n,), diagonal of W^T W: by how much the variances become less
+    doubted: int  # rows that were used though they are not accepted
 
 
 @kernel
@@ -92,6 +97,17 @@ def _gated(S: Array, z: Array, gate: float) -> tuple[npt.NDArray[np.bool_], Arra
         accepted[i] = nis[i] <= gate
         passed += accepted[i]
     return accepted, nis, passed
+
+
+@kernel
+def _doubted(S: Array, z: Array, nis: Array, gate: float, limit: float) -> tuple[Array, int]:
+    """What is added to each row's noise, (m,), and of how many."""
+    more, count = np.zeros(len(z)), 0
+    for i in range(len(z)):
+        if gate < nis[i] <= limit:
+            more[i] = z[i] * z[i] / gate - S[i, i]
+            count += 1
+    return more, count
 
 
 @kernel
@@ -146,34 +162,37 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 @kernel
 def _weigh_few(
-    P: Array, E: Array, rows: Rows, gate: float
-) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, Array, Array, Array]:
+    P: Array, E: Array, rows: Rows, gate: float, limit: float
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, int, Array, Array, Array]:
     """The fields of a ``Correction``, and W, Y and y, of few rows: without a library's calls."""
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
     H = entries(rows.state, rows.partial)
     HP, HE = project(H, P), project(H, E)
     S = spread(H, np.ascontiguousarray(HP.T), rows.variance)
     accepted, nis, passed = _gated(S, z, gate)
+    more, doubted = _doubted(S, z, nis, gate, limit)
+    passed += doubted
     W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     Y = np.empty((passed, E.shape[1]))
     if passed == 0:
-        return accepted, nis, S, True, np.zeros(n), np.zeros(n), W, Y, residual
+        return accepted, nis, S, True, np.zeros(n), np.zeros(n), 0, W, Y, residual
     a = 0
     for i in range(m):
-        if accepted[i]:
+        if accepted[i] or more[i] > 0.0:
             assign(W[a], HP[i])
             assign(Y[a], HE[i])
             residual[a] = z[i]
             b = 0
             for j in range(m):
-                if accepted[j]:
+                if accepted[j] or more[j] > 0.0:
                     of_passed[a, b] = S[i, j]
                     b += 1
+            of_passed[a, a] += more[i]
             a += 1
     if not _fold(W, Y, of_passed, residual):
-        return np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), W[:0], Y[:0], residual[:0]
+        return np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), 0, W[:0], Y[:0], residual[:0]
     error, told = _tell(W, residual)
-    return accepted, nis, S, True, error, told, W, Y, residual
+    return accepted, nis, S, True, error, told, doubted, W, Y, residual
 
 
 class White(NamedTuple):
@@ -190,15 +209,15 @@ def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, Whit
     ``P`` (n, n), symmetric, and ``E`` (n, K), both C-contiguous, are only read.
     """
     if len(rows.residual) <= _FEW:
-        accepted, nis, S, definite, error, told, W, Y, y = _weigh_few(P, E, rows, gate)
-        return Correction(accepted, nis, S, definite, error, told), White(W, Y, y)
+        accepted, nis, S, definite, error, told, _, W, Y, y = _weigh_few(P, E, rows, gate, gate)
+        return Correction(accepted, nis, S, definite, error, told, 0), White(W, Y, y)
     places, local = touched(rows.state, rows.partial, len(P))
     S = innovation(P, places, local, rows.partial, rows.variance)
     z, n = rows.residual, len(P)
     nothing = White(np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0))
     accepted, nis, passed = _gated(S, z, gate)
     if passed == 0:
-        return Correction(accepted, nis, S, True, np.zeros(n), np.zeros(n)), nothing
+        return Correction(accepted, nis, S, True, np.zeros(n), np.zeros(n), 0), nothing
     if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
         H, HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
     elif passed == len(z):
@@ -210,13 +229,13 @@ def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, Whit
     # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
     L, info = dpotrf(of_passed.T, lower=1, clean=0)
     if info != 0:
-        return Correction(np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n)), nothing
+        return Correction(np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), 0), nothing
     W = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T  # W^T = (H P)^T L^-T
     y = dtrsv(L, z, lower=1)
     Y = nothing.Y
     if E.shape[1]:
         Y = dtrsm(1.0, L, project(H, E).T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    return Correction(accepted, nis, S, True, *_tell(W, y)), White(W, Y, y)
+    return Correction(accepted, nis, S, True, *_tell(W, y), 0), White(W, Y, y)
 
 
 @kernel
@@ -253,12 +272,13 @@ def _correct_few(
     information: Array,
     rows: Rows,
     gate: float,
+    limit: float,
     mean: int,
     north: int,
     east: int,
-) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array]:
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, int]:
     """``correct`` by few rows but for the mounting: the fields of a ``Correction``. Places as in ``turning.turned``."""
-    accepted, nis, S, definite, error, told, W, Y, y = _weigh_few(P, E, rows, gate)
+    accepted, nis, S, definite, error, told, doubted, W, Y, y = _weigh_few(P, E, rows, gate, limit)
     if W.shape[0]:
         shift(x, R, error)
         a = turned(error, mean, north, east)
@@ -266,7 +286,7 @@ def _correct_few(
         if E.shape[1]:
             corrected(E, score, information, W, Y, y)
             _swing_too(E, a)
-    return accepted, nis, S, definite, error, told
+    return accepted, nis, S, definite, error, told, doubted
 
 
 def reduce(P: Array, W: Array, a: Array | None = None) -> None:
@@ -296,13 +316,18 @@ def update(P: Array, rows: Rows, gate: float) -> Correction:
     return correction
 
 
-def correct(belief: Belief, rows: Rows, gate: float) -> Correction:
-    """Update ``belief`` in place by the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom)."""
+def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Correction:
+    """Update ``belief`` in place by the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom).
+
+    Those between it and ``limit``, of a message of few rows, are doubted.
+    """
     layout, astray = belief.layout, belief.astray
     E, score, information = astray.error, astray.score, astray.information
     if len(rows.residual) <= _FEW:
         water = layout.mean.start, layout.north.start, layout.east.start
-        correction = Correction(*_correct_few(belief.x, belief.R, belief.P, E, score, information, rows, gate, *water))
+        correction = Correction(
+            *_correct_few(belief.x, belief.R, belief.P, E, score, information, rows, gate, limit, *water)
+        )
         belief.turn_mounting(correction.error)
         return correction
     correction, white = weigh(belief.P, E, rows, gate)

@@ -144,8 +144,8 @@ class Estimator:
     def account(self) -> Mapping[str, int]:
         """How many by "<sensor>.<what came of them>".
 
-        Scalar measurements: used, gate, not_definite, no_return, outside_grid, other_epoch, not_fitted,
-        unknown_transponder. Messages: late, late_applied, duplicate, ahead, stale, stuck, wild,
+        Scalar measurements: used, doubted (of these), gate, not_definite, no_return, outside_grid, other_epoch,
+        not_fitted, unknown_transponder. Messages: late, late_applied, duplicate, ahead, stale, stuck, wild,
         without_imu, gap.
         """
         if self._filter is None:

@@ -50,6 +50,13 @@ Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeadin
 """What corrects the filter; the inertial unit moves it."""
 
 
+_SELDOM = ("gnss", "tdcp")
+"""Before a descent there may be one of them, and all that follows hangs on it."""
+_DOUBTFUL = 36.0
+"""Six deviations, up to which a row of theirs that the gate holds back is doubted: half a wave of carrier phase, 95 mm,
+is more even where the velocity is known by the receiver alone (15 mm)."""
+
+
 class Verdict(NamedTuple):
     """What came of one message: the innovations as they stood before the gate, and which of them passed it."""
 
@@ -290,10 +297,12 @@ class Filter:
         """None without rows."""
         if len(rows.residual) == 0:
             return None
-        correction = correct(self.belief, rows, self._gate)
-        used = int(np.count_nonzero(correction.accepted))
+        correction = correct(self.belief, rows, self._gate, _DOUBTFUL if sensor in _SELDOM else 0.0)
+        used = int(np.count_nonzero(correction.accepted)) + correction.doubted
         self.account[f"{sensor}.used"] += used
         refused = "gate" if correction.definite else "not_definite"
+        if correction.doubted:
+            self.account[f"{sensor}.doubted"] += correction.doubted
         self.account[f"{sensor}.{refused}"] += len(rows.residual) - used
         if self.observers:
             where = np.arange(len(rows.residual)) if places is None else places

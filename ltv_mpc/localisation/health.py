@@ -41,6 +41,8 @@ GROSS = 2.3
 """Upper end of the band of thirty messages, a window of pings, were all rows of a message one."""
 ONLY_TOO_LARGE = ("lbl", "usbl", "gnss", "tdcp")
 TIES = ("adcp", "bottom_track", "pressure")
+NOT_REFUSED = ("used", "doubted", "late_applied")
+"""The first counts what the others do."""
 AT_SURFACE = ("gnss", "tdcp")
 """Silent by design once the descent has begun."""
 
@@ -96,7 +98,7 @@ class Monitor:
             while window and window[0].t_ns <= t_ns - WINDOW_NS:
                 window.popleft()
             counts = new[name]
-            refused = {what: counts[what] for what in sorted(counts) if what not in ("used", "late_applied")}
+            refused = {what: counts[what] for what in sorted(counts) if what not in NOT_REFUSED}
             nis, status = self._judge(name, t_ns)
             reports.append(
                 SensorReport(

@@ -34,8 +34,9 @@ def each(work: Callable[[T], R], jobs: Sequence[T], *, workers: int | None = Non
         try:
             for future in as_completed(places):
                 yield places[future], future.result()
-        finally:  # a job that raised, or a reader that has gone: what has not begun is not begun
+        except BaseException:  # a job that raised, or a reader that has gone: what has not begun is not begun
             workers_.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def pool(count: int) -> ProcessPoolExecutor:

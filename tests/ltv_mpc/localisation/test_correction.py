@@ -83,6 +83,34 @@ def test_rows_all_beyond_the_gate_leave_the_belief_as_it_was(belief):
     np.testing.assert_array_equal(belief.P, before.P)
 
 
+@pytest.mark.parametrize("m", [1, 3])
+def test_a_doubted_row_is_used_with_as_much_noise_as_makes_it_just_pass(belief, m):
+    rows, other, gate = random_rows(m), belief.copy(), 9.0
+    S = np.diagonal(correct(belief.copy(), rows, OPEN).S)
+    rows.residual[:] = 0.5 * np.sqrt(S)
+    rows.residual[0] = 4.5 * np.sqrt(S[0])
+    more = rows.variance.copy()
+    more[0] += (4.5**2 / gate - 1.0) * S[0]
+    correction = correct(belief, rows, gate, 36.0)
+    correct(other, Rows(rows.state, rows.partial, rows.residual, more), OPEN)
+    assert (correction.accepted.tolist(), correction.doubted) == ([False] + [True] * (m - 1), 1)
+    np.testing.assert_allclose(belief.x, other.x, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(belief.P, other.P, atol=1e-12)
+
+
+def test_no_doubted_row_moves_the_estimate_by_more_than_one_that_passes(belief):
+    row, moved = random_rows(1), []
+    S = correct(belief.copy(), row, OPEN).S[0, 0]
+    for deviations in (2.999, 3.001, 4.0, 5.999, 6.001):
+        row.residual[:] = deviations * np.sqrt(S)
+        after = belief.copy()
+        correct(after, row, 9.0, 36.0)
+        moved.append(np.abs(after.x - belief.x).max())
+    assert moved[0] == pytest.approx(moved[1], rel=1e-2)
+    assert moved[1] > moved[2] > moved[3] > 0.0
+    assert moved[4] == 0.0
+
+
 @pytest.mark.parametrize("m", [1, 3, 20])
 def test_a_covariance_that_is_none_is_reported_and_left_alone(belief, m):
     belief.P[:] = -10 * belief.P

@@ -5,6 +5,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import Filter
@@ -239,3 +240,17 @@ def test_every_scalar_measurement_is_accounted_for_by_what_came_of_it():
     assert account["adcp.outside_grid"] == 4 * 3  # 65.3 + r cos 20 deg > 70 for r = 6, 7, 8
     assert account["adcp.used"] + account["adcp.gate"] + account["adcp.no_return"] + account["adcp.outside_grid"] == 32
     assert (account["pressure.gate"], account["compass.used"], account["tdcp.other_epoch"]) == (1, 1, 2)
+
+
+def test_a_satellite_fix_that_is_a_little_too_far_away_is_doubted_and_a_pressure_is_refused():
+    """Four deviations of innovation, which the gate of 3.3 holds back; and seven."""
+    belief = Belief.blank(Layout.of(PAPER, EstimatorConfig()), 0)
+    belief.P += 1e-4 * np.eye(belief.layout.size)
+    filter_ = Filter(PAPER, EstimatorConfig(), belief)
+    sd = math.hypot(PAPER.tdcp.displacement_sd_m, math.sqrt(2e-4))  # of position and of its clone
+    filter_.correct(TdcpFix(t_ns=0, from_t_ns=0, north_m=4.0 * sd, east_m=7.0 * sd))
+    assert (filter_.account["tdcp.used"], filter_.account["tdcp.doubted"], filter_.account["tdcp.gate"]) == (1, 1, 1)
+    assert belief.x[0] == pytest.approx(1e-4 * 4.0 * sd / (sd * sd * 16.0 / chdtri(1, 0.001)))
+    assert belief.x[1] == 0.0
+    filter_.correct(PressureDepth(t_ns=0, depth_m=4.0 * math.hypot(PAPER.pressure.depth_sd_m, 0.01)))
+    assert (filter_.account["pressure.used"], filter_.account["pressure.gate"]) == (0, 1)

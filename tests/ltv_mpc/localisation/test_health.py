@@ -108,7 +108,14 @@ def test_what_is_older_than_the_window_counts_no_more():
 
 def test_counts_are_those_since_the_last_report_with_the_reason():
     monitor = Monitor(SUITE, GATE)
-    account = {"adcp.used": 100, "adcp.gate": 3, "adcp.late_applied": 1, "pressure.used": 9, "adcp_like.gate": 5}
+    account = {
+        "adcp.used": 100,
+        "adcp.gate": 3,
+        "adcp.late_applied": 1,
+        "adcp.doubted": 2,
+        "pressure.used": 9,
+        "adcp_like.gate": 5,
+    }
     first = reports(monitor, 1.0, account.items())["adcp"]
     assert (first.used, first.refused) == (100, {"gate": 3})
     account |= {"adcp.used": 150, "adcp.no_return": 7}
