@@ -29,15 +29,11 @@ from scipy.special import chdtri
 
 from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, waves
 from ltv_mpc.localisation.state import VELOCITY
-from ltv_mpc.node import Arrival, Node
+from ltv_mpc.node import Arrival
 from ltv_mpc.signals import Array, Estimate, FilterStatus, LocalisationReport
 from services.measure import batch
 from services.measure.localisation_probe import LOOK_NS, Probe
-from services.run import locked
 from services.run.situation import Situation
-from sim.lockstep import LockStep
-from sim.sensors.imu import InertialUnit
-from sim.sensors.node import Sensors
 
 LAST = 20
 VELOCITY_AXES = VELOCITY.stop - VELOCITY.start
@@ -97,10 +93,11 @@ class Run(NamedTuple):
 class Watch(Probe):
     """Keeps what the filter says besides, and has a gyro fail."""
 
-    def __init__(self, situation: Situation, nodes: Sequence[Node], gyro_radps: float) -> None:
-        super().__init__(situation, nodes)
+    hears = Probe.hears | {LocalisationReport}
+
+    def __init__(self, situation: Situation, gyro_radps: float) -> None:
+        super().__init__(situation)
         self._to_fail_radps = gyro_radps
-        self._unit = next(u for n in nodes if isinstance(n, Sensors) for u in n.sensors if isinstance(u, InertialUnit))
         self._said = FilterStatus.NOMINAL
         self.rows: dict[int, tuple[bool, float, float]] = {}
 
@@ -116,17 +113,15 @@ class Watch(Probe):
                 said = float(np.trace(estimate.covariance[2:4, 2:4])) if estimate.covariance is not None else math.nan
                 self.rows[estimate.t_ns] = self._said is FilterStatus.NOMINAL, off, said
         if self.truth is not None and self.truth.t_ns >= BEGINS_S * 1e9:
-            self._unit._bias.value[0] += self._to_fail_radps
+            self.imu._bias.value[0] += self._to_fail_radps
             self._to_fail_radps = 0.0
 
 
 def descend(job: tuple[batch.Job, float]) -> Run:
     """Run it, watched, with a fault of the gyro (rad/s)."""
     situation = job[0].situation()
-    nodes = locked.nodes(situation)
-    watch = Watch(situation, nodes, job[1])
-    scenario = situation.scenario
-    LockStep(nodes, start_ns=scenario.start_ns, observe=watch, latest=locked.LATEST).advance(scenario.end_ns)
+    watch = Watch(situation, job[1])
+    watch.descend()
     velocity, cells = watch.nees["velocity"], watch.nees["cells"]
     of = {t: (square, dof) for t, square, dof in zip(cells.t_ns, cells.square, cells.dof, strict=True)}
     rows = [watch.rows[t] for t in velocity.t_ns.tolist()]
@@ -136,7 +131,7 @@ def descend(job: tuple[batch.Job, float]) -> Run:
         cells=np.array([of.get(t, (0.0, 0)) for t in velocity.t_ns], dtype=np.float64),
         well=np.array([well for well, _, _ in rows]),
         off=np.array([squares for _, *squares in rows]),
-        finer_mps=watch.finer_mps(scenario.end_ns),
+        finer_mps=watch.finer_mps(situation.scenario.end_ns),
     )
 
 

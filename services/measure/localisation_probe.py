@@ -1,12 +1,13 @@
 """One descent in lock step, with the filter's belief held against the truth at every whole second.
 
-An observer of the run: it sees each message at its publication, so the sensors' true biases and the filter's belief
-are those of that instant. It looks once the estimate of the instant is out, and only while the filter stands there.
+Sensors are asked for their true biases right after their step of a whole second, the filter for its belief after the
+step that says what it estimates of it, if it stands there; both go on as if nobody had asked. These copies are compared
+when the truth of that second is heard, for nodes run ahead of what they said (``sim/stretches.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -16,16 +17,15 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter, Verdict
-from ltv_mpc.localisation.state import VELOCITY, grid
-from ltv_mpc.node import Arrival, Inbox, Node
-from ltv_mpc.signals import AdcpPing, Array, Estimate, Truth
+from ltv_mpc.localisation.state import VELOCITY, Belief, grid
+from ltv_mpc.node import Arrival, Due, Inbox, Node, steps_of
+from ltv_mpc.signals import AdcpPing, Array, Estimate, Signal, Truth
 from services.measure.batch import Job
 from services.run import locked
 from services.run.situation import Situation
 from sim.grading.bound import Trajectory, bound
 from sim.grading.cells import Cells
 from sim.grading.consistency import TrueState, drawn, nees, nodes_around, squared
-from sim.lockstep import Cause, LockStep
 from sim.sensors.adcp import Profiler, beams
 from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
@@ -34,6 +34,7 @@ from sim.sensors.injected import Injected
 from sim.sensors.lbl import Transceiver
 from sim.sensors.node import Sensors
 from sim.sensors.usbl import Ship
+from sim.stretches import Stretches
 
 LOOK_NS = 1_000_000_000
 TRACK_NS = 100_000_000
@@ -75,29 +76,63 @@ class Record(NamedTuple):
 
 def descend(job: Job) -> Record:
     """Run it, watched, and work out the bound along its true track. Raises ``ConfigError``."""
-    situation = job.situation()
-    nodes = locked.nodes(situation)
-    probe = Probe(situation, nodes)
-    scenario = situation.scenario
-    lockstep = LockStep(
-        nodes,
-        start_ns=scenario.start_ns,
-        compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-        observe=probe,
-        latest=locked.LATEST,
-    )
-    lockstep.advance(scenario.end_ns)
+    probe = Probe(job.situation())
+    probe.descend()
     return probe.record()
 
 
-class Probe:
-    """Watches the nodes of a situation."""
+class _Biases(NamedTuple):
+    """True ones, that change in time."""
 
-    def __init__(self, situation: Situation, nodes: Sequence[Node]) -> None:
+    gyro_radps: Array  # (3,)
+    accelerometer_mps2: Array  # (3,)
+    compass_rad: float
+
+
+class _Watched:
+    """A node, of which another hears how far it has come."""
+
+    def __init__(
+        self,
+        node: Node,
+        ran: Callable[[int, Sequence[Signal]], None],
+        closely: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """``ran`` is told a step's time and what came of it: of each at a time of ``LOOK_NS``, or while ``closely``."""
+        self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
+        self._steps, self._ran, self._closely = steps_of(node), ran, closely
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        """The node's."""
+        return self.steps([(t_ns, inbox)])[0]
+
+    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        """The node's, as many at once as go by unseen."""
+        said: list[list[Signal]] = []
+        for number, (t_ns, _) in enumerate(due, 1):
+            if t_ns % LOOK_NS == 0 or number == len(due) or self._closely():
+                said += self._steps(due[len(said) : number])
+                self._ran(t_ns, said[-1])
+        return said
+
+
+class Probe:
+    """A situation with its nodes, and what is seen of them."""
+
+    hears: frozenset[type[Signal]] = frozenset({Truth, AdcpPing, Estimate})
+
+    def __init__(self, situation: Situation) -> None:
+        """Raises ``ConfigError``."""
         self._situation = situation
-        self._estimator = _the(Estimator, nodes)
-        units = _the(Sensors, nodes).sensors
-        self._imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
+        nodes = locked.nodes(situation, unheard=False)
+        self.estimator, sensors = _the(Estimator, nodes), _the(Sensors, nodes)
+        watched = {
+            sensors.name: _Watched(sensors, self._measured),
+            self.estimator.name: _Watched(self.estimator, self._estimated, lambda: self.estimator.filter is None),
+        }
+        self.nodes: list[Node] = [watched.get(node.name, node) for node in nodes]
+        units = sensors.sensors
+        self.imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
         self._compass = _the(MagneticCompass, units)
         self._injected: dict[str, Injected] = {
             _WILD[type(unit)]: unit.injected
@@ -111,6 +146,8 @@ class Probe:
         self._beams = beams(situation.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
         self._lever = np.array(situation.suite.adcp.lever_arm_m)
         self._watched: Filter | None = None
+        self._beliefs: dict[int, Belief] = {}  # that no truth has been heard of yet
+        self._biases: dict[int, _Biases] = {}
         self.truth: Truth | None = None  # the last
         self._track: list[Truth] = []
         self._nees: dict[str, list[tuple[int, float, int]]] = {}
@@ -120,12 +157,33 @@ class Probe:
         self._drawn: dict[str, tuple[float, int]] = {}
         self._least, self._asymmetry, self._missed = np.inf, 0.0, 0
 
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:  # noqa: ARG002
-        """A filter that has just begun is watched from its next message on."""
-        if self._estimator.filter is not self._watched:
-            self._watched = self._estimator.filter
-            if self._watched is not None:
-                self._watched.observers.append(self._judge)
+    def descend(self) -> None:
+        """All of it."""
+        scenario = self._situation.scenario
+        Stretches(
+            self.nodes,
+            start_ns=scenario.start_ns,
+            compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
+            observe=self,
+            heard=self.hears,
+            latest=locked.LATEST,
+        ).advance(scenario.end_ns)
+
+    def _measured(self, t_ns: int, said: Sequence[Signal]) -> None:  # noqa: ARG002  (whatever it was)
+        if t_ns % LOOK_NS == 0:
+            imu = self.imu
+            self._biases[t_ns] = _Biases(imu.gyro_bias_radps, imu.accelerometer_bias_mps2, self._compass.bias_rad)
+
+    def _estimated(self, t_ns: int, said: Sequence[Signal]) -> None:
+        """The first filter is watched from its next message on, another one from the next cycle on."""
+        filter_ = self.estimator.filter
+        if filter_ is not self._watched:
+            self._watched = filter_
+            if filter_ is not None:
+                filter_.observers.append(self._judge)
+        published = t_ns % LOOK_NS == 0 and any(isinstance(signal, Estimate) for signal in said)
+        if published and filter_ is not None and filter_.belief.t_ns == t_ns >= 0:
+            self._beliefs[t_ns] = filter_.settled()
 
     def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002  (the type says who)
         """One message."""
@@ -202,7 +260,7 @@ class Probe:
             self._nis.setdefault(verdict.sensor, []).append(row)
 
     def _compare(self, estimate: Estimate, truth: Truth) -> None:
-        t_ns, filter_ = estimate.t_ns, self._estimator.filter
+        t_ns = estimate.t_ns
         if t_ns < 0:
             return
         if t_ns == truth.t_ns:
@@ -210,14 +268,14 @@ class Probe:
             self._error[t_ns] = np.array(said) - np.array(truth.position_m[:2] + truth.velocity_mps[:2])
         if t_ns % LOOK_NS != 0:
             return
-        if filter_ is None or not t_ns == filter_.belief.t_ns == truth.t_ns:
+        belief = self._beliefs.pop(t_ns, None)
+        if belief is None or t_ns != truth.t_ns:
             self._missed += 1
             return
-        filter_.settle()
         true = self.true_state(truth)
-        for name, (square, dof) in nees(filter_.belief, true, self.seen).items():
+        for name, (square, dof) in nees(belief, true, self.seen).items():
             self._nees.setdefault(name, []).append((t_ns, square, dof))
-        P = filter_.belief.P
+        P = belief.P
         if t_ns == 0:
             self._velocity_said = np.diagonal(P)[VELOCITY][:2].copy()
             self._drawn = drawn(true, self._situation.suite)
@@ -226,17 +284,18 @@ class Probe:
             self._least = min(self._least, float(np.linalg.eigvalsh(P)[0]))
 
     def true_state(self, truth: Truth) -> TrueState:
-        """Of now, ``truth`` being the plant's last word."""
+        """Of a time of ``LOOK_NS``."""
+        biases = self._biases[truth.t_ns]
         return TrueState(
             position_m=np.array(truth.position_m),
             velocity_mps=np.array(truth.velocity_mps),
             rotation=rotation(*truth.attitude_rad),
-            gyro_bias_radps=self._imu.gyro_bias_radps,
-            accelerometer_bias_mps2=self._imu.accelerometer_bias_mps2,
+            gyro_bias_radps=biases.gyro_radps,
+            accelerometer_bias_mps2=biases.accelerometer_mps2,
             beam_bias_mps=self._profiler.beam_bias_mps,
             near_bias_mps=self._profiler.near_bias_mps,
             mounting=self._profiler.mounting,
-            compass_bias_rad=self._compass.bias_rad,
+            compass_bias_rad=biases.compass_rad,
             water_mps=self._cells.fit(self._situation.water.over(self._cells.depth_m, truth.t_ns)),
         )
 

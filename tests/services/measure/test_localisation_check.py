@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import typer
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Arrival
 from ltv_mpc.signals import CompassHeading
 from services.cli.localisation_check import localisation_check
@@ -22,7 +20,6 @@ from services.measure.batch import Job, each
 from services.measure.localisation_probe import Probe, Record, Squares, descend
 from services.run import locked
 from sim.grading.consistency import band
-from sim.lockstep import LockStep
 
 SHORT = 'title = "4 s of a descent"\n[run]\nduration_s = 4.0\n[plant]\ndepth_m = 5.0\n'
 
@@ -112,11 +109,10 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scenario: str) -> None:
-    """Watching settles the covariance more often, which is rounding and nothing else."""
     job = Job(scenario, ("sensors=realistic", "run.seed=5"))
     watched = descend(job)
     summary = locked.run(job.situation())
-    assert summary.localisation_error_m.final == pytest.approx(float(np.hypot(*watched.drift_m)), abs=1e-6)
+    assert summary.localisation_error_m.final == pytest.approx(float(np.hypot(*watched.drift_m)), rel=1e-12)
     assert watched.missed == 0
     assert watched.least_eigenvalue > 0
     assert watched.asymmetry == 0
@@ -140,26 +136,24 @@ def test_the_vehicle_s_distance_from_the_line_is_that_of_a_run_s_summary(scenari
 
 def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario: str) -> None:
     """The compass's bias by its mean error, a profiler's by its own; seen cells by the filter's own account of them."""
-    situation = Job(scenario, ("sensors=realistic", "run.seed=5")).situation()
-    nodes = locked.nodes(situation)
-    probe = Probe(situation, nodes)
     headings: list[float] = []
 
-    class Ears:
-        def stepped(self, *seen: Any) -> None:
-            probe.stepped(*seen)
+    class Ears(Probe):
+        hears = Probe.hears | {CompassHeading}
 
         def published(self, node: str, message: Arrival) -> None:
-            probe.published(node, message)
-            if isinstance(message.signal, CompassHeading) and probe.truth is not None:
-                headings.append(wrap_angle(message.signal.heading_rad - probe.truth.attitude_rad[2]))
+            super().published(node, message)
+            if isinstance(message.signal, CompassHeading) and self.truth is not None:
+                headings.append(wrap_angle(message.signal.heading_rad - self.truth.attitude_rad[2]))
 
-    LockStep(nodes, start_ns=situation.scenario.start_ns, observe=Ears()).advance(situation.scenario.end_ns)
+    situation = Job(scenario, ("sensors=realistic", "run.seed=5")).situation()
+    probe = Ears(situation)
+    probe.descend()
     assert probe.truth is not None
     true = probe.true_state(probe.truth)
     sd = situation.suite.compass.heading_sd_rad / math.sqrt(len(headings))
     assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
-    filter_ = next(node for node in nodes if isinstance(node, Estimator)).filter
+    filter_ = probe.estimator.filter
     assert filter_ is not None
     own = filter_.belief.column.seen
     assert np.count_nonzero(own) >= 14
