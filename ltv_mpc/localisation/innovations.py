@@ -25,9 +25,9 @@ FALSE_ALARM = 3e-6
 """For each look at one sum. 200 s are some 600 independent looks: one dive in 500 has a false alarm."""
 
 
-def limit(degrees: int) -> float:
-    """Chi-square that s^T W^-1 s exceeds by chance in ``FALSE_ALARM`` of all looks."""
-    return float(chdtri(degrees, FALSE_ALARM))
+def limit(degrees: int, false_alarm: float = FALSE_ALARM) -> float:
+    """Chi-square that s^T W^-1 s exceeds by chance in ``false_alarm`` of all looks."""
+    return float(chdtri(degrees, false_alarm))
 
 
 class Mean:

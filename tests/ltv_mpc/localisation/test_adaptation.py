@@ -286,7 +286,7 @@ def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and
     for again_s, change in ((15, Change.UNIT), (19.5, Change.UNIT), (21, Change.FAST)):
         water = Adaptation(CELLS, 1.0, 0)
         water.grant(Change.FAST, 10 * SECOND, 0)
-        r, first = U @ [0.03, -0.01, 0.0], round(3 * again_s)
+        r, first = U @ [0.04, -0.01, 0.0], round(3 * again_s)
         assert hear(water, np.random.default_rng(11), 1, 0.0 * CELL, first=first - 1) is Change.NONE
         assert hear(water, np.random.default_rng(12), 2, r, first=first) is change
 
