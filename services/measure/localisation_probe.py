@@ -130,7 +130,7 @@ class Probe:
             sensors.name: _Watched(sensors, self._measured),
             self.estimator.name: _Watched(self.estimator, self._estimated, lambda: self.estimator.filter is None),
         }
-        self.nodes: list[Node] = [watched.get(node.name, node) for node in nodes]
+        self._nodes: list[Node] = [watched.get(node.name, node) for node in nodes]
         units = sensors.sensors
         self.imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
         self._compass = _the(MagneticCompass, units)
@@ -161,7 +161,7 @@ class Probe:
         """All of it."""
         scenario = self._situation.scenario
         Stretches(
-            self.nodes,
+            self._nodes,
             start_ns=scenario.start_ns,
             compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
             observe=self,
