@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Array, Estimate, Truth
+from ltv_mpc.messages import Array, Estimate, Truth
 from services.measure.batch import Job, each
 from services.run import locked
 from sim.lockstep import LockStep

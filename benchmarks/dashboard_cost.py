@@ -20,7 +20,7 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from ltv_mpc.signals import Array, CycleTiming
+from ltv_mpc.messages import Array, CycleTiming
 from services.recording.reader import Recording
 
 READERS = 3

@@ -17,8 +17,8 @@ import numpy as np
 from benchmarks.loop import Loop, situation
 from benchmarks.table import Figures, Job, measure
 from ltv_mpc.control.controller import Controller
+from ltv_mpc.messages import Array
 from ltv_mpc.references import Point
-from ltv_mpc.signals import Array
 from services.run.situation import Situation
 from sim.water import WaterColumn
 

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 import msgspec
 import numpy as np
 
-from ltv_mpc.signals import Acknowledged, Action, Command, Estimate, Plan
+from ltv_mpc.messages import Acknowledged, Action, Command, Estimate, Plan
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session

@@ -30,8 +30,8 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Arrival, Inbox
-from ltv_mpc.signals import ImuSample
 from services.measure.batch import Job
 from services.run import locked
 from sim.lockstep import Cause, LockStep

@@ -21,8 +21,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from ltv_mpc.messages import Message
 from ltv_mpc.node import Due, Inbox, Node, steps_of
-from ltv_mpc.signals import Signal
 from services.run import locked
 from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
@@ -60,10 +60,10 @@ def shares(of: Situation) -> dict[str, float]:
             self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
             self._steps = steps_of(node)
 
-        def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
             return self.steps([(t_ns, inbox)])[0]
 
-        def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+        def steps(self, due: Sequence[Due]) -> list[list[Message]]:
             started = time.perf_counter()
             said = self._steps(due)
             spent[self.name] += time.perf_counter() - started

@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.situation import Override, Situation, resolve
 from sim import motion

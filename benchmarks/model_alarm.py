@@ -27,8 +27,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from ltv_mpc.messages import Applied, Disturbance, Message, ModelCheck, Triple, Truth
 from ltv_mpc.node import Arrival, Grid, Inbox, Node
-from ltv_mpc.signals import Applied, Disturbance, ModelCheck, Signal, Triple, Truth
 from services.run.locked import LATEST, nodes
 from services.run.situation import Override, resolve
 from sim.lockstep import LockStep
@@ -63,15 +63,15 @@ class Breaker:
 
     name = "breaker"
     schedule = Grid(100_000_000)
-    reads: tuple[type[Signal], ...] = ()
-    writes: tuple[type[Signal], ...] = (Disturbance,)
+    reads: tuple[type[Message], ...] = ()
+    writes: tuple[type[Message], ...] = (Disturbance,)
 
     def __init__(self, first: int) -> None:
         """With which of ``SHARES`` it begins."""
         self.losses: list[tuple[int, str]] = []
         self._first = first
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """A loss at its time."""
         del inbox
         since_ns = t_ns - FIRST_NS

@@ -19,7 +19,7 @@ from rich.progress import Progress
 from benchmarks.loop import Loop, situation
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import current_at
-from ltv_mpc.signals import Array, Estimate, Plan, SolveStatus
+from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from services.measure.batch import each
 
 LIMITS: tuple[tuple[str, ...], ...] = (

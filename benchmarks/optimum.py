@@ -32,7 +32,7 @@ from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon import roll_out
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, lag_weights, substeps
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 

@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Applied, Plan, PlanOrigin
+from ltv_mpc.messages import Applied, Plan, PlanOrigin
 from services.faults.attacks import children
 from services.recording.losses import Losses
 from services.recording.reader import Recording

@@ -18,7 +18,7 @@ from benchmarks.loop import Loop, Told, situation
 from benchmarks.preview import without_preview
 from benchmarks.table import Figures, Job, measure
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.signals import Estimate
+from ltv_mpc.messages import Estimate
 from sim.water import WaterColumn
 
 SPEED_MPS = 0.04

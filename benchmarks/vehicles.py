@@ -29,7 +29,7 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.scales import scales_of
-from ltv_mpc.signals import Array, Estimate, Plan
+from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.thruster import revolutions
 from services.measure.vehicle_check import check

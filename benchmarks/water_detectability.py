@@ -29,8 +29,8 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Aiding, Filter, Verdict
 from ltv_mpc.localisation.state import VELOCITY, Belief
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
 from ltv_mpc.node import Arrival, Inbox
-from ltv_mpc.signals import AdcpPing, Array, ImuSample, Truth
 from services.measure.batch import Job
 from services.run import locked
 from sim.lockstep import Cause, LockStep

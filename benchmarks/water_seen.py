@@ -29,8 +29,8 @@ from scipy.special import chdtri
 
 from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, waves
 from ltv_mpc.localisation.state import VELOCITY
+from ltv_mpc.messages import Array, Estimate, FilterStatus, LocalisationReport
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Array, Estimate, FilterStatus, LocalisationReport
 from services.measure import batch
 from services.measure.localisation_probe import LOOK_NS, Probe
 from services.run.situation import Situation

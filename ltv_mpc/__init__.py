@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from ltv_mpc.control.controller import Controller
     from ltv_mpc.control.qp.sparse import build_qp
     from ltv_mpc.control.solvers import solve_qp
-    from ltv_mpc.signals import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus
+    from ltv_mpc.messages import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus
     from ltv_mpc.vehicle.parameters import Vehicle
 
 _HOME = {
     "Controller": "ltv_mpc.control.controller",
     "ControllerConfig": "ltv_mpc.control.config",
-    "CurrentProfile": "ltv_mpc.signals",
-    "Estimate": "ltv_mpc.signals",
-    "Plan": "ltv_mpc.signals",
-    "PlanOrigin": "ltv_mpc.signals",
-    "SolveStatus": "ltv_mpc.signals",
+    "CurrentProfile": "ltv_mpc.messages",
+    "Estimate": "ltv_mpc.messages",
+    "Plan": "ltv_mpc.messages",
+    "PlanOrigin": "ltv_mpc.messages",
+    "SolveStatus": "ltv_mpc.messages",
     "Vehicle": "ltv_mpc.vehicle.parameters",
     "advance": "ltv_mpc.control.advance",
     "build_qp": "ltv_mpc.control.qp.sparse",

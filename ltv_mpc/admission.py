@@ -17,8 +17,7 @@ import msgspec
 import numpy as np
 from scipy.linalg.lapack import dpotrf
 
-from ltv_mpc.ranges import COUNT, MICROSECONDS, RANGES, SLANT_RANGE, SPEED
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     Array,
     BottomTrack,
@@ -33,18 +32,19 @@ from ltv_mpc.signals import (
     InboxEntry,
     InputReport,
     LocalisationReport,
+    Message,
     Plan,
     ReferenceStart,
     Restore,
     SensorReport,
-    Signal,
     StepRecord,
     TdcpFix,
     Times,
 )
+from ltv_mpc.ranges import COUNT, MICROSECONDS, RANGES, SLANT_RANGE, SPEED
 
 Reason: TypeAlias = str | None
-Judged: TypeAlias = Signal | InboxEntry | InputReport | SensorReport | ReferenceStart | DroppedNode
+Judged: TypeAlias = Message | InboxEntry | InputReport | SensorReport | ReferenceStart | DroppedNode
 
 
 def refusal(signal: Judged) -> Reason:

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import msgspec
 import tomli_w
 
-from ltv_mpc import fields
+from ltv_mpc import settings_schema
 from ltv_mpc.errors import ConfigError, shown
 
 T = TypeVar("T")
@@ -120,7 +120,7 @@ def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
     hints = ["no shipped name"]
     if files:
         hints.append(f"shipped: {', '.join(sorted(files))}")
-    if meant := fields.similar(name, files):
+    if meant := settings_schema.similar(name, files):
         hints.append(f"did you mean {shown(meant)}?")
     here = name not in ("", "..") and Path(name).is_file()
     hints.append(f"for the file here write ./{name}" if here else "a file has a suffix or a slash")
@@ -143,7 +143,7 @@ def source_of(path: Path, *, what: str, name: str) -> str:
     return f"{what} {path if is_path(name) else path.name}"
 
 
-def place(path: fields.Path) -> str:
+def place(path: settings_schema.Path) -> str:
     """``("thruster", "port", "arm_m")`` as TOML's reader knows it: ``[thruster.port] arm_m``."""
     keys = list(path)
     tables: list[str] = []
@@ -171,7 +171,7 @@ def _shipped(package: str, suffix: str) -> Iterator[Path]:
     return here.glob(f"*{suffix}")
 
 
-def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[fields.Path, Any]]:
+def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[settings_schema.Path, Any]]:
     """Everything in a tree of tables and lists, with its place."""
     if len(path) > DEEPEST:
         raise ConfigError(source, place(path[:1]), f"tables and lists inside one another: at most {DEEPEST} deep")
@@ -193,24 +193,24 @@ _OF_VALUE = ("Expected ", "Invalid ", "Number out of range", "Integer ")
 def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -> ConfigError:
     """The error in words: with the value, all its bounds, and the name that was meant."""
     problem, path = _split(message)
-    within = fields.at(kind, table, path)
+    within = settings_schema.at(kind, table, path)
     where = f" in [{'.'.join(str(x) for x in path)}]" if path else ""
     if unknown := _UNKNOWN.fullmatch(problem):
-        near = fields.nearest(unknown[1], fields.known(within))
+        near = settings_schema.nearest(unknown[1], settings_schema.known(within))
         return ConfigError(source, "", f"unknown key {shown(unknown[1])}{where}{near}")
     if missing := _MISSING.fullmatch(problem):
-        inner = fields.at(kind, table, (*path, missing[1]))
-        wants = fields.tags(within) or fields.wanted(inner)
+        inner = settings_schema.at(kind, table, (*path, missing[1]))
+        wants = settings_schema.tags(within) or settings_schema.wanted(inner)
         return ConfigError(source, "", f"key {shown(missing[1])}{where} is missing: must be {wants}")
-    value = fields.value_at(table, path)
+    value = settings_schema.value_at(table, path)
     if problem.startswith(_OF_VALUE):
-        outer = fields.at(kind, table, path[:-1]) if path else None
-        wants = fields.tags(outer) or fields.wanted(within, value)
+        outer = settings_schema.at(kind, table, path[:-1]) if path else None
+        wants = settings_schema.tags(outer) or settings_schema.wanted(within, value)
         return ConfigError(source, place(path), f"must be {wants}", value=value)
     return ConfigError(source, place(path), problem, value=None if isinstance(value, dict) else value)
 
 
-def _split(message: str) -> tuple[str, fields.Path]:
+def _split(message: str) -> tuple[str, settings_schema.Path]:
     """``Expected `float` >= 0.0 - at `$.water.sd_mps``` -> (problem, ("water", "sd_mps"))."""
     problem, at, path = message.rpartition(" - at `$")
     if not at:

@@ -23,7 +23,7 @@ import numpy as np
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Array, CurrentProfile
+from ltv_mpc.messages import Array, CurrentProfile
 
 COLUMNS = ("depth_m", "v_north_mps", "u_east_mps")
 SD, SD_COMMON = "sd_mps", "sd_common_mps"

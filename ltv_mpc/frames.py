@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc import so3
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, Triple
+from ltv_mpc.messages import Array, Triple
 
 GRAVITY_MPS2 = 9.80665
 """Standard gravity, along down, at every latitude and depth."""

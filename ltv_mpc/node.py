@@ -13,7 +13,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 import msgspec
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 
 
 class Grid(msgspec.Struct, frozen=True):
@@ -31,7 +31,7 @@ class Cycle(msgspec.Struct, frozen=True):
 class OnMessage(msgspec.Struct, frozen=True):
     """A step for each message of these types, in order of arrival; t_ns is the message's validity time."""
 
-    types: tuple[type[Signal], ...]
+    types: tuple[type[Message], ...]
 
 
 Schedule: TypeAlias = Grid | Cycle | OnMessage
@@ -40,7 +40,7 @@ Schedule: TypeAlias = Grid | Cycle | OnMessage
 class Arrival(msgspec.Struct, frozen=True, eq=False, gc=False):
     """One entry of an inbox: a signal that passed admission, its source's epoch and sequence, and its arrival."""
 
-    signal: Signal
+    signal: Message
     epoch: int
     sequence: int
     received_t_ns: int
@@ -57,11 +57,11 @@ class Node(Protocol):
     @property
     def schedule(self) -> Schedule: ...
     @property
-    def reads(self) -> tuple[type[Signal], ...]: ...
+    def reads(self) -> tuple[type[Message], ...]: ...
     @property
-    def writes(self) -> tuple[type[Signal], ...]: ...
+    def writes(self) -> tuple[type[Message], ...]: ...
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """One step: consumes the inbox in its order, returns what is to be published, in order."""
         ...
 
@@ -74,17 +74,17 @@ Due: TypeAlias = tuple[int, Inbox]
 class InBulk(Protocol):
     """A node that can do many steps at once, faster."""
 
-    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """What ``step`` returns for each in turn, bit for bit; and it leaves the node as they do."""
         ...
 
 
-def one_by_one(node: Node, due: Sequence[Due]) -> list[list[Signal]]:
+def one_by_one(node: Node, due: Sequence[Due]) -> list[list[Message]]:
     """What ``steps`` are made of."""
     return [node.step(t_ns, inbox) for t_ns, inbox in due]
 
 
-def steps_of(node: Node) -> Callable[[Sequence[Due]], list[list[Signal]]]:
+def steps_of(node: Node) -> Callable[[Sequence[Due]], list[list[Message]]]:
     """The node's own ``steps``, or its ``step`` for each in turn."""
     return node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
 

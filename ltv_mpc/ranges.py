@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     AdcpPing,
     Applied,

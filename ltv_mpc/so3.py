@@ -8,7 +8,7 @@ import math
 from typing import TypeAlias
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, Triple
+from ltv_mpc.messages import Array, Triple
 
 Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 """A (3, 3), row by row."""

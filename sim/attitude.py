@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, Pair
+from ltv_mpc.messages import Array, Pair
 from sim.draws import Stream, generator
 
 SINES = 16

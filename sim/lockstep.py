@@ -24,16 +24,16 @@ from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from ltv_mpc.admission import refusal
+from ltv_mpc.messages import CycleTiming, Estimate, Message, Plan, Rejected
 from ltv_mpc.node import Arrival, Grid, Inbox, Node, OnMessage
-from ltv_mpc.signals import CycleTiming, Estimate, Plan, Rejected, Signal
 
 EPOCH = 1
 """The epoch of every node: in lock step none restarts."""
 
-LATEST: frozenset[type[Signal]] = frozenset({Estimate})
+LATEST: frozenset[type[Message]] = frozenset({Estimate})
 """Types of which a reader wants the newest value only."""
 
-Cause: TypeAlias = str | type[Signal]
+Cause: TypeAlias = str | type[Message]
 """``"grid"``, ``"cycle"`` or the type of the message that caused a step."""
 
 Refuse: TypeAlias = Callable[[str, Arrival, str], Rejected]
@@ -90,7 +90,7 @@ class _Seat:
         self.reads = frozenset(node.reads)
         self.causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
         self.inbox: list[Arrival] = []
-        self.sequences: dict[type[Signal], int] = {}  # of the next signal of a type
+        self.sequences: dict[type[Message], int] = {}  # of the next signal of a type
         self.steps = 0
 
 
@@ -112,7 +112,7 @@ class LockStep:
         start_ns: int,
         compute_delay_ns: int | Callable[[int], int] = 0,
         observe: Observer | None = None,
-        latest: frozenset[type[Signal]] = LATEST,
+        latest: frozenset[type[Message]] = LATEST,
         refused: Refuse = refused_by_name,
         between: Between | None = None,
     ) -> None:
@@ -122,7 +122,7 @@ class LockStep:
         self._latest = latest
         self._refused = refused
         self._seats = [_Seat(index, node) for index, node in enumerate(nodes)]
-        self._readers: dict[type[Signal], list[_Seat]] = {}
+        self._readers: dict[type[Message], list[_Seat]] = {}
         # (time, seat, count, what happens then): the count keeps the order of what falls together at one seat.
         self._events: list[tuple[int, int, int, Callable[[int], None]]] = []
         self._count = 0
@@ -172,14 +172,14 @@ class LockStep:
             self._publish(seat, outputs, at_ns)
         self._push(at_ns + max(period_ns, delay_ns), seat.index, partial(self._cycle, seat, period_ns))
 
-    def _step(self, seat: _Seat, at_ns: int, t_ns: int, cause: Cause) -> list[Signal]:
+    def _step(self, seat: _Seat, at_ns: int, t_ns: int, cause: Cause) -> list[Message]:
         inbox, seat.inbox = seat.inbox, []
         if self._observe is not None:
             self._observe.stepped(at_ns, seat.name, seat.steps, t_ns, cause, inbox)
         seat.steps += 1
         return seat.step(t_ns, inbox)
 
-    def _publish(self, seat: _Seat, signals: list[Signal], at_ns: int) -> None:
+    def _publish(self, seat: _Seat, signals: list[Message], at_ns: int) -> None:
         for signal in signals:
             message = self._numbered(seat, signal, at_ns)
             readers = self._readers.get(type(signal))
@@ -215,7 +215,7 @@ class LockStep:
         if Rejected in reader.reads:
             reader.inbox.append(rejected)
 
-    def _numbered(self, seat: _Seat, signal: Signal, at_ns: int) -> Arrival:
+    def _numbered(self, seat: _Seat, signal: Message, at_ns: int) -> Arrival:
         message = numbered(signal, seat.sequences, at_ns)
         if self._observe is not None:
             self._observe.published(seat.name, message)
@@ -231,7 +231,7 @@ class LockStep:
         reader.inbox.append(message)
 
 
-def numbered(signal: Signal, sequences: dict[type[Signal], int], at_ns: int) -> Arrival:
+def numbered(signal: Message, sequences: dict[type[Message], int], at_ns: int) -> Arrival:
     """As it is published; ``sequences`` are the next ones of its writer by type, and are kept up."""
     kind = type(signal)
     sequence = sequences.get(kind, 0)

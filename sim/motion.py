@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, Triple
+from ltv_mpc.messages import Array, Triple
 from ltv_mpc.vehicle.dynamics import coefficients, heave_acceleration, rates
 from ltv_mpc.vehicle.flow import lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle

@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import wrap_angle
+from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Plan, Triple, Truth
 from ltv_mpc.node import Arrival, Due, Grid, Inbox
 from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.signals import Action, Applied, Array, Command, Disturbance, Plan, Signal, Triple, Truth
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.attitude import Attitude, sum_of_sines
@@ -46,8 +46,8 @@ class Plant:
 
     name = "plant"
     schedule = Grid(PERIOD_NS)
-    reads: tuple[type[Signal], ...] = (Plan, Disturbance)
-    writes: tuple[type[Signal], ...] = (Truth, Applied, Command)
+    reads: tuple[type[Message], ...] = (Plan, Disturbance)
+    writes: tuple[type[Message], ...] = (Truth, Applied, Command)
 
     def __init__(self, scenario: Scenario, vehicle: Vehicle, water: WaterColumn) -> None:
         """``vehicle`` is the controller's model; the scenario's mismatch makes the true one of it."""
@@ -66,13 +66,13 @@ class Plant:
         self._gate = Gate(vehicle)
         self._receipt: tuple[Plan, Arrival, Verdict] | None = None  # of the plan accepted last
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """The vehicle at ``t_ns``, after what arrived up to then."""
         return self._go([t_ns], inbox)[0]
 
-    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """``step`` for each in turn; between two reports of the actuators at once."""
-        signals: list[list[Signal]] = []
+        signals: list[list[Message]] = []
         while len(signals) < len(due):
             first = len(signals)
             end = first + 1
@@ -82,7 +82,7 @@ class Plant:
             signals += self._go([t_ns for t_ns, _ in due[first:end]], due[first][1])
         return signals
 
-    def _go(self, times_ns: list[int], inbox: Inbox) -> list[list[Signal]]:
+    def _go(self, times_ns: list[int], inbox: Inbox) -> list[list[Message]]:
         """A step with its inbox, or several without, of which each can go on from the one before (``_goes_on``)."""
         t_ns = times_ns[0]
         from_ns = t_ns if self._t_ns is None else self._t_ns
@@ -100,7 +100,7 @@ class Plant:
             if isinstance(arrival.signal, Disturbance):  # it acts from the next step on
                 self._disturbance = arrival.signal
         self._t_ns = times_ns[-1]
-        signals: list[list[Signal]] = [[self._truth(t, row)] for t, row in zip(times_ns, seen.tolist(), strict=True)]
+        signals: list[list[Message]] = [[self._truth(t, row)] for t, row in zip(times_ns, seen.tolist(), strict=True)]
         if self._arms:
             self._arms = False
             signals[-1].append(Command(command_id=ARMING, action=Action.ARM))

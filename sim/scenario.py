@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc import config, fields
+from ltv_mpc import config, settings_schema
 from ltv_mpc.control import config as control
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.errors import ConfigError, shown
@@ -167,7 +167,7 @@ def overridden(scenario: Scenario, assignments: Sequence[str], *, source: str = 
     Values are TOML values; a text needs no quotes. Raises ``ConfigError``, with the nearest known name of a key that
     is not there.
     """
-    kinds = {key: kind for key, kind in fields.settings(Scenario).items() if key != "made_by"}
+    kinds = {key: kind for key, kind in settings_schema.settings(Scenario).items() if key != "made_by"}
     for assignment in assignments:
         key, equals, text = (part.strip() for part in assignment.partition("="))
         if not equals:
@@ -184,21 +184,21 @@ def overridden(scenario: Scenario, assignments: Sequence[str], *, source: str = 
 
 
 def _near(key: str, known: Iterable[str]) -> str:
-    meant = fields.similar(key, known)
+    meant = settings_schema.similar(key, known)
     return f"; did you mean {shown(meant)}?" if meant else "; the keys are those of a run's scenario.toml"
 
 
-def _value(text: str, kind: fields.Type, key: str, source: str) -> Any:
+def _value(text: str, kind: settings_schema.Type, key: str, source: str) -> Any:
     """A TOML value; a text may stand without quotes."""
     try:
         table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         table = {}
     value = table["value"] if len(table) == 1 else None
-    if fields.is_text(kind):
+    if settings_schema.is_text(kind):
         return value if isinstance(value, str) else text
     if value is None:
-        raise ConfigError(source, config.place(key.split(".")), f"must be {fields.wanted(kind)}", value=text)
+        raise ConfigError(source, config.place(key.split(".")), f"must be {settings_schema.wanted(kind)}", value=text)
     return value
 
 

@@ -18,8 +18,8 @@ from operator import itemgetter
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from ltv_mpc.admission import JUDGES, refusal
+from ltv_mpc.messages import Message, Plan, Rejected
 from ltv_mpc.node import Arrival, Cycle, Due, Node, OnMessage, steps_of
-from ltv_mpc.signals import Plan, Rejected, Signal
 from sim.lockstep import EPOCH, LATEST, Refuse, refused_by_name, timing_of
 
 
@@ -53,13 +53,13 @@ class _Route:
 
     __slots__ = ("_published", "judge", "readers", "told")
 
-    def __init__(self, kind: type[Signal], readers: Sequence[_Seat], told: bool) -> None:
+    def __init__(self, kind: type[Message], readers: Sequence[_Seat], told: bool) -> None:
         self.judge = JUDGES.get(kind, refusal)
         self.readers = tuple(readers)
         self.told = told
         self._published = 0
 
-    def numbered(self, signal: Signal, at_ns: int) -> Arrival:
+    def numbered(self, signal: Message, at_ns: int) -> Arrival:
         """The next of them, as it is published."""
         number = self._published
         self._published = number + 1
@@ -77,7 +77,7 @@ class _Seat:
         self.next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
         self.steps = steps_of(node)
         self.heard: list[tuple[Place, Arrival]] = []  # and not handed on yet
-        self.routes: dict[type[Signal], _Route] = {}
+        self.routes: dict[type[Message], _Route] = {}
 
     def due(self, end_ns: int) -> tuple[list[int], list[Due]]:
         """When, and what for, it is to be stepped up to ``end_ns``."""
@@ -139,8 +139,8 @@ class Stretches:
         start_ns: int,
         compute_delay_ns: int = 0,
         observe: Listener | None = None,
-        heard: frozenset[type[Signal]] | None = None,
-        latest: frozenset[type[Signal]] = LATEST,
+        heard: frozenset[type[Message]] | None = None,
+        latest: frozenset[type[Message]] = LATEST,
         refused: Refuse = refused_by_name,
     ) -> None:
         self._delay_ns = compute_delay_ns
@@ -154,7 +154,7 @@ class Stretches:
         self._cycling = [seat for seat in seats if isinstance(seat.node.schedule, Cycle)]
         if seats != self._flowing + self._cycling:
             raise ValueError("nodes that cycle come last")
-        self._readers: dict[type[Signal], list[_Seat]] = {}
+        self._readers: dict[type[Message], list[_Seat]] = {}
         for seat in seats:
             for kind in seat.node.reads:
                 self._readers.setdefault(kind, []).append(seat)
@@ -197,7 +197,7 @@ class Stretches:
         self._publish(seat, [at_ns + delay_ns], [outputs], _ON_ITS_WAY if delay_ns else seat.index)
         seat.next_ns = at_ns + max(seat.period_ns, delay_ns)
 
-    def _publish(self, seat: _Seat, times_ns: Sequence[int], outputs: Sequence[Sequence[Signal]], index: int) -> None:
+    def _publish(self, seat: _Seat, times_ns: Sequence[int], outputs: Sequence[Sequence[Message]], index: int) -> None:
         name, routes, said, numbers = seat.name, seat.routes, self._said.append, self._count
         on_its_way = index == _ON_ITS_WAY  # what is may never be told
         for at_ns, signals in zip(times_ns, outputs, strict=True):
@@ -218,7 +218,7 @@ class Stretches:
                     else:
                         self._refusals.append(_Refusal(place, reader, message, reason))
 
-    def _route(self, seat: _Seat, kind: type[Signal]) -> _Route:
+    def _route(self, seat: _Seat, kind: type[Message]) -> _Route:
         """Of ``kind`` from this seat."""
         told = self._heard is None or kind in self._heard
         return seat.routes.setdefault(kind, _Route(kind, self._readers.get(kind, ()), told))

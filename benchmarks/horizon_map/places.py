@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from ltv_mpc.control.scales import scales_of
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.campaign.campaign import BASE, Plan, reopened
 from services.campaign.design import points
 from services.campaign.trial import situation

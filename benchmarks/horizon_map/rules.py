@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.horizon_map.places import Place, in_own_time
 from ltv_mpc.control.proposal import ENOUGH
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 FOLDS = 8
 RATIOS = tuple(np.geomspace(0.2, 4.0, 30).tolist())

@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import Arrival, Stopwatch, no_stopwatch
-from ltv_mpc.signals import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from services.measure.profile_measuring import Contestant, limits_of
 from services.measure.profile_problems import Episode
 

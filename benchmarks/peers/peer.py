@@ -18,7 +18,7 @@ from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
 

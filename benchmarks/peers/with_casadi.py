@@ -15,7 +15,7 @@ from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 

@@ -13,7 +13,7 @@ from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.control.horizon import roll_out, velocity_over_ground
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 class ScipyLeastSquares(Peer):

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from benchmarks.loop import STEP_NS, Outcome, TrueVehicle, known, told_depths
-from ltv_mpc.signals import Array, Estimate, Pair
+from ltv_mpc.messages import Array, Estimate, Pair
 from services.run.situation import Situation
 
 PERIOD_NS = 100_000_000

@@ -22,7 +22,7 @@ from benchmarks.rivals.pid import nearer_axis
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.prediction import current_at
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.signals import Array, Estimate, Pair
+from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.vehicle import dynamics
 from ltv_mpc.vehicle.parameters import Vehicle
 

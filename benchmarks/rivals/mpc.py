@@ -16,7 +16,7 @@ from benchmarks.loop import Loop, Outcome, Told
 from benchmarks.preview import without_preview
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.signals import Estimate
+from ltv_mpc.messages import Estimate
 from services.run.situation import Situation
 
 SPANS = {

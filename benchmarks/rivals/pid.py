@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.rivals.law import PERIOD_NS
 from benchmarks.rivals.search import Span
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.signals import Array, Estimate, Pair
+from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
 
 SPANS = {

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 WIDTH, LEAST = 0.25, 0.025
 BATCH = 4

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING
 import msgspec
 from msgspec import inspect as struct
 
-from ltv_mpc.fields import wanted
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
+from ltv_mpc.settings_schema import wanted
 from services.bus import schema
 from services.bus.protocol import unit, words
 
@@ -93,7 +93,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[str]]]:
     """Of a message what the protocol says of it; of settings bounds, default and the comment in the source."""
-    if issubclass(kind, Signal):
+    if issubclass(kind, Message):
         return ("field", "type", "unit, bounds", ""), [
             (
                 literal(name),

@@ -10,7 +10,7 @@ import msgspec
 from docstrings import comments, default
 from msgspec import inspect as struct
 
-from ltv_mpc.fields import wanted
+from ltv_mpc.settings_schema import wanted
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

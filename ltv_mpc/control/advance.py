@@ -7,7 +7,7 @@ import numpy as np
 
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.prediction import Prediction, Start, current_at
-from ltv_mpc.signals import Estimate, Plan
+from ltv_mpc.messages import Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, Plan, Times, Triple
+from ltv_mpc.messages import Array, Plan, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 KEPT_NS = 10_000_000_000

@@ -12,8 +12,8 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.control import grid
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array
 from ltv_mpc.safety.health import Ages
-from ltv_mpc.signals import Array
 
 Formulation: TypeAlias = Literal["sparse", "partial", "condensed", "auto"]
 """How the QP is laid out: states kept, kept at the ends of blocks only, eliminated; or the fastest measured."""

@@ -15,7 +15,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import slowness
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 

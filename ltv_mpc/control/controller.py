@@ -38,14 +38,7 @@ from ltv_mpc.control.qp.failed import FailedQp
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.vertical import VerticalPlan, follow
-from ltv_mpc.node import Stopwatch, no_stopwatch
-from ltv_mpc.references import Reference
-from ltv_mpc.references.follower import NO_PROGRESS, Follower
-from ltv_mpc.safety.ages import Period
-from ltv_mpc.safety.authority import Override
-from ltv_mpc.safety.guards import Guard
-from ltv_mpc.safety.health import FAILSAFE_PERIODS, health, patience_ns, worst
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Applied,
     Array,
     Authority,
@@ -59,6 +52,13 @@ from ltv_mpc.signals import (
     SolveStatus,
     Times,
 )
+from ltv_mpc.node import Stopwatch, no_stopwatch
+from ltv_mpc.references import Reference
+from ltv_mpc.references.follower import NO_PROGRESS, Follower
+from ltv_mpc.safety.ages import Period
+from ltv_mpc.safety.authority import Override
+from ltv_mpc.safety.guards import Guard
+from ltv_mpc.safety.health import FAILSAFE_PERIODS, health, patience_ns, worst
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 

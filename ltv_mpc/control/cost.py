@@ -13,7 +13,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Objective, length
 from ltv_mpc.control.horizon import velocity_over_ground
 from ltv_mpc.control.limits import LIMITED, PENALTY
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 @kernel

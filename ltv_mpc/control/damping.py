@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_stage
 from ltv_mpc.vehicle.parameters import Vehicle
 

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 
-from ltv_mpc.signals import Applied, CycleTiming
+from ltv_mpc.messages import Applied, CycleTiming
 
 REMEMBERED = 100
 """Cycles: 30 s at the default period."""

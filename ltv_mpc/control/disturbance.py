@@ -24,7 +24,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Prediction, current_in, roll_to
-from ltv_mpc.signals import Array, CurrentProfile, Estimate, Times
+from ltv_mpc.messages import Array, CurrentProfile, Estimate, Times
 
 STEP_MPS = 0.005
 """Difference that dh/db is taken over."""

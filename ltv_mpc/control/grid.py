@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 def knots(stages: int, horizon: float) -> Array:

@@ -19,7 +19,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Constants, Objective, length
 from ltv_mpc.control.cost import stage_cost, terminal_cost
 from ltv_mpc.control.limits import bounds
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_by, lag_table
 from ltv_mpc.vehicle.resistance import steady
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
 from ltv_mpc.vehicle.parameters import Coefficients
 from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains

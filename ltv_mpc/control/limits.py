@@ -18,7 +18,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.scales import state_scale
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 LIMITED = (2, 5)

@@ -10,13 +10,7 @@ from ltv_mpc import config as settings
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.node import Arrival, Cycle, Inbox, Stopwatch, no_stopwatch
-from ltv_mpc.references import Hold, Reference, Timed
-from ltv_mpc.safety.ages import Input
-from ltv_mpc.safety.authority import Answer, Helm
-from ltv_mpc.safety.health import of_reports, worst
-from ltv_mpc.safety.model_check import ModelWatch
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Action,
     Applied,
@@ -28,11 +22,17 @@ from ltv_mpc.signals import (
     Health,
     InputReport,
     Manual,
+    Message,
     ModelCheck,
     Plan,
     Restore,
-    Signal,
 )
+from ltv_mpc.node import Arrival, Cycle, Inbox, Stopwatch, no_stopwatch
+from ltv_mpc.references import Hold, Reference, Timed
+from ltv_mpc.safety.ages import Input
+from ltv_mpc.safety.authority import Answer, Helm
+from ltv_mpc.safety.health import of_reports, worst
+from ltv_mpc.safety.model_check import ModelWatch
 from ltv_mpc.vehicle.parameters import Vehicle
 
 DEEPEST_HOLD_M = 11_000.0
@@ -54,8 +54,8 @@ class ControllerNode:
     """
 
     name = "controller"
-    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming, Command, Manual, Restore)
-    writes: tuple[type[Signal], ...] = (Plan, Acknowledged, ControllerCheckpoint, ModelCheck)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, Command, Manual, Restore)
+    writes: tuple[type[Message], ...] = (Plan, Acknowledged, ControllerCheckpoint, ModelCheck)
 
     def __init__(
         self,
@@ -78,10 +78,10 @@ class ControllerNode:
         self._cycled_ns = 0  # the last cycle's time
         self._checkpoint: ControllerCheckpoint | None = None
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """One cycle at ``t_ns``; no plan until the first estimate."""
         self._cycled_ns = t_ns
-        said: list[Signal] = []
+        said: list[Message] = []
         for arrival in inbox:
             match arrival.signal:
                 case Command() as command:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Constants
 from ltv_mpc.control.scales import PAPER
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.resistance import steady
 
 NEAR, SLOW = 0.1, 0.1

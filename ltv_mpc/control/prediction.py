@@ -16,7 +16,7 @@ import numpy as np
 from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.control.commands import SentCommands, command_at
 from ltv_mpc.control.horizon import views
-from ltv_mpc.signals import Applied, Array, CurrentProfile, Estimate, Times
+from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Times
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Vehicle

@@ -30,7 +30,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import ControllerConfig, SettledConfig, Weights
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady
 

@@ -23,7 +23,7 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon import linearise, velocity_over_ground
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import scales_of, weights_of
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 

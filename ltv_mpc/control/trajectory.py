@@ -18,7 +18,7 @@ from ltv_mpc.control.guess import steer
 from ltv_mpc.control.horizon import linearise_ahead, roll, views
 from ltv_mpc.control.limits import bring_in
 from ltv_mpc.control.outlook import Outlook, outlook
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 
 CARRIED, AHEAD, ASTERN = range(3)

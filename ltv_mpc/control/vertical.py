@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import constants
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_heave
 
 NATURAL_RADPS = 0.3

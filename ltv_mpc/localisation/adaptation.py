@@ -54,7 +54,7 @@ from ltv_mpc.localisation.drift import Drift
 from ltv_mpc.localisation.innovations import Mean
 from ltv_mpc.localisation.onsets import LIMIT, LIMIT_TOO, Found, Onsets
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 BACK_NS = 10_000_000_000
 

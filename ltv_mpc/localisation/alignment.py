@@ -29,7 +29,7 @@ from ltv_mpc.localisation.late import same
 from ltv_mpc.localisation.measurements import lever
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
+from ltv_mpc.messages import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
 
 LEVELLING_NS = 200_000_000
 """Samples over this time: 0.7 mm/s2 of white noise, less than a tenth of the bias."""

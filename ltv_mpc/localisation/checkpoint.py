@@ -22,7 +22,7 @@ from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import node_prior
 from ltv_mpc.localisation.window import given
-from ltv_mpc.signals import DroppedNode, EstimatorCheckpoint, to_wire
+from ltv_mpc.messages import DroppedNode, EstimatorCheckpoint, to_wire
 
 
 def settings_of(suite: Suite, config: EstimatorConfig, prior: WaterPrior | None) -> int:

@@ -30,7 +30,7 @@ from ltv_mpc.localisation.signatures import corrected
 from ltv_mpc.localisation.state import Belief, shift
 from ltv_mpc.localisation.sufficient import entries, innovation, project, spread, sufficient, touched
 from ltv_mpc.localisation.turning import HEADING, swing, turned
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 _FEW = 4
 """Rows up to which no library is called: its calls would take longer than the sums, and be another pass over P."""

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.preintegration import readings
-from ltv_mpc.signals import AdcpPing, Array, GnssFix, ImuSample, LblRange, Signal, TdcpFix, Triple
+from ltv_mpc.messages import AdcpPing, Array, GnssFix, ImuSample, LblRange, Message, TdcpFix, Triple
 
 AHEAD_NS = 250_000_000
 """The clocks of two computers may differ by some of it."""
@@ -35,7 +35,7 @@ LEAST_S = 0.01
 
 AGREEING = 5
 
-_READINGS: Mapping[type[Signal], Callable[[Any], object]] = {
+_READINGS: Mapping[type[Message], Callable[[Any], object]] = {
     ImuSample: lambda s: (s.angular_rate_radps, s.specific_force_mps2),
     GnssFix: lambda s: (s.north_m, s.east_m, s.velocity_north_mps, s.velocity_east_mps),
     TdcpFix: lambda s: (s.north_m, s.east_m),
@@ -56,13 +56,13 @@ class Door:
     """Of one estimator; it remembers the last reading of each instrument."""
 
     def __init__(self) -> None:
-        self._last: dict[type[Signal], tuple[int, object]] = {}
+        self._last: dict[type[Message], tuple[int, object]] = {}
         self._sample: ImuSample | None = None
         self._measured: Array | None = None  # of that sample, (1, 6), where it was one of many
         self._to_agree = 0
-        self._ways: dict[type[Signal], _Way] = {}
+        self._ways: dict[type[Message], _Way] = {}
 
-    def refusal(self, t_ns: int, message: Signal, received_ns: int) -> str | None:
+    def refusal(self, t_ns: int, message: Message, received_ns: int) -> str | None:
         """Why a message of time ``t_ns`` that came at ``received_ns`` is not used: a word of the account, or None."""
         if t_ns > received_ns + AHEAD_NS:
             return "ahead"
@@ -97,7 +97,7 @@ class Door:
         self._measured = measured
         self._ways[ImuSample] = _Way(sample.t_ns, received_ns - sample.t_ns)
 
-    def _went_back(self, kind: type[Signal], t_ns: int, received_ns: int) -> bool:
+    def _went_back(self, kind: type[Message], t_ns: int, received_ns: int) -> bool:
         took_ns = received_ns - t_ns
         way = self._ways.get(kind)
         if way is None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.state import Belief
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 SLOPE_S = 5.0
 TIMES = 2.0

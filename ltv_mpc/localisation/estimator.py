@@ -39,8 +39,7 @@ from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite, usable
 from ltv_mpc.localisation.resume import Resumption
 from ltv_mpc.localisation.state import Belief, grid
 from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
-from ltv_mpc.node import Due, Inbox, OnMessage, Progress, no_progress
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,
@@ -51,14 +50,15 @@ from ltv_mpc.signals import (
     ImuSample,
     LblRange,
     LocalisationReport,
+    Message,
     PressureDepth,
     Restore,
-    Signal,
     TdcpFix,
     UsblFix,
 )
+from ltv_mpc.node import Due, Inbox, OnMessage, Progress, no_progress
 
-SENSORS: dict[type[Signal], str] = {
+SENSORS: dict[type[Message], str] = {
     ImuSample: "imu",
     GnssFix: "gnss",
     TdcpFix: "tdcp",
@@ -91,8 +91,8 @@ class Estimator:
 
     name = "estimator"
     schedule = OnMessage(tuple(SENSORS))
-    reads: tuple[type[Signal], ...] = (*SENSORS, Restore)
-    writes: tuple[type[Signal], ...] = (Estimate, LocalisationReport, EstimatorCheckpoint)
+    reads: tuple[type[Message], ...] = (*SENSORS, Restore)
+    writes: tuple[type[Message], ...] = (Estimate, LocalisationReport, EstimatorCheckpoint)
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class Estimator:
         self._history: History | None = None  # of the filter
         self._waiting: list[Aiding] = []  # for the inertial sample that covers them, by time, then arrival
         self._next_ns = 0  # of the estimate to come
-        self._awaited: list[type[Signal]] = []  # due at this instant and not here yet, while its estimate is open
+        self._awaited: list[type[Message]] = []  # due at this instant and not here yet, while its estimate is open
         self._open = False  # this instant's estimate is still to be published
         self._account: Counter[str] = Counter()  # of the node, and of filters that are no more
         self._door = Door()
@@ -154,9 +154,9 @@ class Estimator:
         account.update(self._filter.account)
         return account
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each message carries its own time)
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (each message carries its own time)
         """Use every message of the inbox in its order."""
-        out: list[Signal] = []
+        out: list[Message] = []
         for arrival in inbox:
             signal: Any = arrival.signal
             sensor = SENSORS.get(type(signal))  # a tenth of the time of isinstance() of nine types
@@ -170,14 +170,14 @@ class Estimator:
                 self._restore(signal)
         return out
 
-    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """``step`` for each in turn; inertial samples between which nothing else happens at once."""
-        signals: list[list[Signal]] = []
+        signals: list[list[Message]] = []
         while (first := len(signals)) < len(due):
             signals += self._go_through(due, first) or [self.step(*due[first])]
         return signals
 
-    def _go_through(self, due: Sequence[Due], first: int) -> list[list[Signal]]:
+    def _go_through(self, due: Sequence[Due], first: int) -> list[list[Message]]:
         """What is said at those of them, from ``first`` on, that were samples which only had to be integrated, at most
         up to the next estimate; empty where there are none.
         """
@@ -206,7 +206,7 @@ class Estimator:
         number = history.advance_through(samples, measured)
         self._door.let_through(samples[number - 1], received_ns[number - 1], measured[number - 1 : number])
         self._remember(samples[:number])
-        signals: list[list[Signal]] = [[] for _ in range(number)]
+        signals: list[list[Message]] = [[] for _ in range(number)]
         self._reach(samples[number - 1].t_ns)
         if self._open and not self._awaited:
             self._publish(history.filter, signals[-1])
@@ -225,7 +225,7 @@ class Estimator:
         self._alignment = Resumption(self._suite, self._config, belief, restore.estimate)
         self._restarts.count = checkpoint.restarts
 
-    def _take(self, message: ImuSample | Aiding, out: list[Signal]) -> None:
+    def _take(self, message: ImuSample | Aiding, out: list[Message]) -> None:
         if self._history is not None:
             self._use(self._history, message, out)
             return
@@ -254,7 +254,7 @@ class Estimator:
         self._history = History(filter_, spacing_ns(self._suite), self._progress)
         return self._history
 
-    def _use(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
+    def _use(self, history: History, message: ImuSample | Aiding, out: list[Message]) -> None:
         self._remember([message])
         if self._anew is not None:
             self._anew.take(message)
@@ -312,7 +312,7 @@ class Estimator:
             self._restarts.recall(former.memory)
             self._returned_ns = t_ns
 
-    def _apply(self, history: History, message: ImuSample | Aiding, out: list[Signal]) -> None:
+    def _apply(self, history: History, message: ImuSample | Aiding, out: list[Message]) -> None:
         if isinstance(message, ImuSample):
             self._move(history, message, out)
             return
@@ -331,7 +331,7 @@ class Estimator:
             self._heed(history, message)
             self._account[f"{sensor}.late_applied"] += 1
 
-    def _move(self, history: History, sample: ImuSample, out: list[Signal]) -> None:
+    def _move(self, history: History, sample: ImuSample, out: list[Message]) -> None:
         """Advance to the sample's time, by way of every message and every estimate that falls within."""
         filter_ = history.filter
         if sample.t_ns <= filter_.belief.t_ns:
@@ -360,10 +360,10 @@ class Estimator:
             self._next_ns += self._period_ns
             self._awaited = self._due(t_ns)
 
-    def _due(self, t_ns: int) -> list[type[Signal]]:
+    def _due(self, t_ns: int) -> list[type[Message]]:
         """What the sensors file has at ``t_ns`` and at once; satellites only until the descent begins, at 0."""
         s = self._suite
-        tables: list[tuple[type[Signal], Gnss | Tdcp | Adcp | Pressure | Compass | BottomTracking]] = [
+        tables: list[tuple[type[Message], Gnss | Tdcp | Adcp | Pressure | Compass | BottomTracking]] = [
             (AdcpPing, s.adcp),
             (PressureDepth, s.pressure),
             (CompassHeading, s.compass),
@@ -374,7 +374,7 @@ class Estimator:
             tables += [(GnssFix, s.gnss), (TdcpFix, s.tdcp)]
         return [kind for kind, table in tables if table.latency_ns == 0 and t_ns % table.period_ns == 0]
 
-    def _correct(self, history: History, message: Aiding, out: list[Signal]) -> None:
+    def _correct(self, history: History, message: Aiding, out: list[Message]) -> None:
         if history.knows(message):
             self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
             return
@@ -394,7 +394,7 @@ class Estimator:
         if self._former is not None:
             self._former.use(message)
 
-    def _publish(self, filter_: Filter, out: list[Signal]) -> None:
+    def _publish(self, filter_: Filter, out: list[Message]) -> None:
         if self._open:
             self._open = False
             out.append(estimate(filter_, self._depth_m))

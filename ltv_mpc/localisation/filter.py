@@ -33,7 +33,7 @@ from ltv_mpc.localisation.signatures import Signatures
 from ltv_mpc.localisation.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.window import follow
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     Array,
     BottomTrack,

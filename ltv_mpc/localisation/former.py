@@ -25,7 +25,7 @@ from ltv_mpc.localisation.health import TIES
 from ltv_mpc.localisation.late import History
 from ltv_mpc.localisation.restart import Memory
 from ltv_mpc.localisation.state import VELOCITY
-from ltv_mpc.signals import ImuSample
+from ltv_mpc.messages import ImuSample
 
 KEPT_NS = 60_000_000_000
 ENOUGH = 3

@@ -26,7 +26,7 @@ from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, ImuSample, Triple
+from ltv_mpc.messages import Array, ImuSample, Triple
 
 VELOCITY_WALK = 0.1**2  # m2/s3: what thrusters can do, and more
 TURN_WALK = 0.1**2  # rad2/s3

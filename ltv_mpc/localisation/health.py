@@ -30,7 +30,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.filter import Verdict
 from ltv_mpc.localisation.late import REACH_NS
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array, FilterStatus, SensorReport, SensorStatus
+from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
 SILENT_PERIODS = 3

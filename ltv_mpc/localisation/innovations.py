@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 MOST = 5.0
 

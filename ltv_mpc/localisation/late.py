@@ -22,8 +22,8 @@ from typing import NamedTuple
 from ltv_mpc.localisation.adaptation import BACK_NS, Change
 from ltv_mpc.localisation.filter import Aiding, Filter, Snapshot
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.messages import Array, ImuSample, LblRange
 from ltv_mpc.node import Progress, no_progress
-from ltv_mpc.signals import Array, ImuSample, LblRange
 
 REACH_NS = 1_250_000_000
 """A message that is later is dropped: the longest latency that a sensors file may have, and a quarter for the bus."""

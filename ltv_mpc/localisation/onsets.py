@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.state import Belief
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 Instants = npt.NDArray[np.int64]
 

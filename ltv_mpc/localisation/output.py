@@ -18,7 +18,7 @@ from ltv_mpc.localisation import water_column
 from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.measurements.compass import heading_partials
 from ltv_mpc.localisation.state import ATTITUDE, CORE, GYRO_BIAS
-from ltv_mpc.signals import Array, Estimate, Triple
+from ltv_mpc.messages import Array, Estimate, Triple
 
 _TILT, _GYRO = ATTITUDE.start, GYRO_BIAS.start
 

@@ -35,7 +35,7 @@ from ltv_mpc.localisation.filter import Aiding
 from ltv_mpc.localisation.health import WINDOW_NS
 from ltv_mpc.localisation.state import Belief
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array, CompassHeading, FilterStatus, GnssFix, ImuSample
+from ltv_mpc.messages import Array, CompassHeading, FilterStatus, GnssFix, ImuSample
 
 PATIENCE_NS = 10_000_000_000
 GRACE_NS = 30_000_000_000

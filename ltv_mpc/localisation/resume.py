@@ -33,7 +33,7 @@ from ltv_mpc.localisation.gap import TURN_WALK, VELOCITY_WALK
 from ltv_mpc.localisation.restart import ACCELERATION_SD_MPS2
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array, Estimate, ImuSample
+from ltv_mpc.messages import Array, Estimate, ImuSample
 
 LATEST_NS = 30_000_000_000
 """An estimate that is so much newer than the checkpoint is not of the filter that made it."""

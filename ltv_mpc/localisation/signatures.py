@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg.blas import dgemm
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 MOST = 5.0
 

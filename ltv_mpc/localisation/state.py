@@ -25,7 +25,7 @@ from ltv_mpc.localisation.column import Column
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.signatures import Signatures
 from ltv_mpc.localisation.suite import Adcp, Suite
-from ltv_mpc.signals import Array, Triple
+from ltv_mpc.messages import Array, Triple
 
 POSITION = slice(0, 3)
 VELOCITY = slice(3, 6)

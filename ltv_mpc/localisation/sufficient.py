@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 _NOTHING = 1e-12
 _COMMON = 8

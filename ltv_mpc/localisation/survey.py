@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.state import Belief
 from ltv_mpc.localisation.window import given, grown
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 def learned(belief: Belief, depth_m: Array) -> WaterPrior | None:

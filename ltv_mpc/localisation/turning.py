@@ -18,7 +18,7 @@ import numpy as np
 
 from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.state import ATTITUDE, VELOCITY, Layout
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 HEADING = ATTITUDE.stop - 1
 """Place of phi_d."""

@@ -25,7 +25,7 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.column import NodePrior
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.state import Belief, grid
-from ltv_mpc.signals import Array, CurrentProfile
+from ltv_mpc.messages import Array, CurrentProfile
 
 
 def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> NodePrior:

@@ -27,7 +27,7 @@ from scipy.linalg.lapack import dposv
 
 from ltv_mpc.localisation.column import Link
 from ltv_mpc.localisation.state import ATTITUDE, CORE, POSITION, Belief, Layout
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 Places: TypeAlias = npt.NDArray[np.int64]
 

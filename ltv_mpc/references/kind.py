@@ -9,8 +9,8 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc.compiled import kernel
+from ltv_mpc.messages import Array, Estimate, Pair, Times
 from ltv_mpc.references.places import Depth, Origin
-from ltv_mpc.signals import Array, Estimate, Pair, Times
 
 LONGEST_BACK_S = 1.0
 """A vehicle that drifts is where it was, less its velocity times the time since: for so long. Later, "here" is now."""

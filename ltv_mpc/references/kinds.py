@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TypeAlias
 
 from ltv_mpc import config
+from ltv_mpc.messages import Pair
 from ltv_mpc.references.kind import Anchor, Kind
 from ltv_mpc.references.places import Latitude, Longitude, Metres, Place, local
 from ltv_mpc.references.said import of_descent
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
 from ltv_mpc.references.timed import Timed, from_csv
-from ltv_mpc.signals import Pair
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PACKAGE = "ltv_mpc.references.files"

@@ -22,7 +22,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady
 

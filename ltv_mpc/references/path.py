@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 CHORD_RAD = math.radians(4.0)
 """Of an arc of the path: largest change of direction between two pieces."""

@@ -22,7 +22,7 @@ from typing import Annotated, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc.signals import Pair
+from ltv_mpc.messages import Pair
 
 EQUATORIAL_RADIUS_M = 6_378_137.0
 """a of WGS 84."""

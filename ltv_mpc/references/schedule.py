@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.compiled import kernel
+from ltv_mpc.messages import Array, Times
 from ltv_mpc.references.limits import Limits
 from ltv_mpc.references.path import Path
-from ltv_mpc.signals import Array, Times
 
 STEP_M = 0.05
 """Between two rows of the table, where that gives no more than ``MOST_ROWS``."""

@@ -8,13 +8,13 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
+from ltv_mpc.messages import Array
 from ltv_mpc.references.kind import Anchor, Kind
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import MOST_POINTS, Path, bend, led_in, pieces, rounded
 from ltv_mpc.references.places import Place, local
 from ltv_mpc.references.said import of_descent, of_path
 from ltv_mpc.references.schedule import Schedule, along
-from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 Size: TypeAlias = Annotated[float, Meta(gt=0, le=100_000)]

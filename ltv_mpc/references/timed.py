@@ -19,6 +19,7 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array
 from ltv_mpc.references.kind import Anchor, Kind
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import Path as Track
@@ -26,7 +27,6 @@ from ltv_mpc.references.path import led_in
 from ltv_mpc.references.places import Place, local
 from ltv_mpc.references.schedule import TIME, Schedule, along
 from ltv_mpc.references.shapes import LEAD_IN_M
-from ltv_mpc.signals import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Action, Array, Authority, Times, Triple
+from ltv_mpc.messages import Action, Array, Authority, Times, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 MANUAL_LASTS_NS = 1_000_000_000

@@ -27,7 +27,7 @@ import math
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 MISMATCH = 0.1
 """Of mass, drag and thrust each, either way: no alarm for that."""

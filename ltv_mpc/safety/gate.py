@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.compiled import assign, kernel
+from ltv_mpc.messages import Array, Health, Plan, Triple
 from ltv_mpc.safety.ages import Period
 from ltv_mpc.safety.health import of_plans
-from ltv_mpc.signals import Array, Health, Plan, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6

@@ -25,7 +25,7 @@ import math
 from collections import Counter
 from typing import NamedTuple
 
-from ltv_mpc.signals import Estimate
+from ltv_mpc.messages import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady
 

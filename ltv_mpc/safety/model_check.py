@@ -34,8 +34,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.prediction import current_in
+from ltv_mpc.messages import Applied, Estimate, Matrix, ModelCheck, Pair
 from ltv_mpc.safety.evidence import WINDOWS, learn, weigh
-from ltv_mpc.signals import Applied, Estimate, Matrix, ModelCheck, Pair
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ALARM = 12.0

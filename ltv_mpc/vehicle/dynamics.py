@@ -22,7 +22,7 @@ import math
 from typing import NamedTuple
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients
 
 N, E, U, V, PSI, R = range(6)

@@ -30,7 +30,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, Times
+from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady

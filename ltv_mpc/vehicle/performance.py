@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from scipy.optimize import brentq, root
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import STATES, advance_stage
 from ltv_mpc.vehicle.parameters import Vehicle

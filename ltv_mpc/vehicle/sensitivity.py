@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import Slopes, rates, slopes
 from ltv_mpc.vehicle.flow import delivered, runge_kutta
 from ltv_mpc.vehicle.parameters import Coefficients

@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from typing import Any
 
-from ltv_mpc.signals import Plan, Rejected, Signal
+from ltv_mpc.messages import Message, Plan, Rejected
 from services.bus.mailbox import Frame
 from services.bus.topics import OPERATOR
 from services.bus.wire import Header, WireError, crc, decode
@@ -55,7 +55,7 @@ class Door:
         self.refused: Counter[str] = Counter()
         self._sources: dict[str, _Source] = {}
 
-    def admit(self, frame: Frame) -> tuple[Signal, Header]:
+    def admit(self, frame: Frame) -> tuple[Message, Header]:
         """The signal, if it may pass. Raises ``WireError`` with the reason."""
         try:
             if frame.topic is None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 from services.bus.session import Publisher, Session
 from services.bus.topics import key_of
 from services.bus.wire import Header, crc, encode
@@ -30,7 +30,7 @@ class Outbox:
     """The ways out of one process. ``published`` counts every message, whichever its key."""
 
     def __init__(
-        self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Signal]], under: str = ""
+        self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Message]], under: str = ""
     ) -> None:
         """``under`` is put before every key, where one session serves several vehicles."""
         self.epoch = epoch
@@ -39,7 +39,7 @@ class Outbox:
         self._publishers: dict[str, Publisher] = {key: session.publisher(key) for key in self._keys.values()}
         self._sequence = dict.fromkeys(self._publishers, 0)
 
-    def publish(self, signal: Signal) -> Sent:
+    def publish(self, signal: Message) -> Sent:
         """Number, encode and send. ``signal`` is of one of the kinds that were declared."""
         key = self._keys[type(signal)]
         sequence = self._sequence[key]

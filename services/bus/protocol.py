@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from importlib import resources
 from inspect import cleandoc
 
-from ltv_mpc import signals
+from ltv_mpc import messages
 from services.bus.schema import Field, Schema, fields, schema
 from services.bus.topics import BY_KEY, TOPICS, Topic
 from services.bus.wire import MAX_PAYLOAD_BYTES, Header
@@ -49,7 +49,7 @@ def _table(name: str, of: str, rest: Iterable[Topic]) -> str:
         case "fields":
             return _message(BY_KEY[of])
         case "part":
-            kind = getattr(signals, of)
+            kind = getattr(messages, of)
             return f"{_about(kind)}\n\n{_fields(fields(kind))}"
         case "most":
             return f"{MAX_PAYLOAD_BYTES:,}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from ltv_mpc.signals import NodeStatus, Truth
+from ltv_mpc.messages import NodeStatus, Truth
 from services.bus.topics import BY_SIGNAL, OPERATOR, TOPICS, Topic
 
 ANYONE = "*"

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 from msgspec import inspect as struct
 
+from ltv_mpc.messages import Message
 from ltv_mpc.ranges import RANGES, Range
-from ltv_mpc.signals import Signal
 from services.bus.meanings import meaning
 from services.bus.wire import HEADER_RANGES, Header
 
@@ -36,12 +36,12 @@ class Field(NamedTuple):
 
 
 @cache
-def text(kind: type[Signal]) -> bytes:
+def text(kind: type[Message]) -> bytes:
     """The schema of ``kind`` on the wire, as JSON."""
     return msgspec.json.encode(schema(kind))
 
 
-def schema(kind: type[Signal]) -> Schema:
+def schema(kind: type[Message]) -> Schema:
     """JSON Schema (draft 2020-12) of the map that a message of ``kind`` is."""
     about = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -51,7 +51,7 @@ def schema(kind: type[Signal]) -> Schema:
     return about | _object(message(kind))
 
 
-def message(kind: type[Signal]) -> dict[str, Field]:
+def message(kind: type[Message]) -> dict[str, Field]:
     """The entries of a message's map by name, the header's first."""
     # A step record's own epoch is its sender's: one entry.
     return fields(Header) | fields(kind)

@@ -8,7 +8,7 @@ import enum
 
 import msgspec
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     AdcpPing,
     Applied,
@@ -31,6 +31,7 @@ from ltv_mpc.signals import (
     LblRange,
     LocalisationReport,
     Manual,
+    Message,
     ModelCheck,
     NodeStatus,
     Plan,
@@ -38,7 +39,6 @@ from ltv_mpc.signals import (
     Rejected,
     Restore,
     RunEvent,
-    Signal,
     StepRecord,
     TdcpFix,
     Truth,
@@ -66,7 +66,7 @@ class Topic(msgspec.Struct, frozen=True):
     ``period_ns`` is vehicle time between two messages, 0 where they come on events.
     """
 
-    signal: type[Signal]
+    signal: type[Message]
     key: str
     period_ns: int
     delivery: Delivery
@@ -115,7 +115,7 @@ BY_SIGNAL = {topic.signal: topic for topic in TOPICS}
 BY_KEY = {topic.key: topic for topic in TOPICS}
 
 
-def key_of(kind: type[Signal], writer: str) -> str:
+def key_of(kind: type[Message], writer: str) -> str:
     """The key on which ``writer`` publishes: the row's, with the writer's name behind it where every node writes."""
     topic = BY_SIGNAL[kind]
     return f"{topic.key}/{writer}" if topic.written_by == "*" else topic.key

@@ -16,10 +16,10 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.admission import refusal
+from ltv_mpc.messages import Message, from_wire, to_wire
 from ltv_mpc.ranges import Range
-from ltv_mpc.signals import Signal, from_wire, to_wire
 
-S = TypeVar("S", bound=Signal)
+S = TypeVar("S", bound=Message)
 T = TypeVar("T")
 
 MAX_PAYLOAD_BYTES = 1 << 20
@@ -50,7 +50,7 @@ class WireError(ValueError):
     """A frame that is refused; the text is the reason."""
 
 
-def plain(signal: Signal, header: Header) -> dict[str, Any]:
+def plain(signal: Message, header: Header) -> dict[str, Any]:
     """Header and signal as one map of builtins: numbers, text, lists, maps, null."""
     message: dict[str, Any] = {
         "epoch": header.epoch,
@@ -63,7 +63,7 @@ def plain(signal: Signal, header: Header) -> dict[str, Any]:
     return message
 
 
-def encode(signal: Signal, header: Header) -> bytes:
+def encode(signal: Message, header: Header) -> bytes:
     """The bytes that travel."""
     return packed(plain(signal, header))
 

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import inspect
 from scipy.stats import qmc
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.campaign.file import Campaign, Choices, Range
 from services.campaign.keys import Value, kind_of
 

@@ -39,7 +39,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc import config, fields
+from ltv_mpc import config, settings_schema
 from ltv_mpc.errors import ConfigError
 from services.campaign.keys import Value, kind_of, known
 from sim.grading.summary import Summary
@@ -126,9 +126,11 @@ def load(path: Path) -> Campaign:
     return campaign
 
 
-def figures() -> dict[str, fields.Type]:
+def figures() -> dict[str, settings_schema.Type]:
     """The figures of summary.json that a run in lock step has, by dotted key: no measured time is among them."""
-    return {key: kind for key, kind in fields.settings(Summary).items() if key.partition(".")[0] not in NO_FIGURES}
+    return {
+        key: kind for key, kind in settings_schema.settings(Summary).items() if key.partition(".")[0] not in NO_FIGURES
+    }
 
 
 NO_FIGURES = frozenset(
@@ -156,7 +158,7 @@ def _check(campaign: Campaign, source: str) -> None:
         factors = campaign.scale if table != "set" else {}
         for key in keys:
             if kind_of(key) is None and key not in factors:
-                problem = f"unknown key{fields.nearest(key, [*known(), *factors])}"
+                problem = f"unknown key{settings_schema.nearest(key, [*known(), *factors])}"
                 raise ConfigError(source, f"[{table}] {key}", problem)
     for table, keys, other in (
         ("vary", campaign.vary, campaign.settings),
@@ -175,7 +177,7 @@ def _check(campaign: Campaign, source: str) -> None:
     for name, powers in campaign.scale.items():
         _check_factor(campaign, name, powers, source)
     if campaign.minimise not in figures():
-        problem = f"must be a figure of summary.json{fields.nearest(campaign.minimise, figures())}"
+        problem = f"must be a figure of summary.json{settings_schema.nearest(campaign.minimise, figures())}"
         raise ConfigError(source, "minimise", problem, value=campaign.minimise)
     sizes = [len(over) for over in campaign.cross.values()]
     if campaign.design.kind == "grid":
@@ -201,7 +203,9 @@ def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], so
     for key in powers:
         if not isinstance(kind_of(key), msgspec.inspect.FloatType):
             names = [one for one in known() if isinstance(kind_of(one), msgspec.inspect.FloatType)]
-            raise ConfigError(source, f"{where} {key}", f"must be a field with a number{fields.nearest(key, names)}")
+            raise ConfigError(
+                source, f"{where} {key}", f"must be a field with a number{settings_schema.nearest(key, names)}"
+            )
 
 
 def _check_values(over: Choices | Range, design: str, field: str, source: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import msgspec
 
-from ltv_mpc import config, fields
+from ltv_mpc import config, settings_schema
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -24,7 +24,7 @@ Value: TypeAlias = bool | int | float | str
 VEHICLE, REFERENCE = "vehicle", "reference"
 
 
-def kind_of(key: str) -> fields.Type | None:
+def kind_of(key: str) -> settings_schema.Type | None:
     """The type of a field that a campaign may set; None where there is no such field."""
     return _KINDS.get(key)
 
@@ -68,9 +68,9 @@ def with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str)
     return config.parse({k: v for k, v in table.items() if v is not None}, kind, source=f"campaign: {owner}")
 
 
-def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, fields.Type]]:
+def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, settings_schema.Type]]:
     """Scalar fields, those of tables that may be left out too."""
-    for key, found in fields.settings(kind).items():
+    for key, found in settings_schema.settings(kind).items():
         inner = getattr(found, "types", ())
         tables = [x for x in inner if isinstance(x, msgspec.inspect.StructType)]
         if tables:
@@ -79,8 +79,12 @@ def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, fields.Type]]:
             yield f"{prefix}{key}", found
 
 
-_KINDS: dict[str, fields.Type] = {
-    **{key: kind for key, kind in fields.settings(Scenario).items() if key not in ("made_by", "title", "run.seed")},
+_KINDS: dict[str, settings_schema.Type] = {
+    **{
+        key: kind
+        for key, kind in settings_schema.settings(Scenario).items()
+        if key not in ("made_by", "title", "run.seed")
+    },
     **dict(_optional_too(Vehicle, f"{VEHICLE}.")),
     **{key: kind for one in Reference.__args__ for key, kind in _optional_too(one, f"{REFERENCE}.")},
 }

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.campaign.trial import Row
 
 RESAMPLES = 2000

@@ -23,8 +23,8 @@ import msgspec
 import services
 from ltv_mpc.control import solvers
 from ltv_mpc.errors import ConfigError, one_line, shown
+from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
-from ltv_mpc.signals import PlanOrigin, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.campaign import keys
 from services.campaign.design import Point

@@ -32,8 +32,8 @@ def ctl(
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
     from ltv_mpc.errors import ConfigError, shown
-    from ltv_mpc.fields import similar
-    from ltv_mpc.signals import Action
+    from ltv_mpc.messages import Action
+    from ltv_mpc.settings_schema import similar
 
     known = [one.value for one in Action]
     if action not in known:

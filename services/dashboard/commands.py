@@ -14,7 +14,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc.signals import Acknowledged, Action, ClockCommand, Disturbance, Kill, Rejected, Signal
+from ltv_mpc.messages import Acknowledged, Action, ClockCommand, Disturbance, Kill, Message, Rejected
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
 from services.bus.topics import OPERATOR
@@ -104,7 +104,7 @@ def _by_controller(asked: Asked, answer: Acknowledged | Rejected | None) -> Answ
             return _answer(asked, f"no controller answered within {PATIENCE_S:.0f} s")
 
 
-def _sent(asked: Asked, session: Session, signal: Signal, text: str) -> Answer:
+def _sent(asked: Asked, session: Session, signal: Message, text: str) -> Answer:
     """Nobody answers these: what they do shows on the page."""
     Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(signal),)).publish(signal)
     return _answer(asked, text, done=True)

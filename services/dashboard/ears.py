@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import msgspec
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Applied,
     Clock,
@@ -18,10 +18,10 @@ from ltv_mpc.signals import (
     CycleTiming,
     Estimate,
     LocalisationReport,
+    Message,
     NodeStatus,
     Plan,
     RunEvent,
-    Signal,
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Thruster
@@ -33,7 +33,7 @@ from services.bus.wire import Header, WireError, decode
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.views.plots.collector import Collector
 
-S = TypeVar("S", bound=Signal)
+S = TypeVar("S", bound=Message)
 
 NEWEST = (Clock, Truth, Estimate, Applied, ControllerStatus, LocalisationReport)
 EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledged)
@@ -84,7 +84,7 @@ class Ears:
         self._newest = Newest()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, bytes] = {}
-        self._signals: dict[type[Signal], Signal] = {}
+        self._signals: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
         for kind in (*NEWEST, *EVERY, NodeStatus):
@@ -143,7 +143,7 @@ class Ears:
         estimate = self.collector.estimate
         return estimate.t_ns if reading is None and estimate is not None else reading
 
-    def _hear(self, signal: Signal, header: Header, came_s: float) -> None:
+    def _hear(self, signal: Message, header: Header, came_s: float) -> None:
         if isinstance(signal, Clock):
             self._hear_clock(signal)
         if isinstance(signal, NodeStatus):
@@ -191,7 +191,7 @@ def _clock_first(item: tuple[str, Heard]) -> tuple[bool, bool]:
     return kind is not Clock, kind is not Truth
 
 
-def _decoded(kind: type[Signal], payload: bytes) -> tuple[Signal, Header] | None:
+def _decoded(kind: type[Message], payload: bytes) -> tuple[Message, Header] | None:
     try:
         return decode(kind, payload)
     except WireError:  # its readers count it

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from ltv_mpc.signals import Harm, Injection
+from ltv_mpc.messages import Harm, Injection
 from services.faults.draw import Run
 from services.faults.fault import Fault
 from services.faults.started import Process, Started, end

@@ -10,8 +10,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.admission import refusal
-from ltv_mpc.node import Arrival, Inbox, Node
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Applied,
     Disturbance,
     Estimate,
@@ -19,6 +18,7 @@ from ltv_mpc.signals import (
     Harm,
     Health,
     LocalisationReport,
+    Message,
     ModelCheck,
     Pair,
     Plan,
@@ -27,6 +27,7 @@ from ltv_mpc.signals import (
     SensorStatus,
     Truth,
 )
+from ltv_mpc.node import Arrival, Inbox, Node
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
 from services.bus.door import Door
@@ -88,6 +89,7 @@ class Log:
     """What a run's messages showed, in order; an observer of its lock step."""
 
     vehicle: Vehicle
+    tap: Callable[[Message], None] = lambda _: None
     truth: list[tuple[int, float, float, float, float]] = field(default_factory=list)  # t, n, e, v_n, v_e
     estimate: list[tuple[int, float, float, float, float]] = field(default_factory=list)
     squares: list[tuple[float, ...]] = field(default_factory=list)  # covariances (2, 2) of position, of velocity
@@ -115,6 +117,7 @@ class Log:
 
     def published(self, node: str, message: Arrival) -> None:
         """Every message, as its writer published it."""
+        self.tap(message.signal)
         match message.signal:
             case Truth() as s:
                 self.truth.append((s.t_ns, *s.position_m[:2], *s.velocity_mps[:2]))
@@ -226,10 +229,10 @@ def situation(run: Run) -> Situation:
     return resolve(SCENARIO, [Override("campaign", settings)])
 
 
-def observe(run: Run) -> Observed:
-    """The run, in this process."""
+def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Observed:
+    """Make the run in this process. ``tap`` is given every signal that is published."""
     of = situation(run)
-    log = Log(of.vehicle)
+    log = Log(of.vehicle, tap=tap)
     now = Now()
     harmed = [(i, harm) for i, fault in enumerate(run.faults) if (harm := _harm(fault)) is not None]
     bus = Bus([harm for _, harm in harmed])

@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.signals import Array, Health
+from ltv_mpc.messages import Array, Health
 from services.faults import kinds
 from services.faults.draw import Run
 from services.faults.fault import RECOVERED, Place, Seen

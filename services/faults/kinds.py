@@ -10,16 +10,16 @@ from collections.abc import Mapping
 
 import msgspec
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     Applied,
     CompassHeading,
     Estimate,
     GnssFix,
     ImuSample,
+    Message,
     Plan,
     PressureDepth,
-    Signal,
     TdcpFix,
 )
 from services.faults.fault import Fault, Place
@@ -32,7 +32,7 @@ FLAGGED = "flagged, or inside 3 sigma"
 IMPULSE = "10 N s of lost impulse"
 DEAD = "2 s of wall time"
 
-INSTRUMENTS: Mapping[str, type[Signal]] = {
+INSTRUMENTS: Mapping[str, type[Message]] = {
     "imu": ImuSample,
     "adcp": AdcpPing,
     "compass": CompassHeading,
@@ -43,7 +43,7 @@ INSTRUMENTS: Mapping[str, type[Signal]] = {
 AFLOAT = ("gnss", "tdcp")
 """Of use, and so to be broken, before the descent only."""
 
-MESSAGES: Mapping[str, tuple[type[Signal], ...]] = {
+MESSAGES: Mapping[str, tuple[type[Message], ...]] = {
     "estimate": (Estimate,),
     "plan": (Plan,),
     "applied": (Applied,),

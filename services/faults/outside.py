@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
-from ltv_mpc.signals import Clock, ClockState
+from ltv_mpc.messages import Clock, ClockState
 from services.bus.roles import DISPLAY
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_SIGNAL, Topic

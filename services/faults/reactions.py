@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Health, PlanOrigin
+from ltv_mpc.messages import Health, PlanOrigin
 from services.bus.topics import BY_SIGNAL
 from services.faults.fault import Fault
 from services.faults.inside import INTRUDERS_EPOCH, Observed

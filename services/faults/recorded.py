@@ -6,8 +6,8 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
+from ltv_mpc.messages import Estimate, NodeStatus, Plan, Rejected, StepRecord, Truth
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Estimate, NodeStatus, Plan, Rejected, StepRecord, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import WireError

@@ -11,8 +11,8 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Harm, Injection
 from ltv_mpc.ranges import RANGES
-from ltv_mpc.signals import Harm, Injection
 from services.bus.topics import topic_at
 
 Time = Annotated[float, Meta(ge=-1e6, le=1e6)]

@@ -14,9 +14,9 @@ import msgspec
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Action, Applied, Command, Estimate, Plan
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point
-from ltv_mpc.signals import Action, Applied, Command, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox

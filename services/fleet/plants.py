@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import frames
+from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
 from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.signals import Applied, CurrentProfile, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from ltv_mpc.signals import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from ltv_mpc.messages import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
 from services.launch.watch import Watch
 from services.run.situation import Situation
 from services.views.live import LiveView

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.signals import ControllerCheckpoint, Estimate, EstimatorCheckpoint, Restore
+from ltv_mpc.messages import ControllerCheckpoint, Estimate, EstimatorCheckpoint, Restore
 from services.bus.wire import Header, encode
 from services.launch.watch import Watch
 

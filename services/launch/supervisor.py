@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from ltv_mpc.signals import NodeStatus, RunEvent
+from ltv_mpc.messages import NodeStatus, RunEvent
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import LAUNCHER
 from services.bus.session import SECURE, BusOptions, Session, Stopped, open_session

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple, TypeVar
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Applied,
     Clock,
     ClockState,
@@ -15,10 +15,10 @@ from ltv_mpc.signals import (
     Estimate,
     EstimatorCheckpoint,
     Kill,
+    Message,
     NodeStatus,
     Plan,
     RunEvent,
-    Signal,
     Truth,
 )
 from services.bus.mailbox import Mailbox
@@ -29,11 +29,11 @@ from services.bus.topics import BY_SIGNAL, Topic
 from services.bus.wire import WireError, decode, header_of, unpack
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 
-S = TypeVar("S", bound=Signal)
+S = TypeVar("S", bound=Message)
 STATUS = BY_SIGNAL[NodeStatus].key
 
-SHOWN: tuple[type[Signal], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
-KEPT: tuple[type[Signal], ...] = (ControllerCheckpoint, EstimatorCheckpoint)
+SHOWN: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
+KEPT: tuple[type[Message], ...] = (ControllerCheckpoint, EstimatorCheckpoint)
 PLANS = 32
 """Of which one is in force: 10 s of them."""
 

@@ -21,8 +21,8 @@ from ltv_mpc.control.qp.sparse import WIDTH
 from ltv_mpc.control.solvers import sparse_osqp
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array, Estimate
 from ltv_mpc.references import Point
-from ltv_mpc.signals import Array, Estimate
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 

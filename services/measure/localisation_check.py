@@ -14,7 +14,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.measure.batch import Job, each
 from services.measure.localisation_probe import Record, Squares, descend
 from sim.grading.consistency import Consistency, band, consistency

@@ -18,8 +18,8 @@ from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter, Verdict
 from ltv_mpc.localisation.state import VELOCITY, Belief, grid
+from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Arrival, Due, Inbox, Node, steps_of
-from ltv_mpc.signals import AdcpPing, Array, Estimate, Signal, Truth
 from services.measure.batch import Job
 from services.run import locked
 from services.run.situation import Situation
@@ -95,20 +95,20 @@ class _Watched:
     def __init__(
         self,
         node: Node,
-        ran: Callable[[int, Sequence[Signal]], None],
+        ran: Callable[[int, Sequence[Message]], None],
         closely: Callable[[], bool] = lambda: False,
     ) -> None:
         """``ran`` is told a step's time and what came of it: of each at a time of ``LOOK_NS``, or while ``closely``."""
         self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
         self._steps, self._ran, self._closely = steps_of(node), ran, closely
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """The node's."""
         return self.steps([(t_ns, inbox)])[0]
 
-    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """The node's, as many at once as go by unseen."""
-        said: list[list[Signal]] = []
+        said: list[list[Message]] = []
         for number, (t_ns, _) in enumerate(due, 1):
             if t_ns % LOOK_NS == 0 or number == len(due) or self._closely():
                 said += self._steps(due[len(said) : number])
@@ -119,7 +119,7 @@ class _Watched:
 class Probe:
     """A situation with its nodes, and what is seen of them."""
 
-    hears: frozenset[type[Signal]] = frozenset({Truth, AdcpPing, Estimate})
+    hears: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
 
     def __init__(self, situation: Situation) -> None:
         """Raises ``ConfigError``."""
@@ -169,12 +169,12 @@ class Probe:
             latest=locked.LATEST,
         ).advance(scenario.end_ns)
 
-    def _measured(self, t_ns: int, said: Sequence[Signal]) -> None:  # noqa: ARG002  (whatever it was)
+    def _measured(self, t_ns: int, said: Sequence[Message]) -> None:  # noqa: ARG002  (whatever it was)
         if t_ns % LOOK_NS == 0:
             imu = self.imu
             self._biases[t_ns] = _Biases(imu.gyro_bias_radps, imu.accelerometer_bias_mps2, self._compass.bias_rad)
 
-    def _estimated(self, t_ns: int, said: Sequence[Signal]) -> None:
+    def _estimated(self, t_ns: int, said: Sequence[Message]) -> None:
         """The first filter is watched from its next message on, another one from the next cycle on."""
         filter_ = self.estimator.filter
         if filter_ is not self._watched:

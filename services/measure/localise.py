@@ -24,7 +24,7 @@ from ltv_mpc.localisation.dive.truth import Ground, dead_reckoned
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Ensemble, Settings
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.measure.localised import InstrumentRow, Localised, LostBytes, StudyRow, TrackRow
 
 MOST_STARTS = 60

@@ -28,8 +28,8 @@ from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
+from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.node import Stopwatch, no_stopwatch
-from ltv_mpc.signals import Array, Estimate, Plan, SolveStatus
 from services.measure.profile_problems import Episode, seconds
 from services.process.stopwatch import StageTimer
 

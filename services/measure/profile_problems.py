@@ -19,9 +19,9 @@ from ltv_mpc import references
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Estimate, Message, StepRecord
 from ltv_mpc.node import Arrival, Inbox, Node
 from ltv_mpc.references import Point, Reference
-from ltv_mpc.signals import Estimate, Signal, StepRecord
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
 from services.run import folder, locked
@@ -156,7 +156,7 @@ class _Untold:
         )
         self._step = sensors.step
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         return [
             msgspec.structs.replace(signal, current=None) if isinstance(signal, Estimate) else signal
             for signal in self._step(t_ns, inbox)
@@ -186,7 +186,7 @@ def _replay(recording: Path, node: Node, enough: Callable[[], bool]) -> None:
 def _steps(recording: Path, node: Node) -> Iterable[tuple[int, Inbox]]:
     """Time and inbox of each step; what the recorder has lost is not in them."""
     reads = frozenset(node.reads)
-    heard: dict[tuple[str, int, int], Signal] = {}
+    heard: dict[tuple[str, int, int], Message] = {}
     for message in Recording(recording):
         if message.kind is StepRecord and message.plain["node"] == node.name:
             record, _ = message.typed()

@@ -16,7 +16,7 @@ import numpy as np
 from ltv_mpc import config
 from ltv_mpc.control.prediction import current_in, profile_of
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Applied, Array, Estimate, Plan, Signal
+from ltv_mpc.messages import Applied, Array, Estimate, Message, Plan
 from ltv_mpc.vehicle.identification import Found, Identified, Known, KnownYaw, Motion, NotEnoughMotion, identify
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.wire import WireError
@@ -101,7 +101,7 @@ def _heard(path: Path) -> _Heard:
         if message.kind not in (Estimate, Applied, Plan):
             continue
         try:
-            signal: Signal = message.typed()[0]
+            signal: Message = message.typed()[0]
         except WireError as error:
             raise ConfigError(f"run {path}", message.key, f"cannot be read: {error}") from None
         if isinstance(signal, Estimate):

@@ -17,23 +17,23 @@ from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers import make
-from ltv_mpc.node import Arrival
-from ltv_mpc.references import Reference
-from ltv_mpc.safety import evidence
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Action,
     Command,
     ControllerCheckpoint,
     ControllerStatus,
     Estimate,
     Manual,
+    Message,
     Plan,
     PlanOrigin,
     Restore,
-    Signal,
     Solve,
     SolveStatus,
 )
+from ltv_mpc.node import Arrival
+from ltv_mpc.references import Reference
+from ltv_mpc.safety import evidence
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import BusOptions
 from services.bus.topics import BY_SIGNAL, Topic
@@ -111,7 +111,7 @@ def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
     yield f"looks {look} ahead, {1e9 / config.period_ns:.3g} times a second"
     yield "SI units and radians, north-east-down; each number's unit is in its name; `ltv-mpc topics KEY` says more"
     inputs = [kind for kind in ControllerNode.reads if BY_SIGNAL[kind].written_by != ControllerNode.name]
-    outputs: list[type[Signal]] = [*ControllerNode.writes, ControllerStatus]
+    outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
     inputs, outputs = ([kind for kind in kinds if kind not in BEHIND_THE_SCENES] for kinds in (inputs, outputs))
     for verb, kinds in (("reads ", inputs), ("writes", outputs)):
         for kind in kinds:
@@ -121,7 +121,7 @@ def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
             yield f"{verb} {key_in(bus, topic):<24} {rate:<9}  {_fields(kind)}"
 
 
-def _fields(kind: type[Signal]) -> str:
+def _fields(kind: type[Message]) -> str:
     """Those that a message needs, then in brackets those that it may have."""
     fields = msgspec.structs.fields(kind)
     needed = ", ".join(field.name for field in fields if field.required)
@@ -141,7 +141,7 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
     here = Estimate.at_rest(depth_m=0.0, heading_rad=1.0)
     off = Estimate.at_rest(depth_m=0.0, heading_rad=3.0, north_m=3.0, east_m=1.0)
     broken = Estimate.at_rest(depth_m=0.0, heading_rad=math.nan)
-    words: dict[int, tuple[Signal, ...]] = {
+    words: dict[int, tuple[Message, ...]] = {
         0: (Command(command_id=0, action=Action.ARM),),
         5: (Command(command_id=1, action=Action.MANUAL), Manual(thrust_N=(1.0, 1.0, 0.0))),
     }

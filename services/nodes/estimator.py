@@ -14,8 +14,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Aiding
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,
@@ -26,6 +25,7 @@ from ltv_mpc.signals import (
     TdcpFix,
     UsblFix,
 )
+from ltv_mpc.node import Arrival
 from services.bus.session import BusOptions
 from services.process.clock import monotonic_us
 from services.process.runner import Runner

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.qp.failed import FailedQp
-from ltv_mpc.signals import ControllerStatus
+from ltv_mpc.messages import ControllerStatus
 from services.process.stopping import Say
 
 MOST = 20

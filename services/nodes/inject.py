@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
+from ltv_mpc.messages import Clock, Handed, Injection, Message, NodeStatus, RunEvent
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Clock, Handed, Injection, NodeStatus, RunEvent, Signal
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
@@ -81,7 +81,7 @@ class _Carried(Arrival, frozen=True, eq=False):
     """An arrival that remembers the frame that it came as."""
 
     payload: bytes
-    sent: Signal
+    sent: Message
     header: Header
 
 

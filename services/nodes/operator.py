@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from ltv_mpc.signals import Acknowledged, Action, Command, Rejected
+from ltv_mpc.messages import Acknowledged, Action, Command, Rejected
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from ltv_mpc.signals import Estimate, NodeStatus, Plan
+from ltv_mpc.messages import Estimate, NodeStatus, Plan
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from ltv_mpc.signals import Clock, NodeStatus, RunEvent
+from ltv_mpc.messages import Clock, NodeStatus, RunEvent
 from services.bus.denials import LOG_FILTER, Denials
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ltv_mpc.messages import Truth
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Truth
 from services.bus.session import BusOptions
 from services.process.runner import Runner
 from services.process.serve import serve

@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from ltv_mpc.signals import Clock, ClockState
+from ltv_mpc.messages import Clock, ClockState
 
 LEAD_US = 50_000
 """How far ahead a change is announced: many times a message's way through a router."""

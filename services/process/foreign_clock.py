@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ltv_mpc.signals import ClockMode
+from ltv_mpc.messages import ClockMode
 
 WINDOW_US = 30_000_000
 BUCKET_US = 1_000_000

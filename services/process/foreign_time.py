@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from ltv_mpc.signals import Applied, ClockMode, ClockState, Estimate, Signal
+from ltv_mpc.messages import Applied, ClockMode, ClockState, Estimate, Message
 from services.process.clock import Line, VehicleClock
 from services.process.foreign_clock import ForeignClock, Reading
 
@@ -52,7 +52,7 @@ class ForeignTime:
         while len(self._sent_us) > REMEMBERED:
             self._sent_us.popitem(last=False)
 
-    def heard(self, signal: Signal, m_us: int) -> str:
+    def heard(self, signal: Message, m_us: int) -> str:
         """An input came at ``m_us``. Why it must not be believed; empty where it may."""
         if not isinstance(signal, STAMPED) or (self._clock.newest is not None and not self.in_force):
             return ""  # with a clock for all the stamps are by that one, at whatever speed it goes

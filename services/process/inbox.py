@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import InboxEntry, Signal
 from services.bus.topics import BY_SIGNAL, LATEST
 
 
@@ -13,7 +13,7 @@ class PendingInbox:
     def __init__(self) -> None:
         self._pairs: list[tuple[Arrival, InboxEntry]] = []
 
-    def add(self, signal: Signal, *, key: str, epoch: int, sequence: int, crc: int, received_t_ns: int) -> None:
+    def add(self, signal: Message, *, key: str, epoch: int, sequence: int, crc: int, received_t_ns: int) -> None:
         """Put at the end."""
         if BY_SIGNAL[type(signal)].delivery is LATEST:
             self._pairs = [pair for pair in self._pairs if pair[1].key != key]

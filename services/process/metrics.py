@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from ltv_mpc.signals import Authority, ControllerStatus, Health
+from ltv_mpc.messages import Authority, ControllerStatus, Health
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, Rejected, Restore, RunEvent, StepRecord
 from ltv_mpc.node import Cycle, Node
-from ltv_mpc.signals import Clock, CycleTiming, NodeStatus, Rejected, Restore, RunEvent, Signal, StepRecord
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
 from services.bus.topics import BY_SIGNAL
@@ -16,15 +16,15 @@ def times_cycles(node: Node) -> bool:
     return isinstance(node.schedule, Cycle) and CycleTiming in node.reads
 
 
-def inputs(node: Node) -> list[type[Signal]]:
+def inputs(node: Node) -> list[type[Message]]:
     """What comes from other processes; its own words it is handed without the bus."""
     own = (Rejected, Clock, Restore)
     return [kind for kind in node.reads if BY_SIGNAL[kind].written_by != node.name and kind not in own]
 
 
-def outputs(node: Node, *, keeps_time: bool) -> list[type[Signal]]:
+def outputs(node: Node, *, keeps_time: bool) -> list[type[Message]]:
     """What its process publishes."""
-    kinds: list[type[Signal]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
+    kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
     if Restore in node.reads:
@@ -34,7 +34,7 @@ def outputs(node: Node, *, keeps_time: bool) -> list[type[Signal]]:
     return kinds
 
 
-def subscribe(session: Session, kinds: Iterable[type[Signal]], mailbox: Mailbox) -> None:
+def subscribe(session: Session, kinds: Iterable[type[Message]], mailbox: Mailbox) -> None:
     """All of them into one mailbox: arrival has one order."""
     for kind in dict.fromkeys(kinds):
         topic = BY_SIGNAL[kind]

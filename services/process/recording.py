@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 
-from ltv_mpc.signals import Clock, NodeStatus, Rejected, RunEvent
+from ltv_mpc.messages import Clock, NodeStatus, Rejected, RunEvent
 from services.bus.door import rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch

@@ -7,7 +7,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.signals import Applied, ControllerStatus, Estimate, Plan, Signal
+from ltv_mpc.messages import Applied, ControllerStatus, Estimate, Message, Plan
 from services.bus.door import Door
 from services.process.foreign_clock import Reading
 
@@ -22,7 +22,7 @@ Shown = Callable[[ControllerStatus, int], None]
 class ControllerReport:
     """Watches a controller's process. ``shown`` are the status line and the metrics."""
 
-    writes: tuple[type[Signal], ...] = (ControllerStatus,)
+    writes: tuple[type[Message], ...] = (ControllerStatus,)
 
     def __init__(self, node: ControllerNode, shown: Sequence[Shown] = ()) -> None:
         self._node = node
@@ -33,7 +33,7 @@ class ControllerReport:
         self._cycles: deque[tuple[int, int]] = deque()  # when each ended, how long it took (us)
         self.due_us = 0
 
-    def heard(self, signal: Signal) -> None:
+    def heard(self, signal: Message) -> None:
         """An input was let in."""
         match signal:
             case Estimate():
@@ -43,7 +43,7 @@ class ControllerReport:
             case _:
                 pass
 
-    def stepped(self, outputs: Sequence[Signal], took_us: int, now_us: int) -> None:
+    def stepped(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
         """A step is done and published."""
         plan = next((signal for signal in outputs if isinstance(signal, Plan)), None)
         if plan is not None:

@@ -10,19 +10,19 @@ import gc
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
-from ltv_mpc.node import Node, OnMessage
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Clock,
     ClockCommand,
     Command,
     CycleTiming,
+    Message,
     NodeStatus,
     Plan,
     Rejected,
     Restore,
-    Signal,
     StepRecord,
 )
+from ltv_mpc.node import Node, OnMessage
 from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
@@ -66,16 +66,16 @@ class Report(Protocol):
     due_us: int
 
     @property
-    def writes(self) -> tuple[type[Signal], ...]: ...
-    def heard(self, signal: Signal) -> None:
+    def writes(self) -> tuple[type[Message], ...]: ...
+    def heard(self, signal: Message) -> None:
         """An input was let in."""
         ...
 
-    def stepped(self, outputs: Sequence[Signal], took_us: int, now_us: int) -> None:
+    def stepped(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
         """A step is done and published."""
         ...
 
-    def status(self, now_us: int, t_ns: int, door: Door, clock: Reading) -> Signal:
+    def status(self, now_us: int, t_ns: int, door: Door, clock: Reading) -> Message:
         """What is due."""
         ...
 
@@ -326,7 +326,7 @@ class Runner:
             validity: Any = signal  # a type that causes steps has its validity time
             self._step(validity.t_ns, frame.key, monotonic_us())
 
-    def _of_another_time(self, signal: Signal, received_us: int) -> str:
+    def _of_another_time(self, signal: Message, received_us: int) -> str:
         """Why a signal does not fit the time that the process goes by; empty where it does."""
         foreign = self.foreign
         if foreign is None:
@@ -349,7 +349,7 @@ class Runner:
         else:
             self._out.publish(rejected)
 
-    def _hand_own(self, signal: Signal, now_ns: int) -> None:
+    def _hand_own(self, signal: Message, now_ns: int) -> None:
         sent = self._out.publish(signal)
         self._inbox.add(
             signal, key=sent.key, epoch=self.epoch, sequence=sent.sequence, crc=sent.crc, received_t_ns=now_ns
@@ -378,7 +378,7 @@ class Runner:
             foreign=self.foreign is not None,
             missing=(lambda: node.waiting_for) if isinstance(node, Waiting) else None,
         )
-        of_all: list[type[Signal]] = [] if keeps_time is None else [NodeStatus, ClockCommand]
+        of_all: list[type[Message]] = [] if keeps_time is None else [NodeStatus, ClockCommand]
         for_itself = [Clock] if self._follows else of_all
         ports.subscribe(session, [*ports.inputs(node), *for_itself], self.mailbox)
         if keeps_time is not None:
@@ -398,7 +398,7 @@ class Runner:
     def _clock_reading(self, now_us: int) -> Reading:
         return OF_ALL if self.foreign is None else self.foreign.reading(now_us)
 
-    def _received_ns(self, signal: Signal, received_us: int) -> int:
+    def _received_ns(self, signal: Message, received_us: int) -> int:
         """When it came; before there is a time, the one that it says itself."""
         if isinstance(signal, STAMPED) and self._clock.read(received_us) is None:
             return signal.t_ns

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from ltv_mpc.signals import ClockState, NodeStatus, Signal
+from ltv_mpc.messages import ClockState, Message, NodeStatus
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.topics import BY_SIGNAL, OPERATOR
@@ -44,7 +44,7 @@ class StatusReport:
         counts: Counts,
         mailbox: Mailbox,
         clock: VehicleClock,
-        reads: Iterable[type[Signal]],
+        reads: Iterable[type[Message]],
         say: Say,
         foreign: bool = False,
         missing: Callable[[], str] | None = None,
@@ -70,7 +70,7 @@ class StatusReport:
         self._least_wait_us: int | None = None
         self.due_us = 0
 
-    def heard(self, kind: type[Signal]) -> None:
+    def heard(self, kind: type[Message]) -> None:
         """A signal of this kind was let in."""
         self._never_heard.pop(kind, None)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from ltv_mpc.signals import ClockMode, ControllerStatus
+from ltv_mpc.messages import ClockMode, ControllerStatus
 from services.process.stopping import Say
 
 PERIOD_US = 10_000_000

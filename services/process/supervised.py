@@ -14,7 +14,7 @@ import os
 import struct
 from collections.abc import Callable
 
-from ltv_mpc.signals import Restore
+from ltv_mpc.messages import Restore
 from services.bus.wire import decode
 
 PULSE_US = 50_000

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import msgspec
 
-from ltv_mpc.signals import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
+from ltv_mpc.messages import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
 from services.process.clock import TimeKeeper, VehicleClock, fraction_of
 from services.process.pace import Pace
 from services.process.status import MOST_BEHIND_US

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Channel, Metadata
+from mcap.records import Message as McapMessage
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 from services.bus import topics, wire
 from services.recording.records import Record, Records, start_of
 from services.recording.writer import RUN
@@ -26,11 +27,11 @@ class Recorded(msgspec.Struct, frozen=True):
     """
 
     key: str
-    kind: type[Signal] | None
+    kind: type[Message] | None
     t_ns: int
     plain: dict[str, Any]
 
-    def typed(self) -> tuple[Signal, wire.Header]:
+    def typed(self) -> tuple[Message, wire.Header]:
         """The signal and its header. Raises ``WireError`` where it is no such message."""
         if self.kind is None:
             raise wire.WireError(f"no topic has the key {self.key}")
@@ -41,7 +42,7 @@ class Stored(NamedTuple):
     """One message as it stands in the file: ``data`` is its JSON, ``crc`` that of the frame as it was received."""
 
     key: str
-    kind: type[Signal] | None
+    kind: type[Message] | None
     t_ns: int
     crc: int
     data: bytes
@@ -67,10 +68,10 @@ class Recording:
 
     def stored(self, keys: Container[str] | None = None) -> Iterator[Stored]:
         """The messages undecoded; ``keys`` are those that are wanted, None: all."""
-        channels: dict[int, tuple[str, type[Signal] | None] | None] = {}
+        channels: dict[int, tuple[str, type[Message] | None] | None] = {}
         start_ns = 0
         for record in self._records():
-            if isinstance(record, Message):
+            if isinstance(record, McapMessage):
                 channel = channels[record.channel_id]
                 if channel is not None:
                     yield Stored(*channel, record.log_time + start_ns, record.sequence, record.data)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 from services.recording.join import next_segment
 from services.recording.writer import RunWriter
 
@@ -36,7 +36,7 @@ class SegmentWriter:
         """Whether an earlier recorder has left a segment."""
         self._writer: RunWriter | None = self._open()
 
-    def write_plain(self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
+    def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
         """As ``RunWriter.write_plain``; what is not kept comes out of ``refused``."""
         writer = self._writer or self._open_again()
         source = (key, message["epoch"])

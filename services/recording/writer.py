@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 from mcap.writer import CompressionType, Writer
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 from services.bus import schema, topics, wire
 from services.recording import chunk_index
 
@@ -48,7 +48,7 @@ class RunWriter:
         self._flush_s = flush_s
         self._flushed_at = time.monotonic()
         self._channels: dict[str, int] = {}
-        self._schemas: dict[type[Signal], int] = {}
+        self._schemas: dict[type[Message], int] = {}
         self._index = contextlib.ExitStack()
         self._file = path.open("wb")
         # Any: the package leaves the types of some of its methods out.
@@ -61,12 +61,12 @@ class RunWriter:
             self._close()
             raise
 
-    def write(self, writer: str, signal: Signal, header: wire.Header, t_ns: int) -> None:
+    def write(self, writer: str, signal: Message, header: wire.Header, t_ns: int) -> None:
         """A signal that node ``writer`` published at vehicle time ``t_ns``."""
         self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.plain(signal, header), t_ns)
 
     def write_plain(
-        self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int | None = None
+        self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None
     ) -> None:
         """A message as it travelled: ``wire.unpack`` of its payload. Raises ``WireError`` where JSON cannot hold it.
 
@@ -127,7 +127,7 @@ class RunWriter:
             self._file.close()
         self._index.close()
 
-    def _register(self, key: str, kind: type[Signal]) -> int:
+    def _register(self, key: str, kind: type[Message]) -> int:
         if kind not in self._schemas:
             name = f"ltv_mpc.{kind.__name__}"
             self._schemas[kind] = self._mcap.register_schema(name, "jsonschema", schema.text(kind))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import Stored
@@ -30,7 +30,7 @@ NOT_RECORDED = "made by the replay, not recorded"
 class _Output(NamedTuple):
     step: int
     t_ns: int
-    signal: Signal
+    signal: Message
 
 
 class Comparison:
@@ -75,7 +75,7 @@ class Comparison:
         next_ones = [sequence == self._count.get(key, 0) for key, sequence in first.items()]
         return any(next_ones) and not all(next_ones)
 
-    def stepped(self, record: Record, signals: Sequence[Signal]) -> None:
+    def stepped(self, record: Record, signals: Sequence[Message]) -> None:
         """A step made these."""
         self.steps += 1
         self._last = record.step, record.t_ns
@@ -91,7 +91,7 @@ class Comparison:
         """A step that has a record, and so was survived, ended like this."""
         self.steps += 1
         what = f"the replay raised {type(error).__name__}: {error}"
-        self._differs(_Output(record.step, record.t_ns, Signal()), "", -1, what)
+        self._differs(_Output(record.step, record.t_ns, Message()), "", -1, what)
 
     def heard(self, stored: Stored, header: Header) -> None:
         """The file holds this output of the epoch."""
@@ -124,7 +124,7 @@ class Comparison:
                 self._incomplete.add(output.step)
         for key, sequence in self._recorded:
             if whole and sequence == self._count.get(key, 0):
-                self._differs(_Output(*self._last, Signal()), key, sequence, NOT_MADE)
+                self._differs(_Output(*self._last, Message()), key, sequence, NOT_MADE)
 
     def _any_hole(self) -> bool:
         """Whether the file misses an output that something of the same key comes behind."""
@@ -169,7 +169,7 @@ class Comparison:
         )
 
 
-def _json(signal: Signal, header: Header) -> bytes:
+def _json(signal: Message, header: Header) -> bytes:
     return msgspec.json.encode(wire.plain(signal, header))
 
 

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import msgspec
 
+from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Node
-from ltv_mpc.signals import InboxEntry, Signal
 from services.bus.wire import WireError
 from services.recording.reader import Stored
 from services.replay.frames import Frames, Header, arrival
@@ -36,7 +36,7 @@ class Outcome(Protocol):
         """Whether the file holds outputs of later steps than were replayed."""
         ...
 
-    def stepped(self, record: Record, signals: Sequence[Signal]) -> None:
+    def stepped(self, record: Record, signals: Sequence[Message]) -> None:
         """A step made these."""
         ...
 

@@ -8,8 +8,8 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from ltv_mpc.messages import NodeStatus, StepRecord
 from ltv_mpc.node import Node
-from ltv_mpc.signals import NodeStatus, StepRecord
 from services.bus.topics import key_of
 from services.recording.reader import Recording, Stored
 from services.replay.epoch import REACH, Epoch, Outcome, Record

@@ -11,8 +11,8 @@ import base64
 
 import msgspec
 
+from ltv_mpc.messages import Handed, InboxEntry
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Handed, InboxEntry
 from services.bus import wire
 from services.bus.topics import BY_SIGNAL, topic_at
 from services.recording.reader import Stored

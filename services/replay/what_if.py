@@ -17,7 +17,7 @@ import numpy as np
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.signals import Array, Estimate, Plan, Signal
+from ltv_mpc.messages import Array, Estimate, Message, Plan
 from services.bus import wire
 from services.recording.reader import Stored
 from services.replay.epoch import Record
@@ -31,7 +31,7 @@ MOST_WAITING = 1000
 class _Kind(NamedTuple):
     """How two signals of one node are compared."""
 
-    signal: type[Signal]
+    signal: type[Message]
     columns: tuple[tuple[str, str], ...]  # what is compared, and its unit
     time: Callable[[Any], int]  # by which two belong together
     deviations: Callable[[Any, Any], Array]  # recorded, replayed -> (K, columns)
@@ -95,12 +95,12 @@ class WhatIf:
         self.recorded: Counter[str] = Counter()  # by origin
         self.replayed: Counter[str] = Counter()
         self._kind = kind = _KINDS[node]
-        self._waiting: dict[bool, dict[tuple[int, int], Signal]] = {False: {}, True: {}}  # by "replayed"
+        self._waiting: dict[bool, dict[tuple[int, int], Message]] = {False: {}, True: {}}  # by "replayed"
         self._squares, self._max_abs, self._final = (np.zeros(len(kind.columns)) for _ in range(3))
         self._rows = 0
 
     @property
-    def kind(self) -> type[Signal]:
+    def kind(self) -> type[Message]:
         """Which of the node's outputs are compared."""
         return self._kind.signal
 
@@ -129,7 +129,7 @@ class WhatIf:
         """What takes the outputs of one epoch."""
         return OfEpoch(self, epoch)
 
-    def add(self, epoch: int, signal: Signal, *, replayed: bool) -> None:
+    def add(self, epoch: int, signal: Message, *, replayed: bool) -> None:
         """One of either side, in any order; of a time that has been, or of another kind, it is left out."""
         kind = self._kind
         if not isinstance(signal, kind.signal):
@@ -167,7 +167,7 @@ class OfEpoch:
         """Not asked: what has no counterpart is left out."""
         return False
 
-    def stepped(self, record: Record, signals: Sequence[Signal]) -> None:  # noqa: ARG002
+    def stepped(self, record: Record, signals: Sequence[Message]) -> None:  # noqa: ARG002
         """A step made these."""
         self._whole.steps += 1
         for signal in signals:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ltv_mpc.frames import wrap_angle
-from ltv_mpc.signals import Array, Estimate
+from ltv_mpc.messages import Array, Estimate
 
 OTHER_CONVENTIONS = ("ned", "frd")
 """REP 103 names frames that are not ENU or FLU by such a suffix, as in ``odom_ned``."""

@@ -8,8 +8,8 @@ from functools import cache, partial
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.messages import Estimate, InboxEntry, Message, Rejected, StepRecord
 from ltv_mpc.node import Arrival, Inbox, Node
-from ltv_mpc.signals import Estimate, InboxEntry, Rejected, Signal, StepRecord
 from services.bus import topics, wire
 from services.bus.door import rejection
 from services.bus.mailbox import Frame
@@ -119,7 +119,7 @@ class _Log:
         self._writer = writer
 
     @property
-    def heard(self) -> frozenset[type[Signal]]:
+    def heard(self) -> frozenset[type[Message]]:
         """Of which types it takes more than their number, without a recording."""
         return self.grader.hears | {Estimate, Rejected}
 
@@ -164,7 +164,7 @@ def _entry(message: Arrival, reader: str) -> InboxEntry:
     )
 
 
-def _key(signal: Signal, reader: str) -> str:
+def _key(signal: Message, reader: str) -> str:
     """On which key it came. Of the types that every node writes, a node reads only its own: ``Rejected``."""
     return topics.key_of(type(signal), reader)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.signals import Estimate, NodeStatus, Rejected, RunEvent
+from ltv_mpc.messages import Estimate, NodeStatus, Rejected, RunEvent
 from services.bus import topics
 from services.bus.roles import LAUNCHER
 from services.bus.wire import WireError

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ltv_mpc.signals import Estimate, Pair, Truth
+from ltv_mpc.messages import Estimate, Pair, Truth
 from services.views.live import LiveView
 
 

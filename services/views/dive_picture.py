@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ltv_mpc.localisation.dive.filter import Track
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

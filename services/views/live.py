@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from ltv_mpc.signals import Applied, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, Truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

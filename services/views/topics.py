@@ -7,8 +7,8 @@ from inspect import cleandoc
 from typing import Any
 
 from ltv_mpc.errors import ConfigError, shown
-from ltv_mpc.fields import nearest
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
+from ltv_mpc.settings_schema import nearest
 from services.bus.protocol import unit, words
 from services.bus.schema import message, schema
 from services.bus.topics import TOPICS, Topic
@@ -71,7 +71,7 @@ def _period(period_ns: int) -> str:
     return f"{period_ns / 1e6:.4g} ms" if period_ns else "on events"
 
 
-def _fields(signal: type[Signal]) -> list[tuple[str, ...]]:
+def _fields(signal: type[Message]) -> list[tuple[str, ...]]:
     """Name (with its unit), what it is as it travels, and whether it may be left out; the header's fields first."""
     return [
         (name, words(field.value), "" if field.required else "may be left out", unit(field))

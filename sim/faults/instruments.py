@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ltv_mpc.messages import Message
 from ltv_mpc.node import Inbox, Node, Schedule
-from ltv_mpc.signals import Signal
 from sim.faults.readings import Reading, changed, restamped
 from sim.faults.spell import Spell
 
@@ -37,7 +37,7 @@ class Broken(NamedTuple):
     intermittent: mean seconds of a silence, and of what lies between two. Off and stuck have none.
     """
 
-    kind: type[Signal]
+    kind: type[Message]
     failure: Failure
     spell: Spell
     size: float
@@ -62,16 +62,16 @@ class FailingSensors:
         return self._sensors.schedule
 
     @property
-    def reads(self) -> tuple[type[Signal], ...]:
+    def reads(self) -> tuple[type[Message], ...]:
         """As the node inside."""
         return self._sensors.reads
 
     @property
-    def writes(self) -> tuple[type[Signal], ...]:
+    def writes(self) -> tuple[type[Message], ...]:
         """As the node inside."""
         return self._sensors.writes
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """What the instruments say, and what the broken ones make of it."""
         signals = self._sensors.step(t_ns, inbox)
         for failing in self._failures:
@@ -84,12 +84,12 @@ class _Failing:
         self._broken = broken
         self._rng = np.random.default_rng(broken.seed)
         self._count = 0
-        self._last: Signal | None = None
-        self._late: list[tuple[int, Signal]] = []
+        self._last: Message | None = None
+        self._late: list[tuple[int, Message]] = []
         self._silent = True
         self._until_ns = broken.spell.start_ns
 
-    def through(self, t_ns: int, signals: Sequence[Signal]) -> list[Signal]:
+    def through(self, t_ns: int, signals: Sequence[Message]) -> list[Message]:
         """Those of its instrument changed, late, or gone; all others as they were."""
         here = [signal for due_ns, signal in self._late if due_ns <= t_ns]
         self._late = [(due_ns, signal) for due_ns, signal in self._late if due_ns > t_ns]
@@ -103,7 +103,7 @@ class _Failing:
                 here.append(signal)
         return here
 
-    def _said(self, t_ns: int, signal: Signal) -> list[Signal]:
+    def _said(self, t_ns: int, signal: Message) -> list[Message]:
         size, rng = self._broken.size, self._rng
         self._count += 1
         match self._broken.failure:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, Signal, TdcpFix
+from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix
 
 
 class Reading(NamedTuple):
@@ -19,7 +19,7 @@ class Reading(NamedTuple):
     raves: float
 
 
-READINGS: Mapping[type[Signal], tuple[Reading, ...]] = {
+READINGS: Mapping[type[Message], tuple[Reading, ...]] = {
     ImuSample: (Reading("angular_rate_radps", 0.02, 2.0), Reading("specific_force_mps2", 0.1, 20.0)),
     AdcpPing: (Reading("beam_velocity_mps", 0.2, 3.0),),
     CompassHeading: (Reading("heading_rad", 0.5, 3.0),),
@@ -32,7 +32,7 @@ READINGS: Mapping[type[Signal], tuple[Reading, ...]] = {
 TIMES = ("t_ns", "from_t_ns", "interval_ns")
 
 
-def changed(signal: Signal, change: Callable[[Reading, Any], Any]) -> Signal:
+def changed(signal: Message, change: Callable[[Reading, Any], Any]) -> Message:
     """The signal with ``change(reading, value)`` in place of each measured value, of the same shape and type."""
     values: dict[str, Any] = {}
     for reading in READINGS[type(signal)]:
@@ -42,7 +42,7 @@ def changed(signal: Signal, change: Callable[[Reading, Any], Any]) -> Signal:
     return msgspec.structs.replace(signal, **values)
 
 
-def restamped(old: Signal, now: Signal) -> Signal:
+def restamped(old: Message, now: Message) -> Message:
     """What ``old`` measured, at the time of ``now``."""
     times = {name: getattr(now, name) for name in TIMES if name in now.__struct_fields__}
     return msgspec.structs.replace(old, **times)

@@ -17,8 +17,8 @@ import numpy as np
 
 from ltv_mpc.control import controller
 from ltv_mpc.control.solvers.solver import Answer, Solver
+from ltv_mpc.messages import Message, Solve, SolveStatus
 from ltv_mpc.node import Inbox, Node, Schedule
-from ltv_mpc.signals import Signal, Solve, SolveStatus
 from sim.faults.spell import Spell
 
 
@@ -90,16 +90,16 @@ class Timed:
         return self._node.schedule
 
     @property
-    def reads(self) -> tuple[type[Signal], ...]:
+    def reads(self) -> tuple[type[Message], ...]:
         """As the node inside."""
         return self._node.reads
 
     @property
-    def writes(self) -> tuple[type[Signal], ...]:
+    def writes(self) -> tuple[type[Message], ...]:
         """As the node inside."""
         return self._node.writes
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """The node's own step."""
         self._now.t_ns = t_ns
         return self._node.step(t_ns, inbox)

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from ltv_mpc.messages import Harm, Message
 from ltv_mpc.node import Arrival
 from ltv_mpc.ranges import RANGES
-from ltv_mpc.signals import Harm, Signal
 from sim.faults.spell import Spell
 from sim.lockstep import Delivery
 
@@ -28,7 +28,7 @@ class Harmed(NamedTuple):
     jump: seconds that stamps are ahead of the time. A stale one has none.
     """
 
-    kinds: tuple[type[Signal], ...]
+    kinds: tuple[type[Message], ...]
     harm: Harm
     spell: Spell
     size: float
@@ -55,7 +55,7 @@ class Transit:
 
     def __init__(self, faults: Sequence[Harmed], *, encode: Encode, admit: Admit) -> None:
         self._harms: list[_Harm] = []
-        self._kinds: set[type[Signal]] = set()
+        self._kinds: set[type[Message]] = set()
         self._encode = encode
         self._admit = admit
         for fault in faults:
@@ -71,7 +71,7 @@ class Transit:
         """Of each fault, in the order given: how many messages it has harmed."""
         return [harm.harmed for harm in self._harms]
 
-    def knows(self, kind: type[Signal]) -> bool:
+    def knows(self, kind: type[Message]) -> bool:
         """Whether any fault concerns messages of this type, now or at another time."""
         return kind in self._kinds
 
@@ -135,7 +135,7 @@ class _Reorder(_Harm):
 
     def __init__(self, fault: Harmed, encode: Encode) -> None:
         super().__init__(fault, encode)
-        self._waiting: dict[type[Signal], Arrival] = {}
+        self._waiting: dict[type[Message], Arrival] = {}
 
     def concerns(self, message: Arrival) -> bool:
         return type(message.signal) in self._waiting or super().concerns(message)
@@ -185,7 +185,7 @@ class _Stale(_Harm):
 
     def __init__(self, fault: Harmed, encode: Encode) -> None:
         super().__init__(fault, encode)
-        self._said: dict[type[Signal], Signal] = {}
+        self._said: dict[type[Message], Message] = {}
 
     def meets(self, message: Arrival) -> bool:
         kind = type(message.signal)
@@ -233,5 +233,5 @@ def _with(message: Arrival, **values: Any) -> Arrival:
     return _replaced(message, msgspec.structs.replace(message.signal, **values))
 
 
-def _replaced(message: Arrival, signal: Signal) -> Arrival:
+def _replaced(message: Arrival, signal: Message) -> Arrival:
     return msgspec.structs.replace(message, signal=signal)

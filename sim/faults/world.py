@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
 from ltv_mpc.node import Grid, Inbox
-from ltv_mpc.signals import Disturbance, Plan, PlanOrigin, Signal, Solve, SolveStatus, Triple
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.faults.spell import Spell
 
@@ -23,14 +23,14 @@ class Disturber:
 
     name = "operator"
     schedule = Grid(PERIOD_NS)
-    reads: tuple[type[Signal], ...] = ()
-    writes: tuple[type[Signal], ...] = (Disturbance,)
+    reads: tuple[type[Message], ...] = ()
+    writes: tuple[type[Message], ...] = (Disturbance,)
 
     def __init__(self, disturbances: Sequence[tuple[int, Disturbance]]) -> None:
         """Pairs of when (vehicle ns) and what."""
         self._waiting = sorted(disturbances, key=lambda pair: pair[0])
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (it hears nothing)
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (it hears nothing)
         """What is due."""
         due = [disturbance for at_ns, disturbance in self._waiting if at_ns <= t_ns]
         self._waiting = self._waiting[len(due) :]
@@ -49,13 +49,13 @@ class Intruder:
 
     name = "intruder"
     schedule = Grid(PERIOD_NS)
-    reads: tuple[type[Signal], ...] = ()
-    writes: tuple[type[Signal], ...] = (Plan,)
+    reads: tuple[type[Message], ...] = ()
+    writes: tuple[type[Message], ...] = (Plan,)
 
     def __init__(self, intrusions: Sequence[Intrusion]) -> None:
         self._intrusions = intrusions
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (it hears nothing)
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (it hears nothing)
         """One plan each period of a spell."""
         return [plan(t_ns, one.thrust_N) for one in self._intrusions if one.spell.holds(t_ns)]
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 class Cells:

@@ -21,7 +21,7 @@ from scipy.special import gammaincinv
 from ltv_mpc.frames import rotation, rotation_log
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 Mask = npt.NDArray[np.bool_]
 

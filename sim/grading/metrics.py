@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ltv_mpc.signals import Applied, Array, Clock, ClockState, CycleTiming, Estimate, Pair, Plan, Signal, Truth
+from ltv_mpc.messages import Applied, Array, Clock, ClockState, CycleTiming, Estimate, Message, Pair, Plan, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.grading.summary import Quantiles, Spread, Thrust
 
@@ -77,7 +77,7 @@ class Grader:
         self._waiting: dict[tuple[int, int], _Planned] = {}  # by epoch and sequence: not yet taken
         self._taken: list[_Taken] = []
         self._timing: list[tuple[CycleTiming, float]] = []
-        self._hear: dict[type[Signal], Callable[[Any, int, int, int], None]] = {
+        self._hear: dict[type[Message], Callable[[Any, int, int, int], None]] = {
             Truth: self._hear_truth,
             Estimate: self._hear_estimate,
             Plan: self._hear_plan,
@@ -87,7 +87,7 @@ class Grader:
         }
 
     @property
-    def hears(self) -> frozenset[type[Signal]]:
+    def hears(self) -> frozenset[type[Message]]:
         """Of which types it takes note."""
         return frozenset(self._hear)
 
@@ -96,7 +96,7 @@ class Grader:
         """How far the run has come: vehicle time of the last truth."""
         return self._truth[-1][0] if self._truth else 0
 
-    def observe(self, signal: Signal, *, epoch: int, sequence: int, t_ns: int) -> None:
+    def observe(self, signal: Message, *, epoch: int, sequence: int, t_ns: int) -> None:
         """A message: its source's epoch, its number of its key, and when it was published (vehicle time)."""
         hear = self._hear.get(type(signal))
         if hear is not None:

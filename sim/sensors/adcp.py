@@ -27,7 +27,7 @@ import numpy as np
 from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.localisation.suite import Adcp
-from ltv_mpc.signals import AdcpPing, Array, Triple
+from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.draws import Stream, generator
 from sim.sensors.injected import Injected, Mask
 from sim.sensors.instant import Instant

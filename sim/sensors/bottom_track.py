@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from ltv_mpc.localisation.suite import BottomTracking
-from ltv_mpc.signals import Array, BottomTrack
+from ltv_mpc.messages import Array, BottomTrack
 from sim.draws import Stream, generator
 from sim.sensors.adcp import Instrument
 from sim.sensors.injected import Injected

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 class Drift:

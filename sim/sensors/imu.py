@@ -22,7 +22,7 @@ from ltv_mpc import so3
 from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate
 from ltv_mpc.localisation.suite import Imu
-from ltv_mpc.signals import Array, ImuSample, Triple
+from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Nine
 from sim.draws import Stream, generator
 from sim.sensors.drift import Drift

@@ -15,7 +15,7 @@ import numpy as np
 from ltv_mpc import so3
 from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import rotation, rotation_exp
-from ltv_mpc.signals import Array, Triple, Truth
+from ltv_mpc.messages import Array, Triple, Truth
 
 _ORIGIN = (0.0, 0.0, 0.0)
 

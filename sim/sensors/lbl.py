@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.localisation.suite import Lbl
+from ltv_mpc.messages import LblRange, Triple
 from ltv_mpc.ranges import TRAVEL_TIME
-from ltv_mpc.signals import LblRange, Triple
 from sim.draws import Stream, generator
 from sim.sensors.injected import Injected
 from sim.sensors.instant import Instant, Motion

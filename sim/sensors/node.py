@@ -14,8 +14,7 @@ from heapq import heapify, heappush, heapreplace
 from typing import NamedTuple, Protocol
 
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Due, Inbox, OnMessage, one_by_one
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,
@@ -23,12 +22,13 @@ from ltv_mpc.signals import (
     GnssFix,
     ImuSample,
     LblRange,
+    Message,
     PressureDepth,
-    Signal,
     TdcpFix,
     Truth,
     UsblFix,
 )
+from ltv_mpc.node import Due, Inbox, OnMessage, one_by_one
 from sim.scenario import Scenario
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
@@ -47,7 +47,7 @@ from sim.water import WaterColumn
 class Sensor(Protocol):
     """Something that measures at an instant."""
 
-    def sample(self, now: Instant) -> Sequence[Signal]:
+    def sample(self, now: Instant) -> Sequence[Message]:
         """What it says, if anything."""
         ...
 
@@ -66,7 +66,7 @@ class _OnTheWay(NamedTuple):
     t_ns: int  # of validity
     order: int  # of its sensor
     arrival_ns: int
-    signal: Signal
+    signal: Message
 
 
 class Sensors:
@@ -74,7 +74,7 @@ class Sensors:
 
     name = "sensors"
     schedule = OnMessage((Truth,))
-    reads: tuple[type[Signal], ...] = (Truth,)
+    reads: tuple[type[Message], ...] = (Truth,)
 
     def __init__(
         self,
@@ -82,18 +82,18 @@ class Sensors:
         suite: Suite,
         water: WaterColumn,
         *,
-        heard: frozenset[type[Signal]] | None = None,
+        heard: frozenset[type[Message]] | None = None,
     ) -> None:
         """Each sensor draws from its own stream of the scenario's seed.
 
         So those whose messages are not among ``heard`` may be left out, and what the others say stays the same.
         """
         seed, bottom_m = scenario.run.seed, scenario.water.bottom_m
-        writes: list[type[Signal]] = []
+        writes: list[type[Message]] = []
         # In this order they speak at one instant: the IMU's interval is over before anyone measures at its end.
         self._mounted: list[_Mounted] = []
 
-        def mount(kind: type[Signal], period_ns: int, sensor: Sensor, latency_ns: int = 0) -> None:
+        def mount(kind: type[Message], period_ns: int, sensor: Sensor, latency_ns: int = 0) -> None:
             if heard is not None and kind not in heard:
                 return
             writes.append(kind)
@@ -118,7 +118,7 @@ class Sensors:
         if scenario.run.perfect_state:
             estimator = scenario.estimator
             mount(Estimate, estimator.estimate_period_ns, PerfectState(estimator, water))
-        self.writes: tuple[type[Signal], ...] = tuple(writes)
+        self.writes: tuple[type[Message], ...] = tuple(writes)
         self._on_the_way: list[_OnTheWay] = []
         self._last: Truth | None = None
         self._motion: Motion | None = None  # the newest that was looked at
@@ -129,15 +129,15 @@ class Sensors:
         """The sensors, in the order in which they speak at one instant."""
         return tuple(mounted.sensor for mounted in self._mounted)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002  (each truth carries its own)
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (each truth carries its own)
         """What has arrived since the last truth, in order of validity."""
-        signals: list[Signal] = []
+        signals: list[Message] = []
         for arrival in inbox:
             if isinstance(arrival.signal, Truth) and (self._last is None or arrival.signal.t_ns > self._last.t_ns):
                 signals += self._measure(arrival.signal)
         return signals
 
-    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """``step`` for each in turn; where the inertial unit measures at every truth, its samples at once."""
         truths = [arrival.signal for _, inbox in due for arrival in inbox if isinstance(arrival.signal, Truth)]
         imu = self._mounted[0].sensor if self._mounted else None
@@ -150,7 +150,7 @@ class Sensors:
         self._last, self._motion = truths[-1], motions[len(truths) - 1]
         self._due = [(t_ns, order) for t_ns, order in self._due if order]
         heapify(self._due)
-        signals: list[list[Signal]] = []
+        signals: list[list[Message]] = []
         for k, sample in enumerate(samples):
             t_ns = sample.t_ns
             if self._on_the_way or (self._due and self._due[0][0] <= t_ns):
@@ -171,7 +171,7 @@ class Sensors:
         stamps = [truth.t_ns for truth in truths]
         return (first_ns, 0) in self._due and stamps == [first_ns + k * period_ns for k in range(len(stamps))]
 
-    def _measure(self, truth: Truth) -> list[Signal]:
+    def _measure(self, truth: Truth) -> list[Message]:
         last, self._last = self._last, truth
         if last is None:
             periods = [mounted.period_ns for mounted in self._mounted]
@@ -196,7 +196,7 @@ class Sensors:
             answers = self._lbl.answers(motion, until_ns)
             on_the_way += [_OnTheWay(x.t_ns, len(self._mounted), arrival_ns(x), x) for x in answers]
 
-    def _arrived(self, until_ns: int) -> list[Signal]:
+    def _arrived(self, until_ns: int) -> list[Message]:
         here = [message for message in self._on_the_way if message.arrival_ns <= until_ns]
         self._on_the_way = [message for message in self._on_the_way if message.arrival_ns > until_ns]
         if len(here) > 1:

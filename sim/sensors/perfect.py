@@ -8,7 +8,7 @@ import numpy as np
 
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.signals import CurrentProfile, Estimate
+from ltv_mpc.messages import CurrentProfile, Estimate
 from sim.sensors.instant import Instant
 from sim.water import WaterColumn
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ltv_mpc.localisation.suite import Pressure
-from ltv_mpc.signals import PressureDepth
+from ltv_mpc.messages import PressureDepth
 from sim.draws import Stream, generator
 from sim.sensors.instant import Instant
 

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from ltv_mpc.localisation.suite import Usbl
-from ltv_mpc.signals import UsblFix
+from ltv_mpc.messages import UsblFix
 from sim.draws import Stream, generator
 from sim.sensors.injected import Injected
 from sim.sensors.instant import Instant

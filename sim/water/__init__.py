@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from sim.draws import Stream, generator
 from sim.scenario import Water
 from sim.water import markov, measured

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.signals import Array, CurrentProfile, Pair
+from ltv_mpc.messages import Array, CurrentProfile, Pair
 from sim.draws import Stream, generator
 
 KNOT_NS = 1_000_000_000

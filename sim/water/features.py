@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from sim.scenario import Water
 from sim.water import markov
 

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 def depths(deepest_m: float, cell_m: float) -> Array:

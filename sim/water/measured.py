@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.currents import read_profile
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 def read(file: str) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers import solve_qp
-from ltv_mpc.signals import Array, SolveStatus
+from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import substeps
 from ltv_mpc.vehicle.parameters import Vehicle

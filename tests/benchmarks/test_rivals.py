@@ -12,7 +12,7 @@ import pytest
 from benchmarks.loop import situation
 from benchmarks.rivals import law, lqr, mpc, pid
 from benchmarks.rivals.search import Span, search
-from ltv_mpc.signals import CurrentProfile, Estimate
+from ltv_mpc.messages import CurrentProfile, Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 
 GAINS = {"kp": 200.0, "kd": 600.0, "ki": 5.0, "k_psi": 100.0, "k_r": 200.0, "hold_N": 2.0}

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ltv_mpc.signals import ClockCommand, Command, Disturbance, Kill
+from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
 from services.launch import loopback
 from services.views.plots.catalogue import PLOTS

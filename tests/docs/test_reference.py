@@ -12,7 +12,7 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from ltv_mpc import fields
+from ltv_mpc import settings_schema
 from services.cli.app import app
 from sim.scenario import Scenario
 from tests.docs.pages import ROOT
@@ -65,7 +65,7 @@ def test_every_key_of_a_scenario_is_on_the_page_of_settings(monkeypatch: pytest.
             table = f"{heading[1]}."
         elif row := re.match(r"\| `(\w+)` \|", line):
             shown.add(f"{table}{row[1]}")
-    assert set(fields.settings(Scenario)) - {"made_by"} <= shown
+    assert set(settings_schema.settings(Scenario)) - {"made_by"} <= shown
     assert "| `horizon_s` | a number >= 0.3 and \\<= 120 | `5.0` |" in page
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from ltv_mpc.signals import Estimate, Plan
+from ltv_mpc.messages import Estimate, Plan
 from services.bus.topics import TOPICS
 from services.bus.wire import decode, encode
 from tests.services.bus.messages import EXAMPLES, HEADER

@@ -37,19 +37,19 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.pd0 import reader as pd0_reader
 from ltv_mpc.localisation.pd0.beams import to_beams
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     Clock,
     Command,
     CurrentProfile,
     Estimate,
+    Message,
     Plan,
-    Signal,
     Solve,
     SolveStatus,
 )
+from ltv_mpc.node import Arrival
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
 from services.bus.door import Door
@@ -108,7 +108,7 @@ def finite(value: object) -> None:
 # --- the bus ---------------------------------------------------------------------------------------------------------
 
 
-def signal_is_sound(signal: Signal) -> None:
+def signal_is_sound(signal: Message) -> None:
     """Finite, and of the lengths that belong together. Of beams NaN alone means something: no return."""
     match signal:
         case AdcpPing():
@@ -290,7 +290,7 @@ def command() -> Target:
             inbox.append(Arrival(here, 1, count, t_ns))
         return node.step(t_ns, inbox)
 
-    def check(said: Sequence[Signal]) -> None:
+    def check(said: Sequence[Message]) -> None:
         for signal in said:
             signal_is_sound(signal)
             assert refusal(signal) is None
@@ -547,7 +547,7 @@ def recordings() -> Iterator[Target]:
                 found.append(message.typed()[0])
         return found
 
-    def signals_are_sound(found: Sequence[Signal]) -> None:
+    def signals_are_sound(found: Sequence[Message]) -> None:
         for signal in found:
             signal_is_sound(signal)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ltv_mpc.signals import Applied
+from ltv_mpc.messages import Applied
 
 
 def report(t_ns: int, thrust_N: Iterable[float], command_N: Iterable[float] | None = None) -> Applied:

@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc.currents import WaterPrior, read_prior, read_profile, write_profile
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import CurrentProfile
+from ltv_mpc.messages import CurrentProfile
 
 GOOD = "depth_m,v_north_mps,u_east_mps\n0,0.1,-0.2\n10,0.3,0.4\n"
 

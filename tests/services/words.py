@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ltv_mpc.signals import NodeStatus
+from ltv_mpc.messages import NodeStatus
 
 
 def status(node: str, **what: Any) -> NodeStatus:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ltv_mpc.messages import Message, Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.node import Inbox, Schedule
-from ltv_mpc.signals import Plan, PlanOrigin, Signal, Solve, SolveStatus
 
 MS = 1_000_000
 
@@ -32,18 +32,18 @@ class Fake:
         self,
         name: str,
         schedule: Schedule,
-        reads: tuple[type[Signal], ...] = (),
+        reads: tuple[type[Message], ...] = (),
         answer: Any = None,
-        writes: tuple[type[Signal], ...] = (),
+        writes: tuple[type[Message], ...] = (),
     ) -> None:
         self.name = name
         self.schedule = schedule
         self.reads = reads
         self.writes = writes
         self.answer = answer or (lambda _t_ns, _inbox: [])
-        self.seen: list[tuple[int, list[tuple[type[Signal], int, int]]]] = []
+        self.seen: list[tuple[int, list[tuple[type[Message], int, int]]]] = []
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
         return self.answer(t_ns, inbox)
 

@@ -6,17 +6,17 @@ from typing import Any
 
 import pytest
 
-from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, OnMessage
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     CycleTiming,
     Estimate,
+    Message,
     Plan,
     PressureDepth,
     Rejected,
     RunEvent,
-    Signal,
     Truth,
 )
+from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, OnMessage
 from sim import lockstep
 from tests.sim.table import MS, Fake, plan
 
@@ -53,7 +53,7 @@ class Log:
     def __init__(self) -> None:
         self.lines: list[tuple[Any, ...]] = []
 
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: str | type[Signal], inbox: Inbox) -> None:
+    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: str | type[Message], inbox: Inbox) -> None:
         self.lines.append(("step", at_ns // MS, node, number, t_ns / MS, cause, len(inbox)))
 
     def published(self, node: str, message: Arrival) -> None:
@@ -68,7 +68,7 @@ def plant(**kw: Any) -> Fake:
 def controller(period_ms: int = 300) -> Fake:
     newest = {"t_ns": 0}
 
-    def answer(t_ns: int, inbox: Inbox) -> list[Signal]:
+    def answer(t_ns: int, inbox: Inbox) -> list[Message]:
         for arrival in inbox:
             if isinstance(arrival.signal, Estimate):
                 newest["t_ns"] = arrival.signal.t_ns
@@ -123,7 +123,7 @@ def test_a_step_on_a_message_is_for_its_validity_time_and_its_outputs_are_publis
 
 
 def test_several_messages_at_once_are_stepped_on_one_by_one_in_their_order_of_arrival() -> None:
-    def two(t_ns: int, _: Inbox) -> list[Signal]:
+    def two(t_ns: int, _: Inbox) -> list[Message]:
         return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=0.0), PressureDepth(t_ns=t_ns, depth_m=0.0)]
 
     sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), two)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from ltv_mpc.messages import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth, to_wire
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth, to_wire
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario

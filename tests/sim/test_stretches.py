@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage, one_by_one
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     CycleTiming,
     Disturbance,
     Estimate,
     ImuSample,
+    Message,
     Plan,
     PressureDepth,
     Rejected,
     RunEvent,
-    Signal,
     Truth,
 )
+from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage, one_by_one
 from services.bus import wire
 from services.run import locked
 from services.run.folder import RunFolder
@@ -40,7 +40,7 @@ class Ears:
     """What is published, as bytes."""
 
     def __init__(self) -> None:
-        self.said: list[tuple[str, int, int, type[Signal], bytes]] = []
+        self.said: list[tuple[str, int, int, type[Message], bytes]] = []
 
     def stepped(self, *_: object) -> None:
         pass
@@ -53,7 +53,7 @@ class Ears:
 
 def said_by(
     way: type[LockStep] | type[Stretches], nodes: Sequence[Node], start_ns: int, until: Sequence[int], delay_ns: int = 0
-) -> list[tuple[str, int, int, type[Signal], bytes]]:
+) -> list[tuple[str, int, int, type[Message], bytes]]:
     ears = Ears()
     lockstep = way(nodes, start_ns=start_ns, compute_delay_ns=delay_ns, observe=ears, refused=locked.refused)
     for until_ns in until:
@@ -74,10 +74,10 @@ class Storm:
 
     name = "operator"
     schedule = Grid(300 * MS)
-    reads: tuple[type[Signal], ...] = ()
-    writes: tuple[type[Signal], ...] = (Disturbance,)
+    reads: tuple[type[Message], ...] = ()
+    writes: tuple[type[Message], ...] = (Disturbance,)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         if t_ns not in (1500 * MS, 3900 * MS):
             return []
         return [Disturbance(until_t_ns=t_ns + 1234 * MS, force_N=(10.0, -5.0, 1.0), yaw_moment_Nm=2.0)]
@@ -97,7 +97,7 @@ def test_of_a_descent_every_signal_is_the_same_to_the_bit(settings: tuple[str, .
     situation = descent(*settings)
     scenario = situation.scenario
 
-    def said(way: type[LockStep] | type[Stretches]) -> list[tuple[str, int, int, type[Signal], bytes]]:
+    def said(way: type[LockStep] | type[Stretches]) -> list[tuple[str, int, int, type[Message], bytes]]:
         nodes = locked.nodes(situation)
         until = [*range(scenario.start_ns, scenario.end_ns, 700 * MS), scenario.end_ns]
         delay_ns = round(scenario.run.compute_delay_s * 1e9)
@@ -113,7 +113,7 @@ def test_who_wants_some_types_hears_of_these_and_of_how_many_others(delay_s: flo
     """Plans that are on their way when the run ends are neither told nor counted."""
     situation = descent(f"run.compute_delay_s={delay_s}", duration_s=4.0)
 
-    def told(heard: frozenset[type[Signal]] | None) -> tuple[list[tuple[str, int, int, type[Signal], bytes]], int]:
+    def told(heard: frozenset[type[Message]] | None) -> tuple[list[tuple[str, int, int, type[Message], bytes]], int]:
         ears = Ears()
         stretches = Stretches(
             locked.nodes(situation),
@@ -126,7 +126,7 @@ def test_who_wants_some_types_hears_of_these_and_of_how_many_others(delay_s: flo
         stretches.advance(situation.scenario.end_ns)
         return ears.said, stretches.untold
 
-    wanted: frozenset[type[Signal]] = frozenset({Truth, Estimate, Plan})
+    wanted: frozenset[type[Message]] = frozenset({Truth, Estimate, Plan})
     everything, none = told(None)
     some, others = told(wanted)
     assert none == 0
@@ -181,29 +181,29 @@ class Many(Fake):
         super().__init__(*given)
         self.bulks: list[int] = []
 
-    def steps(self, due: Sequence[Due]) -> list[list[Signal]]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         self.bulks.append(len(due))
         return one_by_one(self, due)
 
 
-def event(name: str) -> Callable[[int, Inbox], list[Signal]]:
+def event(name: str) -> Callable[[int, Inbox], list[Message]]:
     return lambda t_ns, _: [RunEvent(t_ns=t_ns, node=name, kind="k", text="")]
 
 
-def depth(t_ns: int, inbox: Inbox) -> list[Signal]:
+def depth(t_ns: int, inbox: Inbox) -> list[Message]:
     """Two measurements, of which the second is wrong at every third instant, and then what causes no step."""
     wrong = t_ns % (30 * MS) == 0
     measured = [1.0, np.nan if wrong else 2.0]
     return [*(PressureDepth(t_ns=t_ns, depth_m=depth_m) for depth_m in measured), *event("second")(t_ns, inbox)]
 
 
-def first(t_ns: int, inbox: Inbox) -> list[Signal]:
+def first(t_ns: int, inbox: Inbox) -> list[Message]:
     """An event, and at times a wrong measurement."""
-    wrong: list[Signal] = [PressureDepth(t_ns=t_ns, depth_m=np.nan)] if t_ns % (20 * MS) == 0 else []
+    wrong: list[Message] = [PressureDepth(t_ns=t_ns, depth_m=np.nan)] if t_ns % (20 * MS) == 0 else []
     return event("first")(t_ns, inbox) + wrong
 
 
-def estimate(t_ns: int, _: Inbox) -> list[Signal]:
+def estimate(t_ns: int, _: Inbox) -> list[Message]:
     return [Estimate.at_rest(north_m=t_ns * 1e-9)]
 
 
@@ -219,7 +219,7 @@ def table(fake: type[Fake]) -> list[Fake]:
     ]
 
 
-def plans(t_ns: int, _: Inbox) -> list[Signal]:
+def plans(t_ns: int, _: Inbox) -> list[Message]:
     """At two of three cycles."""
     return [plan(t_ns, t_ns)] if t_ns % (210 * MS) else []
 

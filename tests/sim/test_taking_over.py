@@ -11,8 +11,8 @@ import pytest
 from ltv_mpc import references
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.messages import Acknowledged, Action, Applied, Command, Manual, Message, Plan
 from ltv_mpc.node import Arrival, Grid, Inbox
-from ltv_mpc.signals import Acknowledged, Action, Applied, Command, Manual, Plan, Signal
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.lockstep import LockStep
 from sim.plant import Plant
@@ -30,17 +30,17 @@ class Operator:
 
     name = "operator"
     schedule = Grid(100_000_000)
-    reads: tuple[type[Signal], ...] = (Acknowledged,)
-    writes: tuple[type[Signal], ...] = (Command, Manual)
+    reads: tuple[type[Message], ...] = (Acknowledged,)
+    writes: tuple[type[Message], ...] = (Command, Manual)
 
     def __init__(self, orders: dict[float, Command], stick: tuple[float, float, float] | None) -> None:
         self.orders = {round(t * S): command for t, command in orders.items()}
         self.stick = stick
         self.answers: list[Acknowledged] = []
 
-    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
         self.answers += [arrival.signal for arrival in inbox]
-        said: list[Signal] = [self.orders[t_ns]] if t_ns in self.orders else []
+        said: list[Message] = [self.orders[t_ns]] if t_ns in self.orders else []
         return [*said, Manual(thrust_N=self.stick)] if self.stick else said
 
 

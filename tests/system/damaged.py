@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from ltv_mpc.signals import Signal
+from ltv_mpc.messages import Message
 from services.bus.schema import Schema, schema
 from services.bus.wire import Header, encode, unpack
 
@@ -21,7 +21,7 @@ class Damaged(NamedTuple):
     payload: bytes
 
 
-def damaged(signal: Signal, header: Header) -> Iterator[Damaged]:
+def damaged(signal: Message, header: Header) -> Iterator[Damaged]:
     """Every message with one thing wrong that the schema of ``signal`` tells of; all are otherwise acceptable."""
     message = unpack(encode(signal, header))
     described = schema(type(signal))

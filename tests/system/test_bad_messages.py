@@ -13,9 +13,19 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import (
+    Applied,
+    Command,
+    ControllerStatus,
+    CurrentProfile,
+    Estimate,
+    Manual,
+    Message,
+    Plan,
+    Rejected,
+)
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point
-from ltv_mpc.signals import Applied, Command, ControllerStatus, CurrentProfile, Estimate, Manual, Plan, Rejected, Signal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
@@ -53,7 +63,7 @@ def estimate(k: int) -> Estimate:
     )
 
 
-def example(kind: type[Signal]) -> Signal:
+def example(kind: type[Message]) -> Message:
     return estimate(1000) if kind is Estimate else next(one for one in EXAMPLES if type(one) is kind)
 
 
@@ -90,7 +100,7 @@ ARM = msgpack.packb({"epoch": 7, "sequence": 0, "command_id": 1, "action": "arm"
 
 
 @pytest.mark.parametrize("kind", READ, ids=lambda kind: kind.__name__)
-def test_no_field_that_is_wrong_changes_a_plan_and_each_is_counted_and_shown(kind: type[Signal]) -> None:
+def test_no_field_that_is_wrong_changes_a_plan_and_each_is_counted_and_shown(kind: type[Message]) -> None:
     """Two controllers hear the same estimates; one of them all else besides: their plans are the same to the bit."""
     quiet, beset = Listening(), Listening()
     key = BY_SIGNAL[kind].key

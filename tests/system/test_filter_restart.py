@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
+from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
 from services.run import locked
 from services.run.situation import Override, resolve
 from sim.lockstep import LockStep

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import Applied, Estimate, Truth, UsblFix
+from ltv_mpc.messages import Applied, Estimate, Truth, UsblFix
 from services.run import locked
 from services.run.situation import Override, resolve
 from sim.lockstep import LockStep

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.signals import NodeStatus, RunEvent, StepRecord
+from ltv_mpc.messages import NodeStatus, RunEvent, StepRecord
 from services.bus import certificates
 from services.bus.mailbox import Mailbox
 from services.bus.roles import ROLES

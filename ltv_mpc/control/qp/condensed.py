@@ -34,7 +34,7 @@ from ltv_mpc.control.limits import HorizonLimits, bounds
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 
 

@@ -17,7 +17,7 @@ from scipy.sparse import csc_array
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Array, Solve
+from ltv_mpc.messages import Array, Solve
 
 FORMAT = "ltv-mpc qp 1"
 FILE = "QP file"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from scipy.sparse import csc_array
 
-from ltv_mpc.signals import Array, Solve
+from ltv_mpc.messages import Array, Solve
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 SIDES = ("port", "starboard")
 STATE_NAMES = ("north", "east", "surge", "sway", "heading", "yaw rate", "port's thrust", "starboard's thrust")

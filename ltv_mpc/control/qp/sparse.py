@@ -38,7 +38,7 @@ from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.scales import weights_of
-from ltv_mpc.signals import Array, Pair
+from ltv_mpc.messages import Array, Pair
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 

@@ -25,7 +25,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.control.constants import Objective, length
 from ltv_mpc.control.horizon import Linearisation, velocity_over_ground
 from ltv_mpc.control.limits import bounds
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 ROWS = 4
 """g of a stage."""

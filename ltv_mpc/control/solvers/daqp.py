@@ -19,7 +19,7 @@ from ltv_mpc.control.qp.condensed import CondensedForm
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.messages import Array, Solve, SolveStatus
 
 VIOLATION = 1e-9
 """By how much a bound may be violated, as a part of the thrusters' limit."""

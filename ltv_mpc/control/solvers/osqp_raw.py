@@ -19,7 +19,7 @@ import numpy as np
 import osqp
 from scipy.sparse import csc_array, csc_matrix, triu
 
-from ltv_mpc.signals import Array, SolveStatus
+from ltv_mpc.messages import Array, SolveStatus
 
 Settings = Mapping[str, float | int | bool]
 

@@ -31,7 +31,7 @@ from ltv_mpc.control.qp.sweeps import ROWS
 from ltv_mpc.control.solvers import stagewise
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Account, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 
 DYNAMICS = 100.0

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.signals import Array, Solve
+from ltv_mpc.messages import Array, Solve
 
 
 class Answer(NamedTuple):

@@ -44,7 +44,7 @@ from ltv_mpc.control.qp.sweeps import ROWS
 from ltv_mpc.control.solvers import stagewise
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, Settings, Workspace, workspace
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 
 EQUALITY_ROW = 300.0

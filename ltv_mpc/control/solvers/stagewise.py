@@ -34,7 +34,7 @@ from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.qp.sweeps import ROWS, Work, sweep, work_on
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Array, Solve, SolveStatus
+from ltv_mpc.messages import Array, Solve, SolveStatus
 
 RHO = 1e6
 """Against a curvature of about 1: a row that is held is off by the change of its dual / RHO."""

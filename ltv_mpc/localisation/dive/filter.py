@@ -20,7 +20,7 @@ from ltv_mpc.localisation.dive.screening import usable
 from ltv_mpc.localisation.dive.update import Mask, beams, correct, over_ground
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.pd0.records import Settings
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 MOST_NODES = 200
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from ltv_mpc.localisation.dive.parameters import DiveParameters
 from ltv_mpc.localisation.pd0.records import BEAMS
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 POSITION = slice(0, 2)
 VELOCITY = slice(2, 4)

@@ -19,7 +19,7 @@ import numpy as np
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.pd0.records import Settings
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 LEAST_SAMPLES = 30
 AT_SEA = 2.0

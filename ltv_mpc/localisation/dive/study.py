@@ -18,7 +18,7 @@ from ltv_mpc.localisation.dive.filter import Instrument, Track, run
 from ltv_mpc.localisation.dive.parameters import DiveParameters
 from ltv_mpc.localisation.dive.truth import Ground
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 AFTER_S = 300.0
 SHALLOWEST_M, DEEPEST_M = 2.0, 14.0

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 LONGEST_GAP_S = 30.0
 

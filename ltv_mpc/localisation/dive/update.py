@@ -22,7 +22,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from ltv_mpc.localisation.dive.model import BIAS, FALL, VELOCITY, Model
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 OVERLAP = 1.3
 """Of the variance: 1 + 2 x 0.15."""

@@ -28,7 +28,7 @@ from ltv_mpc.frames import skew
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Adcp
-from ltv_mpc.signals import AdcpPing, Array, Triple
+from ltv_mpc.messages import AdcpPing, Array, Triple
 
 Indices: TypeAlias = npt.NDArray[np.int64]
 

@@ -18,7 +18,7 @@ from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
 from ltv_mpc.localisation.suite import Adcp, BottomTracking
-from ltv_mpc.signals import BottomTrack, Triple
+from ltv_mpc.messages import BottomTrack, Triple
 
 
 class Linearised(NamedTuple):

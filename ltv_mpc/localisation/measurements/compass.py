@@ -15,7 +15,7 @@ from ltv_mpc.frames import wrap_angle
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, Belief
 from ltv_mpc.localisation.suite import Compass
-from ltv_mpc.signals import Array, CompassHeading
+from ltv_mpc.messages import Array, CompassHeading
 
 
 def heading(R: Array) -> float:

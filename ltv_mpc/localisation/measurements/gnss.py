@@ -12,7 +12,7 @@ from ltv_mpc.localisation.measurements import lever
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.suite import Gnss
-from ltv_mpc.signals import GnssFix, Triple
+from ltv_mpc.messages import GnssFix, Triple
 
 _TURNING = (*range(ATTITUDE.start, ATTITUDE.stop), *range(GYRO_BIAS.start, GYRO_BIAS.stop))
 _STATES = np.array([[own, *_TURNING] for own in (0, 1, 3, 4)])

@@ -24,7 +24,7 @@ from ltv_mpc.localisation.measurements import lever
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, POSITION, Belief
 from ltv_mpc.localisation.suite import Lbl
-from ltv_mpc.signals import LblRange
+from ltv_mpc.messages import LblRange
 
 _NEAREST_M = 0.1
 """Ranges are taken as no shorter: the direction to a transponder at the vehicle's own place is not defined."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltv_mpc.frames import skew
 from ltv_mpc.localisation.state import GYRO_BIAS, Belief
-from ltv_mpc.signals import Array, Triple
+from ltv_mpc.messages import Array, Triple
 
 
 class Point(NamedTuple):

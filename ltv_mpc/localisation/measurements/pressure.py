@@ -11,7 +11,7 @@ from ltv_mpc.compiled import kernel
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, Belief
 from ltv_mpc.localisation.suite import Pressure
-from ltv_mpc.signals import Array, PressureDepth, Triple
+from ltv_mpc.messages import Array, PressureDepth, Triple
 
 _STATE = np.array([[2, ATTITUDE.start, ATTITUDE.start + 1]])
 

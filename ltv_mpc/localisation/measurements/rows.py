@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 
 class Rows(NamedTuple):

@@ -13,7 +13,7 @@ from ltv_mpc.localisation.measurements import lever
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, Belief
 from ltv_mpc.localisation.suite import Tdcp
-from ltv_mpc.signals import TdcpFix, Triple
+from ltv_mpc.messages import TdcpFix, Triple
 
 
 def rows(belief: Belief, fix: TdcpFix, tdcp: Tdcp, antenna_m: Triple) -> Rows:

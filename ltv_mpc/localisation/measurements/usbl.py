@@ -14,7 +14,7 @@ from ltv_mpc.localisation.measurements import lever
 from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.state import ATTITUDE, POSITION, Belief
 from ltv_mpc.localisation.suite import Usbl
-from ltv_mpc.signals import UsblFix
+from ltv_mpc.messages import UsblFix
 
 _STATES = np.array([[own, *range(ATTITUDE.start, ATTITUDE.stop)] for own in (0, 1)])
 

@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.localisation.pd0.records import BEAMS, Coordinates, Ensemble, Settings
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 _ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.frames import GRAVITY_MPS2
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 MISSING = -32768
 BEAMS = 4

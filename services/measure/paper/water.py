@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.currents import read_profile
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.views.figures.renderer import Run
 from services.views.figures.water import LAG, MADE_UP, MEAN_SQUARE
 from services.views.plots.table import Columns, short

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from services.views.plots import palette
 from services.views.plots.description import Axis, Plot, Series, Style
 from services.views.plots.marks import Mark

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ltv_mpc.signals import Applied, Array, Clock, CurrentProfile, CycleTiming, Estimate, Plan, Signal, Truth
+from ltv_mpc.messages import Applied, Array, Clock, CurrentProfile, CycleTiming, Estimate, Message, Plan, Truth
 from ltv_mpc.vehicle.parameters import Thruster
 from services.views.plots.marks import Marks
 from services.views.plots.table import Columns, Table, short
@@ -62,7 +62,7 @@ class Collector:
         """The current as it is believed to be: the newest estimate's that has one."""
         self._targets: list[tuple[int, float, float]] = []  # t, north, east of the last two plans
         self._waiting: list[tuple[Table, int, float, float]] = []  # positions that wait for the next target
-        self._hear: dict[type[Signal], Callable[[Any], None]] = {
+        self._hear: dict[type[Message], Callable[[Any], None]] = {
             Truth: self._hear_truth,
             Estimate: self._hear_estimate,
             Plan: self._hear_plan,
@@ -81,7 +81,7 @@ class Collector:
         """The newest."""
         return self._plan
 
-    def hear(self, signal: Signal, epoch: int) -> None:
+    def hear(self, signal: Message, epoch: int) -> None:
         """``epoch``: of its source."""
         hear = self._hear.get(type(signal))
         if hear is not None:

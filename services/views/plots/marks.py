@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Authority,
     Command,
     FilterStatus,
     Health,
     LocalisationReport,
+    Message,
     NodeStatus,
     Plan,
     PlanOrigin,
     RunEvent,
-    Signal,
 )
 
 MOST = 200
@@ -44,7 +44,7 @@ class Marks:
         self._commands: dict[int, Command] = {}
         self._newest_ns = 0
 
-    def hear(self, signal: Signal, epoch: int) -> None:
+    def hear(self, signal: Message, epoch: int) -> None:
         """``epoch``: of its source."""
         match signal:
             case RunEvent():

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Channel, Metadata
+from mcap.records import Message as McapMessage
 
 from ltv_mpc.config import parse
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Applied,
     Clock,
@@ -22,10 +23,10 @@ from ltv_mpc.signals import (
     CycleTiming,
     Estimate,
     LocalisationReport,
+    Message,
     NodeStatus,
     Plan,
     RunEvent,
-    Signal,
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Thruster, Vehicle
@@ -87,13 +88,13 @@ def read(recording: Path, *, rows: int = ROWS) -> Picture:
     """
     parts = [Records(path) for path in segments(recording)]
     decode, when = msgspec.json.Decoder(dict[str, Any]).decode, msgspec.json.Decoder(_When).decode
-    kinds: dict[int, type[Signal] | None] = {}
+    kinds: dict[int, type[Message] | None] = {}
     sieves = {kind: _Sieve(period_ns, rows) for kind, period_ns in OFTEN.items()}
     metadata: dict[str, str] = {}
     collector: Collector | None = None
     newest: dict[str, Any] | None = None
     for record in chain.from_iterable(parts):
-        if isinstance(record, Message):
+        if isinstance(record, McapMessage):
             kind = kinds[record.channel_id]
             if kind is None:
                 continue

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from ltv_mpc.signals import Array, Estimate, Pair, Truth
+from ltv_mpc.messages import Array, Estimate, Pair, Truth
 
 PERIOD_NS = 100_000_000
 KEPT = 600  # truths that wait for their estimate: a minute of them

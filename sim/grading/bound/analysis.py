@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 from sim.grading.bound.model import EPOCH, MOVING, POSITION, START, WATER, ErrorModel, Instant, Trajectory, at
 from sim.grading.bound.schedule import TOGETHER_S, schedule
 

@@ -23,7 +23,7 @@ from scipy.linalg import expm
 from ltv_mpc.frames import earth_rate, gravity, rotation, skew
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.suite import Adcp, Suite
-from ltv_mpc.signals import Array
+from ltv_mpc.messages import Array
 
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCELEROMETER_BIAS, COMPASS_BIAS = slice(9, 12), slice(12, 15), slice(15, 16)

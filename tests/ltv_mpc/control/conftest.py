@@ -16,7 +16,7 @@ from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
-from ltv_mpc.signals import Applied, Array
+from ltv_mpc.messages import Applied, Array
 from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")

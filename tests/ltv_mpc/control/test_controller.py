@@ -13,7 +13,7 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.constants import pack
 from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Solve
+from ltv_mpc.messages import Solve
 
 PAPER = Vehicle.load("paper")
 POINT = references.Point(north_m=0.0, east_m=0.0)

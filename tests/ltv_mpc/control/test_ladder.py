@@ -11,9 +11,9 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control import controller as module
 from ltv_mpc.control import trajectory
+from ltv_mpc.messages import Health, Solve
 from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.safety.health import Ages
-from ltv_mpc.signals import Health, Solve
 
 SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-12.5)
 POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)

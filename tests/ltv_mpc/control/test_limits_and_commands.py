@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.signals import Solve
+from ltv_mpc.messages import Solve
 
 PAPER = Vehicle.load("paper")
 LIMITS = HorizonLimits.of(PAPER, 0.3)

@@ -20,8 +20,8 @@ from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers import Solver, chosen, make, solve_qp
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Point
-from ltv_mpc.signals import Array, Estimate, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 from tests.ltv_mpc.control.problems import PAPER, equidistant, motion, precise
 

@@ -10,7 +10,7 @@ from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Veh
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction, current_at
-from ltv_mpc.signals import Applied, CycleTiming, Solve
+from ltv_mpc.messages import Applied, CycleTiming, Solve
 from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
 
 PAPER = Vehicle.load("paper")

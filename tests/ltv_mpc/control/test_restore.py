@@ -10,9 +10,7 @@ from ltv_mpc import Estimate, Plan, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.admission import refusal
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import CHECKPOINT_NS, ControllerNode
-from ltv_mpc.node import Arrival
-from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Action,
     Authority,
@@ -21,10 +19,12 @@ from ltv_mpc.signals import (
     CurrentProfile,
     CycleTiming,
     Health,
+    Message,
     ModelCheck,
     Restore,
-    Signal,
 )
+from ltv_mpc.node import Arrival
+from ltv_mpc.safety.gate import Gate, Verdict
 from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")
@@ -43,14 +43,14 @@ class Flight:
         self.plans: list[Plan] = []
         self.checkpoints: list[ControllerCheckpoint] = []
         self.answers: list[Acknowledged] = []
-        self.words: list[Signal] = []  # all
+        self.words: list[Message] = []  # all
         self._sequence = 0
 
-    def arrival(self, signal: Signal) -> Arrival:
+    def arrival(self, signal: Message) -> Arrival:
         self._sequence += 1
         return Arrival(signal, 1, self._sequence, self.estimate.t_ns)
 
-    def step(self, *words: Signal) -> Plan:
+    def step(self, *words: Message) -> Plan:
         """One cycle, and what it leads to."""
         inbox = [self.arrival(word) for word in (*words, self.estimate)]
         for signal in self.node.step(self.estimate.t_ns, inbox):
@@ -255,7 +255,7 @@ def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_o
     still_water = CurrentProfile(depth_m=np.zeros(1), north_mps=np.zeros(1), east_mps=np.zeros(1))
     flight = armed(references.load("line"), 5)
 
-    def said(ahead_ns: int) -> Signal:
+    def said(ahead_ns: int) -> Message:
         return report(flight.estimate.t_ns + ahead_ns, (0.0, 0.0, 0.0))
 
     for ahead_ns in (0, 0, 200 * S, *[0] * 8):

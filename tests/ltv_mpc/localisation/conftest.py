@@ -16,17 +16,17 @@ from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import write_prior
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     Array,
     CompassHeading,
     GnssFix,
     ImuSample,
+    Message,
     PressureDepth,
-    Signal,
     TdcpFix,
 )
+from ltv_mpc.node import Arrival
 
 DT_NS = 10_000_000
 
@@ -43,7 +43,7 @@ class Dive:
     accelerometer_bias: Array
     compass_bias: Array
     water: Array  # (K, 2) at 0, 1, 2, ... m
-    messages: list[Signal]
+    messages: list[Message]
 
     def at(self, t_ns: int) -> int:
         """Index of a time of the inertial grid."""
@@ -126,7 +126,7 @@ def dive(suite: Suite, seed: int, *, surface_s: float = 1.0, duration_s: float =
     )
 
     # (time, order at one instant, message)
-    messages: list[tuple[int, int, Signal]] = [
+    messages: list[tuple[int, int, Message]] = [
         (at_ns, 0, ImuSample(t_ns=at_ns, interval_ns=DT_NS, angular_rate_radps=w, specific_force_mps2=f))
         for at_ns, w, f in zip(
             t_ns[1:].tolist(), map(tuple, rate[1:].tolist()), map(tuple, force[1:].tolist()), strict=True
@@ -282,7 +282,7 @@ def yoyo(suite: Suite, configs: list[EstimatorConfig], seed: int, depths_m: tupl
             )
             for filter_ in filters:
                 filter_.advance(sample.t_ns, sample)
-            messages: list[Signal] = []
+            messages: list[Message] = []
             if k % 4 == 0:
                 depth = position[2] + suite.pressure.depth_sd_m * rng.standard_normal()
                 messages.append(PressureDepth(t_ns=sample.t_ns, depth_m=float(depth)))
@@ -307,7 +307,7 @@ def yoyo(suite: Suite, configs: list[EstimatorConfig], seed: int, depths_m: tupl
     return Yoyo(filters, water, position, velocity)
 
 
-def inbox(signal: Signal) -> list[Arrival]:
+def inbox(signal: Message) -> list[Arrival]:
     """Of one message, on time."""
     return [Arrival(signal=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
 
@@ -323,5 +323,5 @@ def make_yoyo() -> Callable[..., Yoyo]:
 
 
 @pytest.fixture(scope="session")
-def inbox_of() -> Callable[[Signal], list[Arrival]]:
+def inbox_of() -> Callable[[Message], list[Arrival]]:
     return inbox

@@ -12,7 +12,7 @@ from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
-from ltv_mpc.signals import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
+from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.1, "outlier_share": 0.1}

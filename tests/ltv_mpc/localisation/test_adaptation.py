@@ -17,7 +17,7 @@ from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.onsets import Found
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import AdcpPing, ImuSample
+from ltv_mpc.messages import AdcpPing, ImuSample
 
 PAPER = Suite.load("paper")
 CONFIG = EstimatorConfig()

@@ -11,7 +11,7 @@ from ltv_mpc.localisation.alignment import Alignment
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS
 from ltv_mpc.localisation.suite import Lbl, Suite
-from ltv_mpc.signals import CompassHeading, GnssFix, ImuSample, PressureDepth
+from ltv_mpc.messages import CompassHeading, GnssFix, ImuSample, PressureDepth
 
 SUITE = Suite.load("realistic")
 CONFIG = EstimatorConfig()

@@ -11,8 +11,8 @@ import pytest
 from ltv_mpc.localisation.door import AHEAD_NS, Door
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.preintegration import readings
+from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
 from ltv_mpc.node import Arrival, Due
-from ltv_mpc.signals import AdcpPing, CompassHeading, ImuSample, LocalisationReport, PressureDepth, Signal
 from services.bus import wire
 from services.run import locked
 from services.run.situation import Override, Situation, resolve
@@ -61,16 +61,16 @@ def estimator(situation: Situation) -> Estimator:
     return Estimator(situation.suite, situation.scenario.estimator, situation.prior)
 
 
-def payload(signal: Signal) -> bytes:
+def payload(signal: Message) -> bytes:
     return wire.encode(signal, wire.Header(epoch=1, sequence=0, sent_monotonic_us=0))
 
 
-def both(situation: Situation, arrivals: Sequence[Arrival], chunk: int) -> tuple[list[Signal], dict[str, int]]:
+def both(situation: Situation, arrivals: Sequence[Arrival], chunk: int) -> tuple[list[Message], dict[str, int]]:
     """What the estimator says to them, once it has been seen to say the same in chunks."""
     due: list[Due] = [(arrival.signal.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
     one, other = estimator(situation), estimator(situation)
     slow = [one.step(*step) for step in due]
-    fast: list[list[Signal]] = []
+    fast: list[list[Message]] = []
     for first in range(0, len(due), chunk):
         fast += other.steps(due[first : first + chunk])
     assert [[payload(x) for x in signals] for signals in fast] == [[payload(x) for x in signals] for signals in slow]

@@ -15,7 +15,7 @@ from ltv_mpc.localisation.late import History
 from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, POSITION, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import BottomTracking, Suite, Usbl
-from ltv_mpc.signals import BottomTrack, GnssFix, ImuSample, PressureDepth, TdcpFix, UsblFix
+from ltv_mpc.messages import BottomTrack, GnssFix, ImuSample, PressureDepth, TdcpFix, UsblFix
 
 DT_NS, DT = 20_000_000, 0.02
 STEPS = 120

@@ -8,7 +8,7 @@ from ltv_mpc.frames import rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Estimate
+from ltv_mpc.messages import Estimate
 
 EVERY_NS = 10_000_000_000
 

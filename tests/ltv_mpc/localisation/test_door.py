@@ -8,8 +8,8 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.door import AGREEING, AHEAD_NS, Door
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 
 SUITE = Suite.load("paper")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)

@@ -12,7 +12,7 @@ from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.output import estimate
 from ltv_mpc.localisation.state import Belief, Layout, grid
 from ltv_mpc.localisation.suite import BottomTracking, Suite
-from ltv_mpc.signals import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
+from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
 
 SUITE = Suite.load("realistic")
 CONFIG = EstimatorConfig()

@@ -12,7 +12,7 @@ from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import prior_covariance
-from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
+from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 
 PAPER = Suite.load("paper")
 DT = 0.01

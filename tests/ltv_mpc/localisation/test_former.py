@@ -10,7 +10,7 @@ from ltv_mpc.localisation import former
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import AdcpPing, Estimate, ImuSample, LocalisationReport, PressureDepth, Signal
+from ltv_mpc.messages import AdcpPing, Estimate, ImuSample, LocalisationReport, Message, PressureDepth
 
 SUITE = Suite.load("realistic")
 SECOND = 1_000_000_000
@@ -20,12 +20,12 @@ BACK = "went back to what it was before it was doubted"
 class Said:
     """Of a dive of 34 s in which messages of after 15 s are as ``change`` makes them."""
 
-    def __init__(self, make_dive, inbox_of, change: Callable[[Signal], Signal], *, late: bool = False) -> None:
+    def __init__(self, make_dive, inbox_of, change: Callable[[Message], Message], *, late: bool = False) -> None:
         self.dive = make_dive(SUITE, 50, duration_s=34.0)
         self.estimator = Estimator(SUITE, EstimatorConfig())
         self.estimates: dict[int, Estimate] = {}
         self.reports: dict[int, LocalisationReport] = {}
-        waiting: list[Signal] = []
+        waiting: list[Message] = []
         for message in self.dive.messages:
             said = change(message) if message.t_ns > 15 * SECOND else message
             if late and isinstance(said, AdcpPing):
@@ -35,7 +35,7 @@ class Said:
             while waiting and waiting[0].t_ns <= message.t_ns - SECOND // 2:
                 self._step(inbox_of, waiting.pop(0))
 
-    def _step(self, inbox_of, message: Signal) -> None:
+    def _step(self, inbox_of, message: Message) -> None:
         for one in self.estimator.step(message.t_ns, inbox_of(message)):
             if isinstance(one, Estimate):
                 self.estimates[one.t_ns] = one
@@ -52,11 +52,11 @@ class Said:
         return [t_ns // SECOND for t_ns, report in self.reports.items() if report.why == BACK]
 
 
-def profiler_off(until_s: float) -> Callable[[Signal], Signal]:
+def profiler_off(until_s: float) -> Callable[[Message], Message]:
     """By 0.5 m/s of each beam, one way of one and the other of its neighbour."""
     wrong = np.array([0.5, -0.5, 0.5, -0.5])[:, None]
 
-    def change(message: Signal) -> Signal:
+    def change(message: Message) -> Message:
         if not isinstance(message, AdcpPing) or message.t_ns > until_s * SECOND:
             return message
         return msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + wrong)
@@ -64,7 +64,7 @@ def profiler_off(until_s: float) -> Callable[[Signal], Signal]:
     return change
 
 
-def unit_off(message: Signal) -> Signal:
+def unit_off(message: Message) -> Message:
     """An inertial unit that is wrong by 20 mg and 4 deg/s for 5 s."""
     if not isinstance(message, ImuSample) or message.t_ns > 20 * SECOND:
         return message
@@ -73,7 +73,7 @@ def unit_off(message: Signal) -> Signal:
     return msgspec.structs.replace(message, angular_rate_radps=rate, specific_force_mps2=force)
 
 
-def pressure_off(message: Signal) -> Signal:
+def pressure_off(message: Message) -> Message:
     """By 20 m, for good: the profiler agrees with the filter all the time."""
     if not isinstance(message, PressureDepth):
         return message
@@ -108,7 +108,7 @@ def test_innovations_that_are_too_large_and_pass_the_gate_are_nothing_to_come_ba
     """Twice the noise that it says: most of it passes, and it begins anew as ever."""
     rng = np.random.default_rng(3)
 
-    def change(message: Signal) -> Signal:
+    def change(message: Message) -> Message:
         if not isinstance(message, AdcpPing):
             return message
         noisy = message.beam_velocity_mps + 0.045 * rng.standard_normal(message.beam_velocity_mps.shape)
@@ -128,7 +128,7 @@ def test_one_that_has_come_to_the_same_is_nothing_to_come_back_to(make_dive, inb
     """A profiler that raves makes the water look like a front: what that grants both have, and begin anew helps."""
     rng = np.random.default_rng(4)
 
-    def change(message: Signal) -> Signal:
+    def change(message: Message) -> Message:
         if not isinstance(message, AdcpPing) or message.t_ns > 20 * SECOND:
             return message
         return msgspec.structs.replace(

@@ -9,7 +9,7 @@ from ltv_mpc.localisation import gap
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import Estimate, FilterStatus, ImuSample, LocalisationReport
+from ltv_mpc.messages import Estimate, FilterStatus, ImuSample, LocalisationReport
 
 SUITE = Suite.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)

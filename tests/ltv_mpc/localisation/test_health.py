@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from ltv_mpc.localisation.filter import Verdict
 from ltv_mpc.localisation.health import FALSE_ALARM, Monitor, _judged, band, verdict_of
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import FilterStatus, SensorReport, SensorStatus
+from ltv_mpc.messages import FilterStatus, SensorReport, SensorStatus
 
 SUITE = Suite.load("realistic")
 GATE = 0.999

@@ -14,7 +14,7 @@ from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.late import REACH_NS
 from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,

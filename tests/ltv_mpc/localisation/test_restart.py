@@ -22,7 +22,7 @@ from ltv_mpc.localisation.restart import (
 )
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     CompassHeading,
     Estimate,
     FilterStatus,

@@ -14,8 +14,7 @@ from ltv_mpc.localisation.restart import GRACE_NS
 from ltv_mpc.localisation.resume import TURN_WALK, VELOCITY_WALK, Resumption
 from ltv_mpc.localisation.state import POSITION, VELOCITY
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Estimate,
     EstimatorCheckpoint,
     FilterStatus,
@@ -24,6 +23,7 @@ from ltv_mpc.signals import (
     PressureDepth,
     Restore,
 )
+from ltv_mpc.node import Arrival
 from services.bus.wire import Header, decode, encode
 
 SUITE = Suite.load("realistic")

@@ -15,7 +15,7 @@ from ltv_mpc.localisation.signatures import MOST, Signatures
 from ltv_mpc.localisation.state import VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.turning import HEADING, swing
-from ltv_mpc.signals import AdcpPing
+from ltv_mpc.messages import AdcpPing
 
 PAPER = Suite.load("paper")
 CONFIG = EstimatorConfig()

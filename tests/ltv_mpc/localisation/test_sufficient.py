@@ -12,7 +12,7 @@ from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.sufficient import _root, entries, innovation, project, sufficient, touched
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import write_prior
-from ltv_mpc.signals import AdcpPing
+from ltv_mpc.messages import AdcpPing
 
 N = 80
 SUITE, CONFIG = Suite.load("paper"), EstimatorConfig()

@@ -13,7 +13,7 @@ from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.turning import swing
 from ltv_mpc.localisation.water_column import write_prior
-from ltv_mpc.signals import AdcpPing, ImuSample
+from ltv_mpc.messages import AdcpPing, ImuSample
 
 SUITE = Suite.load("realistic")
 CONFIG = EstimatorConfig()

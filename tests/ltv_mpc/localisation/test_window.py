@@ -16,7 +16,7 @@ from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.survey import learned
 from ltv_mpc.localisation.water_column import node_prior, walk, write_prior
 from ltv_mpc.localisation.window import follow, given, grown
-from ltv_mpc.signals import AdcpPing, Estimate
+from ltv_mpc.messages import AdcpPing, Estimate
 
 WHOLE = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False)
 WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)

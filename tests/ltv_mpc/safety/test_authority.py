@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ltv_mpc.messages import Action, Authority
 from ltv_mpc.safety.authority import MANUAL_LASTS_NS, NEXT, Helm, answer
-from ltv_mpc.signals import Action, Authority
 from ltv_mpc.vehicle.parameters import Vehicle
 
 VEHICLE = Vehicle.load("paper")  # +-62.5 N

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ltv_mpc.messages import Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.safety.gate import COMMANDERS, Gate, Verdict
-from ltv_mpc.signals import Plan, PlanOrigin, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
 VEHICLE = Vehicle.load("paper")  # +-62.5 N, 100 N/s

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ltv_mpc.messages import Estimate
 from ltv_mpc.safety.guards import JUMPED, Bounds, Guard
-from ltv_mpc.signals import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady
 

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from ltv_mpc import config
 from ltv_mpc.control.config import ControllerConfig, checked
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Health
 from ltv_mpc.safety.health import WORST_FIRST, Ages, health, of_plans, of_reports, worst
-from ltv_mpc.signals import Health
 
 MS = 1_000_000
 BADNESS = {word: k for k, word in enumerate(reversed(WORST_FIRST))}

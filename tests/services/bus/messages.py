@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Action,
     AdcpPing,
@@ -40,6 +40,7 @@ from ltv_mpc.signals import (
     LblRange,
     LocalisationReport,
     Manual,
+    Message,
     ModelCheck,
     NodeStatus,
     Plan,
@@ -51,7 +52,6 @@ from ltv_mpc.signals import (
     RunEvent,
     SensorReport,
     SensorStatus,
-    Signal,
     Solve,
     SolveStatus,
     StepRecord,
@@ -104,7 +104,7 @@ ESTIMATOR_CHECKPOINT = EstimatorCheckpoint(
     walked=2e-6,
     restarts=1,
 )
-EXAMPLES: tuple[Signal, ...] = (
+EXAMPLES: tuple[Message, ...] = (
     Truth(
         t_ns=-1_000_000_000,
         position_m=TRIPLE,

@@ -8,7 +8,7 @@ import contextlib
 import msgpack
 import pytest
 
-from ltv_mpc.signals import Manual, PressureDepth
+from ltv_mpc.messages import Manual, PressureDepth
 from services.bus.door import MOST_KINDS, MOST_SOURCES, Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.topics import BY_SIGNAL

@@ -11,16 +11,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CurrentProfile,
     CycleTiming,
     Estimate,
     InboxEntry,
+    Message,
     Plan,
     PlanOrigin,
-    Signal,
     Solve,
     SolveStatus,
     StepRecord,
@@ -104,7 +104,7 @@ def problems_of_field(name: str, value: Any, schema: dict[str, Any], at: str) ->
 @pytest.mark.parametrize(
     "signal", [PLAN, ESTIMATE, FULL_ESTIMATE, PING, BEAMS, TIMING, RECORD], ids=lambda signal: type(signal).__name__
 )
-def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Signal) -> None:
+def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Message) -> None:
     recorded = msgspec.json.decode(msgspec.json.encode(wire.plain(signal, HEADER)))
     assert problems(recorded, msgspec.json.decode(schema.text(type(signal)))) == []
 
@@ -131,7 +131,7 @@ def test_a_message_that_is_not_what_it_should_be_breaks_its_schema(change: dict[
 
 
 @pytest.mark.parametrize("signal", [PLAN, FULL_ESTIMATE, RECORD], ids=lambda signal: type(signal).__name__)
-def test_a_field_may_be_left_out_by_the_schema_exactly_where_the_decoder_does_without(signal: Signal) -> None:
+def test_a_field_may_be_left_out_by_the_schema_exactly_where_the_decoder_does_without(signal: Message) -> None:
     kind = type(signal)
     message = wire.unpack(wire.encode(signal, HEADER))
     for name in list(message):
@@ -152,7 +152,7 @@ def test_an_estimate_needs_time_position_heading_yaw_rate_and_velocity_alone() -
     assert (decoded.depth_m, decoded.velocity_down_mps, decoded.covariance, decoded.current) == (None,) * 4
 
 
-def numbers_at_their_bounds(kind: type[Signal]) -> Iterator[tuple[str, str, Any]]:
+def numbers_at_their_bounds(kind: type[Message]) -> Iterator[tuple[str, str, Any]]:
     """Field, which bound, and the bound, of every number that stands alone."""
     for name, field in schema.message(kind).items():
         for bound in ("minimum", "maximum"):
@@ -161,7 +161,7 @@ def numbers_at_their_bounds(kind: type[Signal]) -> Iterator[tuple[str, str, Any]
 
 
 @pytest.mark.parametrize("signal", [PLAN, ESTIMATE], ids=lambda signal: type(signal).__name__)
-def test_the_bounds_of_the_schema_are_those_of_the_door(signal: Signal) -> None:
+def test_the_bounds_of_the_schema_are_those_of_the_door(signal: Message) -> None:
     kind = type(signal)
     message = wire.unpack(wire.encode(signal, HEADER))
     seen = 0
@@ -177,7 +177,7 @@ def test_the_bounds_of_the_schema_are_those_of_the_door(signal: Signal) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_foxgloves_reader_takes_every_schema(kind: type[Signal]) -> None:
+def test_foxgloves_reader_takes_every_schema(kind: type[Message]) -> None:
     """Its rules, as read in packages/mcap-support/src/parseJsonSchema.ts of foxglove/studio 1.87."""
 
     def takes(value: dict[str, Any]) -> bool:
@@ -194,7 +194,7 @@ def test_foxgloves_reader_takes_every_schema(kind: type[Signal]) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_a_schema_names_every_field_of_header_and_signal_in_their_order(kind: type[Signal]) -> None:
+def test_a_schema_names_every_field_of_header_and_signal_in_their_order(kind: type[Message]) -> None:
     fields = list(dict.fromkeys(wire.Header.__struct_fields__ + kind.__struct_fields__))
     assert list(schema.message(kind)) == fields
     described = schema.schema(kind)
@@ -203,7 +203,7 @@ def test_a_schema_names_every_field_of_header_and_signal_in_their_order(kind: ty
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_every_field_has_its_meaning_in_words(kind: type[Signal]) -> None:
+def test_every_field_has_its_meaning_in_words(kind: type[Message]) -> None:
     """Also of the structs inside: a field that is added without is found here, with its name."""
     assert list(_without_words(schema.schema(kind))) == []
 

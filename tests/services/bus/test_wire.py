@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.admission import CONSISTENCY, refusal
-from ltv_mpc.ranges import RANGES
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CurrentProfile,
@@ -23,14 +22,15 @@ from ltv_mpc.signals import (
     Estimate,
     InboxEntry,
     InputReport,
+    Message,
     Plan,
     PressureDepth,
     ReferenceStart,
     SensorReport,
-    Signal,
     Solve,
     StepRecord,
 )
+from ltv_mpc.ranges import RANGES
 from services.bus.topics import BY_SIGNAL, TOPICS
 from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, plain, unpack
 from tests.services.bus.messages import EXAMPLES, HEADER
@@ -52,14 +52,14 @@ def test_every_topic_has_an_example_here() -> None:
 
 
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda s: type(s).__name__)
-def test_what_is_decoded_is_what_was_sent_to_the_last_bit(signal: Signal) -> None:
+def test_what_is_decoded_is_what_was_sent_to_the_last_bit(signal: Message) -> None:
     decoded, header = decode(type(signal), encode(signal, HEADER))
     assert header == HEADER
     assert same(decoded, signal)
 
 
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda s: type(s).__name__)
-def test_the_map_that_travels_survives_strict_json_unchanged(signal: Signal) -> None:
+def test_the_map_that_travels_survives_strict_json_unchanged(signal: Message) -> None:
     """A recording keeps the map as JSON: no NaN in it, and nothing that JSON would change."""
     message = plain(signal, HEADER)
     assert list(message)[:3] == ["epoch", "sequence", "sent_monotonic_us"]
@@ -126,7 +126,7 @@ def test_rubbish_is_refused_by_reason(payload: bytes, reason: str) -> None:
         decode(PressureDepth, payload)
 
 
-def changed(signal: Signal, **fields: Any) -> bytes:
+def changed(signal: Message, **fields: Any) -> bytes:
     return msgpack.packb(plain(signal, HEADER) | fields)  # type: ignore[no-any-return]
 
 
@@ -164,7 +164,7 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 1.5
     ],
 )
 def test_a_frame_of_right_form_and_wrong_meaning_is_refused_by_reason(
-    kind: type[Signal], payload: bytes, reason: str
+    kind: type[Message], payload: bytes, reason: str
 ) -> None:
     with pytest.raises(WireError, match=reason):
         decode(kind, payload)
@@ -228,7 +228,7 @@ RUBBISH: tuple[Any, ...] = (
 )
 
 
-def mutated(rng: random.Random, signal: Signal) -> bytes:
+def mutated(rng: random.Random, signal: Message) -> bytes:
     """A frame of ``signal`` with one or two things wrong, from bits to meanings."""
     message: Any = unpack(encode(signal, HEADER))
     for _ in range(rng.choice((1, 1, 2))):

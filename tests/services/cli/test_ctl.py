@@ -17,7 +17,7 @@ import msgspec
 import pytest
 
 from ltv_mpc import config, references
-from ltv_mpc.signals import Authority, Estimate, Plan
+from ltv_mpc.messages import Authority, Estimate, Plan
 from services.bus.newest import Newest
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session

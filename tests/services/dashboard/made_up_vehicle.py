@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import uvicorn
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Authority,
     Clock,
@@ -20,9 +20,9 @@ from ltv_mpc.signals import (
     Disturbance,
     Estimate,
     Kill,
+    Message,
     NodeStatus,
     Plan,
-    Signal,
     Truth,
 )
 from services.bus.mailbox import Mailbox
@@ -39,7 +39,7 @@ from tests.services.views import made_up
 from tests.services.views.made_up import EPOCH, S
 from tests.services.words import status
 
-K = TypeVar("K", bound=Signal)
+K = TypeVar("K", bound=Message)
 
 NODES = ("plant", "sensors", "estimator", "controller", "recorder")
 SPEED = 10
@@ -58,7 +58,7 @@ class MadeUpVehicle:
     """The dive of ``made_up`` at ten times real time, over and over from where it was; it obeys clock and commands."""
 
     def __init__(self, session: Session) -> None:
-        self.heard: list[Signal] = []
+        self.heard: list[Message] = []
         self.clock_epoch = EPOCH
         self._box = Mailbox()
         for kind in (Command, ClockCommand, Disturbance, Kill):
@@ -83,7 +83,7 @@ class MadeUpVehicle:
         self._stop.set()
         self._thread.join()
 
-    def say(self, node: str, signal: Signal) -> None:
+    def say(self, node: str, signal: Message) -> None:
         self._out[node].publish(signal)
 
     def heard_of(self, kind: type[K]) -> list[K]:

@@ -11,7 +11,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from ltv_mpc.signals import ClockCommand, Command, Disturbance, Kill
+from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
 from services.dashboard.guard import Token, hosts
 from tests.services.dashboard.made_up_vehicle import NODES, SPEED, Served, served, until

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Harm, Injection, PressureDepth
+from ltv_mpc.messages import Harm, Injection, PressureDepth
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import Header, WireError, decode, encode
 from services.faults import schedule

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from ltv_mpc.signals import Health, PlanOrigin, SensorStatus
+from ltv_mpc.messages import Health, PlanOrigin, SensorStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.faults import result
 from services.faults.draw import Run

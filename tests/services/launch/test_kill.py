@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from ltv_mpc.signals import Kill
+from ltv_mpc.messages import Kill
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import OPERATOR

@@ -7,17 +7,17 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Applied,
     Clock,
     ClockState,
     ControllerCheckpoint,
     Estimate,
     EstimatorCheckpoint,
+    Message,
     NodeStatus,
     Plan,
     Restore,
-    Signal,
 )
 from services.bus.topics import BY_SIGNAL, Topic, topic_at
 from services.bus.wire import Header, decode, encode
@@ -35,7 +35,7 @@ class Ether:
     def subscribe(self, key: str, _topic: Topic | None, inlet: Watch) -> None:
         self._inlets[key.removesuffix("/*")] = inlet.offer  # type: ignore[attr-defined]
 
-    def put(self, signal: Signal, *, epoch: int = 1, sequence: int = 0, node: str = "") -> None:
+    def put(self, signal: Message, *, epoch: int = 1, sequence: int = 0, node: str = "") -> None:
         key = BY_SIGNAL[type(signal)].key + (f"/{node}" if node else "")
         self._inlets[key](topic_at(key), key, encode(signal, Header(epoch=epoch, sequence=sequence)))
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc.currents import read_prior
-from ltv_mpc.signals import NodeStatus, Plan, Restore, RunEvent, StepRecord, Truth
+from ltv_mpc.messages import NodeStatus, Plan, Restore, RunEvent, StepRecord, Truth
 from services.launch import supervisor
 from services.recording.losses import Losses
 from services.recording.reader import Recording

@@ -12,8 +12,8 @@ import typer
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import wrap_angle
+from ltv_mpc.messages import CompassHeading
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import CompassHeading
 from services.cli.localisation_check import localisation_check
 from services.measure import localisation_check as check
 from services.measure.batch import Job, each

@@ -16,8 +16,8 @@ import pytest
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
-from ltv_mpc.signals import Applied, CycleTiming, Estimate, Plan, Signal, SolveStatus
 from services.cli.app import run
 from services.measure import profile, profile_machine, profile_measuring, profile_table
 from services.measure import profile_problems as problems
@@ -40,13 +40,13 @@ class Probe:
 
     name = "controller"
     schedule = Cycle(300_000_000)
-    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
-    writes: tuple[type[Signal], ...] = (Plan,)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Message], ...] = (Plan,)
 
     def __init__(self) -> None:
         self.estimates: list[Estimate] = []
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         del t_ns
         self.estimates += [arrival.signal for arrival in inbox if isinstance(arrival.signal, Estimate)]
         return []
@@ -337,7 +337,7 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
     class Kept(Probe):
         reads = ControllerNode.reads  # the command to arm too
 
-        def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
             plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
             return []
 

@@ -12,7 +12,7 @@ from ltv_mpc import Vehicle
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.qp.failed import FailedQp
 from ltv_mpc.control.solvers import make
-from ltv_mpc.signals import Solve, SolveStatus
+from ltv_mpc.messages import Solve, SolveStatus
 from services.cli.app import run
 from services.nodes import failed_qps
 from services.nodes.failed_qps import FailedQps

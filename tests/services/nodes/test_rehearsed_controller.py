@@ -9,7 +9,7 @@ SCRIPT = """
 import sys
 import msgspec, numpy as np
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, PlanOrigin, Vehicle, advance, references
-from ltv_mpc.signals import Applied, CycleTiming
+from ltv_mpc.messages import Applied, CycleTiming
 from services.nodes.controller import rehearse
 
 solver, formulation = sys.argv[1:]

@@ -10,7 +10,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import *
+from ltv_mpc.messages import *
 from services.nodes.estimator import rehearse
 
 odd = {"period_ns": 10**9, "missing_share": 0.0, "outlier_share": 0.0, "outlier_m": 0.0}

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.signals import Clock, ClockState
+from ltv_mpc.messages import Clock, ClockState
 from services.process.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock, fraction_of
 from services.process.status import MOST_BEHIND_US
 from services.process.timekeeping import MOST_CATCH_UP_US, KeepsTime, TimeKeeping

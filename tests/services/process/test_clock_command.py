@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ltv_mpc.signals import Clock, ClockCommand, ClockState, RunEvent
+from ltv_mpc.messages import Clock, ClockCommand, ClockState, RunEvent
 from services.process.clock import LEAD_US, VehicleClock
 from services.process.timekeeping import KeepsTime, TimeKeeping
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import msgspec
 import pytest
 
-from ltv_mpc.signals import Applied, ClockMode, Estimate
+from ltv_mpc.messages import Applied, ClockMode, Estimate
 from services.process.clock import TimeKeeper, VehicleClock
 from services.process.foreign_clock import BELIEVED_AT, WINDOW_US, ForeignClock
 from services.process.foreign_time import GRACE_US, ForeignTime

@@ -12,8 +12,7 @@ import numpy as np
 
 from ltv_mpc import ControllerConfig, Vehicle, references
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Action,
     Applied,
     ClockMode,
@@ -21,10 +20,11 @@ from ltv_mpc.signals import (
     CurrentProfile,
     CycleTiming,
     Estimate,
+    Message,
     Plan,
-    Signal,
     Truth,
 )
+from ltv_mpc.node import Arrival
 from services.process.clock import VehicleClock
 from services.process.foreign_time import ForeignTime
 from sim.plant import PERIOD_NS, Plant
@@ -46,19 +46,19 @@ class Link:
 
     delay_s: Callable[[], float]
     rng: random.Random
-    queue: list[tuple[int, int, Signal]] = field(default_factory=list)
+    queue: list[tuple[int, int, Message]] = field(default_factory=list)
     sent: int = 0
     newest: dict[type, int] = field(default_factory=dict)
     turned_away: int = 0
 
-    def send(self, signal: Signal, m_us: int) -> int:
+    def send(self, signal: Message, m_us: int) -> int:
         number = self.sent
         self.sent += 1
         for _ in range(1 + (self.rng.random() < 0.1)):
             heapq.heappush(self.queue, (m_us + round(1e6 * self.delay_s()), number, _Tied(signal)))
         return number
 
-    def come(self, m_us: int) -> list[tuple[Signal, int, int]]:
+    def come(self, m_us: int) -> list[tuple[Message, int, int]]:
         arrived = []
         while self.queue and self.queue[0][0] <= m_us:
             at_us, number, tied = heapq.heappop(self.queue)
@@ -72,7 +72,7 @@ class Link:
 
 @dataclass
 class _Tied:
-    signal: Signal
+    signal: Message
 
     def __lt__(self, other: _Tied) -> bool:
         return False
@@ -144,7 +144,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
     )
 
 
-def _shifted(signal: Signal, by_ns: int) -> Signal:
+def _shifted(signal: Message, by_ns: int) -> Message:
     """The same in the other clock."""
     match signal:
         case Plan():

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from ltv_mpc.signals import Clock, RunEvent
+from ltv_mpc.messages import Clock, RunEvent
 from services.process.clock import VehicleClock
 from services.process.pace import FIRST_WINDOW_US, GROWTH, MOST_GIVEN_UP, WINDOW_US, Pace
 from services.process.status import MOST_BEHIND_US

@@ -13,7 +13,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from ltv_mpc.signals import Clock, ClockState, NodeStatus, PressureDepth, Rejected, RunEvent, Signal
+from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, Rejected, RunEvent
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_SIGNAL
@@ -45,7 +45,7 @@ class Listening(SegmentWriter):
         super().__init__(path, start_ns=-S, metadata={})
         self.heard = threading.Event()
 
-    def write_plain(self, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
+    def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
         super().write_plain(key, kind, message, t_ns, crc)
         if message.get("node") == self.AFTER:
             self.heard.set()
@@ -146,7 +146,7 @@ def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_sai
     refused: list[int] = []
 
     def write_plain(
-        writer: RunWriter, key: str, kind: type[Signal], message: Mapping[str, Any], t_ns: int, crc: int | None = None
+        writer: RunWriter, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None
     ) -> None:
         if key == KEY and message["sequence"] == 3 and not refused:
             refused.append(writer.unsafe + 1)

@@ -12,8 +12,7 @@ import pytest
 
 from ltv_mpc import ControllerConfig, Vehicle, references
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Authority,
     ClockMode,
     ControllerStatus,
@@ -25,6 +24,7 @@ from ltv_mpc.signals import (
     Solve,
     SolveStatus,
 )
+from ltv_mpc.node import Arrival
 from services.bus.door import Door
 from services.launch import loopback
 from services.process.foreign_clock import Reading

@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Action,
     Applied,
     Command,
@@ -22,17 +21,18 @@ from ltv_mpc.signals import (
     CycleTiming,
     Estimate,
     ImuSample,
+    Message,
     NodeStatus,
     Plan,
     PlanOrigin,
     PressureDepth,
     Rejected,
-    Signal,
     Solve,
     SolveStatus,
     StepRecord,
     Truth,
 )
+from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, Session, open_session
@@ -51,10 +51,10 @@ PATIENCE_S = 20.0
 class Plant:
     name = "plant"
     schedule = Grid(TICK_NS)
-    reads: tuple[type[Signal], ...] = (Plan,)
-    writes: tuple[type[Signal], ...] = (Truth, Applied)
+    reads: tuple[type[Message], ...] = (Plan,)
+    writes: tuple[type[Message], ...] = (Truth, Applied)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         assert all(type(arrival.signal) is Plan for arrival in inbox)
         truth = Truth(
             t_ns=t_ns,
@@ -72,13 +72,13 @@ class Plant:
 class Sensors:
     name = "sensors"
     schedule = OnMessage((Truth,))
-    reads: tuple[type[Signal], ...] = (Truth,)
-    writes: tuple[type[Signal], ...] = (Estimate,)
+    reads: tuple[type[Message], ...] = (Truth,)
+    writes: tuple[type[Message], ...] = (Estimate,)
 
     def __init__(self) -> None:
         self.last_t_ns: int | None = None
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """Speaks at every tenth step only."""
         assert [type(arrival.signal) for arrival in inbox] == [Truth]
         self.last_t_ns = t_ns
@@ -88,13 +88,13 @@ class Sensors:
 class Controller:
     name = "controller"
     schedule = Cycle(300_000_000)
-    reads: tuple[type[Signal], ...] = (Estimate, Applied, CycleTiming)
-    writes: tuple[type[Signal], ...] = (Plan,)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Message], ...] = (Plan,)
 
     def __init__(self) -> None:
-        self.inboxes: list[list[Signal]] = []
+        self.inboxes: list[list[Message]] = []
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self.inboxes.append([arrival.signal for arrival in inbox])
         return [
             Plan(
@@ -109,7 +109,7 @@ class Controller:
 
 
 class Commanded(Controller):
-    reads: tuple[type[Signal], ...] = (*Controller.reads, Command)
+    reads: tuple[type[Message], ...] = (*Controller.reads, Command)
 
 
 class Listener:
@@ -117,14 +117,14 @@ class Listener:
 
     name = "estimator"
     schedule = OnMessage((ImuSample, PressureDepth, CompassHeading))
-    reads: tuple[type[Signal], ...] = (ImuSample, PressureDepth, CompassHeading)
-    writes: tuple[type[Signal], ...] = ()
+    reads: tuple[type[Message], ...] = (ImuSample, PressureDepth, CompassHeading)
+    writes: tuple[type[Message], ...] = ()
 
     def __init__(self, error: Exception | None = None) -> None:
-        self.heard: list[Signal] = []
+        self.heard: list[Message] = []
         self._error = error
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         assert t_ns == inbox[-1].signal.t_ns  # type: ignore[attr-defined]
         self.heard += [arrival.signal for arrival in inbox]
         if self._error is not None:
@@ -174,7 +174,7 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.002)
 
 
-def read(frames: Sequence[Frame]) -> list[tuple[Frame, Signal, Header]]:
+def read(frames: Sequence[Frame]) -> list[tuple[Frame, Message, Header]]:
     messages = []
     for frame in frames:
         assert frame.topic is not None
@@ -265,7 +265,7 @@ def test_a_run_skips_no_step_loses_no_message_and_tells_each_step_before_its_out
     assert steps["controller"] == len(cycle_times(messages))
 
 
-def cycle_times(messages: Sequence[tuple[Frame, Signal, Header]]) -> list[int]:
+def cycle_times(messages: Sequence[tuple[Frame, Message, Header]]) -> list[int]:
     return [s.cycle_t_ns for _, s, _ in messages if isinstance(s, Plan)]
 
 
@@ -354,7 +354,7 @@ def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus
 
 def test_what_was_on_its_way_when_a_process_is_told_to_stop_is_taken(bus: BusOptions) -> None:
     class ToldToStop(Listener):
-        def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
             if not self.heard:  # the request, which wakes, then a message
                 runner.stop.ask()
                 out.publish(PressureDepth(t_ns=1, depth_m=1.0))
@@ -375,14 +375,14 @@ class Slow:
 
     name = "estimator"
     schedule = Cycle(10_000_000)
-    reads: tuple[type[Signal], ...] = (PressureDepth,)
-    writes: tuple[type[Signal], ...] = ()
+    reads: tuple[type[Message], ...] = (PressureDepth,)
+    writes: tuple[type[Message], ...] = ()
 
     def __init__(self, during: Callable[[], None]) -> None:
         self.inboxes: list[list[int]] = []
         self._during = during
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         assert all(arrival.received_t_ns <= t_ns for arrival in inbox)
         self.inboxes.append([arrival.sequence for arrival in inbox])
         if len(self.inboxes) == 1:
@@ -411,13 +411,13 @@ class Flooded:
 
     name = "estimator"
     schedule = Cycle(100_000_000)
-    reads: tuple[type[Signal], ...] = (PressureDepth,)
-    writes: tuple[type[Signal], ...] = ()
+    reads: tuple[type[Message], ...] = (PressureDepth,)
+    writes: tuple[type[Message], ...] = ()
 
     def __init__(self) -> None:
         self.times_ns: list[int] = []
 
-    def step(self, t_ns: int, _inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, _inbox: Inbox) -> list[Message]:
         self.times_ns.append(t_ns)
         return []
 

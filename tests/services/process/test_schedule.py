@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Cycle, Grid, OnMessage
-from ltv_mpc.signals import ImuSample
 from services.process.schedule import Timetable
 
 PERIOD_NS = 300_000_000

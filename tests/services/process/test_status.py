@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ltv_mpc.signals import ClockState, GnssFix, NodeStatus, UsblFix
+from ltv_mpc.messages import ClockState, GnssFix, NodeStatus, UsblFix
 from services.process.clock import Line, VehicleClock
 from services.process.status import HURRIED_PERIOD_US, LONGEST_WAY_US, MOST_BEHIND_US, StatusReport
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.signals import Restore
+from ltv_mpc.messages import Restore
 from services.bus.wire import Header, encode
 from services.process import stopwatch, supervised
 from services.process.supervised import FORMAT, LAST, LENGTH, PULSE_US, Supervised

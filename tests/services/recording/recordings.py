@@ -8,7 +8,7 @@ from typing import Any
 
 from mcap.writer import Writer
 
-from ltv_mpc.signals import PressureDepth, Signal
+from ltv_mpc.messages import Message, PressureDepth
 from services.bus.wire import Header
 from services.recording.writer import RunWriter
 
@@ -24,7 +24,7 @@ A_CHUNK = 300
 
 
 def write(
-    path: Path, messages: Iterable[tuple[str, Signal, int, int, int]], *, start_ns: int = START_NS, **metadata: str
+    path: Path, messages: Iterable[tuple[str, Message, int, int, int]], *, start_ns: int = START_NS, **metadata: str
 ) -> Path:
     """``messages``: writer, signal, epoch, sequence, vehicle time of publication."""
     with RunWriter(path, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:

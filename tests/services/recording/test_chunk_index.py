@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from ltv_mpc.signals import GnssFix, PressureDepth, Signal
+from ltv_mpc.messages import GnssFix, Message, PressureDepth
 from services.bus import topics
 from services.bus.wire import Header
 from services.recording import chunk_index
@@ -18,7 +18,7 @@ from services.recording.writer import RunWriter
 CHUNKS = 1500
 
 
-def of_chunk(i: int) -> tuple[Signal, ...]:
+def of_chunk(i: int) -> tuple[Message, ...]:
     return (
         PressureDepth(t_ns=1_000_000 * i, depth_m=i / 7),
         GnssFix(t_ns=1_000_000 * i, north_m=i / 3, east_m=0.0, velocity_north_mps=0.1, velocity_east_mps=0.0),

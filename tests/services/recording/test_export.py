@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ltv_mpc.signals import AdcpPing, Applied, CycleTiming, Estimate, Plan, Signal
+from ltv_mpc.messages import AdcpPing, Applied, CycleTiming, Estimate, Message, Plan
 from services.bus.topics import key_of
 from services.bus.wire import Header, plain
 from services.recording import export
@@ -23,7 +23,7 @@ from tests.services.recording.recordings import foreign, write
 T_NS = 1_500_000_000
 
 
-def example(kind: type[Signal], **fields: Any) -> Signal:
+def example(kind: type[Message], **fields: Any) -> Message:
     return msgspec.structs.replace(next(e for e in EXAMPLES[::-1] if isinstance(e, kind)), **fields)
 
 
@@ -32,7 +32,7 @@ def rows(folder: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def exported(tmp_path: Path, form: Format, *signals: tuple[str, Signal]) -> export.Result:
+def exported(tmp_path: Path, form: Format, *signals: tuple[str, Message]) -> export.Result:
     messages = [(node, signal, 1, k, T_NS + k) for k, (node, signal) in enumerate(signals)]
     return export.export([write(tmp_path / "run.mcap", messages)], tmp_path, form)
 

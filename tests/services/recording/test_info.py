@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.signals import RunEvent
+from ltv_mpc.messages import RunEvent
 from services.recording import info
 from services.recording.gaps import Gaps
 from services.recording.recover import segments

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import Applied, CycleTiming, Estimate, InboxEntry, Plan, RunEvent, Signal, StepRecord
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, InboxEntry, Message, Plan, RunEvent, StepRecord
 from services.recording import perfetto
 from services.run import folder, locked
 from services.run.situation import Override, resolve
@@ -26,7 +26,7 @@ ESTIMATOR, CONTROLLER, PLANT = 11, 12, 13
 Event = dict[str, Any]
 
 
-def example(kind: type[Signal], **fields: Any) -> Signal:
+def example(kind: type[Message], **fields: Any) -> Message:
     return msgspec.structs.replace(next(e for e in EXAMPLES if isinstance(e, kind)), **fields)
 
 
@@ -83,7 +83,7 @@ def drawn(path: Path, out: Path) -> tuple[perfetto.Written, list[Event]]:
     return written, events
 
 
-def cycle(k: int) -> list[tuple[str, Signal, int, int, int]]:
+def cycle(k: int) -> list[tuple[str, Message, int, int, int]]:
     """An estimate of 100 ms ago, published 20 ms ago; a cycle of 40 ms whose stages took 1 + 3 + 2 ms of 8 on the wall
     at speed 5; its plan comes 3 ms later and takes effect 10 ms after that.
     """

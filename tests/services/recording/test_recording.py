@@ -14,7 +14,7 @@ import pytest
 from mcap.reader import make_reader
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import AdcpPing, Estimate, PressureDepth, Signal
+from ltv_mpc.messages import AdcpPing, Estimate, Message, PressureDepth
 from services.bus import schema, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording
@@ -90,7 +90,7 @@ def test_signals_come_back_as_they_were_bit_for_bit(path: Path) -> None:
         Estimate.at_rest(north_m=0.1 + 0.2, east_m=-1e-17), covariance=half @ half.T, t_ns=-3
     )
     ping = AdcpPing(t_ns=5, range_m=np.array([0.1, 0.7]), beam_velocity_mps=np.array([[np.nan, -0.0]] * 4))
-    sent: list[tuple[str, Signal]] = [("estimator", estimate), ("sensors", ping)]
+    sent: list[tuple[str, Message]] = [("estimator", estimate), ("sensors", ping)]
     with RunWriter(path, start_ns=START_NS, metadata={}) as writer:
         for node, signal in sent:
             writer.write(node, signal, header(0), -3)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.signals import PressureDepth
+from ltv_mpc.messages import PressureDepth
 from services.bus import wire
 from services.recording import join, segments
 from services.recording.losses import Losses

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
+from ltv_mpc.messages import InboxEntry, Message, PressureDepth
 from ltv_mpc.node import Grid, Inbox
-from ltv_mpc.signals import InboxEntry, PressureDepth, Signal
 from services.bus import wire
 from services.recording.reader import Stored
 from services.replay.compare import Comparison
@@ -45,10 +45,10 @@ class Fragile:
 
     name = "sensors"
     schedule = Grid(1)
-    reads: tuple[type[Signal], ...] = (PressureDepth,)
-    writes: tuple[type[Signal], ...] = (PressureDepth,)
+    reads: tuple[type[Message], ...] = (PressureDepth,)
+    writes: tuple[type[Message], ...] = (PressureDepth,)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         if inbox:
             raise ZeroDivisionError(f"at {t_ns}")
         return [PressureDepth(t_ns=t_ns, depth_m=1.0)]

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Action, Command, Estimate, InboxEntry, Message, StepRecord
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Action, Command, Estimate, InboxEntry, Signal, StepRecord
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import Recording
@@ -50,7 +50,7 @@ SPELLINGS: tuple[Callable[[Any], bytes], ...] = (
 
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda signal: type(signal).__name__)
 def test_a_frame_is_found_by_its_own_checksum_and_means_what_it_meant_at_the_door(
-    signal: Signal, tmp_path: Path
+    signal: Message, tmp_path: Path
 ) -> None:
     kind, plain = type(signal), wire.plain(signal, HEADER) if not isinstance(signal, StepRecord) else None
     if plain is None:  # its epoch is its sender's
@@ -93,7 +93,7 @@ def test_a_controller_alone_by_a_foreign_clock_is_replayed_by_the_times_in_its_r
     with RunWriter(path, start_ns=began, metadata=metadata) as writer:
         for step in range(12):
             t_ns = began + step * situation.scenario.controller.period_ns
-            heard: list[Signal] = [
+            heard: list[Message] = [
                 msgspec.structs.replace(Estimate.at_rest(north_m=0.5 * step, heading_rad=1.0), t_ns=t_ns - 7_000_001)
             ]
             heard += [Command(command_id=1, action=Action.ARM)] if step == 0 else []

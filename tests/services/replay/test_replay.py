@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Handed, StepRecord
+from ltv_mpc.messages import Handed, StepRecord
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import Stored

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Estimate, Plan
+from ltv_mpc.messages import Estimate, Plan
 from services.recording.reader import Recording
 from services.replay import replay as engine
 from services.replay.verdict import Change

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.signals import Estimate, Plan, PlanOrigin, Solve, SolveStatus
+from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus
 from services.bus.mailbox import Mailbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_SIGNAL

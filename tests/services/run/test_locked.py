@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
 from services.bus import topics, wire
 from services.recording.losses import Losses
 from services.recording.reader import Recorded, Recording

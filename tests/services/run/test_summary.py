@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.signals import CycleTiming, Estimate, PressureDepth, Rejected
+from ltv_mpc.messages import CycleTiming, Estimate, PressureDepth, Rejected
 from services.bus import wire
 from services.recording.writer import RunWriter
 from services.run.situation import Override, resolve

@@ -14,8 +14,8 @@ from ltv_mpc.currents import WaterPrior, read_prior, write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.state import Belief
+from ltv_mpc.messages import CurrentProfile, Estimate, Message, Truth
 from ltv_mpc.node import Due, Node, steps_of
-from ltv_mpc.signals import CurrentProfile, Estimate, Signal, Truth
 from services.cli.app import run
 from services.nodes import estimator as process
 from services.recording.reader import Recording
@@ -46,7 +46,7 @@ class Visit(NamedTuple):
 def visit(here: Situation) -> Visit:
     """Run it without a recording, which would take most of the time."""
     nodes = locked.nodes(here)
-    said: dict[type[Signal], Any] = {}
+    said: dict[type[Message], Any] = {}
     for node in nodes:
         listen(node, said)
     learned = Learned()
@@ -61,10 +61,10 @@ def visit(here: Situation) -> Visit:
     return Visit(saved, said[Estimate], said[Truth], estimator.filter.belief)
 
 
-def listen(node: Node, said: dict[type[Signal], Any]) -> None:
+def listen(node: Node, said: dict[type[Message], Any]) -> None:
     steps = steps_of(node)
 
-    def listening(due: Sequence[Due]) -> list[list[Signal]]:
+    def listening(due: Sequence[Due]) -> list[list[Message]]:
         out = steps(due)
         said.update((type(signal), signal) for signals in out for signal in signals)
         return out

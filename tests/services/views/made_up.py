@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Acknowledged,
     Action,
     Applied,
@@ -22,10 +22,10 @@ from ltv_mpc.signals import (
     CurrentProfile,
     CycleTiming,
     Estimate,
+    Message,
     Plan,
     PlanOrigin,
     RunEvent,
-    Signal,
     Solve,
     SolveStatus,
     Truth,
@@ -150,7 +150,7 @@ ARMED = Acknowledged(t_ns=0, command_id=1, accepted=True, authority=Authority.CO
 EVENT = RunEvent(t_ns=5 * S, node="plant", kind="test", text="</script><b>a mark</b>")
 
 
-def dive(until_s: float = 20.0) -> Iterator[tuple[str, Signal, int]]:
+def dive(until_s: float = 20.0) -> Iterator[tuple[str, Message, int]]:
     """Writer, signal, vehicle time of publication; from a second before t = 0."""
     yield "plant", clock(-S), -S
     yield "operator", ARM, -S

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import Estimate, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from services.views.distances import Distances
 from services.views.live import LiveView
 

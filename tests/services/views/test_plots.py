@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import PlanOrigin
+from ltv_mpc.messages import PlanOrigin
 from services.views.plots import palette
 from services.views.plots.catalogue import PLOTS
 from services.views.plots.collector import HISTORY, Collector

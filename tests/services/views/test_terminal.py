@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ltv_mpc.signals import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from services.views.live import LiveView
 from services.views.terminal import ORDER, LiveScreen, PlainScreen, bar, progress_for, screen_for
 from tests.services.words import status

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from ltv_mpc.messages import Disturbance, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from ltv_mpc.node import Arrival
-from ltv_mpc.signals import Disturbance, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Mismatch, Scenario

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix, Truth
 from ltv_mpc.node import Inbox, OnMessage
-from ltv_mpc.signals import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, Signal, TdcpFix, Truth
 from sim.faults.instruments import Broken, FailingSensors, Failure
 from sim.faults.readings import READINGS
 from sim.faults.spell import Spell
@@ -21,10 +21,10 @@ class Healthy:
 
     name = "sensors"
     schedule = OnMessage((Truth,))
-    reads: tuple[type[Signal], ...] = (Truth,)
-    writes: tuple[type[Signal], ...] = (PressureDepth, CompassHeading)
+    reads: tuple[type[Message], ...] = (Truth,)
+    writes: tuple[type[Message], ...] = (PressureDepth, CompassHeading)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         return [PressureDepth(t_ns=t_ns, depth_m=1e-9 * t_ns), CompassHeading(t_ns=t_ns, heading_rad=1e-10 * t_ns)]
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.admission import refusal
+from ltv_mpc.messages import Estimate, Harm, ImuSample, Message, PressureDepth, Rejected
 from ltv_mpc.node import Arrival, Grid, Inbox, OnMessage
-from ltv_mpc.signals import Estimate, Harm, ImuSample, PressureDepth, Rejected, Signal
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed, Transit
 from sim.lockstep import Delivery, LockStep
@@ -29,7 +29,7 @@ def by_admission(_: str, delivery: Delivery) -> Arrival | str:
     return refusal(delivery.message.signal) or delivery.message
 
 
-def transit(harm: Harm, size: float = 1.0, kind: type[Signal] = PressureDepth) -> Transit:
+def transit(harm: Harm, size: float = 1.0, kind: type[Message] = PressureDepth) -> Transit:
     return Transit([Harmed((kind,), harm, SPELL, size, seed=4)], encode=lambda _: bytes(range(60)), admit=by_admission)
 
 
@@ -117,24 +117,24 @@ def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
 class Speaker:
     name = "sensors"
     schedule = Grid(PERIOD_NS)
-    reads: tuple[type[Signal], ...] = ()
-    writes: tuple[type[Signal], ...] = (PressureDepth,)
+    reads: tuple[type[Message], ...] = ()
+    writes: tuple[type[Message], ...] = (PressureDepth,)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         return [depth(t_ns)]
 
 
 class Listener:
     name = "estimator"
     schedule = OnMessage((PressureDepth,))
-    reads: tuple[type[Signal], ...] = (PressureDepth, Rejected)
-    writes: tuple[type[Signal], ...] = ()
+    reads: tuple[type[Message], ...] = (PressureDepth, Rejected)
+    writes: tuple[type[Message], ...] = ()
 
     def __init__(self) -> None:
         self.heard: list[tuple[int, int]] = []
         self.rejected = 0
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Signal]:  # noqa: ARG002
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         self.heard += [(a.received_t_ns, a.sequence) for a in inbox if isinstance(a.signal, PressureDepth)]
         self.rejected += sum(isinstance(a.signal, Rejected) for a in inbox)
         return []

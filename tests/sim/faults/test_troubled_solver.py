@@ -7,7 +7,7 @@ import pytest
 
 from ltv_mpc.control import controller
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.signals import Solve, SolveStatus
+from ltv_mpc.messages import Solve, SolveStatus
 from sim.faults.solver import Now, SolverRaised, Trouble, Troubled, TroubledSolver, troubled
 from sim.faults.spell import Spell
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     Applied,
     Clock,
     ClockState,

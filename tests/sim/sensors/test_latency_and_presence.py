@@ -11,8 +11,7 @@ import pytest
 
 from ltv_mpc.admission import refusal
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,
@@ -25,6 +24,7 @@ from ltv_mpc.signals import (
     UsblFix,
     to_wire,
 )
+from ltv_mpc.node import Arrival
 from sim.scenario import Scenario, overridden
 from sim.sensors.lbl import Transceiver
 from sim.sensors.node import Sensors

@@ -11,8 +11,7 @@ import pytest
 
 from ltv_mpc.admission import refusal
 from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.node import Arrival
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     CompassHeading,
     Estimate,
@@ -23,6 +22,7 @@ from ltv_mpc.signals import (
     Truth,
     to_wire,
 )
+from ltv_mpc.node import Arrival
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from ltv_mpc import frames
 from ltv_mpc.localisation.suite import Lbl, Usbl
-from ltv_mpc.signals import Truth
+from ltv_mpc.messages import Truth
 from sim.sensors.instant import Instant, through
 from sim.sensors.lbl import Transceiver, arrival_ns
 from sim.sensors.usbl import Ship

@@ -13,7 +13,7 @@ from ltv_mpc.control.qp.failed import FailedQp, worst
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.solvers import NATIVE, make
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import Solve
+from ltv_mpc.messages import Solve
 from tests.ltv_mpc.control.problems import motion
 
 PAPER = Vehicle.load("paper")

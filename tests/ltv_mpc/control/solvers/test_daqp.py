@@ -9,7 +9,7 @@ from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.qp.kkt import residuals
 from ltv_mpc.control.solvers import daqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
-from ltv_mpc.signals import SolveStatus
+from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, precise, solved
 
 CONFIG = SettledConfig()

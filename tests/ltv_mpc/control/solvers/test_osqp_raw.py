@@ -13,7 +13,7 @@ from osqp import ext_builtin
 from scipy.sparse import csc_array
 
 from ltv_mpc.control.solvers.osqp_raw import PLAIN, PublicWorkspace, RawWorkspace, raw_works, workspace
-from ltv_mpc.signals import SolveStatus
+from ltv_mpc.messages import SolveStatus
 
 N, M = 6, 9
 SETTINGS = {**PLAIN, "rho": 0.1, "max_iter": 4000, "eps_abs": 1e-7, "check_termination": 1}

@@ -14,7 +14,7 @@ from ltv_mpc.control.solvers import partial_osqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
 from ltv_mpc.control.solvers.partial_osqp import PartialOsqp
-from ltv_mpc.signals import SolveStatus
+from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, motion, optimum, solved
 
 CONFIG = SettledConfig()

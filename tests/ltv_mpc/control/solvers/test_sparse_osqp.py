@@ -15,7 +15,7 @@ from ltv_mpc.control.solvers import osqp_raw, sparse_osqp
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.osqp_raw import PublicWorkspace
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
-from ltv_mpc.signals import SolveStatus
+from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum
 
 CONFIG = SettledConfig()

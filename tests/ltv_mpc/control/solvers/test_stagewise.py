@@ -13,7 +13,7 @@ from ltv_mpc.control.solvers import make, stagewise
 from ltv_mpc.control.solvers.daqp import CondensedDaqp
 from ltv_mpc.control.solvers.stagewise import Stagewise
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.signals import SolveStatus
+from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, answer, motion, optimum, unlike_any_motion
 
 CONFIG = SettledConfig()

@@ -12,7 +12,7 @@ from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, 
 from ltv_mpc.localisation.measurements.adcp import AdcpModel, beam_directions
 from ltv_mpc.localisation.state import GYRO_BIAS, Belief, Layout
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,

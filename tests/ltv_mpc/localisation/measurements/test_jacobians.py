@@ -10,7 +10,7 @@ from ltv_mpc.localisation.measurements import bottom_track, compass, gnss, lbl, 
 from ltv_mpc.localisation.measurements.adcp import AdcpModel
 from ltv_mpc.localisation.state import ATTITUDE, Belief, Layout
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
-from ltv_mpc.signals import (
+from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CompassHeading,

@@ -26,7 +26,7 @@ Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
 
 
-class Signal(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
+class Message(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
     """A message. Arrays are numpy arrays inside and lists on the wire. Nothing in it leads back to it: it needs no
     collector of cycles.
     """
@@ -44,7 +44,7 @@ class Health(enum.StrEnum):
 # --- the world: written by the plant, read by sensors, recorder and displays, never aboard ---------------------------
 
 
-class Truth(Signal, frozen=True, kw_only=True, eq=False):
+class Truth(Message, frozen=True, kw_only=True, eq=False):
     """The true state of the vehicle."""
 
     t_ns: int
@@ -57,7 +57,7 @@ class Truth(Signal, frozen=True, kw_only=True, eq=False):
     thrust_N: Triple  # delivered
 
 
-class Disturbance(Signal, frozen=True, kw_only=True, eq=False):
+class Disturbance(Message, frozen=True, kw_only=True, eq=False):
     """What acts on the simulated vehicle besides water and propellers, from its arrival on until ``until_t_ns``.
 
     A new one takes the old one's place; nothing aboard reads it.
@@ -82,7 +82,7 @@ class Harm(enum.StrEnum):
     CLOCK_JUMP = "clock_jump"  # its stamps are those of a clock that has jumped
 
 
-class Injection(Signal, frozen=True, kw_only=True, eq=False):
+class Injection(Message, frozen=True, kw_only=True, eq=False):
     """A fault for the messages of one key, asked of `ltv-mpc inject`; nothing aboard reads it.
 
     ``size`` is the share of the messages that meets it; of "delay" seconds, of "clock_jump" seconds ahead of the time,
@@ -97,7 +97,7 @@ class Injection(Signal, frozen=True, kw_only=True, eq=False):
     seed: int = 0
 
 
-class Applied(Signal, frozen=True, kw_only=True, eq=False):
+class Applied(Message, frozen=True, kw_only=True, eq=False):
     """What the thrusters do, and which plan they follow: the actuators' report to the controller."""
 
     t_ns: int
@@ -117,7 +117,7 @@ class Applied(Signal, frozen=True, kw_only=True, eq=False):
 # --- sensors ---------------------------------------------------------------------------------------------------------
 
 
-class ImuSample(Signal, frozen=True, kw_only=True, eq=False):
+class ImuSample(Message, frozen=True, kw_only=True, eq=False):
     """Increments of a strapdown IMU divided by the interval that ends at ``t_ns``: means over it, body frame."""
 
     t_ns: int
@@ -126,7 +126,7 @@ class ImuSample(Signal, frozen=True, kw_only=True, eq=False):
     specific_force_mps2: Triple
 
 
-class GnssFix(Signal, frozen=True, kw_only=True, eq=False):
+class GnssFix(Message, frozen=True, kw_only=True, eq=False):
     """Position and velocity over ground, at the surface."""
 
     t_ns: int
@@ -136,7 +136,7 @@ class GnssFix(Signal, frozen=True, kw_only=True, eq=False):
     velocity_east_mps: float
 
 
-class TdcpFix(Signal, frozen=True, kw_only=True, eq=False):
+class TdcpFix(Message, frozen=True, kw_only=True, eq=False):
     """Change of position between two epochs from time-differenced carrier phase, at the surface."""
 
     t_ns: int
@@ -145,7 +145,7 @@ class TdcpFix(Signal, frozen=True, kw_only=True, eq=False):
     east_m: float
 
 
-class AdcpPing(Signal, frozen=True, kw_only=True, eq=False):
+class AdcpPing(Message, frozen=True, kw_only=True, eq=False):
     """Velocity of the water relative to the transducer along each beam, positive away from the vehicle.
 
     ``range_m`` (K,) is the slant range of each cell's centre; ``beam_velocity_mps`` is (4, K); NaN (null on the wire)
@@ -157,21 +157,21 @@ class AdcpPing(Signal, frozen=True, kw_only=True, eq=False):
     beam_velocity_mps: Matrix
 
 
-class PressureDepth(Signal, frozen=True, kw_only=True, eq=False):
+class PressureDepth(Message, frozen=True, kw_only=True, eq=False):
     """Depth below the surface from pressure."""
 
     t_ns: int
     depth_m: float
 
 
-class CompassHeading(Signal, frozen=True, kw_only=True, eq=False):
+class CompassHeading(Message, frozen=True, kw_only=True, eq=False):
     """True heading from a magnetic compass, deviation and declination already taken off, (-pi, pi]."""
 
     t_ns: int
     heading_rad: float
 
 
-class BottomTrack(Signal, frozen=True, kw_only=True, eq=False):
+class BottomTrack(Message, frozen=True, kw_only=True, eq=False):
     """Velocity of the sea bed relative to the transducer along each beam, positive away from the vehicle.
 
     ``range_m`` (4,) is the slant range to the bottom; both are NaN (null on the wire) for a beam that has not found it.
@@ -182,7 +182,7 @@ class BottomTrack(Signal, frozen=True, kw_only=True, eq=False):
     beam_velocity_mps: Array
 
 
-class LblRange(Signal, frozen=True, kw_only=True, eq=False):
+class LblRange(Message, frozen=True, kw_only=True, eq=False):
     """Two-way travel time to a transponder: half of it is a range, at the middle between interrogation and reply."""
 
     t_ns: int  # that middle
@@ -190,7 +190,7 @@ class LblRange(Signal, frozen=True, kw_only=True, eq=False):
     travel_time_s: float  # there and back, the transponder's turn-around time already taken off
 
 
-class UsblFix(Signal, frozen=True, kw_only=True, eq=False):
+class UsblFix(Message, frozen=True, kw_only=True, eq=False):
     """Position over ground that a ship measured acoustically and sent down; it arrives later than it is valid."""
 
     t_ns: int  # of validity
@@ -201,7 +201,7 @@ class UsblFix(Signal, frozen=True, kw_only=True, eq=False):
 # --- aboard ----------------------------------------------------------------------------------------------------------
 
 
-class CurrentProfile(Signal, frozen=True, kw_only=True, eq=False):
+class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
     """Horizontal water velocity over depth; linear between depths, constant beyond both ends. All arrays (K,)."""
 
     depth_m: Array
@@ -210,7 +210,7 @@ class CurrentProfile(Signal, frozen=True, kw_only=True, eq=False):
     sd_mps: Array | None = None
 
 
-class Estimate(Signal, frozen=True, kw_only=True, eq=False):
+class Estimate(Message, frozen=True, kw_only=True, eq=False):
     """Where the vehicle is and how it moves over ground.
 
     ``covariance`` is (6, 6) over north, east (m), velocity north, east (m/s), heading (rad), yaw rate (rad/s).
@@ -275,7 +275,7 @@ class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     last_t_ns: int | None  # validity time of its newest message
 
 
-class LocalisationReport(Signal, frozen=True, kw_only=True, eq=False):
+class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
     """The localisation filter's word about itself and its sensors."""
 
     t_ns: int
@@ -340,7 +340,7 @@ class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     refused: int  # out of order, or not to be believed, so far
 
 
-class Solve(Signal, frozen=True, kw_only=True, eq=False):
+class Solve(Message, frozen=True, kw_only=True, eq=False):
     """The solver's account of one solve; residuals are those of the scaled problem."""
 
     status: SolveStatus
@@ -350,7 +350,7 @@ class Solve(Signal, frozen=True, kw_only=True, eq=False):
     why: str = ""
 
 
-class Plan(Signal, frozen=True, kw_only=True, eq=False):
+class Plan(Message, frozen=True, kw_only=True, eq=False):
     """Thrusts to come: piecewise linear through knots, enough to run the actuators to its end without another word.
 
     ``t_ns`` (N+1,) knots; the plan takes effect at the first. ``thrust_N`` (N+1, 3) commands. ``states`` (N+1, 6)
@@ -386,7 +386,7 @@ class Plan(Signal, frozen=True, kw_only=True, eq=False):
 # --- who is in charge -------------------------------------------------------------------------------------------------
 
 
-class Command(Signal, frozen=True, kw_only=True, eq=False):
+class Command(Message, frozen=True, kw_only=True, eq=False):
     """What an operator asks: answered by an ``Acknowledged`` of the same ``command_id``."""
 
     command_id: int  # the sender's choice; 48 random bits are told apart from every other's
@@ -394,13 +394,13 @@ class Command(Signal, frozen=True, kw_only=True, eq=False):
     reference_toml: str = ""  # of "follow": what a reference file holds, as TOML
 
 
-class Manual(Signal, frozen=True, kw_only=True, eq=False):
+class Manual(Message, frozen=True, kw_only=True, eq=False):
     """Thrusts that a pilot asks for. They count for a second from their arrival, then the thrusters go to zero."""
 
     thrust_N: Triple
 
 
-class Acknowledged(Signal, frozen=True, kw_only=True, eq=False):
+class Acknowledged(Message, frozen=True, kw_only=True, eq=False):
     """The controller's answer to a ``Command``."""
 
     t_ns: int
@@ -413,7 +413,7 @@ class Acknowledged(Signal, frozen=True, kw_only=True, eq=False):
 # --- how the run itself goes: times, records, faults -----------------------------------------------------------------
 
 
-class CycleTiming(Signal, frozen=True, kw_only=True, eq=False):
+class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
     """What one controller cycle cost, measured by whoever called it (zero work in lock step, where the delay is set).
 
     ``stage_us`` is wall time by name: predict, linearise, build, update, solve, read, publish. ``compute_ns`` is
@@ -427,7 +427,7 @@ class CycleTiming(Signal, frozen=True, kw_only=True, eq=False):
     stage_us: dict[str, float]
 
 
-class Rejected(Signal, frozen=True, kw_only=True, eq=False):
+class Rejected(Message, frozen=True, kw_only=True, eq=False):
     """A frame that was refused at a node's door."""
 
     t_ns: int
@@ -438,7 +438,7 @@ class Rejected(Signal, frozen=True, kw_only=True, eq=False):
     payload_base64: str  # at most 4 KiB of it
 
 
-class Handed(Signal, frozen=True, kw_only=True, eq=False):
+class Handed(Message, frozen=True, kw_only=True, eq=False):
     """A frame between `ltv-mpc inject` and the node under test that is not what travels on its key for all others.
 
     What the node is given in the place of a message that was harmed, or what it said itself before that was harmed.
@@ -461,7 +461,7 @@ class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     velocity_mps: Pair  # north, east, over ground
 
 
-class ControllerCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
+class ControllerCheckpoint(Message, frozen=True, kw_only=True, eq=False):
     """What a controller that is started anew needs beside the plan in force: who is in charge, what is followed, and
     what was learned of the vehicle's buoyancy, of delays and of how it differs from its model.
     """
@@ -492,7 +492,7 @@ class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     walked: float  # variance that each depth had gained by then, m2/s2
 
 
-class EstimatorCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
+class EstimatorCheckpoint(Message, frozen=True, kw_only=True, eq=False):
     """What the localisation filter goes on from: its belief, n states in the order of ``localisation/state.py``.
 
     ``covariance`` holds the lower triangle row by row, (n (n + 1) / 2,). Another setting of sensors or filter may mean
@@ -513,7 +513,7 @@ class EstimatorCheckpoint(Signal, frozen=True, kw_only=True, eq=False):
     restarts: int  # of the filter, so far
 
 
-class Restore(Signal, frozen=True, kw_only=True, eq=False):
+class Restore(Message, frozen=True, kw_only=True, eq=False):
     """State that a supervisor handed to a node it has started anew: the first entry of its new epoch's inbox."""
 
     t_ns: int  # when it was handed over
@@ -534,7 +534,7 @@ class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, fo
     received_t_ns: int
 
 
-class StepRecord(Signal, frozen=True, kw_only=True, eq=False):
+class StepRecord(Message, frozen=True, kw_only=True, eq=False):
     """One step of one node, published before the step's outputs: what an exact replay needs."""
 
     node: str
@@ -553,7 +553,7 @@ class ClockState(enum.StrEnum):
     PAUSED = "paused"
 
 
-class Clock(Signal, frozen=True, kw_only=True, eq=False):
+class Clock(Message, frozen=True, kw_only=True, eq=False):
     """Vehicle time = vehicle_ns + (monotonic - at_monotonic) x speed_num / speed_den while running.
 
     Monotonic times are the host's CLOCK_MONOTONIC in microseconds: below 2^53 for 285 years, so every language reads
@@ -571,7 +571,7 @@ class Clock(Signal, frozen=True, kw_only=True, eq=False):
     state: ClockState
 
 
-class ClockCommand(Signal, frozen=True, kw_only=True, eq=False):
+class ClockCommand(Message, frozen=True, kw_only=True, eq=False):
     """How vehicle time shall go on, asked of the simulated vehicle that keeps it."""
 
     paused: bool
@@ -586,7 +586,7 @@ class ClockMode(enum.StrEnum):
     ONE_WAY = "one-way"  # the other side's clock, by its stamps alone: behind by an unknown delay
 
 
-class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
+class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     """One process's word about itself: that it is ready, what it counts, what it waits for."""
 
     node: str
@@ -603,7 +603,7 @@ class NodeStatus(Signal, frozen=True, kw_only=True, eq=False):
     finished: bool = False  # it has done all that it was asked for
 
 
-class ControllerStatus(Signal, frozen=True, kw_only=True, eq=False):
+class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     """How the controller fares: its inputs, its cycles, who is in charge. Times are those of the last 10 s."""
 
     t_ns: int
@@ -623,13 +623,13 @@ class ControllerStatus(Signal, frozen=True, kw_only=True, eq=False):
     inputs: tuple[InputReport, ...] = ()  # whose ages count
 
 
-class Kill(Signal, frozen=True, kw_only=True, eq=False):
+class Kill(Message, frozen=True, kw_only=True, eq=False):
     """End one process of a simulation without warning, to see what the others do: asked of its launcher."""
 
     node: str
 
 
-class ModelCheck(Signal, frozen=True, kw_only=True, eq=False):
+class ModelCheck(Message, frozen=True, kw_only=True, eq=False):
     """How far the vehicle does what its model says: the motion from one estimate to the next, seen less foreseen."""
 
     t_ns: int
@@ -641,7 +641,7 @@ class ModelCheck(Signal, frozen=True, kw_only=True, eq=False):
     why: str  # of the alarm
 
 
-class RunEvent(Signal, frozen=True, kw_only=True, eq=False):
+class RunEvent(Message, frozen=True, kw_only=True, eq=False):
     """Something worth a mark on the time axis: a phase, a loss, a restart."""
 
     t_ns: int
