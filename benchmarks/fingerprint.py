@@ -29,12 +29,11 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import (
     Applied,
-    ControllerCheckpoint,
+    ControllerState,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     Message,
     Plan,
-    Restore,
 )
 from ltv_mpc.node import Arrival, Inbox, Node
 from services.faults import inside, kinds
@@ -126,20 +125,19 @@ class Restarted:
         self.reads, self.writes = self._node.reads, self._node.writes
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """Step the node; at the time of the restart, step a new one that begins with a ``Restore``."""
+        """Step the node; at the time of the restart, step a new one that begins from the newest saved state."""
         if not self._restarted and t_ns >= RESTART_NS:
             self._restarted, self._node = True, self._make()
-            inbox = [Arrival(self._restore(t_ns), 1, 0, t_ns), *inbox]
+            inbox = [Arrival(self._state(), 1, 0, t_ns), *inbox]
         out = self._node.step(t_ns, inbox)
         self._memory.update({type(signal): signal for signal in out})
         return out
 
-    def _restore(self, t_ns: int) -> Restore:
+    def _state(self) -> Message:
         newest: Any = self._memory.get
-        restore = Restore(t_ns=t_ns, node=self.name, estimate=newest(Estimate))
         if self.name == ControllerNode.name:
-            return msgspec.structs.replace(restore, plan=newest(Plan), controller=newest(ControllerCheckpoint))
-        return msgspec.structs.replace(restore, estimator=newest(EstimatorCheckpoint))
+            return msgspec.structs.replace(newest(ControllerState), plan=newest(Plan), estimate=newest(Estimate))
+        return msgspec.structs.replace(newest(EstimatorState), estimate=newest(Estimate))
 
 
 def situation(name: str, *settings: str) -> Situation:

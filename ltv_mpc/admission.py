@@ -22,20 +22,19 @@ from ltv_mpc.messages import (
     Array,
     BottomTrack,
     Command,
-    ControllerCheckpoint,
+    ControllerState,
     ControllerStatus,
     CurrentProfile,
     CycleTiming,
     DroppedNode,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     InboxEntry,
     InputReport,
     LocalisationReport,
     Message,
     Plan,
     ReferenceStart,
-    Restore,
     SensorReport,
     StepRecord,
     TdcpFix,
@@ -170,7 +169,7 @@ def _command(s: Command) -> Reason:
     return None
 
 
-def _controller_checkpoint(s: ControllerCheckpoint) -> Reason:
+def _controller_checkpoint(s: ControllerState) -> Reason:
     if len(s.reference_toml) > LONGEST_REFERENCE:
         return f"reference_toml: {len(s.reference_toml)} characters, at most {LONGEST_REFERENCE}"
     for name, times in (("plan_delays_ns", s.plan_delays_ns), ("cycle_times_ns", s.cycle_times_ns)):
@@ -178,7 +177,7 @@ def _controller_checkpoint(s: ControllerCheckpoint) -> Reason:
             return f"{name}: {len(times)} entries, at most {MOST_DELAYS}"
     if s.model_products is not None and s.model_products.shape != (4, 4):
         return f"model_products {s.model_products.shape}: must be (4, 4)"
-    return None if s.began is None else refusal(s.began)
+    return _first_of(s.began, s.plan, s.estimate)
 
 
 def _dropped_node(s: DroppedNode) -> Reason:
@@ -189,7 +188,7 @@ def _dropped_node(s: DroppedNode) -> Reason:
     return next((f"{name} {of.shape}: must be (2, 2)" for name, of in small.items() if of.shape != (2, 2)), None)
 
 
-def _estimator_checkpoint(s: EstimatorCheckpoint) -> Reason:
+def _estimator_checkpoint(s: EstimatorState) -> Reason:
     n = s.x.size
     if s.x.ndim != 1 or s.covariance.shape != (n * (n + 1) // 2,):
         return f"x {s.x.shape}, covariance {s.covariance.shape}: must be (n,), (n (n + 1) / 2,)"
@@ -199,11 +198,11 @@ def _estimator_checkpoint(s: EstimatorCheckpoint) -> Reason:
         return "covariance: its diagonal must not be negative"
     if s.seen_nodes.ndim != 1:
         return "seen_nodes: must be a list"
-    return next(filter(None, map(refusal, s.dropped)), None)
+    return _first_of(*s.dropped, s.estimate)
 
 
-def _restore(s: Restore) -> Reason:
-    parts = (s.plan, s.estimate, s.controller, s.estimator)
+def _first_of(*parts: Judged | None) -> Reason:
+    """Return the first reason to refuse one of these parts of a message."""
     return next(filter(None, (refusal(part) for part in parts if part is not None)), None)
 
 
@@ -244,12 +243,11 @@ CONSISTENCY: Mapping[type, Callable[[Any], Reason]] = {
     Estimate: _estimate,
     Plan: _plan,
     Command: _command,
-    ControllerCheckpoint: _controller_checkpoint,
+    ControllerState: _controller_checkpoint,
     ControllerStatus: _controller_status,
     CycleTiming: _timing,
     DroppedNode: _dropped_node,
-    EstimatorCheckpoint: _estimator_checkpoint,
-    Restore: _restore,
+    EstimatorState: _estimator_checkpoint,
     StepRecord: _record,
 }
 """What relates one field to another, judged first: lengths, shapes, order."""

@@ -461,15 +461,18 @@ class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     velocity_mps: Pair  # north, east, over ground
 
 
-class ControllerCheckpoint(Message, frozen=True, kw_only=True, eq=False):
-    """What a controller that is started anew needs beside the plan in force: who is in charge, what is followed, and
-    what was learned of the vehicle's buoyancy, of delays and of how it differs from its model.
+class ControllerState(Message, frozen=True, kw_only=True, eq=False):
+    """State of a controller between two cycles: who is in charge, what is followed, the last plan, what was learned.
+
+    The controller publishes it at each change of the first two, and every 5 s. A new controller that takes the place
+    of a dead one is given it as its first message; its supervisor has put in the plan that is in force by then.
     """
 
     t_ns: int
-    authority: Authority
-    reference_toml: str  # as a reference file holds it
-    began: ReferenceStart | None  # None before the reference is in force
+    authority: Authority = Authority.DISARMED
+    reference_toml: str = ""  # as a reference file holds it; empty: the one that the controller was started with
+    began: ReferenceStart | None = None  # None before the reference is in force
+    schedule_t_ns: int = 0  # when ``schedule_s`` was right: the first knot of the last plan
     schedule_s: float = 0.0  # how far the target has come: the time of the reference's own schedule
     schedule_rate: float = 1.0  # of that time to the vehicle's
     progress: float | None = None  # of a path, 0 .. 1
@@ -477,6 +480,8 @@ class ControllerCheckpoint(Message, frozen=True, kw_only=True, eq=False):
     plan_delays_ns: tuple[int, ...] = ()  # of the last plans, from the start of their cycle to their arrival
     cycle_times_ns: tuple[int, ...] = ()  # of the last cycles, computing alone
     model_products: Matrix | None = None  # (4, 4), of what was missing and its three likely reasons: safety/evidence.py
+    plan: Plan | None = None  # the last one that was sent
+    estimate: Estimate | None = None  # the newest one
 
 
 class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -492,11 +497,12 @@ class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     walked: float  # variance that each depth had gained by then, m2/s2
 
 
-class EstimatorCheckpoint(Message, frozen=True, kw_only=True, eq=False):
-    """What the localisation filter goes on from: its belief, n states in the order of ``localisation/state.py``.
+class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
+    """State of the localisation filter: its belief, n states in the order of ``localisation/state.py``.
 
-    ``covariance`` holds the lower triangle row by row, (n (n + 1) / 2,). Another setting of sensors or filter may mean
-    other states, so a checkpoint belongs to the ``settings`` it was made with: their CRC-32.
+    ``covariance`` holds the lower triangle row by row, (n (n + 1) / 2,). Other settings of sensors or filter may mean
+    other states, so a state belongs to the ``settings`` it was made with: their CRC-32. The estimator publishes it
+    every 5 s; a new estimator that takes the place of a dead one is given it as its first message.
     """
 
     t_ns: int
@@ -511,17 +517,7 @@ class EstimatorCheckpoint(Message, frozen=True, kw_only=True, eq=False):
     dropped: tuple[DroppedNode, ...]
     walked: float  # variance that each depth has gained by walking in time, m2/s2
     restarts: int  # of the filter, so far
-
-
-class Restore(Message, frozen=True, kw_only=True, eq=False):
-    """State that a supervisor handed to a node it has started anew: the first entry of its new epoch's inbox."""
-
-    t_ns: int  # when it was handed over
-    node: str
-    plan: Plan | None = None  # in force at the actuators
-    estimate: Estimate | None = None  # the newest one
-    controller: ControllerCheckpoint | None = None
-    estimator: EstimatorCheckpoint | None = None
+    estimate: Estimate | None = None  # the newest one, put in by the supervisor
 
 
 class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):

@@ -14,14 +14,14 @@ from ltv_mpc.messages import (
     ClockCommand,
     Command,
     CompassHeading,
-    ControllerCheckpoint,
+    ControllerState,
     ControllerStatus,
     CurrentProfile,
     CycleTiming,
     Disturbance,
     DroppedNode,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     GnssFix,
     Handed,
     ImuSample,
@@ -38,7 +38,6 @@ from ltv_mpc.messages import (
     PressureDepth,
     ReferenceStart,
     Rejected,
-    Restore,
     RunEvent,
     SensorReport,
     Solve,
@@ -180,8 +179,9 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "heading_rad": ANGLE,
         "velocity_mps": SPEED,
     },
-    ControllerCheckpoint: {
+    ControllerState: {
         "t_ns": TIME,
+        "schedule_t_ns": TIME,
         "schedule_s": SCHEDULE,
         "schedule_rate": PART,
         "progress": PART,
@@ -200,7 +200,7 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "position": VARIANCE,
         "walked": VARIANCE,
     },
-    EstimatorCheckpoint: {
+    EstimatorState: {
         "t_ns": TIME,
         "settings": COUNT,
         "x": BELIEF,
@@ -213,7 +213,6 @@ RANGES: Mapping[type, dict[str, Range]] = {
         "walked": VARIANCE,
         "restarts": COUNT,
     },
-    Restore: {"t_ns": TIME},
     InboxEntry: {"epoch": COUNT, "sequence": COUNT, "crc": COUNT, "received_t_ns": TIME},
     StepRecord: {"epoch": COUNT, "step": COUNT, "t_ns": TIME},
     Clock: {

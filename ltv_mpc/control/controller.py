@@ -17,7 +17,6 @@ lag and slew in the model, one convex QP a cycle.
 from __future__ import annotations
 
 import contextlib
-import copy
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -42,7 +41,7 @@ from ltv_mpc.messages import (
     Applied,
     Array,
     Authority,
-    ControllerCheckpoint,
+    ControllerState,
     CycleTiming,
     Estimate,
     Health,
@@ -54,7 +53,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
-from ltv_mpc.references.follower import NO_PROGRESS, Follower
+from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
 from ltv_mpc.safety.ages import Period
 from ltv_mpc.safety.authority import Override
 from ltv_mpc.safety.guards import Guard
@@ -79,15 +78,10 @@ MOST_RESIDUAL = 1.0
 
 LONGEST_WHY = 200
 
+FROM_A_SOLVE = (PlanOrigin.SOLVED, PlanOrigin.SHIFTED)
+"""Origins of plans that the next cycle can begin from."""
+
 NOT_RUN = Solve(status=SolveStatus.NOT_RUN)
-
-
-class _Memory(NamedTuple):
-    """What a cycle leaves to the next."""
-
-    start_ns: int  # of its first knot
-    U: Array  # (N+1, 2)
-    until_ns: int  # what it says is a solved plan's up to here
 
 
 class _Lateral(NamedTuple):
@@ -123,13 +117,13 @@ class Controller:
         self._ahead_ns = np.round(self._knots * STAGE_NS).astype(np.int64)
         self._target = np.zeros((config.stages + 1, 2))
         self._nothing = np.zeros((config.stages + 1, 2))
-        self._passes = COLD_PASSES
         self._commands = SentCommands(vehicle)
         self._prediction = Prediction(vehicle)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
         self._first_delay_ns = round(config.first_delay_s * 1e9)
         self._delay = self._new_delay(self._first_delay_ns)
-        self._memory: _Memory | None = None
+        self._last: Plan | None = None  # the last plan that was sent
+        self._solved_until_ns = 0  # what a shifted plan may still be made of
         self._integral_N = 0.0
         self._integrated_ns: int | None = None
         self._shifts_ns = min(int(self._ahead_ns[-1]), LONGEST_SHIFT_NS)
@@ -265,7 +259,7 @@ class Controller:
             cross_track_m=progress.cross_track_m,
             remaining_m=progress.remaining_m,
         )
-        self._commands.sent(plan)
+        self._sent(plan)
         self._integrate(vertical, start.t_ns)
         self._lap("read")
         return plan
@@ -276,17 +270,6 @@ class Controller:
         self._new_solver = lambda: instead(settings())
         self._solver = instead(self._solver)
 
-    def remember(self, other: Controller) -> None:
-        """Go on from where ``other`` is: its reference, the plans that it sent, its last plan. The solver's own warm
-        start stays: so several controllers can be held against each other on the same problems.
-        """
-        self._follower = other._follower.copy()
-        self._memory, self._passes = other._memory, other._passes
-        self._integral_N, self._integrated_ns = other._integral_N, other._integrated_ns
-        self._commands = copy.deepcopy(other._commands)
-        self._prediction = copy.deepcopy(other._prediction)
-        self._delay = copy.deepcopy(other._delay)
-
     def rehearse(self) -> None:
         """Take each rung below the solved plan once, so that nothing is left to be compiled when it is needed.
 
@@ -294,43 +277,56 @@ class Controller:
         """
         start = self._prediction.roll(Estimate.at_rest(), 0, self._commands)
         self._lin.C[...] = 0.0
-        self._memory = _Memory(start.t_ns - STAGE_NS // 2, self._nothing, start.t_ns + self._shifts_ns)
-        self._shifted(start, NOT_RUN)
+        thrust = np.zeros((len(self._ahead_ns), 3))
+        self._shifted(start, start.t_ns - STAGE_NS // 2, thrust, NOT_RUN)
         self._damped(start, "")
         self._released(start, "", self._nothing)
         self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
 
-    def resume(self, plan: Plan | None, checkpoint: ControllerCheckpoint | None, t_ns: int) -> None:
-        """Go on at ``t_ns`` from where a controller was that is no more: by the plan in force, and what it wrote down
-        of its reference, which this one follows already, and of what it has learned.
+    def save(self, t_ns: int) -> ControllerState:
+        """Return the state that another controller of the same reference continues from; not the solver's warm start.
+
+        Parameters
+        ----------
+        t_ns : time of the state, vehicle time.
+
+        Returns
+        -------
+        The state, without what belongs to the node around the controller: authority, reference, model check.
         """
-        if plan is not None:
-            self._commands.sent(plan)
-            first_ns = max(plan.expected_delay_ns, self._first_delay_ns)
-            self._delay = self._new_delay(first_ns)
-            followed = plan.origin in (PlanOrigin.SOLVED, PlanOrigin.SHIFTED)
-            if followed and np.array_equal(plan.t_ns - plan.t_ns[0], self._ahead_ns):
-                start_ns = int(plan.t_ns[0])
-                self._memory = _Memory(start_ns, plan.thrust_N[:, :2].copy(), start_ns + self._shifts_ns)
-                self._passes = self.config.sqp_iterations
-        if checkpoint is None:
-            return
-        self._integral_N = checkpoint.depth_integral_N
-        self._delay.resume(checkpoint.plan_delays_ns, checkpoint.cycle_times_ns)
-        if checkpoint.began is not None:
-            self._follower.resume(
-                checkpoint.began, checkpoint.schedule_s, checkpoint.schedule_rate, checkpoint.t_ns, t_ns
-            )
+        follower = self._follower.save()
+        plan_delays_ns, cycle_times_ns = self._delay.save()
+        return ControllerState(
+            t_ns=t_ns,
+            began=follower.began,
+            schedule_t_ns=follower.t_ns,
+            schedule_s=follower.tau_s,
+            schedule_rate=follower.rate,
+            progress=self._follower.progress.share,
+            depth_integral_N=self._integral_N,
+            plan_delays_ns=plan_delays_ns,
+            cycle_times_ns=cycle_times_ns,
+            plan=self._last,
+        )
 
-    @property
-    def depth_integral_N(self) -> float:
-        """What the depth law has learned: the vertical thrust that keeps a depth."""
-        return self._integral_N
+    def restore(self, state: ControllerState, t_ns: int) -> None:
+        """Continue at ``t_ns`` from the state of another controller that followed the same reference.
 
-    @property
-    def delays(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Measured lately (ns): from a cycle's start to its plan's arrival, and computing alone."""
-        return self._delay.measured()
+        Parameters
+        ----------
+        state : what the other one saved; its plan is the one in force at the actuators.
+        t_ns : now, vehicle time.
+        """
+        first_ns = self._first_delay_ns
+        if state.plan is not None:
+            first_ns = max(state.plan.expected_delay_ns, first_ns)
+            self._sent(state.plan)
+            self._solved_until_ns = int(state.plan.t_ns[0]) + self._shifts_ns
+        self._delay = self._new_delay(first_ns)
+        self._delay.restore(state.plan_delays_ns, state.cycle_times_ns)
+        self._integral_N = state.depth_integral_N
+        followed = FollowerState(state.began, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
+        self._follower.restore(followed, t_ns)
 
     @property
     def follower(self) -> Follower:
@@ -412,7 +408,6 @@ class Controller:
         X, U = self._room()
         lateral = self._nothing if goal is None else np.ascontiguousarray(goal[:, :2])
         trajectory.release(self._numbers, start.lateral, lateral, self._lin.C, X, U)
-        self._memory = None
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return _Lateral(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
@@ -432,9 +427,9 @@ class Controller:
         settings say, or where there is no plan yet; None where that gives no plan.
         """
         lin, target, numbers = self._lin, self._target, self._numbers
-        self._linearise(start)
+        passes = self._linearise(start)
         X, U = self._room()
-        for left in range(self._passes, 0, -1):
+        for left in range(passes, 0, -1):
             self._lap("linearise")
             self._solver.build(lin, target)
             self._lap("build")
@@ -455,8 +450,6 @@ class Controller:
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
                 trajectory.again(numbers, lin.flat, self.config.stages, X, U)
-        self._passes = self.config.sqp_iterations
-        self._memory = _Memory(start.t_ns, U, start.t_ns + self._shifts_ns)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
     def _keep(self, solve: Solve) -> None:
@@ -464,41 +457,60 @@ class Controller:
         with contextlib.suppress(Exception):  # a problem that cannot even be copied out must not cost the cycle
             self.failed = FailedQp(self._solver.problem(), self._solver.rows(), solve)
 
-    def _linearise(self, start: Start) -> None:
-        """Along the previous plan on the new knots, or a steered one if that is better; the solver is told which."""
-        old = self._memory
+    def _sent(self, plan: Plan) -> None:
+        """Keep a plan that was sent: its commands are in force from its first knot on."""
+        self._commands.sent(plan)
+        self._last = plan
+        if plan.origin is PlanOrigin.SOLVED:
+            self._solved_until_ns = int(plan.t_ns[0]) + self._shifts_ns
+
+    def _followed(self) -> Plan | None:
+        """Return the last plan if it came from a solve and has this controller's knots: the next one begins from it."""
+        last = self._last
+        if last is None or last.origin not in FROM_A_SOLVE:
+            return None
+        return last if np.array_equal(last.t_ns - last.t_ns[0], self._ahead_ns) else None
+
+    def _linearise(self, start: Start) -> int:
+        """Linearise along the previous plan on the new knots, or along a steered one if that is better.
+
+        Tell the solver which, and return how many passes the cycle takes.
+        """
+        old = self._followed()
         if old is None:
-            self._passes = COLD_PASSES
-            stages, commands = math.nan, self._nothing
+            passes, stages, commands = COLD_PASSES, math.nan, self._nothing
         else:
-            stages, commands = (start.t_ns - old.start_ns) / STAGE_NS, old.U
+            passes, stages = self.config.sqp_iterations, (start.t_ns - int(old.t_ns[0])) / STAGE_NS
+            commands = np.ascontiguousarray(old.thrust_N[:, :2])
         kind = trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
         if kind == trajectory.CARRIED:
             self._solver.shift(stages)
         else:
             self._solver.forget()
+        return passes
 
     def _fallback(self, start: Start, solve: Solve) -> _Lateral:
         """The rungs below the solved plan. The solver is made anew before it is asked again."""
         self._doubtful = True
         np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        return self._shifted(start, solve) or self._damped(start, solve.why, solve)
+        old = self._followed()
+        shifted = None
+        if old is not None and start.t_ns < self._solved_until_ns:
+            shifted = self._shifted(start, int(old.t_ns[0]), old.thrust_N, solve)
+        return shifted or self._damped(start, solve.why, solve)
 
-    def _shifted(self, start: Start, solve: Solve) -> _Lateral | None:
-        """What is left of the plan solved last, on the new knots, inside box and slew, and damping beyond its end;
-        None where nothing is left.
+    def _shifted(self, start: Start, began_ns: int, thrust_N: Array, solve: Solve) -> _Lateral | None:
+        """Return the rest of the plan solved last, on the new knots, inside box and slew, and damping beyond its end.
+
+        ``thrust_N`` (N+1, 3) is of that plan, which began at ``began_ns``. None where the motion is not finite.
         """
-        old, (X, U) = self._memory, self._room()
-        if old is None or start.t_ns >= old.until_ns:
-            return None
-        trajectory.shifted(
-            self._numbers, start.lateral, old.U, (start.t_ns - old.start_ns) / STAGE_NS, self._lin.C, X, U
-        )
-        until = int(np.searchsorted(start.t_ns + self._ahead_ns, old.until_ns, side="right")) - 1
+        X, U = self._room()
+        commands, stages = np.ascontiguousarray(thrust_N[:, :2]), (start.t_ns - began_ns) / STAGE_NS
+        trajectory.shifted(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
+        until = int(np.searchsorted(start.t_ns + self._ahead_ns, self._solved_until_ns, side="right")) - 1
         self._damping.fill(X, U, self._lin.C, until)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
-        self._memory = _Memory(start.t_ns, U, old.until_ns)
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
 
     def _damped(self, start: Start, why: str, solve: Solve = NOT_RUN) -> _Lateral:
@@ -506,14 +518,13 @@ class Controller:
         X, U = self._room()
         X[0], U[0] = start.lateral[:STATES], start.lateral[STATES:]
         self._damping.fill(X, U, self._lin.C, 0)
-        self._memory = None
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return self._released(start, why, None)._replace(solve=solve)
         return _Lateral(X, U, PlanOrigin.DAMPING, solve, why)
 
     def _let_go(self, now: int, override: Override | None, why: str) -> Plan:
         """The ladder's end where the cycle itself broke: from the command in force to rest, by nothing else."""
-        self._memory, self._passes, self._doubtful = None, COLD_PASSES, True
+        self._doubtful, self._last = True, None
         delay_ns = self._delay.expected_ns()
         knots = now + delay_ns + self._ahead_ns
         command = np.zeros(3)
@@ -541,7 +552,7 @@ class Controller:
             expected_delay_ns=delay_ns,
         )
         with contextlib.suppress(Exception):
-            self._commands.sent(plan)
+            self._sent(plan)
         return plan
 
 

@@ -41,12 +41,12 @@ class Delay:
             self._computing.clear()
             self._learn()
 
-    def measured(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Of the cycles that solve: from their start to the plan's arrival, and computing alone (ns)."""
+    def save(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return what was measured of the cycles that solve (ns): until the plan's arrival, and computing alone."""
         return ((), ()) if self._solves_from is None else (tuple(self._receipts), tuple(self._computing))
 
-    def resume(self, receipts: Iterable[int], computing: Iterable[int]) -> None:
-        """Go on from what another one has ``measured``, if it had come to cycles that solve."""
+    def restore(self, receipts: Iterable[int], computing: Iterable[int]) -> None:
+        """Continue from what another one has measured, if it had come to cycles that solve."""
         self._receipts.extend(receipts)
         self._computing.extend(computing)
         if self._receipts or self._computing:

@@ -1,10 +1,12 @@
 """The controller as a node: a cycle every 0.3 s on the newest estimate, by whoever is in charge.
 
 It writes down who is in charge and how far the reference is, at each change and each 5 s: with that and the plan in
-force (``Restore``) another one goes on where this one ended.
+force another one continues where this one ended.
 """
 
 from __future__ import annotations
+
+import msgspec
 
 from ltv_mpc import config as settings
 from ltv_mpc.control.config import ControllerConfig
@@ -16,7 +18,7 @@ from ltv_mpc.messages import (
     Applied,
     Authority,
     Command,
-    ControllerCheckpoint,
+    ControllerState,
     CycleTiming,
     Estimate,
     Health,
@@ -25,7 +27,6 @@ from ltv_mpc.messages import (
     Message,
     ModelCheck,
     Plan,
-    Restore,
 )
 from ltv_mpc.node import Arrival, Cycle, Inbox, Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference, Timed
@@ -38,24 +39,24 @@ from ltv_mpc.vehicle.parameters import Vehicle
 DEEPEST_HOLD_M = 11_000.0
 """As a reference's ``depth_m``."""
 
-CHECKPOINT_NS = 5_000_000_000
-"""Longest time between two checkpoints."""
+SAVE_NS = 5_000_000_000
+"""Longest time between two saved states."""
 
 LONGEST_WRITTEN = 65_536
-"""Characters of a reference in a checkpoint, as at the door; a longer one is the file that a new process reads too."""
+"""Characters of a reference in a saved state, as at the door; a longer one is the file that a new process reads too."""
 
 
 class ControllerNode:
-    """Reads the newest ``Estimate`` and ``Manual``, each ``Applied``, ``Command`` and ``CycleTiming``, and first of all
-    a ``Restore`` where it takes another's place.
+    """Reads the newest ``Estimate`` and ``Manual``, each ``Applied``, ``Command`` and ``CycleTiming``.
 
     Writes one ``Plan`` a cycle, disarmed too: that one lets the thrusters go; an ``Acknowledged`` for each command; a
-    ``ControllerCheckpoint`` and a ``ModelCheck`` now and then.
+    ``ControllerState`` and a ``ModelCheck`` now and then. A node that takes another's place is given the newest
+    ``ControllerState`` as its first message.
     """
 
     name = "controller"
-    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, Command, Manual, Restore)
-    writes: tuple[type[Message], ...] = (Plan, Acknowledged, ControllerCheckpoint, ModelCheck)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, Command, Manual)
+    writes: tuple[type[Message], ...] = (Plan, Acknowledged, ControllerState, ModelCheck)
 
     def __init__(
         self,
@@ -76,7 +77,7 @@ class ControllerNode:
         """The inputs whose ages count."""
         self._watch = ModelWatch(vehicle, config.disturbance.noise_mps)
         self._cycled_ns = 0  # the last cycle's time
-        self._checkpoint: ControllerCheckpoint | None = None
+        self._saved: ControllerState | None = None
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """One cycle at ``t_ns``; no plan until the first estimate."""
@@ -88,13 +89,13 @@ class ControllerNode:
                     said.append(self._answered(command, t_ns))
                 case Manual() as manual:
                     self.helm.steer(manual.thrust_N, arrival.received_t_ns)
-                case Restore() as restore:
-                    self._restored(restore, t_ns)
+                case ControllerState() as state:
+                    self._restore(state, t_ns)
                 case _:
                     self.hear(arrival)
         # The plan first: who has the answer can rely on its being in force.
         plans = [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
-        words = (self._due_checkpoint(t_ns), self._checked_model())
+        words = (self._due_state(t_ns), self._checked_model())
         return [*plans, *said, *(word for word in words if word is not None)]
 
     def hear(self, arrival: Arrival) -> None:
@@ -148,47 +149,37 @@ class ControllerNode:
         believed = self.controller.guard.believed
         return None if believed is None else self._watch.see(believed)
 
-    # --- where another one ended ---
+    # --- saved and restored ---
 
-    def _restored(self, restore: Restore, t_ns: int) -> None:
-        """Armed if it was, along the same reference, from the plan in force."""
-        checkpoint = restore.controller
-        if checkpoint is not None:
-            self.helm.authority = checkpoint.authority
-            if checkpoint.reference_toml and checkpoint.reference_toml != self._written:
-                self._follow(checkpoint.reference_toml)
-            if checkpoint.model_products is not None:
-                self._watch.resume(checkpoint.model_products)
-        self.controller.resume(restore.plan, checkpoint, t_ns)
+    def _restore(self, state: ControllerState, t_ns: int) -> None:
+        """Continue where another node ended: armed if it was, along the same reference, from the plan in force."""
+        self.helm.authority = state.authority
+        if state.reference_toml and state.reference_toml != self._written:
+            self._follow(state.reference_toml)
+        if state.model_products is not None:
+            self._watch.resume(state.model_products)
+        self.controller.restore(state, t_ns)
         if self._estimate is None:
-            self._estimate = restore.estimate
+            self._estimate = state.estimate
 
-    def _due_checkpoint(self, t_ns: int) -> ControllerCheckpoint | None:
-        """What to write down now: at each change of who is in charge or of what is followed, and each 5 s."""
-        before, follower = self._checkpoint, self.controller.follower
+    def _due_state(self, t_ns: int) -> ControllerState | None:
+        """Return the state to publish now: at each change of who is in charge or of what is followed, and each 5 s."""
+        before = self._saved
         if before is not None and (
-            0 <= t_ns - before.t_ns < CHECKPOINT_NS
+            0 <= t_ns - before.t_ns < SAVE_NS
             and before.authority is self.helm.authority
             and before.reference_toml is self._written
-            and (before.began is None) == (follower.target_m is None)
+            and (before.began is None) == (self.controller.follower.target_m is None)
         ):
             return None
-        schedule_s, rate = follower.schedule_time
-        plan_delays_ns, cycle_times_ns = self.controller.delays
-        self._checkpoint = ControllerCheckpoint(
-            t_ns=t_ns,
+        self._saved = msgspec.structs.replace(
+            self.controller.save(t_ns),
             authority=self.helm.authority,
             reference_toml=self._written,
-            began=follower.began,
-            schedule_s=schedule_s,
-            schedule_rate=rate,
-            progress=follower.progress.share,
-            depth_integral_N=self.controller.depth_integral_N,
-            plan_delays_ns=plan_delays_ns,
-            cycle_times_ns=cycle_times_ns,
             model_products=self._watch.learned,
+            estimate=self._estimate,
         )
-        return self._checkpoint
+        return self._saved
 
     # --- what is asked ---
 

@@ -22,7 +22,7 @@ from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.water_column import node_prior
 from ltv_mpc.localisation.window import given
-from ltv_mpc.messages import DroppedNode, EstimatorCheckpoint, to_wire
+from ltv_mpc.messages import DroppedNode, EstimatorState, to_wire
 
 
 def settings_of(suite: Suite, config: EstimatorConfig, prior: WaterPrior | None) -> int:
@@ -32,11 +32,11 @@ def settings_of(suite: Suite, config: EstimatorConfig, prior: WaterPrior | None)
     return zlib.crc32(msgspec.json.encode((suite, own, known), enc_hook=to_wire))
 
 
-def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorCheckpoint:
+def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorState:
     """Of this instant."""
     belief = filter_.settled()
     column = belief.column
-    return EstimatorCheckpoint(
+    return EstimatorState(
         t_ns=belief.t_ns,
         settings=settings,
         x=belief.x,
@@ -53,7 +53,7 @@ def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorChe
 
 
 def belief_of(
-    checkpoint: EstimatorCheckpoint, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None
+    checkpoint: EstimatorState, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None
 ) -> Belief | None:
     """The belief that ``checkpoint`` was made of; None where it is of other settings, or of no filter."""
     layout = Layout.of(suite, config)

@@ -44,7 +44,7 @@ from ltv_mpc.messages import (
     BottomTrack,
     CompassHeading,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     FilterStatus,
     GnssFix,
     ImuSample,
@@ -52,7 +52,6 @@ from ltv_mpc.messages import (
     LocalisationReport,
     Message,
     PressureDepth,
-    Restore,
     TdcpFix,
     UsblFix,
 )
@@ -91,8 +90,8 @@ class Estimator:
 
     name = "estimator"
     schedule = OnMessage(tuple(SENSORS))
-    reads: tuple[type[Message], ...] = (*SENSORS, Restore)
-    writes: tuple[type[Message], ...] = (Estimate, LocalisationReport, EstimatorCheckpoint)
+    reads: tuple[type[Message], ...] = tuple(SENSORS)
+    writes: tuple[type[Message], ...] = (Estimate, LocalisationReport, EstimatorState)
 
     def __init__(
         self,
@@ -166,7 +165,7 @@ class Estimator:
                     self._take(signal, out)
                 else:
                     self._account[f"{sensor}.{why}"] += 1
-            elif isinstance(signal, Restore):
+            elif isinstance(signal, EstimatorState):
                 self._restore(signal)
         return out
 
@@ -213,17 +212,16 @@ class Estimator:
         self._used(history)
         return signals
 
-    def _restore(self, restore: Restore) -> None:
-        """Go on from what another process of this node has left; not where it has begun by itself."""
-        checkpoint = restore.estimator
-        if checkpoint is None or self._filter is not None:
+    def _restore(self, state: EstimatorState) -> None:
+        """Continue from the state of another process of this node, unless this one has a filter already."""
+        if self._filter is not None:
             return
-        belief = belief_of(checkpoint, self._suite, self._config, self._prior)
+        belief = belief_of(state, self._suite, self._config, self._prior)
         if belief is None:
             self._account["checkpoint.of_other_settings"] += 1
             return
-        self._alignment = Resumption(self._suite, self._config, belief, restore.estimate)
-        self._restarts.count = checkpoint.restarts
+        self._alignment = Resumption(self._suite, self._config, belief, state.estimate)
+        self._restarts.count = state.restarts
 
     def _take(self, message: ImuSample | Aiding, out: list[Message]) -> None:
         if self._history is not None:

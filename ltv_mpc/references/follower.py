@@ -13,14 +13,11 @@ the target. Progress is the target's, along the path, so it never falls. A point
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import NamedTuple
 
-import msgspec
-
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
-from ltv_mpc.references.kind import Anchor, ramp
+from ltv_mpc.references.kind import ramp
 from ltv_mpc.references.kinds import Hold, Point, Reference
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.schedule import Schedule, depths, go_on, look_ahead, where
@@ -40,6 +37,15 @@ class Progress(NamedTuple):
     remaining_m: float | None  # of the path, before the target
 
 
+class FollowerState(NamedTuple):
+    """State of a follower: where its reference began, and how far its target was at the first knot of the last plan."""
+
+    began: ReferenceStart | None  # None before the reference is in force
+    t_ns: int  # that knot
+    tau_s: float  # the target's time
+    rate: float  # of that time to the vehicle's
+
+
 NO_PROGRESS = Progress(None, None, None)
 """Of a reference that is no path, or has not begun."""
 
@@ -50,7 +56,7 @@ class Follower:
     def __init__(self, reference: Reference, vehicle: Vehicle) -> None:
         self.reference = reference
         self._vehicle = vehicle
-        self._anchor: Anchor | None = None
+        self._anchor: ReferenceStart | None = None
         self._still: Pair = (math.nan, math.nan)
         self._schedule: Schedule | None = None
         self._leash_m = LEAST_M
@@ -62,10 +68,6 @@ class Follower:
         self._t_ns = 0
         self._progress = NO_PROGRESS
         self._target: Pair = self._still
-
-    def copy(self) -> Follower:
-        """Another that goes on from here by itself."""
-        return copy.copy(self)  # what is in it is replaced, never written to
 
     @property
     def target_m(self) -> Pair | None:
@@ -92,7 +94,7 @@ class Follower:
             self._start(self.reference.anchor(estimate))
         return self._anchor is not None
 
-    def _start(self, anchor: Anchor) -> None:
+    def _start(self, anchor: ReferenceStart) -> None:
         self._anchor = anchor
         self._t_ns = anchor.t_ns
         if isinstance(self.reference, Point | Hold):
@@ -104,26 +106,22 @@ class Follower:
         self._cruise_mps = limits_of(self._vehicle).cruise_mps
         self._leash_m = max(LEASH_S * self._cruise_mps, LEAST_M)
 
-    @property
-    def began(self) -> ReferenceStart | None:
-        """Where and when it began; None before."""
-        return None if self._anchor is None else ReferenceStart(**msgspec.structs.asdict(self._anchor))
+    def save(self) -> FollowerState:
+        """Return the state that another follower of the same reference continues from."""
+        return FollowerState(self._anchor, self._t_ns, self._tau_s, self._rate)
 
-    @property
-    def schedule_time(self) -> tuple[float, float]:
-        """The target's time tau (s) at the last plan's first knot, and its rate."""
-        return self._tau_s, self._rate
+    def restore(self, state: FollowerState, now_ns: int) -> None:
+        """Continue from the state of another follower of this reference.
 
-    def resume(self, began: ReferenceStart, tau_s: float, rate: float, then_ns: int, now_ns: int) -> None:
-        """Go on from another follower of this reference that began so and was at ``tau_s`` at ``then_ns``.
-
-        Since then its target has moved on at ``rate``, as far as a plan takes a vehicle that hears of no other.
+        Since then its target has moved at its rate, as far as a plan takes a vehicle that receives no other.
         """
-        self._start(Anchor(**msgspec.structs.asdict(began)))
-        self._rate = min(max(rate, 0.0), 1.0)
-        way_s = self._rate * max(now_ns - then_ns, 0) * 1e-9
-        self._tau_s = min(max(tau_s + way_s, 0.0), self._duration_s)
-        self._t_ns = max(now_ns, then_ns)
+        if state.began is None:
+            return
+        self._start(state.began)
+        self._rate = min(max(state.rate, 0.0), 1.0)
+        way_s = self._rate * max(now_ns - state.t_ns, 0) * 1e-9
+        self._tau_s = min(max(state.tau_s + way_s, 0.0), self._duration_s)
+        self._t_ns = max(now_ns, state.t_ns)
         if self._schedule is not None:
             self._target = where(self._schedule.table, self._tau_s)[1:]
 

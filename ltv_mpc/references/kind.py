@@ -9,22 +9,11 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc.compiled import kernel
-from ltv_mpc.messages import Array, Estimate, Pair, Times
+from ltv_mpc.messages import Array, Estimate, ReferenceStart, Times
 from ltv_mpc.references.places import Depth, Origin
 
 LONGEST_BACK_S = 1.0
 """A vehicle that drifts is where it was, less its velocity times the time since: for so long. Later, "here" is now."""
-
-
-class Anchor(msgspec.Struct, frozen=True):
-    """Where and when the reference began, and how the vehicle moved then (heading in rad, velocity over ground)."""
-
-    t_ns: int
-    north_m: float
-    east_m: float
-    depth_m: float
-    heading_rad: float = 0.0
-    velocity_mps: Pair = (0.0, 0.0)
 
 
 class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
@@ -43,20 +32,20 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         """Whether it is in force at ``t_ns``."""
         return self.start_s is None or t_ns >= round(self.start_s * 1e9)
 
-    def anchor(self, estimate: Estimate) -> Anchor:
+    def anchor(self, estimate: Estimate) -> ReferenceStart:
         """Where it begins: where the first estimate after its start says that the vehicle was at the start."""
         start_ns = estimate.t_ns if self.start_s is None else min(round(self.start_s * 1e9), estimate.t_ns)
         back_s = (estimate.t_ns - start_ns) * 1e-9
         if back_s > LONGEST_BACK_S:
             start_ns, back_s = estimate.t_ns, 0.0
         depth = (estimate.depth_m or 0.0) - back_s * (estimate.velocity_down_mps or 0.0)
-        return Anchor(
-            start_ns,
-            estimate.north_m - back_s * estimate.velocity_north_mps,
-            estimate.east_m - back_s * estimate.velocity_east_mps,
-            max(depth, 0.0),
-            estimate.heading_rad,
-            (estimate.velocity_north_mps, estimate.velocity_east_mps),
+        return ReferenceStart(
+            t_ns=start_ns,
+            north_m=estimate.north_m - back_s * estimate.velocity_north_mps,
+            east_m=estimate.east_m - back_s * estimate.velocity_east_mps,
+            depth_m=max(depth, 0.0),
+            heading_rad=estimate.heading_rad,
+            velocity_mps=(estimate.velocity_north_mps, estimate.velocity_east_mps),
         )
 
 

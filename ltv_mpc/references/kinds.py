@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TypeAlias
 
 from ltv_mpc import config
-from ltv_mpc.messages import Pair
-from ltv_mpc.references.kind import Anchor, Kind
+from ltv_mpc.messages import Pair, ReferenceStart
+from ltv_mpc.references.kind import Kind
 from ltv_mpc.references.places import Latitude, Longitude, Metres, Place, local
 from ltv_mpc.references.said import of_descent
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
@@ -28,7 +28,7 @@ class Point(Kind, frozen=True, kw_only=True, tag="point"):
         """Refuse a point that is nowhere, or twice."""
         self._place()
 
-    def position(self, anchor: Anchor) -> Pair:
+    def position(self, anchor: ReferenceStart) -> Pair:
         """North and east (m)."""
         del anchor
         return self._place()
@@ -50,7 +50,7 @@ class Point(Kind, frozen=True, kw_only=True, tag="point"):
 class Hold(Kind, frozen=True, kw_only=True, tag="hold"):
     """Stay on the vertical line through where the vehicle is believed to be at the start: "here"."""
 
-    def position(self, anchor: Anchor) -> Pair:
+    def position(self, anchor: ReferenceStart) -> Pair:
         """North and east (m)."""
         return anchor.north_m, anchor.east_m
 

@@ -8,8 +8,8 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from msgspec import Meta
 
-from ltv_mpc.messages import Array
-from ltv_mpc.references.kind import Anchor, Kind
+from ltv_mpc.messages import Array, ReferenceStart
+from ltv_mpc.references.kind import Kind
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import MOST_POINTS, Path, bend, led_in, pieces, rounded
 from ltv_mpc.references.places import Place, local
@@ -44,7 +44,7 @@ class Shape(Kind, frozen=True, kw_only=True):
         if len(self.path().points) > MOST_POINTS:
             raise ValueError(f"the path takes more than {MOST_POINTS} points: make several files of it")
 
-    def schedule(self, vehicle: Vehicle, anchor: Anchor | None = None) -> Schedule:
+    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> Schedule:
         """The target's way from ``anchor``: led to the first point in a straight line; without one, from that point."""
         path, lead_m, begin, turn = self.path(), 0.0, 0.0, 0.0
         if anchor is not None:
@@ -73,7 +73,7 @@ class Shape(Kind, frozen=True, kw_only=True):
         return bend(points, curvature)._replace(depth=self._depths(len(points)))
 
 
-def _begin(path: Path, anchor: Anchor) -> tuple[float, float]:
+def _begin(path: Path, anchor: ReferenceStart) -> tuple[float, float]:
     """Speed along the first piece (m/s) and angle to turn before it (rad) of a vehicle as it is at the anchor."""
     way = path.points[1] - path.points[0]
     course = math.atan2(way[1], way[0])

@@ -19,8 +19,8 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Array
-from ltv_mpc.references.kind import Anchor, Kind
+from ltv_mpc.messages import Array, ReferenceStart
+from ltv_mpc.references.kind import Kind
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import Path as Track
 from ltv_mpc.references.path import led_in
@@ -65,7 +65,7 @@ class Timed(Kind, frozen=True, kw_only=True, tag="timed"):
         if self.depth_m is not None and len(self.rows[0]) == 4:
             raise ValueError("depth_m is given for the whole track and in its rows: leave one of them out")
 
-    def schedule(self, vehicle: Vehicle, anchor: Anchor | None = None) -> Schedule:
+    def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> Schedule:
         """The rows in time, stretched where the vehicle cannot be so fast; led to the first from ``anchor``."""
         table, length = self._table(vehicle)
         if table[TIME, 0] > 0.0:  # until then the target stands at the first row

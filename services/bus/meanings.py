@@ -206,11 +206,12 @@ OF: Mapping[str, Mapping[str, str]] = {
         "heading_rad": "true heading, clockwise from north seen from above",
         "velocity_mps": "over ground: north, east",
     },
-    "ControllerCheckpoint": {
+    "ControllerState": {
         "t_ns": "when it was said",
         "authority": "who commands the thrusters",
         "reference_toml": "what is followed, as a reference file holds it",
         "began": "where the reference began; null before it is in force",
+        "schedule_t_ns": "when schedule_s was right: the first knot of the last plan",
         "schedule_s": "how far the target has come, by the reference's own schedule",
         "schedule_rate": "of that time to the vehicle's: below 1 the target waits",
         "progress": "along the reference; null where it has no end",
@@ -218,6 +219,8 @@ OF: Mapping[str, Mapping[str, str]] = {
         "plan_delays_ns": "of the last plans: from the start of the cycle to arrival at the actuators",
         "cycle_times_ns": "of the last cycles: computing alone",
         "model_products": "4 x 4, summed: missing impulse, those of port, starboard, drag, in standard deviations",
+        "plan": "the last one that was sent; after a restart, the one in force at the actuators",
+        "estimate": "the newest one",
     },
     "DroppedNode": {
         "node": "of the grid of depths, from 0 at the surface",
@@ -229,7 +232,7 @@ OF: Mapping[str, Mapping[str, str]] = {
         "position": "2 x 2, covariance of the position given those states, at that time",
         "walked": "variance gained by walking in time up to then, m2/s2",
     },
-    "EstimatorCheckpoint": {
+    "EstimatorState": {
         "settings": "CRC-32 of the sensors' and the filter's settings: it can go on from this with the same alone",
         "x": "n states, in the filter's order",
         "attitude": "3 x 3, body to north, east, down",
@@ -241,14 +244,7 @@ OF: Mapping[str, Mapping[str, str]] = {
         "dropped": "what is known of depths that are no states any more",
         "walked": "variance gained by walking in time, m2/s2",
         "restarts": "of the filter, so far",
-    },
-    "Restore": {
-        "t_ns": "when it was handed over",
-        "node": "who was started anew, and says what it was handed",
-        "plan": "in force at the actuators when the node was started",
-        "estimate": "the newest one of then",
-        "controller": "the controller's newest checkpoint",
-        "estimator": "the estimator's newest checkpoint",
+        "estimate": "after a restart, the newest one",
     },
     "Rejected": {
         "t_ns": "when it arrived",

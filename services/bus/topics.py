@@ -17,12 +17,12 @@ from ltv_mpc.messages import (
     ClockCommand,
     Command,
     CompassHeading,
-    ControllerCheckpoint,
+    ControllerState,
     ControllerStatus,
     CycleTiming,
     Disturbance,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     GnssFix,
     Handed,
     ImuSample,
@@ -37,7 +37,6 @@ from ltv_mpc.messages import (
     Plan,
     PressureDepth,
     Rejected,
-    Restore,
     RunEvent,
     StepRecord,
     TdcpFix,
@@ -98,9 +97,8 @@ TOPICS = (
     Topic(ControllerStatus,   "controller/status",    1_000_000_000, LATEST,   "controller", (OPERATOR,)),
     Topic(ModelCheck,         "model",                1_000_000_000, EVERY,    "controller", (OPERATOR,)),
     Topic(CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
-    Topic(ControllerCheckpoint, "checkpoint/controller", 5_000_000_000, EVERY, "controller", ("launcher",)),
-    Topic(EstimatorCheckpoint, "checkpoint/estimator", 5_000_000_000, EVERY, "estimator",    ("launcher",)),
-    Topic(Restore,            "restore",                          0, EVERY,    "*",          ()),
+    Topic(ControllerState,    "state/controller",     5_000_000_000, EVERY,    "controller", ("launcher",)),
+    Topic(EstimatorState,     "state/estimator",      5_000_000_000, EVERY,    "estimator",  ("launcher",)),
     Topic(Clock,              "clock",                            0, EVERY,    "plant",      ("*",)),
     Topic(ClockCommand,       "clock/command",                    0, EVERY,    OPERATOR,     ("plant",)),
     Topic(Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("launcher",)),
@@ -112,6 +110,12 @@ TOPICS = (
 )  # fmt: skip
 
 BY_SIGNAL = {topic.signal: topic for topic in TOPICS}
+STATES: dict[str, type[ControllerState] | type[EstimatorState]] = {
+    "controller": ControllerState,
+    "estimator": EstimatorState,
+}
+"""The state that a process publishes, by its name: a new process in its place continues from the newest one."""
+
 BY_KEY = {topic.key: topic for topic in TOPICS}
 
 

@@ -38,7 +38,7 @@ class Process(Protocol):
 class Child:
     """Start it from the main thread only: a child dies with the thread that spawned it, or has adopted it.
 
-    ``restore`` is the state to go on from, as it travels, or nothing. It is forked where ``forks`` can, and else
+    ``state`` is the state to go on from, as it travels, or nothing. It is forked where ``forks`` can, and else
     spawned, which takes some two seconds longer.
     """
 
@@ -50,7 +50,7 @@ class Child:
         log: Path,
         guard: Guard,
         forks: ForkServer | None = None,
-        restore: bytes = b"",
+        state: bytes = b"",
         patience_s: float = HUNG_S,
     ) -> None:
         self.name = name
@@ -71,7 +71,7 @@ class Child:
         self._process = process
         guard.watch(self.pid)
         with contextlib.suppress(BrokenPipeError):  # it is dead itself, which shows elsewhere
-            os.write(self._stdin, LENGTH.pack(len(restore)) + restore)
+            os.write(self._stdin, LENGTH.pack(len(state)) + state)
 
     def _start(self, start: Callable[[int, int], Process | None]) -> Process | None:
         """By ``start``, which is given the child's ends of two new pipes. Where it gives nothing, both are closed: one

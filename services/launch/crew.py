@@ -48,10 +48,10 @@ class Crew:
         self._commands[row.name] = table.command(row, places)
         self.children[row.name] = self._begin(row.name, b"")
 
-    def restart(self, name: str, restore: bytes) -> None:
-        """Another in the place of one that is dead; ``restore``: the state to go on from, as it travels, or nothing."""
+    def restart(self, name: str, state: bytes) -> None:
+        """Another in the place of one that is dead; ``state``: the state to go on from, as it travels, or nothing."""
         self.children[name].close()
-        self.children[name] = self._begin(name, restore)
+        self.children[name] = self._begin(name, state)
 
     def restartable(self, name: str) -> bool:
         """Whether it may be started anew."""
@@ -76,14 +76,14 @@ class Crew:
     def _living(self) -> Iterable[Child]:
         return (child for child in self.children.values() if child.pulse >= 0 and not child.gone)
 
-    def _begin(self, name: str, restore: bytes) -> Child:
+    def _begin(self, name: str, state: bytes) -> Child:
         return Child(
             name,
             self._commands[name],
             log=self._log(name),
             guard=self._guard,
             forks=self.forks,
-            restore=restore,
+            state=state,
             patience_s=HUNG_S if self._rows[name].restartable else WORLD_PATIENCE_S,
         )
 

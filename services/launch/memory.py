@@ -1,28 +1,26 @@
-"""What a process that is started anew is told: the newest checkpoint, and what is in force at the actuators.
+"""The state that a process continues from when it takes the place of a dead one.
 
-Nobody else writes these while the process is dead, so what is handed over with its start is what there is.
+It is the newest that the dead one has published, with what is newer by then: the estimate, and for a controller the
+plan in force at the actuators. Nobody else publishes these while the process is dead.
 """
 
 from __future__ import annotations
 
 import msgspec
 
-from ltv_mpc.messages import ControllerCheckpoint, Estimate, EstimatorCheckpoint, Restore
+from ltv_mpc.messages import ControllerState, Estimate
+from services.bus.topics import STATES
 from services.bus.wire import Header, encode
 from services.launch.watch import Watch
 
 
-def restore_of(node: str, watch: Watch) -> bytes:
-    """As it travels; empty where there is nothing to go on from."""
-    restore = Restore(t_ns=watch.t_ns() or 0, node=node, estimate=watch.newest(Estimate))
-    match node:
-        case "controller":
-            plan, checkpoint = watch.plan_in_force(), watch.newest(ControllerCheckpoint)
-            restore = msgspec.structs.replace(restore, plan=plan, controller=checkpoint)
-        case "estimator":
-            restore = msgspec.structs.replace(restore, estimator=watch.newest(EstimatorCheckpoint))
-        case _:
-            return b""
-    if restore.plan is None and restore.controller is None and restore.estimator is None:
+def state_of(node: str, watch: Watch) -> bytes:
+    """Return the state for a new process of this name, as it travels; empty where it has none to continue from."""
+    kind = STATES.get(node)
+    state = None if kind is None else watch.newest(kind)
+    if state is None:
         return b""
-    return encode(restore, Header(epoch=0, sequence=0))
+    state = msgspec.structs.replace(state, estimate=watch.newest(Estimate) or state.estimate)
+    if isinstance(state, ControllerState):
+        state = msgspec.structs.replace(state, plan=watch.plan_in_force())
+    return encode(state, Header(epoch=0, sequence=0))

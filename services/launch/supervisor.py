@@ -24,7 +24,7 @@ from services.launch.children import how_it_ended, last_lines
 from services.launch.crew import Crew
 from services.launch.heartbeat import LATE_S
 from services.launch.live import view_of
-from services.launch.memory import restore_of
+from services.launch.memory import state_of
 from services.launch.orphans import Guard
 from services.launch.restarts import Budget, Fault, Recovery, judge
 from services.launch.watch import Watch
@@ -307,7 +307,7 @@ class Supervisor:
             raise _Failed(f"{refusal.why}; its last lines:", lines, in_order=refusal.in_order)
         assert self._watch is not None
         before = self._watch.sign_of(name)
-        self._crew.restart(name, restore_of(name, self._watch))
+        self._crew.restart(name, state_of(name, self._watch))
         self.restarts += 1
         began_s = fault.alive_s if name not in self._recovering else self._recovering[name].fault.alive_s
         self._recovering[name] = Recovery(

@@ -10,10 +10,10 @@ from ltv_mpc.messages import (
     Applied,
     Clock,
     ClockState,
-    ControllerCheckpoint,
+    ControllerState,
     CycleTiming,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     Kill,
     Message,
     NodeStatus,
@@ -33,7 +33,7 @@ S = TypeVar("S", bound=Message)
 STATUS = BY_SIGNAL[NodeStatus].key
 
 SHOWN: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
-KEPT: tuple[type[Message], ...] = (ControllerCheckpoint, EstimatorCheckpoint)
+KEPT: tuple[type[Message], ...] = (ControllerState, EstimatorState)
 PLANS = 32
 """Of which one is in force: 10 s of them."""
 

@@ -174,7 +174,7 @@ class _Candidate:
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
         """One cycle, measured."""
         controller, timer = self.controller, self.timer
-        controller.remember(driver)
+        controller.restore(driver.save(t_ns), t_ns)
         started_ns = time.monotonic_ns()
         timer.start()
         plan = controller.plan(estimate, t_ns=t_ns)

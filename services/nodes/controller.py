@@ -20,14 +20,13 @@ from ltv_mpc.control.solvers import make
 from ltv_mpc.messages import (
     Action,
     Command,
-    ControllerCheckpoint,
+    ControllerState,
     ControllerStatus,
     Estimate,
     Manual,
     Message,
     Plan,
     PlanOrigin,
-    Restore,
     Solve,
     SolveStatus,
 )
@@ -96,7 +95,7 @@ def main(
         return serve(node.name, bus, make)
 
 
-BEHIND_THE_SCENES = (ControllerCheckpoint, Restore)
+BEHIND_THE_SCENES = (ControllerState,)
 """Between a supervisor and the controller that it starts anew: nothing that a publisher needs to know of."""
 
 

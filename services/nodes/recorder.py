@@ -17,7 +17,7 @@ def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str,
     say = sayer(NAME)
     with stop_on_signals() as request:
         try:
-            SUPERVISED.restore()
+            SUPERVISED.state()
             with SegmentWriter(folder / "run.mcap", start_ns=start_ns, metadata=metadata) as writer:
                 RecordingLoop(writer, start_ns=start_ns, stop=request, say=say).serve(bus)
         except Stopped:

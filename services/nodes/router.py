@@ -42,7 +42,7 @@ def main(bus: BusOptions) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
     with stop_on_signals() as request:
         try:
-            SUPERVISED.restore()
+            SUPERVISED.state()
             if secure:
                 _guard(options, request, say)
             else:

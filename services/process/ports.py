@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, Rejected, Restore, RunEvent, StepRecord
+from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, Rejected, RunEvent, StepRecord
 from ltv_mpc.node import Cycle, Node
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
@@ -18,7 +18,7 @@ def times_cycles(node: Node) -> bool:
 
 def inputs(node: Node) -> list[type[Message]]:
     """What comes from other processes; its own words it is handed without the bus."""
-    own = (Rejected, Clock, Restore)
+    own = (Rejected, Clock)
     return [kind for kind in node.reads if BY_SIGNAL[kind].written_by != node.name and kind not in own]
 
 
@@ -27,8 +27,6 @@ def outputs(node: Node, *, keeps_time: bool) -> list[type[Message]]:
     kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
-    if Restore in node.reads:
-        kinds.append(Restore)
     if keeps_time:
         kinds.append(Clock)
     return kinds

@@ -19,7 +19,6 @@ from ltv_mpc.messages import (
     NodeStatus,
     Plan,
     Rejected,
-    Restore,
     StepRecord,
 )
 from ltv_mpc.node import Node, OnMessage
@@ -27,8 +26,8 @@ from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import OPERATOR
-from services.bus.wire import WireError, crc
+from services.bus.topics import OPERATOR, STATES
+from services.bus.wire import WireError, crc, decode
 from services.process import ports
 from services.process.clock import VehicleClock, monotonic_us
 from services.process.foreign_clock import Reading
@@ -132,8 +131,11 @@ class Runner:
         """Whether every step that was asked for is done."""
         return self._timetable.finished
 
-    def serve(self, bus: BusOptions, restore: Restore | None = None) -> None:
-        """Open, say "ready", run, say the last word, close. ``restore`` is what the node's first step is given first.
+    def serve(self, bus: BusOptions, state: bytes = b"") -> None:
+        """Open, say "ready", run, say the last word, close.
+
+        ``state``, a message as it travels, is what the node's first step is given first: the newest state that a node
+        of this name has published. It is published once more, as the first state of this process.
 
         Raises ``BusError``, ``ClockError``, ``Stopped`` (told to before it was connected), or what the node raised.
         """
@@ -141,8 +143,8 @@ class Runner:
         gc.freeze()  # what lives until the end is not looked at again by any collection
         with open_session(bus, stop=self.stop, say=self._say) as session:
             self._connect(session)
-            if restore is not None and Restore in self._node.reads:
-                self._hand_own(restore, restore.t_ns)
+            if state:
+                self._restore(state)
             try:
                 self._run()
             finally:
@@ -348,6 +350,11 @@ class Runner:
             self._hand_own(rejected, now_ns)
         else:
             self._out.publish(rejected)
+
+    def _restore(self, state: bytes) -> None:
+        kind = STATES[self._node.name]
+        restored = decode(kind, state)[0]
+        self._hand_own(restored, restored.t_ns)
 
     def _hand_own(self, signal: Message, now_ns: int) -> None:
         sent = self._out.publish(signal)

@@ -16,8 +16,8 @@ def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]
     say = sayer(name)
     with stop_on_signals() as request:
         try:
-            restore = SUPERVISED.restore()
-            make(request, say).serve(bus, restore)
+            state = SUPERVISED.state()
+            make(request, say).serve(bus, state)
         except Stopped:
             pass
         except (BusError, ClockError) as error:

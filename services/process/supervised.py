@@ -14,9 +14,6 @@ import os
 import struct
 from collections.abc import Callable
 
-from ltv_mpc.messages import Restore
-from services.bus.wire import decode
-
 PULSE_US = 50_000
 FORMAT = struct.Struct("<q")
 LAST = -1
@@ -53,19 +50,19 @@ class Supervised:
             self.due_us = None
             self._write(LAST)
 
-    def restore(self) -> Restore | None:
-        """The state to go on from; None where there is none.
+    def state(self) -> bytes:
+        """Return the state that this process continues from, as it travels; empty where there is none.
 
         Raises ``SystemExit`` where the supervisor is no more.
         """
         if not self._has_state:
-            return None
+            return b""
         self._has_state = False
         (length,) = LENGTH.unpack(_read(LENGTH.size))
-        restore = decode(Restore, _read(length))[0] if length else None
+        state = _read(length)
         if self._restored is not None:
             self._restored()
-        return restore
+        return state
 
     def _write(self, word: int) -> None:
         assert self._pulse is not None

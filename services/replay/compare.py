@@ -79,6 +79,10 @@ class Comparison:
         """A step made these."""
         self.steps += 1
         self._last = record.step, record.t_ns
+        for entry in record.inbox:
+            if entry.epoch == record.epoch:  # from the node's own process: the state that it began from
+                self._count[entry.key] = entry.sequence + 1
+                self._recorded.pop((entry.key, entry.sequence), None)
         for signal in signals:
             key = key_of(type(signal), self._node)
             sequence = self._count.get(key, 0)

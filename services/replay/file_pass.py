@@ -10,7 +10,7 @@ import msgspec
 
 from ltv_mpc.messages import NodeStatus, StepRecord
 from ltv_mpc.node import Node
-from services.bus.topics import key_of
+from services.bus.topics import STATES, key_of
 from services.recording.reader import Recording, Stored
 from services.replay.epoch import REACH, Epoch, Outcome, Record
 from services.replay.frames import HANDED, Frames, Header, unwrapped
@@ -51,7 +51,8 @@ class NodeReplay(Generic[Made]):
         self.epochs: dict[int, Epoch] = {}
         self.outcomes: dict[int, Made] = {}
         self.record_key, self.status_key = key_of(StepRecord, name), key_of(NodeStatus, name)
-        self.reads = frozenset(key_of(kind, name) for kind in node.reads)
+        restored = (STATES[name],) if name in STATES else ()  # the state that a new process begins from
+        self.reads = frozenset(key_of(kind, name) for kind in (*node.reads, *restored))
         self.writes = frozenset(key_of(kind, name) for kind in node.writes)
         self._make = make
         self._outcome = outcome

@@ -243,7 +243,7 @@ def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(sol
             check(plan)
             assert plan.origin is SHIFTED
             assert plan.solve.status in (SolveStatus.NON_FINITE, SolveStatus.FAILED)
-    spared.remember(controller)  # but for its solver, which has seen nothing
+    spared.restore(controller.save(estimate.t_ns), estimate.t_ns)  # but for its solver, which has seen nothing
     spared.guard.admit(estimate)
     after, theirs = (each.plan(estimate, t_ns=estimate.t_ns + 3) for each in (controller, spared))
     assert after.origin is theirs.origin is SOLVED
@@ -380,7 +380,7 @@ def test_a_reference_does_not_begin_on_an_old_estimate_and_its_target_stands_whi
     assert waiting.plan(moving(), t_ns=2 * S).why == "the reference has not begun"
     controller = Controller(SURFACES, references.load("line"))
     estimate, _ = fly(controller, moving(), 20)
-    before = controller.follower.schedule_time[0]
+    before = controller.follower.save().tau_s
     for t_s in (1.6, 2.0, 2.4):
         controller.plan(estimate, t_ns=estimate.t_ns + round(t_s * S))
-    assert controller.follower.schedule_time[0] == before
+    assert controller.follower.save().tau_s == before

@@ -9,19 +9,18 @@ import pytest
 from ltv_mpc import Estimate, Plan, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.admission import refusal
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.node import CHECKPOINT_NS, ControllerNode
+from ltv_mpc.control.node import SAVE_NS, ControllerNode
 from ltv_mpc.messages import (
     Acknowledged,
     Action,
     Authority,
     Command,
-    ControllerCheckpoint,
+    ControllerState,
     CurrentProfile,
     CycleTiming,
     Health,
     Message,
     ModelCheck,
-    Restore,
 )
 from ltv_mpc.node import Arrival
 from ltv_mpc.safety.gate import Gate, Verdict
@@ -41,7 +40,7 @@ class Flight:
         self.node = node or ControllerNode(PAPER, reference, ControllerConfig())
         self.estimate = estimate
         self.plans: list[Plan] = []
-        self.checkpoints: list[ControllerCheckpoint] = []
+        self.states: list[ControllerState] = []
         self.answers: list[Acknowledged] = []
         self.words: list[Message] = []  # all
         self._sequence = 0
@@ -59,8 +58,8 @@ class Flight:
             match signal:
                 case Plan():
                     self.plans.append(signal)
-                case ControllerCheckpoint():
-                    self.checkpoints.append(signal)
+                case ControllerState():
+                    self.states.append(signal)
                 case Acknowledged():
                     self.answers.append(signal)
         self.estimate = advance(PAPER, self.estimate, self.plans[-1], duration_s=0.3)
@@ -71,21 +70,15 @@ class Flight:
             plan = self.step()
         return plan
 
-    def handed_over(self, silent_s: float, reference=None) -> tuple[Flight, Restore]:
+    def handed_over(self, silent_s: float, reference=None) -> tuple[Flight, ControllerState]:
         """It dies; ``silent_s`` later another one has its place, the vehicle having followed the last plan."""
         last = self.plans[-1]
         estimate = self.estimate
         if silent_s > 0:
             estimate = advance(PAPER, estimate, last, duration_s=silent_s)
-        restore = Restore(
-            t_ns=estimate.t_ns,
-            node="controller",
-            plan=last,
-            estimate=self.estimate,
-            controller=self.checkpoints[-1],
-        )
+        state = msgspec.structs.replace(self.states[-1], plan=last, estimate=self.estimate)
         node = ControllerNode(PAPER, reference or self.node._reference, ControllerConfig())
-        return Flight(None, node=node, estimate=estimate), restore
+        return Flight(None, node=node, estimate=estimate), state
 
 
 ARM = Command(command_id=1, action=Action.ARM)
@@ -101,22 +94,22 @@ def armed(reference, cycles: int) -> Flight:
 @pytest.mark.parametrize("silent_s", [0.0, 1.0, 4.0])
 def test_it_comes_up_armed_solved_and_from_the_command_in_force(silent_s):
     before = armed(references.load("line"), 40)
-    after, restore = before.handed_over(silent_s)
-    plan = after.step(restore)
+    after, state = before.handed_over(silent_s)
+    plan = after.step(state)
     assert (plan.authority, plan.origin, plan.health) == (Authority.CONTROLLER, PlanOrigin.SOLVED, Health.NOMINAL)
-    in_force = restore.plan.thrust_at(int(plan.t_ns[0]))
+    in_force = state.plan.thrust_at(int(plan.t_ns[0]))
     np.testing.assert_allclose(plan.thrust_N[0], in_force, atol=1e-6)
     gate = Gate(PAPER)
-    gate.offer(restore.plan, 1, 0, int(restore.plan.t_ns[0]))
-    assert gate.offer(plan, 2, 0, int(restore.plan.t_ns[0]) + S) in FOLLOWED
+    gate.offer(state.plan, 1, 0, int(state.plan.t_ns[0]))
+    assert gate.offer(plan, 2, 0, int(state.plan.t_ns[0]) + S) in FOLLOWED
 
 
 def test_a_path_goes_on_where_it_was_and_not_from_its_beginning():
     reference = references.load("lawnmower")
     before = armed(reference, 120)
     spared = before.plans[-1]
-    after, restore = before.handed_over(1.2)
-    plan = after.step(restore)
+    after, state = before.handed_over(1.2)
+    plan = after.step(state)
     before.fly(5)
     undisturbed = before.plans[-1]
     assert plan.progress == pytest.approx(undisturbed.progress, abs=0.01)
@@ -129,8 +122,8 @@ def test_a_path_goes_on_where_it_was_and_not_from_its_beginning():
 
 def test_here_stays_where_it_was():
     before = armed(references.Hold(depth_m=5.0), 30)
-    after, restore = before.handed_over(1.0)
-    plan = after.step(restore)
+    after, state = before.handed_over(1.0)
+    plan = after.step(state)
     assert plan.reference_m == before.plans[-1].reference_m
     assert plan.reference_depth_m == before.plans[-1].reference_depth_m
 
@@ -139,8 +132,8 @@ def test_here_stays_where_it_was():
 def test_who_was_in_charge_stays_in_charge(action):
     before = armed(references.load("line"), 5)
     before.step(Command(command_id=2, action=action))
-    after, restore = before.handed_over(1.0)
-    plan = after.step(restore)
+    after, state = before.handed_over(1.0)
+    plan = after.step(state)
     assert plan.authority is before.plans[-1].authority is not Authority.CONTROLLER
     assert not plan.thrust_N[-1].any()
 
@@ -150,9 +143,9 @@ def test_a_reference_that_an_operator_gave_is_followed_and_not_the_one_it_was_st
     text = 'kind = "point"\nnorth_m = 3.0\neast_m = -2.0\ndepth_m = 4.0\n'
     before.step(Command(command_id=2, action=Action.FOLLOW, reference_toml=text))
     before.fly(5)
-    assert before.checkpoints[-1].reference_toml == text
-    after, restore = before.handed_over(0.6, references.load("line"))
-    assert after.step(restore).reference_m == (3.0, -2.0)
+    assert before.states[-1].reference_toml == text
+    after, state = before.handed_over(0.6, references.load("line"))
+    assert after.step(state).reference_m == (3.0, -2.0)
 
 
 def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
@@ -162,18 +155,17 @@ def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
         ms = 120 + k % 5
         t_ns = before.estimate.t_ns - PERIOD_NS
         before.step(CycleTiming(t_ns=t_ns, compute_ns=ms * 10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}))
-    while before.checkpoints[-1].t_ns < before.plans[-1].cycle_t_ns:
+    while before.states[-1].t_ns < before.plans[-1].cycle_t_ns:
         before.step()
-    written = before.checkpoints[-1]
+    written = before.states[-1]
     assert abs(written.depth_integral_N) > 0.1
     assert len(written.cycle_times_ns) >= 40
-    after, restore = before.handed_over(0.0)
-    plan = after.step(restore)
+    after, state = before.handed_over(0.0)
+    plan = after.step(state)
     assert plan.expected_delay_ns == before.plans[-1].expected_delay_ns >= 124 * 10**6
-    assert after.node.controller.depth_integral_N == before.node.controller.depth_integral_N
+    assert after.states[-1].depth_integral_N == before.states[-1].depth_integral_N
     forgetful, _ = before.handed_over(0.0)
-    forgot = msgspec.structs.replace(written, depth_integral_N=0.0, cycle_times_ns=())
-    without = forgetful.step(msgspec.structs.replace(restore, controller=forgot))
+    without = forgetful.step(msgspec.structs.replace(state, depth_integral_N=0.0, cycle_times_ns=()))
     assert (without.thrust_N[:, 2] != plan.thrust_N[:, 2]).any()
     quick = CycleTiming(
         t_ns=after.estimate.t_ns, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}
@@ -185,50 +177,51 @@ def test_what_was_learned_of_depth_and_delays_is_not_learned_again():
 def test_what_the_vehicle_has_been_so_far_is_handed_over_and_checked_at_the_door():
     before = armed(references.Hold(depth_m=5.0), 3)
     products = np.outer([0.5, 1.0, -1.0, 0.1], [0.5, 1.0, -1.0, 0.1])
-    written = msgspec.structs.replace(before.checkpoints[-1], model_products=products)
+    written = msgspec.structs.replace(before.states[-1], model_products=products)
     assert refusal(written) is None
     assert "(4, 4)" in refusal(msgspec.structs.replace(written, model_products=products[:3]))
-    after, restore = before.handed_over(1.0)
-    after.step(msgspec.structs.replace(restore, controller=written))
-    np.testing.assert_array_equal(after.checkpoints[-1].model_products, products)
-    assert before.checkpoints[-1].model_products is None
+    after, state = before.handed_over(1.0)
+    after.step(msgspec.structs.replace(state, model_products=products))
+    np.testing.assert_array_equal(after.states[-1].model_products, products)
+    assert before.states[-1].model_products is None
 
 
 def test_delays_of_before_the_first_solve_are_not_handed_over():
     flight = Flight(references.load("line"))
     flight.step(CycleTiming(t_ns=0, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}))
-    assert flight.node.controller.delays == ((), ())
+    state = flight.node.controller.save(0)
+    assert (state.plan_delays_ns, state.cycle_times_ns) == ((), ())
 
 
 def test_without_anything_to_go_on_it_begins_disarmed_as_ever():
     empty = Flight(references.load("line"))
-    plan = empty.step(Restore(t_ns=0, node="controller"))
+    plan = empty.step(ControllerState(t_ns=0))
     assert (plan.authority, plan.origin) == (Authority.DISARMED, PlanOrigin.ZERO)
 
 
 def test_it_writes_down_each_change_and_else_each_five_seconds():
     flight = Flight(references.load("line"))
     flight.fly(2)
-    assert [c.authority for c in flight.checkpoints] == ["disarmed"]
+    assert [c.authority for c in flight.states] == ["disarmed"]
     flight.step(ARM)
-    assert flight.checkpoints[-1].authority == "controller"
-    assert flight.checkpoints[-1].began is not None
-    count = len(flight.checkpoints)
+    assert flight.states[-1].authority == "controller"
+    assert flight.states[-1].began is not None
+    count = len(flight.states)
     flight.fly(60)  # 18 s
-    times = [c.t_ns for c in flight.checkpoints[count - 1 :]]
+    times = [c.t_ns for c in flight.states[count - 1 :]]
     assert len(times) == 4
-    assert all(CHECKPOINT_NS <= gap < CHECKPOINT_NS + PERIOD_NS for gap in np.diff(times))
-    assert flight.checkpoints[-1].progress == pytest.approx(flight.plans[-1].progress, abs=0.05)
+    assert all(SAVE_NS <= gap < SAVE_NS + PERIOD_NS for gap in np.diff(times))
+    assert flight.states[-1].progress == pytest.approx(flight.plans[-1].progress, abs=0.05)
     flight.step(Command(command_id=2, action=Action.HOLD))
-    assert 'kind = "hold"' in flight.checkpoints[-1].reference_toml
+    assert 'kind = "hold"' in flight.states[-1].reference_toml
 
 
 def test_two_that_were_restored_alike_give_the_same_bits():
     before = armed(references.load("square"), 30)
-    one, restore = before.handed_over(1.0)
+    one, state = before.handed_over(1.0)
     two, _ = before.handed_over(1.0)
     for flight in (one, two):
-        flight.step(restore)
+        flight.step(state)
         flight.fly(10)
     encode = msgspec.json.Encoder(enc_hook=lambda x: x.tolist()).encode
     assert encode(one.plans) == encode(two.plans)

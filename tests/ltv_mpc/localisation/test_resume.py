@@ -16,12 +16,11 @@ from ltv_mpc.localisation.state import POSITION, VELOCITY
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import (
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     FilterStatus,
     ImuSample,
     LocalisationReport,
     PressureDepth,
-    Restore,
 )
 from ltv_mpc.node import Arrival
 from services.bus.wire import Header, decode, encode
@@ -32,8 +31,8 @@ S = 1_000_000_000
 GAP_NS = 3 * S
 
 
-def said(estimator, messages, inbox_of, *, restore=None):
-    first = [] if restore is None else [Arrival(restore, 1, 0, restore.t_ns)]
+def said(estimator, messages, inbox_of, *, state=None):
+    first = [] if state is None else [Arrival(state, 1, 0, state.t_ns)]
     out = []
     for message in messages:
         out += estimator.step(message.t_ns, [*first, *inbox_of(message)])
@@ -65,19 +64,15 @@ def wrong_by(estimate, dive):
 def restored(dive, outputs, inbox_of, died_ns, *, estimate=True):
     """Died after ``died_ns``, back after the gap: what the new one says."""
     before = [signal for signal in outputs if signal.t_ns <= died_ns]
-    restore = Restore(
-        t_ns=died_ns,
-        node="estimator",
-        estimator=of(EstimatorCheckpoint, before)[-1],
-        estimate=of(Estimate, before)[-1] if estimate else None,
-    )
+    newest = of(Estimate, before)[-1] if estimate else None
+    state = msgspec.structs.replace(of(EstimatorState, before)[-1], estimate=newest)
     after = [m for m in dive.messages if m.t_ns > died_ns + GAP_NS]
-    return said(Estimator(SUITE, CONFIG), after, inbox_of, restore=restore)
+    return said(Estimator(SUITE, CONFIG), after, inbox_of, state=state)
 
 
 def test_a_checkpoint_comes_with_the_first_estimate_every_five_seconds_and_where_it_goes_under(dived):
     _, outputs, _ = dived
-    times = [checkpoint.t_ns for checkpoint in of(EstimatorCheckpoint, outputs)]
+    times = [checkpoint.t_ns for checkpoint in of(EstimatorState, outputs)]
     estimates = of(Estimate, outputs)
     under = next(e.t_ns for e in estimates if e.depth_m > UNDER_M)
     regular = [e.t_ns for e in estimates if e.t_ns % CHECKPOINT_NS == 0]
@@ -102,7 +97,7 @@ def test_the_belief_that_a_checkpoint_gives_back_is_the_filters_to_the_last_bit_
     after = filter_.snapshot()
     assert (after.belief.P.tobytes(), after.pending_ns) == (before.belief.P.tobytes(), before.pending_ns)
 
-    travelled, _ = decode(EstimatorCheckpoint, encode(checkpoint, Header(epoch=1, sequence=0)))
+    travelled, _ = decode(EstimatorState, encode(checkpoint, Header(epoch=1, sequence=0)))
     belief = belief_of(travelled, SUITE, CONFIG, None)
     filter_.settle()
     own = filter_.belief
@@ -121,15 +116,14 @@ def test_the_belief_that_a_checkpoint_gives_back_is_the_filters_to_the_last_bit_
 
 def test_a_checkpoint_of_other_settings_is_not_gone_on_from(dived, inbox_of):
     dive, outputs, _ = dived
-    checkpoint = of(EstimatorCheckpoint, outputs)[-1]
+    checkpoint = of(EstimatorState, outputs)[-1]
     coarser = msgspec.structs.replace(CONFIG, cell_m=2.0)
     assert belief_of(checkpoint, SUITE, coarser, None) is None
     assert belief_of(checkpoint, SUITE, msgspec.structs.replace(CONFIG, current_sd_mps=0.05), None) is None
     assert belief_of(checkpoint, Suite.load("paper"), CONFIG, None) is None
     assert belief_of(msgspec.structs.replace(checkpoint, first_node=60), SUITE, CONFIG, None) is None
     estimator = Estimator(SUITE, coarser)
-    restore = Restore(t_ns=0, node="estimator", estimator=checkpoint)
-    said(estimator, dive.messages[:3], inbox_of, restore=restore)
+    said(estimator, dive.messages[:3], inbox_of, state=checkpoint)
     assert estimator.account["checkpoint.of_other_settings"] == 1
     assert estimator.waiting_for != ""  # as if there were none
 
@@ -164,7 +158,7 @@ def test_what_is_measured_after_the_gap_tells_of_the_way_within_it(dived, inbox_
 def test_without_an_estimate_the_gap_begins_at_the_checkpoint(dived, inbox_of):
     dive, outputs, _ = dived
     died_ns = 14 * S
-    assert of(EstimatorCheckpoint, [s for s in outputs if s.t_ns <= died_ns])[-1].t_ns == 10 * S
+    assert of(EstimatorState, [s for s in outputs if s.t_ns <= died_ns])[-1].t_ns == 10 * S
     before = next(e for e in of(Estimate, outputs) if e.t_ns == 10 * S).covariance[0, 0]
     known, unknown = (
         of(Estimate, restored(dive, outputs, inbox_of, died_ns, estimate=known))[0].covariance[0, 0] - before
@@ -180,12 +174,11 @@ def test_it_says_for_half_a_minute_that_it_was_restarted_and_keeps_the_count_of_
     assert {report.status for report in reports} == {FilterStatus.RESTARTED}
     assert GRACE_NS == 30 * S
     assert "checkpoint" in reports[0].why
-    checkpoint = next(c for c in of(EstimatorCheckpoint, outputs) if c.t_ns == 15 * S)
+    checkpoint = next(c for c in of(EstimatorState, outputs) if c.t_ns == 15 * S)
     checkpoint = msgspec.structs.replace(checkpoint, restarts=3)
     estimator = Estimator(SUITE, CONFIG)
     after = [m for m in dive.messages if m.t_ns > 16 * S]
-    restore = Restore(t_ns=16 * S, node="estimator", estimator=checkpoint)
-    assert of(LocalisationReport, said(estimator, after, inbox_of, restore=restore))[-1].restarts == 3
+    assert of(LocalisationReport, said(estimator, after, inbox_of, state=checkpoint))[-1].restarts == 3
 
 
 def test_the_same_words_after_the_same_restore_to_the_last_bit(dived, inbox_of):
@@ -199,7 +192,7 @@ def test_the_same_words_after_the_same_restore_to_the_last_bit(dived, inbox_of):
 def test_the_covariance_after_a_gap_is_one_and_holds_what_may_have_happened(dived):
     """Position, velocity and heading by the closed form; level and bias hang together as levelling makes them."""
     _, outputs, _ = dived
-    checkpoint = of(EstimatorCheckpoint, outputs)[-1]
+    checkpoint = of(EstimatorState, outputs)[-1]
     start = belief_of(checkpoint, SUITE, CONFIG, None)
     resumption = Resumption(SUITE, CONFIG, start, None)
     T = 2.0
@@ -243,11 +236,11 @@ def test_what_the_last_estimate_knows_is_not_heard_again_and_what_it_doubts_is_d
     """Messages that were on their way when it died, and an estimate that is less sure than the checkpoint."""
     dive, outputs, _ = dived
     before = [s for s in outputs if s.t_ns <= 12 * S]
-    checkpoint, estimate = of(EstimatorCheckpoint, before)[-1], of(Estimate, before)[-1]
+    checkpoint, estimate = of(EstimatorState, before)[-1], of(Estimate, before)[-1]
     doubtful = msgspec.structs.replace(estimate, covariance=np.diag([400.0, 900.0, 4.0, 9.0, 0.25, 1e-6]))
-    restore = Restore(t_ns=12 * S, node="estimator", estimator=checkpoint, estimate=doubtful)
+    state = msgspec.structs.replace(checkpoint, estimate=doubtful)
     after = [m for m in dive.messages if 11.5 * S < m.t_ns < 12.25 * S]
-    first = of(Estimate, said(Estimator(SUITE, CONFIG), after, inbox_of, restore=restore))[0]
+    first = of(Estimate, said(Estimator(SUITE, CONFIG), after, inbox_of, state=state))[0]
     assert first.t_ns == 12 * S + CONFIG.estimate_period_ns
     assert first.covariance[0, 0] > 400.0
     assert first.covariance[1, 1] > 900.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc import references
+from ltv_mpc.messages import ReferenceStart
 from ltv_mpc.references import Circle, Line, Place, Waypoints
-from ltv_mpc.references.kind import Anchor
 from ltv_mpc.references.limits import CHANGING, SHARE, limits_of
 from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, against, look_ahead, off_path, where
 from ltv_mpc.vehicle.dynamics import rates
@@ -114,7 +114,10 @@ ONE_WAY = msgspec.convert(
 @pytest.mark.parametrize("corner_m", [0.0, 0.4])
 def test_every_schedule_goes_on_and_comes_to_its_end(vehicle, name, corner_m):
     reference = msgspec.structs.replace(references.load(name), corner_m=corner_m)
-    table = reference.schedule(vehicle, Anchor(0, 30.0, -7.0, 0.0, 2.0, (0.3, 0.1))).table
+    table = reference.schedule(
+        vehicle,
+        ReferenceStart(t_ns=0, north_m=30.0, east_m=-7.0, depth_m=0.0, heading_rad=2.0, velocity_mps=(0.3, 0.1)),
+    ).table
     assert np.isfinite(table[:DEPTH]).all()
     assert (np.diff(table[TIME]) > 0.0).all()
     assert (np.diff(table[WAY]) >= 0.0).all()

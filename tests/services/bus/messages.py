@@ -19,14 +19,14 @@ from ltv_mpc.messages import (
     ClockState,
     Command,
     CompassHeading,
-    ControllerCheckpoint,
+    ControllerState,
     ControllerStatus,
     CurrentProfile,
     CycleTiming,
     Disturbance,
     DroppedNode,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     FilterStatus,
     GnssFix,
     Handed,
@@ -48,7 +48,6 @@ from ltv_mpc.messages import (
     PressureDepth,
     ReferenceStart,
     Rejected,
-    Restore,
     RunEvent,
     SensorReport,
     SensorStatus,
@@ -67,7 +66,7 @@ TRIPLE = (0.1, -2.5e-17, 3.0)
 PROFILE = CurrentProfile(
     depth_m=np.arange(70.0), north_mps=0.1 * np.sin(np.arange(70.0)), east_mps=np.zeros(70), sd_mps=np.full(70, 0.02)
 )
-CONTROLLER_CHECKPOINT = ControllerCheckpoint(
+CONTROLLER_STATE = ControllerState(
     t_ns=10**9,
     authority=Authority.CONTROLLER,
     reference_toml='kind = "hold"',
@@ -90,7 +89,7 @@ DROPPED = DroppedNode(
     position=np.eye(2),
     walked=1e-6,
 )
-ESTIMATOR_CHECKPOINT = EstimatorCheckpoint(
+ESTIMATOR_STATE = EstimatorState(
     t_ns=10**9,
     settings=2**32 - 1,
     x=np.array([0.1, -0.2, 0.3]),
@@ -260,15 +259,8 @@ EXAMPLES: tuple[Message, ...] = (
         cause="grid",
         inbox=(InboxEntry(key="plan", epoch=1, sequence=0, crc=2**32 - 1, received_t_ns=5),),
     ),
-    CONTROLLER_CHECKPOINT,
-    ESTIMATOR_CHECKPOINT,
-    Restore(
-        t_ns=5,
-        node="estimator",
-        estimate=Estimate.at_rest(),
-        controller=CONTROLLER_CHECKPOINT,
-        estimator=ESTIMATOR_CHECKPOINT,
-    ),
+    CONTROLLER_STATE,
+    ESTIMATOR_STATE,
     Rejected(t_ns=0, node="plant", key="plan", reason="no map", crc=1, payload_base64="AAA="),
     Handed(t_ns=5, key="plan", crc=1, payload_base64="AAA="),
     RunEvent(t_ns=0, node="plant", kind="slowed", text="by 0.4 s"),

@@ -29,7 +29,7 @@ from services.process.supervised import SUPERVISED
 def main(command):
     '''In the place of the command line: what its second word asks for.'''
     print(*command, flush=True)
-    SUPERVISED.restore()
+    SUPERVISED.state()
     SUPERVISED.beat(time.monotonic_ns() // 1000)
     match command[1]:
         case "exits":

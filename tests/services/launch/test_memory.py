@@ -11,19 +11,18 @@ from ltv_mpc.messages import (
     Applied,
     Clock,
     ClockState,
-    ControllerCheckpoint,
+    ControllerState,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     Message,
     NodeStatus,
     Plan,
-    Restore,
 )
-from services.bus.topics import BY_SIGNAL, Topic, topic_at
+from services.bus.topics import BY_SIGNAL, STATES, Topic, topic_at
 from services.bus.wire import Header, decode, encode
-from services.launch.memory import restore_of
+from services.launch.memory import state_of
 from services.launch.watch import Sign, Watch
-from tests.services.bus.messages import CONTROLLER_CHECKPOINT, ESTIMATOR_CHECKPOINT, EXAMPLES
+from tests.services.bus.messages import CONTROLLER_STATE, ESTIMATOR_STATE, EXAMPLES
 
 
 class Ether:
@@ -59,8 +58,8 @@ def plan(cycle_t_ns: int) -> Plan:
     return msgspec.structs.replace(PLAN, cycle_t_ns=cycle_t_ns)
 
 
-def handed(node: str, watch: Watch) -> Restore:
-    return decode(Restore, restore_of(node, watch))[0]
+def handed(node: str, watch: Watch) -> ControllerState | EstimatorState:
+    return decode(STATES[node], state_of(node, watch))[0]
 
 
 def test_of_several_plans_the_one_is_in_force_that_the_actuators_say_they_follow() -> None:
@@ -89,22 +88,21 @@ def test_a_controller_is_told_plan_and_checkpoint_an_estimator_its_own_and_both_
     ether, watch = heard()
     ether.put(plan(0), epoch=5)
     ether.put(following(0))
-    ether.put(CONTROLLER_CHECKPOINT)
-    ether.put(ESTIMATOR_CHECKPOINT)
+    ether.put(CONTROLLER_STATE)
+    ether.put(ESTIMATOR_STATE)
     ether.put(Estimate.at_rest(north_m=4.0))
-    for node, own in (("controller", ControllerCheckpoint), ("estimator", EstimatorCheckpoint)):
-        restore = handed(node, watch)
-        assert restore.node == node
-        assert restore.estimate is not None
-        assert restore.estimate.north_m == 4.0
-        assert (restore.plan is not None) == (restore.controller is not None) == (own is ControllerCheckpoint)
-        assert (restore.estimator is not None) == (own is EstimatorCheckpoint)
+    for node, own in (("controller", ControllerState), ("estimator", EstimatorState)):
+        state = handed(node, watch)
+        assert isinstance(state, own)
+        assert state.estimate is not None
+        assert state.estimate.north_m == 4.0
+    assert handed("controller", watch).plan.cycle_t_ns == 0
 
 
 def test_who_has_nothing_to_go_on_from_is_told_nothing() -> None:
     _, watch = heard()
-    assert restore_of("controller", watch) == restore_of("estimator", watch) == b""
-    assert restore_of("recorder", watch) == restore_of("router", watch) == b""
+    assert state_of("controller", watch) == state_of("estimator", watch) == b""
+    assert state_of("recorder", watch) == state_of("router", watch) == b""
 
 
 def test_what_shows_that_a_process_works_is_its_work_once_time_goes_on() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc.currents import read_prior
-from ltv_mpc.messages import NodeStatus, Plan, Restore, RunEvent, StepRecord, Truth
+from ltv_mpc.messages import ControllerState, EstimatorState, NodeStatus, Plan, RunEvent, StepRecord, Truth
 from services.launch import supervisor
 from services.recording.losses import Losses
 from services.recording.reader import Recording
@@ -254,16 +254,16 @@ def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_comp
 
     assert [path.name for path in run.path.glob("*.mcap")] == ["run.mcap"]
     records: dict[tuple[str, int], list[StepRecord]] = {}
-    restores: dict[int, tuple[str, Restore]] = {}
+    states: dict[int, list[ControllerState | EstimatorState]] = {}
     events: list[RunEvent] = []
     for message in Recording(run.recording):
-        if message.kind in (StepRecord, Restore, RunEvent):
+        if message.kind in (StepRecord, ControllerState, EstimatorState, RunEvent):
             signal_, header = message.typed()
             match signal_:
                 case StepRecord():
                     records.setdefault((signal_.node, signal_.epoch), []).append(signal_)
-                case Restore():
-                    restores[header.epoch] = message.key, signal_
+                case ControllerState() | EstimatorState():
+                    states.setdefault(header.epoch, []).append(signal_)
                 case RunEvent() if signal_.node == "launcher":
                     events.append(signal_)
     assert [event.text.split()[0] for event in events if event.kind == "restart"] == [
@@ -276,15 +276,14 @@ def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_comp
         _, second = (steps for (name, _), steps in records.items() if name == node)
         assert second[0].step == 0
         entry = second[0].inbox[0]
-        key, restore = restores[second[0].epoch]
-        assert (entry.key, entry.sequence) == (key, 0) == (f"restore/{node}", 0)
-        assert restore.node == node
-        assert all(not e.key.startswith("restore") for record in second for e in record.inbox[1:])
-    of_controller, of_estimator = (restore for _, restore in restores.values())
-    assert of_controller.plan is not None
-    assert of_controller.controller is not None
-    assert of_controller.controller.authority == "controller"
-    assert of_estimator.estimator is not None
+        assert (entry.key, entry.sequence) == (f"state/{node}", 0)
+        assert all(not e.key.startswith("state/") for record in second for e in record.inbox[1:])
+        state = states[second[0].epoch][0]
+        assert state.t_ns < second[0].t_ns
+        assert state.estimate is not None
+        if node == "controller":
+            assert state.plan is not None
+            assert state.authority == "controller"
     assert outcome.summary.tracking_error_m.max is not None
     assert outcome.summary.tracking_error_m.max < 1.0  # where it was, not where it began
     assert outcome.summary.messages.dropped > 0  # what nobody recorded while there was no recorder

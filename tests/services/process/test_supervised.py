@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.messages import Restore
-from services.bus.wire import Header, encode
 from services.process import stopwatch, supervised
 from services.process.supervised import FORMAT, LAST, LENGTH, PULSE_US, Supervised
 
@@ -68,7 +66,7 @@ def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() 
     process.beat(1)
     process.last_beat()
     assert process.due_us is None
-    assert process.restore() is None
+    assert process.state() == b""
 
 
 def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]) -> None:
@@ -80,22 +78,19 @@ def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]
 
 
 def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(pipe: tuple[int, int], stdin: Path) -> None:
-    restore = encode(Restore(t_ns=7, node="estimator"), Header(epoch=1, sequence=0))
-    stdin.write_bytes(LENGTH.pack(len(restore)) + restore)
+    stdin.write_bytes(LENGTH.pack(5) + b"state")
     read: list[None] = []
     process = Supervised()
     process.by(pipe[1], restored=lambda: read.append(None))
-    handed = process.restore()
-    assert handed is not None
-    assert (handed.t_ns, handed.node, len(read)) == (7, "estimator", 1)
-    assert process.restore() is None  # it has had it
+    assert (process.state(), len(read)) == (b"state", 1)
+    assert process.state() == b""  # it has had it
 
 
 def test_there_may_be_no_state_to_go_on_from(pipe: tuple[int, int], stdin: Path) -> None:
     stdin.write_bytes(LENGTH.pack(0))
     process = Supervised()
     process.by(pipe[1])
-    assert process.restore() is None
+    assert process.state() == b""
 
 
 def test_a_process_whose_supervisor_is_no_more_never_begins(pipe: tuple[int, int], stdin: Path) -> None:
@@ -104,5 +99,5 @@ def test_a_process_whose_supervisor_is_no_more_never_begins(pipe: tuple[int, int
     process = Supervised()
     process.by(pipe[1], restored=lambda: read.append(None))
     with pytest.raises(SystemExit):
-        process.restore()
+        process.state()
     assert read == []
