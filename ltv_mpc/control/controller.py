@@ -20,6 +20,7 @@ import contextlib
 import copy
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple
 
 import msgspec
@@ -33,8 +34,10 @@ from ltv_mpc.control.damping import Damping
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
 from ltv_mpc.control.qp.failed import FailedQp
+from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.vertical import VerticalPlan, follow
@@ -299,6 +302,7 @@ class Controller:
         self._damped(start, "")
         self._released(start, "", self._nothing)
         self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
+        self._keep(NOT_RUN)
 
     def resume(self, plan: Plan | None, checkpoint: ControllerCheckpoint | None, t_ns: int) -> None:
         """Go on at ``t_ns`` from where a controller was that is no more: by the plan in force, and what it wrote down
@@ -459,10 +463,16 @@ class Controller:
         self._memory = _Memory(start.t_ns, U, start.t_ns + self._shifts_ns)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
+    @cached_property
+    def _form(self) -> SparseForm:
+        """The QP's layout, for a problem that was not solved."""
+        limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.most)
+        return SparseForm(self._knots, limits, self.config.weights)
+
     def _keep(self, solve: Solve) -> None:
-        """The problem that was not solved, for whoever wants to look at it."""
-        with contextlib.suppress(Exception):  # a problem that cannot even be copied out must not cost the cycle
-            self.failed = FailedQp(self._solver.problem(), self._solver.rows(), solve)
+        """Keep the problem that was not solved, for whoever wants to look at it."""
+        with contextlib.suppress(Exception):  # a problem that cannot even be laid out must not cost the cycle
+            self.failed = FailedQp(self._form.build(self._lin, self._target), self._form.row_names, solve)
 
     def _linearise(self, start: Start) -> None:
         """Along the previous plan on the new knots, or a steered one if that is better; the solver is told which."""

@@ -24,7 +24,6 @@ LIBRARIES = (
     "numba",
     "msgspec",
     "osqp",
-    "daqp",
     "qpsolvers",
     "hypothesis.extra.numpy",
 )
