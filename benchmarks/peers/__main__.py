@@ -19,9 +19,9 @@ from services.measure.profile_measuring import Contestant, SolverByName, measure
 from services.measure.profile_problems import Episode, seconds
 
 OURS: dict[Contestant, str] = {
-    SolverByName("osqp"): "this project: OSQP",
+    SolverByName("osqp"): "this project: OSQP, sparse",
     SolverByName("riccati"): "this project: Riccati sweeps",
-    YARDSTICK: "PIQP, native",
+    YARDSTICK: "PIQP, sparse",
 }
 
 PACKAGES = ("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi", "cvxpy")

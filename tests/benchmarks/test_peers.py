@@ -64,7 +64,7 @@ def along(commands: Array, lin: Linearisation) -> Linearisation:
 def optimum(lin: Linearisation, target: Array, limits: HorizonLimits = LIMITS) -> Array:
     """Commands (N+1, 2) of the QP."""
     form = SparseForm(CONFIG.knots, limits, CONFIG.weights)
-    return form.commands(lin, solve_qp(form.build(lin, target), "piqp").x)
+    return form.commands(lin, solve_qp(form.build(lin, target), "daqp").x)
 
 
 @pytest.mark.parametrize("file", ["with_qpmpc", "with_cvxpy"])

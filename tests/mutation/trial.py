@@ -24,6 +24,7 @@ LIBRARIES = (
     "numba",
     "msgspec",
     "osqp",
+    "daqp",
     "qpsolvers",
     "hypothesis.extra.numpy",
 )

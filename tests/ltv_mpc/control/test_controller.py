@@ -198,7 +198,7 @@ def test_an_unknown_solver_is_refused_by_name():
 def test_another_solver_by_name_gives_the_same_first_thrust():
     estimate = Estimate.at_rest(north_m=1.0, heading_rad=2.0)
     ours = Controller(PAPER, POINT).plan(estimate)
-    theirs = Controller(PAPER, POINT, ControllerConfig(solver="piqp")).plan(estimate)
+    theirs = Controller(PAPER, POINT, ControllerConfig(solver="daqp")).plan(estimate)
     np.testing.assert_allclose(ours.thrust_N[1], theirs.thrust_N[1], atol=0.2)
 
 

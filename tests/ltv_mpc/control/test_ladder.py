@@ -217,7 +217,7 @@ def test_compiled_code_that_raises_costs_a_rung_and_no_more(method):
 
 # --- a solver that saw rubbish ---------------------------------------------------------------------------------------
 
-SOLVERS = ["osqp", "riccati", "piqp"]
+SOLVERS = ["osqp", "riccati", "piqp", "daqp"]
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

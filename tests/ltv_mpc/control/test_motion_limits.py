@@ -47,7 +47,7 @@ def hard(form: SparseForm, qp: QP) -> Array | None:
     """The solution with every excess at zero; None where there is none."""
     u = qp.u.copy()
     u[form.equalities + 4 * N + 2 :: 3] = 0.0
-    solution = solve_qp(QP(qp.P, qp.q, qp.A, qp.l, u), "piqp")
+    solution = solve_qp(QP(qp.P, qp.q, qp.A, qp.l, u), "daqp")
     return solution.x if solution.solve.status is SolveStatus.SOLVED else None
 
 
@@ -72,7 +72,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
 
 
 @pytest.mark.parametrize("limits", [YAW, BOTH], ids=["yaw", "both"])
-@pytest.mark.parametrize("solver", ["osqp", "piqp"])
+@pytest.mark.parametrize("solver", ["osqp", "piqp", "daqp"])
 def test_every_solver_that_takes_the_whole_qp_has_them(solver: str, limits: MotionLimits) -> None:
     form = form_of(limits)
     for seed in (1, 2, 3, 5, 7):

@@ -152,7 +152,7 @@ def test_the_unconstrained_problem_agrees_with_a_time_varying_riccati_recursion(
         np.testing.assert_allclose(ours, want, rtol=0, atol=1e-6 * max(1.0, np.abs(want).max()))
 
 
-@pytest.mark.parametrize("solver", ["piqp", "osqp"])
+@pytest.mark.parametrize("solver", ["daqp", "osqp"])
 def test_build_and_solve_are_public_for_any_trajectory(solver):
     N = 17
     U = np.zeros((N + 1, 2))

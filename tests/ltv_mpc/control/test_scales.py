@@ -69,7 +69,7 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
     other = scaled(PAPER, 2.0, 1.0, 8.0)
     plans = []
     for vehicle, size in ((PAPER, 1.0), (other, 2.0)):
-        config = ControllerConfig(solver="piqp")
+        config = ControllerConfig(solver="daqp")
         controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config)
         still = np.zeros(1)
         current = CurrentProfile(depth_m=still, north_mps=still + 0.1 * size, east_mps=still)

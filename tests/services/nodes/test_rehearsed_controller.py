@@ -53,6 +53,10 @@ controller._solver.solve = None  # which raises
 for k in range(20):
     origins.add(controller.plan(estimate, t_ns=estimate.t_ns + k).origin)
 assert set(PlanOrigin) - origins == {PlanOrigin.MANUAL}, origins
+few = msgspec.structs.replace(config, max_iterations=1, tolerance=1e-12)
+unsolved = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), few)
+unsolved.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
+assert unsolved.failed is not None
 after = compiled()
 assert sum(before.values()) > 10
 assert before == after, {key: (before.get(key), count) for key, count in after.items() if before.get(key) != count}
