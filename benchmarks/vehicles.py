@@ -161,7 +161,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2, help="starts for each current")
     parser.add_argument("--horizon-s", type=float, help="for all; else the one that `vehicle check` proposes")
     parser.add_argument("--solver", default="osqp")
-    parser.add_argument("--formulation", default="auto")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     vehicles = [Vehicle.load(name) for name in options.vehicle]
@@ -173,7 +172,7 @@ def main() -> None:
     )
     for vehicle in vehicles:
         horizon_s = options.horizon_s or check(vehicle).horizon_s
-        config = ControllerConfig(horizon_s=horizon_s, solver=options.solver, formulation=options.formulation)
+        config = ControllerConfig(horizon_s=horizon_s, solver=options.solver)
         by_share = {share: [hold(vehicle, share, seed, config) for seed in range(options.seeds)] for share in SHARES}
         every = [run for runs in by_share.values() for run in runs]
         off = "".join(f"{max(run.off_m for run in runs):8.3f}" for runs in by_share.values())

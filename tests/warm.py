@@ -12,11 +12,8 @@ from services.nodes import controller
 
 
 def main() -> None:
-    """The QP's other forms, and references that are paths."""
-    vehicle, hover = Vehicle.load("paper"), references.load("hover")
-    controller.rehearse(vehicle, references.load("square"), ControllerConfig())
-    controller.rehearse(vehicle, hover, ControllerConfig(formulation="partial"))
-    controller.rehearse(vehicle, hover, ControllerConfig(solver="daqp", formulation="condensed"))
+    """Compile the cycle along references that are paths."""
+    controller.rehearse(Vehicle.load("paper"), references.load("square"), ControllerConfig())
 
 
 if __name__ == "__main__":

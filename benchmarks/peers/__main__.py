@@ -13,18 +13,15 @@ from rich.progress import Progress
 
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
-from ltv_mpc.errors import ConfigError
 from services.measure import profile_machine, profile_problems
 from services.measure.profile import WARM_UP, YARDSTICK, Spread
-from services.measure.profile_measuring import Contestant, Pair, measure
+from services.measure.profile_measuring import Contestant, SolverByName, measure
 from services.measure.profile_problems import Episode, seconds
 
-OURS = {
-    Pair("osqp", "sparse"): "this project: OSQP, sparse",
-    Pair("osqp", "partial"): "this project: OSQP, partially condensed",
-    Pair("riccati", "sparse"): "this project: Riccati sweeps",
-    Pair("daqp", "condensed"): "this project: DAQP, condensed",
-    YARDSTICK: "this project: PIQP, sparse",
+OURS: dict[Contestant, str] = {
+    SolverByName("osqp"): "this project: OSQP, sparse",
+    SolverByName("riccati"): "this project: Riccati sweeps",
+    YARDSTICK: "PIQP, sparse",
 }
 
 PACKAGES = ("numpy", "scipy", "numba", "osqp", "daqp", "piqp", "qpsolvers", "qpmpc", "do-mpc", "casadi", "cvxpy")
@@ -61,8 +58,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
     peers, missing = known.installed()
     for file in missing:
         console.print(f"not installed: what benchmarks/peers/{file}.py needs (extra bench)")
-    who: dict[Contestant, str] = {pair: name for pair, name in OURS.items() if _there(pair, episodes[0])}
-    who |= {Entry(peer): peer.name for peer in peers}
+    who = OURS | {Entry(peer): peer.name for peer in peers}
     load = profile_machine.load()
     with Progress(console=console) as progress:
         task = progress.add_task("time, on the same problems", total=cycles)
@@ -99,14 +95,6 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
         machine=profile_machine.machine(load, PACKAGES),
         packages=PACKAGES,
     )
-
-
-def _there(pair: Pair, episode: Episode) -> bool:
-    try:
-        pair.controller(episode)
-    except ConfigError:
-        return False
-    return True
 
 
 def _by_kind(outcomes: Sequence[tuple[Episode, Held]]) -> dict[str, Held]:

@@ -13,9 +13,6 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.messages import Array, Solve, SolveStatus
@@ -34,7 +31,6 @@ class Peer:
         self.stages, self.knots = config.stages, config.knots
         self.weights = settled(config, vehicle).weights
         self.limits = limits
-        self._form = SparseForm(self.knots, limits, self.weights)
         self.vehicle = vehicle
         self.lin: Linearisation
         self.reference: Array
@@ -55,15 +51,6 @@ class Peer:
     def solve(self) -> Answer:
         """Solve what was built."""
         raise NotImplementedError
-
-    def problem(self) -> QP:
-        """The controller's own: a peer does not show what it makes of it."""
-        end = np.zeros((1, 2))
-        return self._form.build(self.lin, np.vstack([self.reference, end]))
-
-    def rows(self) -> tuple[Row, ...]:
-        """Of that problem."""
-        return self._form.row_names
 
     def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Answer:
         """Commands (N+1, 2) from those after the first (N, 2); None: there is no solution, for the reason ``why``."""

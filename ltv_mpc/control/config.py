@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -14,9 +14,6 @@ from ltv_mpc.control import grid
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
 from ltv_mpc.safety.health import Ages
-
-Formulation: TypeAlias = Literal["sparse", "partial", "condensed", "auto"]
-"""How the QP is laid out: states kept, kept at the ends of blocks only, eliminated; or the fastest measured."""
 
 STAGE_NS = 300_000_000
 """Time between the first two knots."""
@@ -87,7 +84,6 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     max_iterations: Annotated[int, Meta(ge=1, le=100_000)] = 400
     tolerance: Annotated[float, Meta(gt=0, le=1e-1)] = 5e-6
     solver: str = "osqp"
-    formulation: Formulation = "sparse"
     delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected before anything was measured
     least_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0  # expected whatever was measured: room on a busy machine

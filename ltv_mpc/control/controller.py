@@ -19,6 +19,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple
 
 import msgspec
@@ -32,8 +33,10 @@ from ltv_mpc.control.damping import Damping
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
 from ltv_mpc.control.qp.failed import FailedQp
+from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.vertical import VerticalPlan, follow
@@ -282,6 +285,7 @@ class Controller:
         self._damped(start, "")
         self._released(start, "", self._nothing)
         self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
+        self._keep(NOT_RUN)
 
     def save(self, t_ns: int) -> ControllerState:
         """Return the state that another controller of the same reference continues from; not the solver's warm start.
@@ -452,10 +456,16 @@ class Controller:
                 trajectory.again(numbers, lin.flat, self.config.stages, X, U)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
+    @cached_property
+    def _form(self) -> SparseForm:
+        """The QP's layout, for a problem that was not solved."""
+        limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.most)
+        return SparseForm(self._knots, limits, self.config.weights)
+
     def _keep(self, solve: Solve) -> None:
-        """The problem that was not solved, for whoever wants to look at it."""
-        with contextlib.suppress(Exception):  # a problem that cannot even be copied out must not cost the cycle
-            self.failed = FailedQp(self._solver.problem(), self._solver.rows(), solve)
+        """Keep the problem that was not solved, for whoever wants to look at it."""
+        with contextlib.suppress(Exception):  # a problem that cannot even be laid out must not cost the cycle
+            self.failed = FailedQp(self._form.build(self._lin, self._target), self._form.row_names, solve)
 
     def _sent(self, plan: Plan) -> None:
         """Keep a plan that was sent: its commands are in force from its first knot on."""

@@ -20,7 +20,7 @@
     size = { low = 0.5, high = 2.0, scale = "log" }       # a factor: [scale.size] says of what
 
     [cross]                                               # every point of the design with each of these
-    controller.solver = ["osqp", "daqp"]
+    controller.solver = ["osqp", "riccati"]
 
     [scale.size]                                          # base value times size to this power
     vehicle.dry_mass_kg = 3

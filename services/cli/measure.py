@@ -31,11 +31,8 @@ def profile(
         typer.Option("--horizons", metavar="STAGES,...", help="Stages of 0.3 s: 17 is 5.1 s, 34 is 10.2 s."),
     ] = "17,34",
     solvers: Annotated[
-        str, typer.Option("--solvers", metavar="NAME,...", help="Any that is installed. PIQP sparse is always in it.")
-    ] = "osqp,riccati,daqp,piqp",
-    formulation: Annotated[
-        str, typer.Option("--formulation", metavar="NAME", help="sparse, partial, condensed, auto, or all.")
-    ] = "all",
+        str, typer.Option("--solvers", metavar="NAME,...", help="Any that is installed. PIQP is always measured too.")
+    ] = "osqp,riccati",
     cycles: Annotated[int, typer.Option("--cycles", metavar="N", help="Cycles a horizon.", min=10, max=100_000)] = 600,
     run: Annotated[
         str | None,
@@ -50,12 +47,12 @@ def profile(
         Path | None, typer.Option("--out", metavar="DIR", help="Also write profile.json and .png into this folder.")
     ] = None,
 ) -> int:
-    """How long a cycle takes, by solver, form and horizon.
+    """How long a cycle takes, by solver and horizon.
 
     And each of its stages.
     On closed loops in lock step with the true state: half of the cycles the paper's descent, a quarter in a current of
     4 cm/s that the controller is not told of, a quarter 2 m off with the heading up to 3 rad off. Each cycle is solved
-    by all, in an order drawn anew, and compared with PIQP on the sparse QP.
+    by all, in an order drawn anew, and compared with PIQP by its own interface.
     """
     import msgspec
     from rich.console import Console
@@ -70,14 +67,12 @@ def profile(
     by_horizon = [
         problems.simulated(N, cycles, seed) if run is None else problems.recorded(run, N, cycles) for N in stages
     ]
-    pairs, left_out = latency.parse_pairs(solvers, formulation, by_horizon[0][0])
+    named = latency.parse_solvers(solvers, by_horizon[0][0])
     written = None if out is None else folder.make("profile", {}, out=out, force=force)
-    for note in left_out:
-        typer.echo(note, err=True)
     names = ", ".join(f"{N} stages ({problems.seconds(N):.1f} s)" for N in stages)
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"{cycles} cycles at {names}", total=cycles * len(stages))
-        measured = latency.run(by_horizon, pairs, seed=seed, progress=lambda: progress.advance(task))
+        measured = latency.run(by_horizon, named, seed=seed, progress=lambda: progress.advance(task))
     plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
     typer.echo(plain if as_json else profile_table.text(measured.profile))
     if written is not None:

@@ -83,15 +83,15 @@ class Exported(NamedTuple):
 def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Array]:
     """A solver with the problem in it, and the first free commands (2,) of the trajectory it is linearised along.
 
-    Raises ``ConfigError`` where another solver or form is configured.
+    Raises ``ConfigError`` where another solver is configured.
     """
     # The first QP of a cycle is the one to show: a second is linearised where its own solution nearly is.
     first = msgspec.structs.replace(config, sqp_iterations=1)
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first)
     solver = controller._solver
     if not isinstance(solver, SparseOsqp):
-        problem = "must be osqp on the sparse form: the code is OSQP's"
-        raise ConfigError("controller settings", "solver", problem, value=f"{config.solver}, {config.formulation}")
+        problem = "must be osqp: the code is OSQP's"
+        raise ConfigError("controller settings", "solver", problem, value=config.solver)
     if solver.form.limited:
         raise ConfigError("controller settings", "limits", "must be empty: the code's layout knows thrusters alone")
     controller.plan(Estimate.at_rest(north_m=0.1))

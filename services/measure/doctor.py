@@ -233,18 +233,15 @@ def loopback() -> Finding:
 
 
 def solver() -> Finding:
-    """A QP of two variables whose solution is known, by each solver that the controller has an interface of its own to.
+    """Solve a QP of two variables whose solution is known with OSQP.
 
     min x'x/2 - x1 - x2, 0 <= x <= 0.5: x = (0.5, 0.5).
     """
-    answers = {name: solution(name) for name in ("osqp", "daqp", "piqp")}
-    wrong = {name: x for name, x in answers.items() if not all(abs(xi - 0.5) <= 1e-3 for xi in x)}
-    if "osqp" in wrong:
-        mend = "pip install --force-reinstall osqp; until then --set controller.solver=piqp"
-        return problem("solver", f"osqp gives {wrong['osqp']} for (0.5, 0.5)", mend)
-    if wrong:
-        return warning("solver", f"{', '.join(wrong)}: wrong", f"pip install --force-reinstall {' '.join(wrong)}")
-    return ok("solver", f"{', '.join(answers)} solve a QP")
+    x = solution()
+    if not all(abs(xi - 0.5) <= 1e-3 for xi in x):
+        mend = "pip install --force-reinstall osqp; until then --set controller.solver=riccati"
+        return problem("solver", f"osqp gives {x} for (0.5, 0.5)", mend)
+    return ok("solver", "osqp solves a QP")
 
 
 def compiled() -> Finding:
@@ -384,8 +381,8 @@ def router_answers() -> bool:
     return True
 
 
-def solution(name: str) -> tuple[float, ...]:
-    """x of the QP of ``solver``."""
+def solution() -> tuple[float, ...]:
+    """Return OSQP's x of the QP of ``solver``."""
     import numpy as np
     from scipy.sparse import csc_array, eye_array
 
@@ -394,4 +391,4 @@ def solution(name: str) -> tuple[float, ...]:
 
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
-    return tuple(float(x) for x in solve_qp(qp, name).x)
+    return tuple(float(x) for x in solve_qp(qp).x)

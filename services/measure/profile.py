@@ -1,4 +1,4 @@
-"""How long a controller cycle takes on this machine: by solver, formulation and horizon, beside PIQP on the sparse QP.
+"""How long a controller cycle takes on this machine: by solver and horizon, beside PIQP by its own interface.
 
 A ratio is of whole control steps, on the same problems in the same run; it means something between rows whose thrusts
 are equally near the exact solution.
@@ -15,17 +15,14 @@ import numpy as np
 from ltv_mpc.errors import ConfigError
 from services.measure import profile_problems as problems
 from services.measure.profile_machine import Machine, load, machine
-from services.measure.profile_measuring import Pair, Samples, measure
+from services.measure.profile_measuring import Piqp, Samples, SolverByName, measure
 from services.measure.profile_problems import Episode, seconds
 
-YARDSTICK = Pair("piqp", "sparse")
+YARDSTICK = Piqp()
 """Always measured: what every other row is a ratio of."""
 
-RELAXED = Pair("piqp", "sparse", tolerance=1e-6)
+RELAXED = Piqp(tolerance=1e-6)
 """Always measured, too: the yardstick at the quality that is asked of the others, 0.1 N in 99 % of the cycles."""
-
-FORMULATIONS = ("sparse", "partial", "condensed")
-"""What ``all`` stands for; ``auto`` is one of these."""
 
 WARM_UP = 20
 """Cycles of a descent that are solved before any is measured: cold caches, and what is set up at first use."""
@@ -52,18 +49,16 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ratio(msgspec.Struct, frozen=True, kw_only=True):
-    """Time of a cycle over that of PIQP on the sparse QP, at the same horizon in the same run."""
+    """Time of a cycle over that of the yardstick, at the same horizon in the same run."""
 
     median: float
     p99: float
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One solver and formulation at one horizon."""
+    """One solver at one horizon."""
 
     solver: str
-    formulation: str
-    tolerance: float | None  # where another than the solver's own was set
     stages: int
     horizon_s: float
     cycles: int
@@ -73,11 +68,6 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     thrust_error_N: Spread  # first free knot, from the exact solution of the same QP
     status: dict[str, int]
     ratio: Ratio
-
-    @property
-    def name(self) -> str:
-        """For a person."""
-        return f"{self.solver} {self.formulation}" + ("" if self.tolerance is None else f" {self.tolerance:g}")
 
 
 class Profile(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,45 +99,29 @@ def parse_horizons(text: str) -> list[int]:
     return list(dict.fromkeys(stages))
 
 
-def parse_pairs(solvers: str, formulation: str, episode: Episode) -> tuple[list[Pair], list[str]]:
-    """The pairs to measure, the yardstick first, and what was left out, in words. Raises ``ConfigError``.
-
-    A formulation that a solver does not have is left out; ``episode`` is where it is tried.
-    """
-    if formulation not in (*FORMULATIONS, "auto", "all"):
-        problem = f"must be one of {', '.join((*FORMULATIONS, 'auto', 'all'))}"
-        raise ConfigError("option --formulation", "", problem, value=formulation)
-    wanted = FORMULATIONS if formulation == "all" else (formulation,)
-    pairs, left_out = [YARDSTICK, RELAXED], []
-    for solver in dict.fromkeys(part.strip() for part in solvers.split(",")):
-        refusals = {name: _refusal(Pair(solver, name), episode) for name in (*FORMULATIONS, "auto")}
-        if all(refusals.values()):
-            raise ConfigError("option --solvers", "", refusals["sparse"], value=solver)
-        pairs += [Pair(solver, name) for name in wanted if not refusals[name]]
-        left_out += [f"{solver} {name} left out: {refusals[name]}" for name in wanted if refusals[name]]
-    if len(pairs) == 2 and left_out:
-        raise ConfigError("option --formulation", "", f"none of {solvers} has it", value=formulation)
-    if refusal := _refusal(YARDSTICK, episode):
-        raise ConfigError("option --solvers", "", f"always measured: {refusal}", value=YARDSTICK.solver)
-    return list(dict.fromkeys(pairs)), left_out
-
-
-def _refusal(pair: Pair, episode: Episode) -> str:
-    """Why there is no such controller; empty where there is."""
-    try:
-        pair.controller(episode)
-    except ConfigError as error:
-        return error.problem
-    return ""
+def parse_solvers(text: str, episode: Episode) -> list[SolverByName]:
+    """Read ``osqp,riccati`` as solvers, each tried on ``episode``. Raises ``ConfigError``."""
+    solvers = [SolverByName(name) for name in dict.fromkeys(part.strip() for part in text.split(","))]
+    for solver in solvers:
+        try:
+            solver.controller(episode)
+        except ConfigError as error:
+            raise ConfigError("option --solvers", "", error.problem, value=solver.name) from None
+    return solvers
 
 
 # --- measuring -------------------------------------------------------------------------------------------------------
 
 
 def run(
-    by_horizon: Sequence[Sequence[Episode]], pairs: Sequence[Pair], *, seed: int, progress: Callable[[], None]
+    by_horizon: Sequence[Sequence[Episode]],
+    solvers: Sequence[SolverByName],
+    *,
+    seed: int,
+    progress: Callable[[], None],
 ) -> Measured:
-    """Measure each pair on the episodes of each horizon. Raises ``ConfigError`` where no cycle was solved."""
+    """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved."""
+    contestants: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
     order = random.Random(seed)
     rows, samples = [], []
     load_before = load()
@@ -155,10 +129,10 @@ def run(
         stages = episodes[0].config.stages
         (warm_up,) = problems.simulated(stages, 1, seed)[:1]
         warm_up = warm_up._replace(cycles=WARM_UP)
-        measured = measure(episodes, pairs, warm_up=warm_up, order=order, progress=progress)
+        measured = measure(episodes, contestants, warm_up=warm_up, order=order, progress=progress)
         if not measured[0].cycle_us:
             raise ConfigError("option --run", "", "holds no cycle of the controller that was solved")
-        rows += _rows(pairs, measured)
+        rows += _rows(contestants, measured)
         samples += measured
     kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
     for episode in by_horizon[0]:
@@ -167,17 +141,15 @@ def run(
     return Measured(profile=profile, samples=samples)
 
 
-def _rows(pairs: Sequence[Pair], measured: Sequence[Samples]) -> list[Row]:
-    yardstick = Spread.of(measured[pairs.index(YARDSTICK)].cycle_us)
-    return [_row(pair, samples, yardstick) for pair, samples in zip(pairs, measured, strict=True)]
+def _rows(contestants: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:
+    yardstick = Spread.of(measured[contestants.index(YARDSTICK)].cycle_us)
+    return [_row(who.name, samples, yardstick) for who, samples in zip(contestants, measured, strict=True)]
 
 
-def _row(pair: Pair, samples: Samples, yardstick: Spread) -> Row:
+def _row(solver: str, samples: Samples, yardstick: Spread) -> Row:
     cycle = Spread.of(samples.cycle_us)
     return Row(
-        solver=pair.solver,
-        formulation=pair.formulation,
-        tolerance=pair.tolerance,
+        solver=solver,
         stages=samples.stages,
         horizon_s=seconds(samples.stages),
         cycles=len(samples.cycle_us),

@@ -38,7 +38,7 @@ def version(package: str) -> str:
         return "not installed"
 
 
-def line(of: Machine, packages: Iterable[str] = ("numpy", "numba", "osqp", "daqp", "piqp")) -> str:
+def line(of: Machine, packages: Iterable[str] = ("numpy", "numba", "osqp", "piqp")) -> str:
     """For a person."""
     versions = ", ".join(f"{name} {of[name]}" for name in ("python", *packages))
     loads = f"{_one(of['load_before'])} to {_one(of['load_after'])}"

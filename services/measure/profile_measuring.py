@@ -27,9 +27,9 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
-from ltv_mpc.control.solvers.sparse_piqp import SparsePiqp
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.node import Stopwatch, no_stopwatch
+from services.measure.piqp_yardstick import PiqpYardstick
 from services.measure.profile_problems import Episode, seconds
 from services.process.stopwatch import StageTimer
 
@@ -47,19 +47,31 @@ class Contestant(Protocol):
         ...
 
 
-class Pair(NamedTuple):
-    """A solver of this project by its names."""
+class SolverByName(NamedTuple):
+    """A solver that ``[controller] solver`` can name."""
 
-    solver: str
-    formulation: str
-    tolerance: float | None = None  # of PIQP on the sparse QP alone, absolute and relative; None: its own
+    name: str
 
     def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
-        """The episode's, with this solver. Raises ``ConfigError`` where there is none."""
-        config = msgspec.structs.replace(episode.config, solver=self.solver, formulation=self.formulation)
-        controller = Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
-        if self.tolerance is not None:
-            controller.solve_with(lambda _own: SparsePiqp(controller.config, limits_of(episode), self.tolerance))
+        """Return the episode's controller with this solver. Raises ``ConfigError`` if there is no such solver."""
+        config = msgspec.structs.replace(episode.config, solver=self.name)
+        return Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
+
+
+class Piqp(NamedTuple):
+    """PIQP by its own interface (``piqp_yardstick.py``)."""
+
+    tolerance: float | None = None  # absolute and relative; None: PIQP's own
+
+    @property
+    def name(self) -> str:
+        """Return its name in tables; ``piqp`` alone is the one of qpsolvers."""
+        return "PIQP native" if self.tolerance is None else f"PIQP native {self.tolerance:g}"
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
+        """Return the episode's controller with PIQP as its solver."""
+        controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
+        controller.solve_with(lambda _own: PiqpYardstick(controller.config, limits_of(episode), self.tolerance))
         return controller
 
 
@@ -203,7 +215,6 @@ class _Witness:
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
         self.shift, self.forget, self.update = solver.shift, solver.forget, solver.update
-        self.problem, self.rows = solver.problem, solver.rows
 
     def build(self, lin: Linearisation, target: Array) -> None:
         self.lin, self.target = lin, target

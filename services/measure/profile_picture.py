@@ -63,11 +63,11 @@ def draw(measured: Measured, out: Path) -> None:
 
 def _lines(measured: Measured) -> list[_Line]:
     rows = measured.profile.rows
-    names = list(dict.fromkeys(row.name for row in rows))
+    names = list(dict.fromkeys(row.solver for row in rows))
     return [
         _Line(row, samples, COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)])
         for row, samples in zip(rows, measured.samples, strict=True)
-        for i in [names.index(row.name)]
+        for i in [names.index(row.solver)]
     ]
 
 
@@ -84,7 +84,7 @@ def _distribution(panel: Axes, lines: Sequence[_Line]) -> None:
             color=colour,
             marker=marker,
             markevery=marks.tolist(),
-            label=row.name,
+            label=row.solver,
             linewidth=1.1,
             markersize=4,
         )
@@ -95,8 +95,8 @@ def _distribution(panel: Axes, lines: Sequence[_Line]) -> None:
 
 
 def _growth(panel: Axes, lines: Sequence[_Line]) -> None:
-    for name in dict.fromkeys(line.row.name for line in lines):
-        own = sorted((line for line in lines if line.row.name == name), key=lambda line: line.row.stages)
+    for name in dict.fromkeys(line.row.solver for line in lines):
+        own = sorted((line for line in lines if line.row.solver == name), key=lambda line: line.row.stages)
         N = [line.row.stages for line in own]
         style: dict[str, Any] = {"color": own[0].colour, "marker": own[0].marker, "linewidth": 1.1, "markersize": 4}
         panel.plot(N, [line.row.cycle_us.median for line in own], "-", **style)

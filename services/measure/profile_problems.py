@@ -44,7 +44,7 @@ Feed = Callable[[Node, Callable[[], bool]], None]
 
 
 class Episode(NamedTuple):
-    """One closed loop. ``config`` has neither solver nor formulation of the candidates yet."""
+    """One closed loop. ``config`` does not have the solver of the candidates yet."""
 
     kind: str  # "descent", "unknown current", "hard", or the name of a recorded run
     vehicle: Vehicle

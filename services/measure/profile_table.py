@@ -8,7 +8,7 @@ from services.measure import profile_machine
 from services.measure.profile import Profile, Row
 from services.measure.profile_measuring import STAGES
 
-NAMES = f"{'horizon':<18} {'solver, formulation':<19}"
+NAMES = f"{'horizon':<18} {'solver':<17}"
 
 
 def text(profile: Profile) -> str:
@@ -22,7 +22,7 @@ def text(profile: Profile) -> str:
             "",
             f"cycles at each horizon: {kinds}; solvers interleaved, their order drawn anew each cycle",
             "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over that of"
-            " PIQP sparse",
+            " PIQP native, by its own interface",
             profile_machine.line(profile.machine),
         ]
     )
@@ -30,7 +30,7 @@ def text(profile: Profile) -> str:
 
 def _cycles(rows: Sequence[Row]) -> list[str]:
     lines = [
-        f"{'':<38} {'cycle (us)':^35}  {'of PIQP':^11}  {'iterations':^11}  {'thrust off (N)':^23}",
+        f"{'':<36} {'cycle (us)':^35}  {'of PIQP':^11}  {'iterations':^11}  {'thrust off (N)':^23}",
         f"{NAMES} {'median':>8} {'p90':>8} {'p99':>8} {'max':>8}  {'median':>6} {'p99':>5}"
         f"  {'median':>6} {'p99':>4}  {'median':>7} {'p99':>7} {'max':>7}  status",
     ]
@@ -47,14 +47,14 @@ def _cycles(rows: Sequence[Row]) -> list[str]:
 
 def _stages(rows: Sequence[Row]) -> list[str]:
     heads = " ".join(f"{stage:>9}" for stage in STAGES)
-    lines = [f"{'':<38} stages of a cycle, medians (us)", f"{NAMES} {heads}"]
+    lines = [f"{'':<36} stages of a cycle, medians (us)", f"{NAMES} {heads}"]
     lines += [f"{_names(row)} " + " ".join(f"{row.stage_us[stage].median:>9.1f}" for stage in STAGES) for row in rows]
     return lines
 
 
 def _names(row: Row) -> str:
     horizon = f"{row.stages} stages, {row.horizon_s:.1f} s"
-    return f"{horizon:<18} {row.name:<19}"
+    return f"{horizon:<18} {row.solver:<17}"
 
 
 def _newton(error: float) -> str:

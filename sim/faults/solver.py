@@ -1,7 +1,7 @@
 """A solver in trouble: it stands around the controller's own, and for a while gives no answer, or a bad one.
 
 fails    says so, with commands that are not finite
-lies     says "solved", with commands that are not finite: what DAQP does with NaN
+lies     says "solved", with commands that are not finite: what some solvers do with NaN
 raises   an exception, which no solver of this project does
 """
 

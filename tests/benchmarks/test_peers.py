@@ -22,7 +22,7 @@ from ltv_mpc.vehicle.flow import substeps
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.measure import profile_machine, profile_problems
 from services.measure.profile import Spread
-from services.measure.profile_measuring import Pair
+from services.measure.profile_measuring import SolverByName
 
 H = STAGE_NS * 1e-9
 N = 8
@@ -161,7 +161,7 @@ def test_a_peer_that_never_answers_holds_no_line() -> None:
 
     episode = profile_problems.simulated(N, 40, seed=0)[2]
     assert episode.kind == "hard"
-    silent, own = closed(Entry(Silent), episode), closed(Pair("osqp", "sparse"), episode._replace(cycles=40))
+    silent, own = closed(Entry(Silent), episode), closed(SolverByName("osqp"), episode._replace(cycles=40))
     assert silent.unsolved == episode.cycles + 1
     assert own.unsolved == 0
     assert silent.thrust_N < 0.1 < own.thrust_N

@@ -1,1 +1,1 @@
-"""The quadratic programme of one cycle: what it is, how it is laid out for a solver, how well it was solved."""
+"""The quadratic programme of one cycle: what it is, its layout, how well it was solved."""

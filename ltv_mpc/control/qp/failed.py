@@ -25,7 +25,7 @@ FILE = "QP file"
 
 @dataclass(frozen=True)
 class FailedQp:
-    """The problem as it was handed to the solver, what its rows are, and the solver's account."""
+    """The problem that was not solved, what its rows are, and the solver's account."""
 
     qp: QP
     rows: tuple[Row, ...]

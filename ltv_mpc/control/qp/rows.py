@@ -1,4 +1,4 @@
-"""What the rows of each form of the QP are, in words."""
+"""Names and units of the rows of the QP."""
 
 from __future__ import annotations
 

@@ -14,7 +14,6 @@ from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.qp.problem import QP, Solution
-from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.errors import ConfigError
@@ -53,18 +52,10 @@ class ByName:
 
     def solve(self) -> Answer:
         """As in ``Solver``."""
-        assert self._lin is not None  # built
-        solution = solve_qp(self.problem(), self._name)
+        assert self._lin is not None, "nothing was built"
+        assert self._qp is not None, "nothing was built"
+        solution = solve_qp(self._qp, self._name)
         return Answer(self._form.commands(self._lin, solution.x), solution.solve)
-
-    def rows(self) -> tuple[Row, ...]:
-        """As in ``Solver``."""
-        return self._form.row_names
-
-    def problem(self) -> QP:
-        """As in ``Solver``."""
-        assert self._qp is not None  # built
-        return self._qp
 
 
 def solve_qp(qp: QP, solver: str = "osqp") -> Solution:

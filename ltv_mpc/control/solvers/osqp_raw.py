@@ -71,8 +71,8 @@ class Workspace(Protocol):
         """q (n,), l and u (m,); bounds finite."""
         ...
 
-    def update_matrices(self, A: Array, P: Array | None = None) -> None:
-        """The stored entries of A by column, and those of P's upper triangle: all of them; factorises."""
+    def update_matrix(self, A: Array) -> None:
+        """Replace all stored entries of A (nnz,), by column, and factorise; P stays as it was set up."""
         ...
 
     def limit(self, iterations: int, tolerance: float) -> None:
@@ -112,15 +112,15 @@ class RawWorkspace:
         from osqp import ext_builtin
 
         upper, rows = _upper(P), _own(A)
-        self._sizes = rows.shape[1], rows.shape[0], rows.nnz, upper.nnz
+        self._sizes = rows.shape[1], rows.shape[0], rows.nnz
         self._settings: Any = ext_builtin.OSQPSettings()
         ext_builtin.osqp_set_default_settings(self._settings)
         for name, value in settings.items():
             setattr(self._settings, name, value)
         self._limits = (self._settings.max_iter, self._settings.eps_abs)
         self._info: Any = None
-        self._q, self._l, self._u, self._x, self._y, self._A, self._P = [np.empty(0)] * 7
-        n, m = self._sizes[:2]
+        self._q, self._l, self._u, self._x, self._y, self._A = [np.empty(0)] * 6
+        n, m, _ = self._sizes
         q, l, u = _exact(q, n), _exact(l, m), _exact(u, m)  # noqa: E741
         self._solver: Any = ext_builtin.OSQPSolver(
             ext_builtin.CSC(upper), q, ext_builtin.CSC(rows), l, u, m, n, self._settings
@@ -129,18 +129,16 @@ class RawWorkspace:
     def update_vectors(self, q: Array, l: Array, u: Array) -> None:  # noqa: E741
         """As in ``Workspace``."""
         if not (q is self._q and l is self._l and u is self._u):
-            n, m, _, _ = self._sizes
+            n, m, _ = self._sizes
             self._q, self._l, self._u = q, l, u = _exact(q, n), _exact(l, m), _exact(u, m)  # noqa: E741
         _accepted(self._solver.update_data_vec(q, l, u))
 
-    def update_matrices(self, A: Array, P: Array | None = None) -> None:
+    def update_matrix(self, A: Array) -> None:
         """As in ``Workspace``."""
-        if not (A is self._A and (P is None or P is self._P)):
-            _, _, in_A, in_P = self._sizes
-            self._A = A = _exact(A, in_A)
-            if P is not None:
-                self._P = P = _exact(P, in_P)
-        _accepted(self._solver.update_data_mat(P, None, A, None))
+        if A is not self._A:
+            _, _, entries = self._sizes
+            self._A = A = _exact(A, entries)
+        _accepted(self._solver.update_data_mat(None, None, A, None))
 
     def limit(self, iterations: int, tolerance: float) -> None:
         """As in ``Workspace``."""
@@ -152,7 +150,7 @@ class RawWorkspace:
     def warm_start(self, x: Array, y: Array) -> None:
         """As in ``Workspace``."""
         if not (x is self._x and y is self._y):
-            n, m, _, _ = self._sizes
+            n, m, _ = self._sizes
             self._x, self._y = x, y = _exact(x, n), _exact(y, m)
         _accepted(self._solver.warm_start(x, y))
 
@@ -179,7 +177,7 @@ class PublicWorkspace:
     def __init__(self, P: csc_array, q: Array, A: csc_array, l: Array, u: Array, settings: Settings) -> None:  # noqa: E741
         """As ``workspace`` takes them."""
         upper, rows = _upper(P), _own(A)
-        self._sizes = rows.shape[1], rows.shape[0], rows.nnz, upper.nnz
+        self._sizes = rows.shape[1], rows.shape[0], rows.nnz
         self._solver = osqp.OSQP(algebra="builtin")
         self._solver.setup(upper, q.copy(), rows, l.copy(), u.copy(), **dict(settings))
         self._limits = (self._solver.settings.max_iter, self._solver.settings.eps_abs)
@@ -187,17 +185,15 @@ class PublicWorkspace:
 
     def update_vectors(self, q: Array, l: Array, u: Array) -> None:  # noqa: E741
         """As in ``Workspace``."""
-        n, m, _, _ = self._sizes
+        n, m, _ = self._sizes
         q, l, u = _exact(q, n), _exact(l, m), _exact(u, m)  # noqa: E741
         _accepted(int((l > u).any()))  # the wrapper would go on with the bounds before
         self._solver.update(q=q, l=l, u=u)
 
-    def update_matrices(self, A: Array, P: Array | None = None) -> None:
+    def update_matrix(self, A: Array) -> None:
         """As in ``Workspace``."""
-        _, _, in_A, in_P = self._sizes
-        # The wrapper keeps the arrays that it is given.
-        numbers = {} if P is None else {"Px": _exact(P, in_P).copy()}
-        self._solver.update(Ax=_exact(A, in_A).copy(), **numbers)
+        _, _, entries = self._sizes
+        self._solver.update(Ax=_exact(A, entries).copy())  # the wrapper keeps the array that it is given
 
     def limit(self, iterations: int, tolerance: float) -> None:
         """As in ``Workspace``."""
@@ -207,7 +203,7 @@ class PublicWorkspace:
 
     def warm_start(self, x: Array, y: Array) -> None:
         """As in ``Workspace``."""
-        n, m, _, _ = self._sizes
+        n, m, _ = self._sizes
         self._solver.warm_start(x=_exact(x, n), y=_exact(y, m))
 
     def solve(self) -> SolveStatus:
@@ -244,7 +240,7 @@ def _try(kind: type[RawWorkspace] | type[PublicWorkspace]) -> list[Array]:
     seen = [*tried.read()]
     tried.limit(200, 1e-9)
     tried.update_vectors(np.array([-3.0, 0.7]), -2.0 * bound, 0.5 * bound)
-    tried.update_matrices(np.array([1.0, 1.1, 0.9, -1.2]), np.array([2.0, 0.4, 1.5]))
+    tried.update_matrix(np.array([1.0, 1.1, 0.9, -1.2]))
     tried.warm_start(np.array([0.2, 0.1]), np.array([0.0, 0.4]))
     status = tried.solve()
     account = tried.account()

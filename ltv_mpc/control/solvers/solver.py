@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.messages import Array, Solve
 
 
@@ -42,12 +40,4 @@ class Solver(Protocol):
 
     def solve(self) -> Answer:
         """Solve what was built; commands that are not finite are never handed out."""
-        ...
-
-    def problem(self) -> QP:
-        """The problem that was built last, in the solver's own variables."""
-        ...
-
-    def rows(self) -> tuple[Row, ...]:
-        """What each row of ``problem`` is."""
         ...

@@ -38,7 +38,6 @@ from ltv_mpc.control.horizon import (
 from ltv_mpc.control.limits import LIMITED, HorizonLimits
 from ltv_mpc.control.qp.failed import worst
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import WIDTH, Places, SparseForm, fill, map_of
 from ltv_mpc.control.qp.sweeps import ROWS
 from ltv_mpc.control.solvers import stagewise
@@ -174,7 +173,7 @@ class SparseOsqp:
 
     def _load(self, solver: Workspace) -> None:
         at = self._room
-        solver.update_matrices(at.As)
+        solver.update_matrix(at.As)
         solver.update_vectors(at.q, at.ls, at.us)
         solver.warm_start(at.x, at.ys)
 
@@ -205,7 +204,7 @@ class SparseOsqp:
         if status is not SolveStatus.SOLVED:
             residuals = f"primal residual {account.primal_residual:.1e}, dual {account.dual_residual:.1e}"
             why = f"OSQP: {status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
-            violated = worst(self.problem(), self._room.x, self.rows())
+            violated = worst(self.problem(), self._room.x, self.form.row_names)
             why += f"; {violated}" if violated else ""
         solve = Solve(
             status=status,
@@ -216,12 +215,8 @@ class SparseOsqp:
         )
         return Answer(commands, solve)
 
-    def rows(self) -> tuple[Row, ...]:
-        """As in ``Solver``."""
-        return self.form.row_names
-
     def problem(self) -> QP:
-        """As in ``Solver``: without the scales of its rows."""
+        """Return the problem that was built last, without the scales of its rows."""
         at = self._room
         return self.form.assembled(at.A.copy(), at.q.copy(), at.l.copy(), at.u.copy())
 

@@ -19,7 +19,6 @@ what it says as a first guess, and is done as soon as it has looked at its resid
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 
@@ -29,9 +28,6 @@ from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.constants import Objective, objective, pack_objective
 from ltv_mpc.control.horizon import Linearisation, not_finite, views
 from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.qp.sweeps import ROWS, Work, sweep, work_on
 from ltv_mpc.control.solvers.solver import Answer
 from ltv_mpc.messages import Array, Solve, SolveStatus
@@ -76,7 +72,7 @@ class Stagewise:
 
     def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
         """``config`` says how many stages, and the weights; ``limits`` has none of the motion."""
-        self._config, self._limits, self._most = config, limits, config.max_iterations
+        self._most = config.max_iterations
         self._numbers = pack_objective(config.knots, limits, config.weights)
         self._duals = np.zeros((config.stages, ROWS))
         self._shift = math.nan
@@ -117,19 +113,6 @@ class Stagewise:
         why = "" if solved else f"the active limits were not found in {sweeps} sweeps"
         status = SolveStatus.SOLVED if solved else SolveStatus.ITERATION_LIMIT
         return Answer(commands, Solve(status=status, iterations=sweeps, primal_residual=beyond, why=why))
-
-    @cached_property
-    def _form(self) -> SparseForm:
-        return SparseForm(self._config.knots, self._limits, self._config.weights)
-
-    def rows(self) -> tuple[Row, ...]:
-        """As in ``Solver``: of the sparse form."""
-        return self._form.row_names
-
-    def problem(self) -> QP:
-        """As in ``Solver``, laid out on demand."""
-        assert self._lin is not None, "nothing was built"
-        return self._form.build(self._lin, self._target)
 
 
 @kernel

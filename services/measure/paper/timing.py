@@ -11,14 +11,14 @@ from services.measure import profile_problems as problems
 from services.measure.paper.settings import COMPUTING_S, LONG_S
 from services.measure.profile import WARM_UP, Spread
 from services.measure.profile_machine import Machine, load, machine
-from services.measure.profile_measuring import Pair, Samples, measure
+from services.measure.profile_measuring import Samples, SolverByName, measure
 from services.views.figures.renderer import Run
 from services.views.plots.collector import STAGES
 from services.views.plots.table import Columns, short
 
 SHIPPED = ControllerConfig()
-PAIR = Pair(SHIPPED.solver, SHIPPED.formulation)
-"""The controller as it is shipped."""
+SOLVER = SolverByName(SHIPPED.solver)
+"""That of the controller as it is shipped."""
 
 
 class Cycle(NamedTuple):
@@ -46,7 +46,7 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
         config = ControllerConfig(horizon_s=horizon_s)
         episodes = problems.simulated(config.stages, cycles, seed)
         warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
-        (samples,) = measure(episodes, [PAIR], warm_up=warm_up, order=random.Random(seed), progress=progress)
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=progress)
         found.append(Cycle(horizon_s, config.reach_s, paper_s, Spread.of(samples.cycle_us), samples))
     return Timed(found, machine(before))
 

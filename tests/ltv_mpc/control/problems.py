@@ -1,4 +1,4 @@
-"""Problems for every formulation and solver, and their optimum by a solver that shares nothing with them."""
+"""Problems for every solver, and their optimum by a solver that shares nothing with them."""
 
 from __future__ import annotations
 

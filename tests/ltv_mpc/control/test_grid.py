@@ -12,7 +12,7 @@ from ltv_mpc.control.cost import cost
 from ltv_mpc.control.grid import knots, position
 from ltv_mpc.control.horizon import Linearisation, linearise_along, roll_out
 from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.solvers import partial_osqp, sparse_osqp
+from ltv_mpc.control.solvers import sparse_osqp
 from ltv_mpc.control.trajectory import carry
 from ltv_mpc.control.vertical import follow
 
@@ -64,12 +64,6 @@ def test_duals_move_in_time():
     want = [[np.interp(at, GROWING[1:], kind[:, i]) for i in range(2)] for kind in rows]
     np.testing.assert_allclose(y[E:].reshape(2, N, 2), np.array(want).transpose(0, 2, 1))
 
-    dual = rng.normal(size=4 * N - 2)
-    box = dual[: 2 * N].reshape(N, 2).copy()
-    partial_osqp._shift(dual, 0, GROWING, 1.7)
-    moved = np.transpose([np.interp(at, GROWING[1:], box[:, i]) for i in range(2)])
-    np.testing.assert_allclose(dual[: 2 * N].reshape(N, 2)[1:], moved[1:])
-
 
 def test_what_stays_the_same_costs_the_same_however_long_the_stages_are():
     """A vehicle at rest, 1 m off, under constant thrust; and a ramp of thrust, the last stage of it."""
@@ -120,9 +114,8 @@ def test_a_long_stage_is_linearised_over_its_own_length():
         np.testing.assert_allclose(lin.A[k] @ d, (away[0] - away[1]) / 2, atol=1e-9)
 
 
-@pytest.mark.parametrize("formulation", ["sparse", "partial"])
-def test_a_plan_lasts_as_long_as_the_horizon_and_obeys_box_and_slew_and_the_motion(formulation):
-    config = ControllerConfig(horizon_s=10.2, most_stages=N, formulation=formulation)
+def test_a_plan_lasts_as_long_as_the_horizon_and_obeys_box_and_slew_and_the_motion():
+    config = ControllerConfig(horizon_s=10.2, most_stages=N)
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0), config)
     plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
     assert plan.origin is PlanOrigin.SOLVED

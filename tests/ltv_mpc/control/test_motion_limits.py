@@ -17,9 +17,8 @@ from ltv_mpc.control.limits import LIMITED, PENALTY, HorizonLimits
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
 from ltv_mpc.control.scales import settled
-from ltv_mpc.control.solvers import Solver, chosen, make, solve_qp
+from ltv_mpc.control.solvers import Solver, make, solve_qp
 from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.flow import STATES
@@ -74,17 +73,16 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
 
 @pytest.mark.parametrize("limits", [YAW, BOTH], ids=["yaw", "both"])
 @pytest.mark.parametrize("solver", ["osqp", "piqp", "daqp"])
-def test_every_solver_of_the_sparse_form_has_them(solver: str, limits: MotionLimits) -> None:
+def test_every_solver_that_takes_the_whole_qp_has_them(solver: str, limits: MotionLimits) -> None:
     form = form_of(limits)
     for seed in (1, 2, 3, 5, 7):
         lin, target = motion(seed, N)
-        solvers: Solver = make(PAPER, settings(limits, solver=solver, formulation="sparse"))
-        solvers.build(lin, target)
-        solvers.update()
-        commands, solve = solvers.solve()
+        made: Solver = make(PAPER, settings(limits, solver=solver))
+        made.build(lin, target)
+        made.update()
+        commands, solve = made.solve()
         assert solve.status is SolveStatus.SOLVED, solve.why
         np.testing.assert_allclose(commands, form.commands(lin, precise(form.build(lin, target))), atol=0.1)
-        assert len(solvers.rows()) == len(solvers.problem().l) == form.rows
 
 
 def test_a_limit_that_is_nowhere_near_changes_nothing() -> None:
@@ -184,13 +182,7 @@ def test_a_controller_keeps_within_them_where_it_can_and_comes_back_where_it_can
     assert fast[-1, 1:].max() < 0.102
 
 
-def test_only_the_sparse_form_has_them() -> None:
-    for solver, formulation in (("osqp", "partial"), ("daqp", "condensed")):
-        with pytest.raises(ConfigError, match="must be sparse with limits of the motion"):
-            make(PAPER, settings(YAW, solver=solver, formulation=formulation))
-    assert chosen(settings(YAW, solver="daqp", formulation="auto")) == "sparse"
-    assert chosen(settings(MotionLimits(), solver="daqp", formulation="auto")) == "condensed"
-    assert chosen(settings(MotionLimits(), formulation="auto")) == "partial"
+def test_a_limit_of_zero_is_refused() -> None:
     with pytest.raises(msgspec.ValidationError, match="yaw_rate_radps"):
         msgspec.convert({"limits": {"yaw_rate_radps": 0.0}}, ControllerConfig)
 

@@ -69,7 +69,7 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
     other = scaled(PAPER, 2.0, 1.0, 8.0)
     plans = []
     for vehicle, size in ((PAPER, 1.0), (other, 2.0)):
-        config = ControllerConfig(solver="daqp", formulation="condensed")
+        config = ControllerConfig(solver="daqp")
         controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), config)
         still = np.zeros(1)
         current = CurrentProfile(depth_m=still, north_mps=still + 0.1 * size, east_mps=still)
@@ -121,7 +121,7 @@ def test_every_shipped_vehicle_comes_to_its_point_and_stays(name: str) -> None:
     controller = Controller(
         vehicle,
         references.Point(north_m=0.0, east_m=0.0),
-        ControllerConfig(horizon_s=round(1.5 * scales.time_s, 1), formulation="auto"),
+        ControllerConfig(horizon_s=round(1.5 * scales.time_s, 1)),
     )
     current = CurrentProfile(depth_m=still, north_mps=still, east_mps=still + 0.2 * scales.speed_mps)
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=2.0, heading_rad=1.0), current=current)

@@ -53,7 +53,7 @@ def test_a_folder_that_is_not_empty_is_left_alone_without_force(
 
 def test_another_solver_is_refused_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     settings = tmp_path / "controller.toml"
-    settings.write_text('solver = "daqp"\nformulation = "condensed"\n')
+    settings.write_text('solver = "riccati"\n')
     assert run(["qp", "export-c", str(tmp_path / "c"), "--settings", str(settings)]) == 2
-    assert "must be osqp on the sparse form" in capsys.readouterr().err
+    assert "must be osqp: the code" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()

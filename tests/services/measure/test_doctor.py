@@ -160,15 +160,9 @@ CASES: dict[str, tuple[Callable[[], Finding], Break, Level, tuple[str, ...]]] = 
     ),
     "a wrong solver": (
         doctor.solver,
-        lambda broken: broken("solution", lambda name: (0.5, float("nan")) if name == "osqp" else (0.5, 0.5)),
+        lambda broken: broken("solution", lambda: (0.5, float("nan"))),
         Level.PROBLEM,
-        ("osqp gives", "controller.solver=piqp"),
-    ),
-    "a wrong second solver": (
-        doctor.solver,
-        lambda broken: broken("solution", lambda name: (9.0, 0.5) if name == "daqp" else (0.5, 0.5)),
-        Level.WARNING,
-        ("--force-reinstall daqp",),
+        ("osqp gives", "controller.solver=riccati"),
     ),
     "code compiled for this process alone": (
         doctor.compiled,

@@ -16,23 +16,24 @@ import pytest
 from ltv_mpc.control.config import MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
 from ltv_mpc.node import Cycle, Inbox, Node
 from services.cli.app import run
 from services.measure import profile, profile_machine, profile_measuring, profile_table
 from services.measure import profile_problems as problems
-from services.measure.profile_measuring import STAGES, Pair, Samples, measure
+from services.measure.profile_measuring import STAGES, Contestant, Piqp, Samples, SolverByName, measure
 from services.recording.reader import Recording
 from services.run import folder, locked
 from services.run.situation import Override, resolve
 
-OSQP, PIQP = Pair("osqp", "sparse"), Pair("piqp", "sparse")
+OSQP, PIQP = SolverByName("osqp"), Piqp()
 
 
-def measured(episodes: list[problems.Episode], *pairs: Pair) -> list[Samples]:
+def measured(episodes: list[problems.Episode], *contestants: Contestant) -> list[Samples]:
     """Without a warm-up to speak of."""
     warm_up = episodes[0]._replace(cycles=1)
-    return measure(episodes, pairs, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
+    return measure(episodes, contestants, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
 
 
 class Probe:
@@ -64,17 +65,15 @@ def heard(episode: problems.Episode, estimates: int) -> list[Estimate]:
 @pytest.fixture(scope="module")
 def profiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     out = tmp_path_factory.mktemp("profile") / "out"
-    options = ["--horizons", "4, 8,4", "--solvers", "osqp", "--formulation", "sparse", "--cycles", "12"]
+    options = ["--horizons", "4, 8,4", "--solvers", "osqp", "--cycles", "12"]
     assert run(["profile", *options, "--out", str(out)]) == 0
     return json.loads((out / "profile.json").read_text()), out
 
 
 def test_each_solver_has_a_row_at_each_horizon_and_piqp_is_among_them(profiled: tuple[dict[str, Any], Path]) -> None:
     rows = profiled[0]["rows"]
-    assert [(row["stages"], row["solver"], row["formulation"], row["tolerance"]) for row in rows] == [
-        (stages, *solver)
-        for stages in (4, 8)
-        for solver in (("piqp", "sparse", None), ("piqp", "sparse", 1e-6), ("osqp", "sparse", None))
+    assert [(row["stages"], row["solver"]) for row in rows] == [
+        (stages, solver) for stages in (4, 8) for solver in ("PIQP native", "PIQP native 1e-06", "osqp")
     ]
     assert [row["horizon_s"] for row in rows] == pytest.approx([1.2] * 3 + [2.4] * 3)
     for row in rows:
@@ -128,8 +127,6 @@ def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
 
     row = profile.Row(
         solver="osqp",
-        formulation="partial",
-        tolerance=None,
         stages=17,
         horizon_s=5.1,
         cycles=12,
@@ -145,7 +142,7 @@ def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
     _, heads, cycle, _, _, stage_heads, stages, *_ = text.splitlines()
     assert heads.split()[-1] == "status"
     assert stage_heads.split()[-6:] == list(STAGES)
-    names = "17 stages, 5.1 s osqp partial"
+    names = "17 stages, 5.1 s osqp"
     assert " ".join(cycle.split()) == (
         f"{names} 100 101 102 103 0.25 0.50 4 6 2.0e-05 0.125 2.500 solved 11, iteration_limit 1"
     )
@@ -155,40 +152,22 @@ def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
 
 
 def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--horizons", "2", "--solvers", "piqp", "--formulation", "sparse", "--cycles", "10"]
+    options = ["--horizons", "2", "--solvers", "piqp, osqp,piqp", "--cycles", "10"]
     assert run(["profile", *options, "--json"]) == 0
     shown = capsys.readouterr()
-    assert [row["solver"] for row in json.loads(shown.out)["rows"]] == ["piqp", "piqp"]
+    assert [row["solver"] for row in json.loads(shown.out)["rows"]][2:] == ["piqp", "osqp"]
     assert "10 cycles at 2 stages (0.6 s)" in shown.err
-
-
-def test_a_formulation_that_a_solver_has_not_is_left_out_and_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["profile", "--horizons", "2", "--solvers", "osqp,daqp,piqp", "--cycles", "10", "--json"]) == 0
-    shown = capsys.readouterr()
-    assert {(row["solver"], row["formulation"]) for row in json.loads(shown.out)["rows"]} == {
-        *(("osqp", "sparse"), ("osqp", "partial"), ("daqp", "sparse"), ("daqp", "condensed"), ("piqp", "sparse")),
-    }
-    for pair in ("osqp condensed", "daqp partial", "piqp partial", "piqp condensed"):
-        assert f"{pair} left out: " in shown.err
-
-
-def test_auto_is_measured_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--horizons", "2", "--solvers", "osqp", "--formulation", "auto", "--cycles", "10"]
-    assert run(["profile", *options]) == 0
-    assert "osqp auto" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--solvers", "piqp", "--formulation", "partial"], 'option --formulation: "partial": none of piqp has it'),
         (["--horizons", "5,x"], 'option --horizons: "x": must be numbers of stages of 0.3 s, 1 to 400, as in 17,34'),
         (["--horizons", "17,,"], "option --horizons"),
         (["--horizons", "401"], 'option --horizons: "401"'),
         (["--horizons", "0"], 'option --horizons: "0"'),
         (["--solvers", "osqp,ospq"], 'option --solvers: "ospq"'),
         (["--solvers", ""], 'option --solvers: ""'),
-        (["--formulation", "dense"], 'option --formulation: "dense": must be one of sparse, partial, condensed, auto'),
         (["--cycles", "0"], "--cycles"),
         (["--run", "nowhere"], 'option --run: "nowhere": must be a run'),
     ],
@@ -226,7 +205,7 @@ def loose(episode: problems.Episode, tolerance: float) -> problems.Episode:
 def test_a_fast_wrong_answer_shows() -> None:
     episode = problems.simulated(6, 20, seed=3)[0]
     # OSQP begins at the solution, and has it whatever it is asked for
-    tight, wrong = measured([episode], Pair("piqp", "sparse", 1e-8), Pair("piqp", "sparse", 1e-1))
+    tight, wrong = measured([episode], Piqp(1e-8), Piqp(1e-1))
     assert np.median(tight.thrust_error_N) < 1e-3
     assert np.median(wrong.thrust_error_N) > 100 * np.median(tight.thrust_error_N)
 
@@ -237,9 +216,8 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
     ours, theirs = measured([slow], OSQP, PIQP)
     assert max(np.median(ours.thrust_error_N), np.median(theirs.thrust_error_N)) < 1e-3
-    pairs, left_out = profile.parse_pairs("osqp,daqp", "all", slow)
-    assert {pair.formulation for pair in pairs} == {"sparse"}
-    assert left_out
+    with pytest.raises(ConfigError, match="cannot do limits of the motion"):
+        profile.parse_solvers("osqp,riccati", slow)
 
 
 def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,10 +235,10 @@ def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pyte
 
     monkeypatch.setattr(Controller, "plan", noted)
     episode = problems.simulated(2, 30, seed=0)[0]
-    named = episode._replace(config=msgspec.structs.replace(episode.config, solver="daqp"))  # the driver's
-    measured([named], OSQP, PIQP)
+    named = episode._replace(config=msgspec.structs.replace(episode.config, solver="piqp"))  # the driver's
+    measured([named], OSQP, SolverByName("riccati"))
     cycles = [tuple(planned[i : i + 3]) for i in range(0, len(planned), 3)]
-    assert set(cycles) == {("osqp", "piqp", "daqp"), ("piqp", "osqp", "daqp")}
+    assert set(cycles) == {("osqp", "riccati", "piqp"), ("riccati", "osqp", "piqp")}
     assert len(cycles) == (1 + 1) + (1 + 15)  # warm-up and episode, the first cycle of each measured by nobody
     assert all(len(set(starts[i : i + 3])) == 1 for i in range(0, len(starts), 3))  # the driver's own, too
 
@@ -351,10 +329,10 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
 
 
 def test_a_recorded_run_is_measured_at_any_horizon(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--horizons", "4,8", "--solvers", "piqp", "--formulation", "sparse", "--cycles", "10", "--json"]
+    options = ["--horizons", "4,8", "--solvers", "osqp", "--cycles", "10", "--json"]
     assert run(["profile", "--run", str(dive / "run.mcap"), *options]) == 0
     shown = json.loads(capsys.readouterr().out)
-    assert [(row["stages"], row["cycles"]) for row in shown["rows"]] == [(4, 10), (4, 10), (8, 10), (8, 10)]
+    assert [(row["stages"], row["cycles"]) for row in shown["rows"]] == [(4, 10)] * 3 + [(8, 10)] * 3
     assert shown["problems"] == {"dive": 10}
 
 

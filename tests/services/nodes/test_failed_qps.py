@@ -8,23 +8,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltv_mpc import Vehicle
-from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.config import Weights
 from ltv_mpc.control.qp.failed import FailedQp
-from ltv_mpc.control.solvers import make
+from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.messages import Solve, SolveStatus
 from services.cli.app import run
 from services.nodes import failed_qps
 from services.nodes.failed_qps import FailedQps
-from tests.ltv_mpc.control.problems import motion
+from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
 
 
 @pytest.fixture
 def failure():
-    solver = make(Vehicle.load("paper"), ControllerConfig(horizon_s=1.5))
-    solver.build(*motion(3, 5))
+    form = SparseForm(equidistant(5), LIMITS, Weights())
+    qp = form.build(*motion(3, 5))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
-    return lambda: FailedQp(solver.problem(), solver.rows(), solve)
+    return lambda: FailedQp(qp, form.row_names, solve)
 
 
 def shown(keeper, t_ns):

@@ -9,35 +9,30 @@ import pytest
 from scipy.sparse import csc_array
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, references
+from ltv_mpc.control.config import Weights
 from ltv_mpc.control.qp.failed import FailedQp, worst
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.solvers import NATIVE, make
+from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
-from tests.ltv_mpc.control.problems import motion
+from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
 
 PAPER = Vehicle.load("paper")
-FORMS = [*NATIVE, ("daqp", "sparse")]
 
 
-def built(solver="osqp", formulation="sparse", stages=5):
-    made = make(PAPER, ControllerConfig(horizon_s=0.3 * stages, solver=solver, formulation=formulation))
-    made.build(*motion(3, stages))
-    return made
+def built():
+    form = SparseForm(equidistant(5), LIMITS, Weights())
+    return form.build(*motion(3, 5)), form.row_names
 
 
-@pytest.mark.parametrize(("solver", "formulation"), FORMS)
-def test_every_row_of_every_form_has_words_and_a_scale(solver, formulation):
+def test_every_row_has_words_and_a_scale():
     """A step of one command shows in the rows of that thruster and that stage, by its size in N."""
-    made = built(solver, formulation)
-    qp, rows = made.problem(), made.rows()
+    qp, rows = built()
     assert len(rows) == len(qp.l)
-    commands = 10 if formulation == "sparse" else 2
-    first = 8 if formulation == "sparse" else len(qp.q) - 10
     for k in range(5):
         for i, side in enumerate(("port", "starboard")):
             step = np.zeros(len(qp.q))
-            step[first + commands * k + i] = 1.0 / 62.5  # 1 N
+            step[8 + 10 * k + i] = 1.0 / 62.5  # 1 N
             moved = {
                 row.of: change * row.scale
                 for row, change in zip(rows, qp.A @ step, strict=True)
@@ -46,14 +41,11 @@ def test_every_row_of_every_form_has_words_and_a_scale(solver, formulation):
             want = {f"limit of {side} at the end of stage {k + 1}": 1.0, f"slew of {side} in stage {k + 1}": 1.0}
             if k < 4:
                 want[f"slew of {side} in stage {k + 2}"] = -1.0
-            if k == 0 and formulation != "sparse":
-                del want[f"slew of {side} in stage 1"]  # is a bound of the first command there
             assert moved == pytest.approx(want)
 
 
 def test_rows_of_the_motion_are_in_the_states_units():
-    made = built()
-    qp, rows = made.problem(), made.rows()
+    qp, rows = built()
     step = np.zeros(len(qp.q))
     step[2 * 10 + 2] = 0.1 / 0.3  # surge at the end of stage 3, 0.1 m/s
     change = dict(zip((row.of for row in rows), (qp.A @ step) * [row.scale for row in rows], strict=True))
@@ -61,8 +53,7 @@ def test_rows_of_the_motion_are_in_the_states_units():
 
 
 def test_the_worst_row_is_named_with_its_violation_in_newtons():
-    made = built()
-    qp, rows = made.problem(), made.rows()
+    qp, rows = built()
     x = np.zeros(len(qp.q))
     i = next(i for i, row in enumerate(rows) if row.of == "slew of starboard in stage 4")
     qp.l[:], qp.u[:] = -1e3, 1e3
@@ -73,13 +64,12 @@ def test_the_worst_row_is_named_with_its_violation_in_newtons():
 
 
 def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
-    made = built()
-    qp = made.problem()
-    row = next(i for i, row in enumerate(made.rows()) if row.of == "limit of port at the end of stage 2")
+    qp, rows = built()
+    row = next(i for i, row in enumerate(rows) if row.of == "limit of port at the end of stage 2")
     qp.l[row] = qp.u[row] + 0.1
     qp.q[3] = np.nan
     qp.u[0] = np.nan
-    said = FailedQp(qp, made.rows(), Solve(status=SolveStatus.FAILED)).faults()
+    said = FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).faults()
     assert said == [
         f"q: 1 of {len(qp.q)} numbers are not finite",
         "u of the motion (north) up to the end of stage 1 is not a number",
@@ -88,9 +78,9 @@ def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
 
 
 def test_a_saved_problem_comes_back_as_it_was(tmp_path):
-    made = built()
-    made.problem().q[0] = np.nan
-    kept = FailedQp(made.problem(), made.rows(), Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
+    qp, rows = built()
+    qp.q[0] = np.nan
+    kept = FailedQp(qp, rows, Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
     kept.save(tmp_path / "one.npz")
     back = FailedQp.load(tmp_path / "one.npz")
     for name in ("q", "l", "u"):
@@ -104,7 +94,7 @@ def test_a_saved_problem_comes_back_as_it_was(tmp_path):
 def broken(tmp_path, name):
     path = tmp_path / "bad.npz"
     qp = QP(csc_array(np.eye(2)), np.zeros(2), csc_array(np.eye(2)), np.zeros(2), np.ones(2))
-    rows = built().rows()[:2]
+    rows = built()[1][:2]
     if name == "absent":
         return tmp_path / "none.npz"
     if name == "text":
@@ -132,8 +122,7 @@ def test_a_file_that_holds_none_is_refused_by_name(tmp_path, name):
 def parts(tmp_path_factory):
     """What a file holds, by name."""
     path = tmp_path_factory.mktemp("parts") / "one.npz"
-    made = built()
-    FailedQp(made.problem(), made.rows(), Solve(status=SolveStatus.FAILED)).save(path)
+    FailedQp(*built(), Solve(status=SolveStatus.FAILED)).save(path)
     with np.load(path, allow_pickle=False) as held:
         return {name: held[name] for name in held.files}
 

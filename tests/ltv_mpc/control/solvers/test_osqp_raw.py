@@ -29,18 +29,14 @@ def problem(seed):
     return csc_array(root @ root.T), rng.normal(size=N), csc_array(A), centre - 1.0, centre + 1.0
 
 
-def upper(P):
-    return P.toarray().T[np.tril_indices(N)]  # the upper triangle by columns
-
-
 def cycles(kind):
     """Everything that a series of cycles reads."""
     solver = kind(*problem(0), SETTINGS)
     seen = []
     for seed in range(1, 6):
-        P, q, A, low, high = problem(seed)
+        _, q, A, low, high = problem(seed)
         solver.update_vectors(q, low, high)
-        solver.update_matrices(A.data, upper(P) if seed % 2 else None)
+        solver.update_matrix(A.data)
         solver.limit(10 if seed == 3 else 4000, 1e-7)
         rng = np.random.default_rng(seed)
         solver.warm_start(rng.normal(size=N), rng.normal(size=M))
@@ -59,10 +55,10 @@ def test_both_ways_give_the_same_bit_for_bit():
 
 @KINDS
 def test_an_update_is_worth_a_new_setup(kind):
-    updated, fresh = kind(*problem(0), SETTINGS), kind(*problem(1), SETTINGS)
     P, q, A, low, high = problem(1)
+    updated, fresh = kind(P, *problem(0)[1:], SETTINGS), kind(P, q, A, low, high, SETTINGS)
     updated.update_vectors(q, low, high)
-    updated.update_matrices(A.data, upper(P))
+    updated.update_matrix(A.data)
     answers = []
     for solver in (updated, fresh):
         solver.warm_start(np.zeros(N), np.zeros(M))
@@ -81,7 +77,7 @@ def test_what_it_was_given_stays_the_caller_s(kind):
     first = solver.read()[0]
     kept = first.copy()
     data = problem(2)[2].data.copy()
-    solver.update_matrices(data)
+    solver.update_matrix(data)
     data[:] = np.nan
     solver.update_vectors(2.0 * q, low, high)
     solver.solve()
@@ -99,7 +95,7 @@ def test_any_layout_is_read_right_and_a_wrong_length_is_refused(kind):
         solver = kind(*problem(0), SETTINGS)
         q, low, high = (np.round(v * 64) / 64 for v in (problem(1)[1], *problem(1)[3:]))  # exact in any type
         solver.update_vectors(layout(q), layout(low), layout(high))
-        solver.update_matrices(layout(np.round(problem(1)[2].data * 64) / 64))
+        solver.update_matrix(layout(np.round(problem(1)[2].data * 64) / 64))
         solver.warm_start(layout(np.ones(N)), layout(np.ones(M)))
         solver.solve()
         answers.append(solver.read()[0])
@@ -108,8 +104,7 @@ def test_any_layout_is_read_right_and_a_wrong_length_is_refused(kind):
     for short in (
         lambda: solver.update_vectors(np.ones(N - 1), np.ones(M), np.ones(M)),
         lambda: solver.update_vectors(np.ones(N), np.ones(M), np.ones(M + 1)),
-        lambda: solver.update_matrices(np.ones(N * M - 1)),
-        lambda: solver.update_matrices(np.ones(N * M), np.ones(3)),
+        lambda: solver.update_matrix(np.ones(N * M - 1)),
         lambda: solver.warm_start(np.ones(N), np.ones(M - 1)),
     ):
         with pytest.raises(ValueError, match=r"expected \d+ numbers"):

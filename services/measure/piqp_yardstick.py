@@ -1,7 +1,8 @@
-"""PIQP on the sparse QP: an interior-point method, the yardstick of every measured ratio (``ltv-mpc profile``).
+"""PIQP by its own interface: the yardstick of every measured ratio (``ltv-mpc profile``, ``make bench``).
 
-By its own interface, updated in place, with its defaults (Schwan et al. 2023). Box rows are bounds on single variables.
-It needs no first guess and can use none.
+PIQP is an interior-point method (Schwan et al. 2023). Its workspace is updated in place, with its default settings. Box
+rows are bounds on single variables. It needs no first guess and can use none. No setting of the controller leads here:
+``solver = "piqp"`` is PIQP through qpsolvers.
 """
 
 from __future__ import annotations
@@ -9,33 +10,24 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import piqp
 from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import SettledConfig
 from ltv_mpc.control.horizon import Linearisation
 from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
 from ltv_mpc.control.solvers.solver import Answer
-from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 
 
-class SparsePiqp:
+class PiqpYardstick:
     """One PIQP workspace for problems of one pattern."""
 
     def __init__(self, config: SettledConfig, limits: HorizonLimits, tolerance: float | None = None) -> None:
-        """With PIQP's own tolerance unless one is given. Raises ``ConfigError`` where it is not installed."""
-        try:
-            import piqp
-        except ImportError:
-            raise ConfigError(
-                "controller settings", "solver", "is not installed: pip install piqp", value="piqp"
-            ) from None
+        """Lay out the QP. ``tolerance`` is absolute and relative; None: PIQP's own."""
         self.form = form = SparseForm(config.knots, limits, config.weights)
-        self._piqp = piqp
         self._tolerance = tolerance
         self._A, self._q = form.template(), np.empty(form.variables)
         self._l, self._u = np.empty(form.rows), np.empty(form.rows)
@@ -74,7 +66,7 @@ class SparsePiqp:
             whole = csc_matrix(self.form.assembled(self._A, self._q, self._l, self._u).A)
             self._equalities, self._slews = csc_matrix(whole[equal]), csc_matrix(whole[slew])
             self._P = csc_matrix(self.form.P)
-            self._solver = self._piqp.SparseSolver()
+            self._solver = piqp.SparseSolver()
             self._solver.settings.verbose = False
             if self._tolerance is not None:
                 to = self._solver.settings
@@ -105,7 +97,7 @@ class SparsePiqp:
                 lin.U.copy(),
                 Solve(status=SolveStatus.NON_FINITE, why="PIQP returned a value that is not finite; rebuilt"),
             )
-        code = self._piqp.Status
+        code = piqp.Status
         known = {
             code.PIQP_SOLVED: SolveStatus.SOLVED,
             code.PIQP_MAX_ITER_REACHED: SolveStatus.ITERATION_LIMIT,
@@ -120,11 +112,3 @@ class SparsePiqp:
             why="" if known is SolveStatus.SOLVED else f"PIQP: {status}",
         )
         return Answer(self.form.commands(lin, np.array(x)), solve)
-
-    def rows(self) -> tuple[Row, ...]:
-        """As in ``Solver``."""
-        return self.form.row_names
-
-    def problem(self) -> QP:
-        """As in ``Solver``."""
-        return self.form.assembled(self._A.copy(), self._q.copy(), self._l.copy(), self._u.copy())
