@@ -1,17 +1,10 @@
 """Where a place is: metres north and east, or latitude and longitude about a stated origin.
 
-Local frame: the plane that touches the WGS 84 ellipsoid at the origin, north and east in it. With the prime vertical
-radius of curvature R_E = a / sqrt(1 - e^2 sin^2 L), a point of the ellipsoid at latitude L and longitude l has
-
-    ECEF  r = R_E [cos L cos l, cos L sin l, (1 - e^2) sin L]
-    north = [-sin L0 cos l0, -sin L0 sin l0, cos L0] . (r - r0)
-    east  = [-sin l0, cos l0, 0] . (r - r0)
-
-Exact, so what it differs by from distances on the ellipsoid is the plane's own: a point at distance d along the
-ellipsoid lies d^3 / (6 R^2) too near, 4 mm at 10 km and 0.5 m at 50 km; and north there is turned against the origin's
-by (l - l0) sin L, 1.6 mrad at 10 km east at 45 degrees.
-
-Source: Groves 2013, Principles of GNSS, inertial and multisensor integrated navigation systems, eq 2.106, 2.112, 2.150.
+Local frame: the plane that touches the WGS 84 ellipsoid at the origin, north and east in it (Groves 2013, Principles of
+GNSS, inertial and multisensor integrated navigation systems, eq 2.106, 2.112, 2.150; computed by pymap3d). It is exact,
+so its distances differ from those along it by what a plane differs: a point at distance d along the ellipsoid
+lies d^3 / (6 R^2) too near, 4 mm at 10 km and 0.5 m at 50 km. North at that point is turned against the origin's by
+(l - l0) sin L, 1.6 mrad at 10 km east at 45 degrees.
 """
 
 from __future__ import annotations
@@ -20,14 +13,11 @@ import math
 from typing import Annotated, TypeAlias
 
 import msgspec
+import pymap3d
 from msgspec import Meta
 
 from ltv_mpc.messages import Pair
 
-EQUATORIAL_RADIUS_M = 6_378_137.0
-"""a of WGS 84."""
-FLATTENING = 1.0 / 298.257223563
-"""f of WGS 84; e^2 = f (2 - f)."""
 FARTHEST_M = 50_000.0
 """From the origin: farther away the tangent plane is no map of the sea any more."""
 
@@ -76,16 +66,7 @@ def local(place: Place, origin: Origin | None) -> Pair:
 
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:
     """North and east (m) of a point of the ellipsoid, degrees."""
-    r, r0 = _ecef(latitude_deg, longitude_deg), _ecef(origin.latitude_deg, origin.longitude_deg)
-    x, y, z = r[0] - r0[0], r[1] - r0[1], r[2] - r0[2]
-    L, l = math.radians(origin.latitude_deg), math.radians(origin.longitude_deg)  # noqa: E741
-    north = -math.sin(L) * (math.cos(l) * x + math.sin(l) * y) + math.cos(L) * z
-    east = -math.sin(l) * x + math.cos(l) * y
-    return north, east
-
-
-def _ecef(latitude_deg: float, longitude_deg: float) -> tuple[float, float, float]:
-    L, l = math.radians(latitude_deg), math.radians(longitude_deg)  # noqa: E741
-    e2 = FLATTENING * (2.0 - FLATTENING)
-    R_E = EQUATORIAL_RADIUS_M / math.sqrt(1.0 - e2 * math.sin(L) ** 2)
-    return R_E * math.cos(L) * math.cos(l), R_E * math.cos(L) * math.sin(l), R_E * (1.0 - e2) * math.sin(L)
+    north, east, _ = pymap3d.geodetic2ned(
+        latitude_deg, longitude_deg, 0.0, origin.latitude_deg, origin.longitude_deg, 0.0
+    )
+    return float(north), float(east)

@@ -40,7 +40,7 @@ FEWEST_FILES = 256
 TOOLS = ("dev", "bench", "docs", "mutation")
 """Extras that are for this project's own work."""
 
-MODULES = {"eclipse-zenoh": "zenoh", "tomli-w": "tomli_w"}
+MODULES = {"eclipse-zenoh": "zenoh", "tomli-w": "tomli_w", "prometheus-client": "prometheus_client"}
 """Import names that are not their distribution's."""
 
 

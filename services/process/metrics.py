@@ -1,38 +1,50 @@
 """The controller's state for Prometheus: GET /metrics on loopback, in its text format 0.0.4, and nothing else.
 
-A page in a browser that was led here by a name of its own (DNS rebinding) sends that name as Host: it is refused.
+prometheus_client writes the text. Its server is not used, because it answers a request with any Host: a web page whose
+name was pointed at this machine (DNS rebinding) sends that name as Host, and is refused here.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4
+from prometheus_client.registry import Collector
 
 from ltv_mpc.messages import Authority, ControllerStatus, Health
 
 HOST = "127.0.0.1"
 NAMES = (HOST, "localhost")
-CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 PATIENCE_S = 5.0  # with a client that does not finish its request
 
 
-class Metrics:
-    """Holds the newest state for whoever asks."""
+class Metrics(Collector):
+    """Collector of the controller's newest state."""
 
     def __init__(self) -> None:
         self._status: ControllerStatus | None = None
+        self._registry = CollectorRegistry()
+        self._registry.register(self)
 
     def show(self, status: ControllerStatus, now_us: int) -> None:
         """The newest state."""
         del now_us
         self._status = status
 
-    def text(self) -> str:
-        """What is scraped; nothing before the first state."""
-        return "" if self._status is None else "".join(_lines(self._status))
+    def collect(self) -> Iterator[Metric]:
+        """Yield the metrics of the newest state that have a value; none before the first state."""
+        if self._status is not None:
+            yield from (metric for metric in _metrics(self._status) if metric.samples)
+
+    def text(self) -> bytes:
+        """Return what is scraped."""
+        return generate_latest(self._registry)
 
 
 @contextmanager
@@ -48,9 +60,9 @@ def serving(metrics: Metrics, port: int) -> Iterator[None]:
             elif self.path != "/metrics":
                 self.send_error(HTTPStatus.NOT_FOUND)
             else:
-                body = metrics.text().encode()
+                body = metrics.text()
                 self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", CONTENT_TYPE)
+                self.send_header("Content-Type", CONTENT_TYPE_PLAIN_0_0_4)
                 self.send_header("Content-Length", str(len(body)))
                 self.end_headers()
                 self.wfile.write(body)
@@ -69,47 +81,39 @@ def serving(metrics: Metrics, port: int) -> Iterator[None]:
             thread.join()
 
 
-def _lines(s: ControllerStatus) -> Iterator[str]:
-    def family(name: str, kind: str, help_: str, samples: Iterable[tuple[str, float | None]]) -> Iterator[str]:
-        known = [(labels, value) for labels, value in samples if value is not None]
-        if known:
-            yield f"# HELP ltv_mpc_{name} {help_}\n# TYPE ltv_mpc_{name} {kind}\n"
-            yield from (f"ltv_mpc_{name}{labels} {value:.9g}\n" for labels, value in known)
+def _metrics(s: ControllerStatus) -> Iterator[Metric]:
+    ages = {"estimate": _seconds(s.estimate_age_ns), "applied": _seconds(s.applied_age_ns)}
+    yield _gauge("input_age_seconds", "Age of the newest input of each key.", "key", ages)
+    cycle = {"0.5": s.cycle_median_us, "0.99": s.cycle_p99_us}
+    quantiles = {share: None if us is None else us / 1e6 for share, us in cycle.items()}
+    yield _gauge("cycle_seconds", "Wall time of a cycle over the last 10 s.", "quantile", quantiles)
+    yield CounterMetricFamily("ltv_mpc_received", "Messages let in.", s.received)
+    yield CounterMetricFamily("ltv_mpc_dropped", "Messages sent that never came.", s.dropped)
+    rejected = CounterMetricFamily("ltv_mpc_rejected", "Messages refused, by reason.", labels=("reason",))
+    for reason, count in s.rejected.items():
+        rejected.add_metric((reason,), count)
+    yield rejected
+    clock_error_s = _seconds(s.clock_error_ns)
+    yield GaugeMetricFamily("ltv_mpc_clock_error_seconds", "Bound of the clock's error.", clock_error_s)
+    yield GaugeMetricFamily("ltv_mpc_tracking_error_metres", "Estimate to reference.", s.error_m)
+    yield GaugeMetricFamily("ltv_mpc_progress_ratio", "Along the reference.", s.progress)
+    yield _one_of("authority", "Who commands the thrusters.", s.authority, Authority)
+    yield _one_of("health", "How well the inputs keep up.", s.health, Health)
 
-    def one_of(name: str, help_: str, value: str, words: Iterable[str]) -> Iterator[str]:
-        return family(name, "gauge", help_, [(f'{{{name}="{word}"}}', float(word == value)) for word in words])
 
-    yield from family(
-        "input_age_seconds",
-        "gauge",
-        "Age of the newest input of each key.",
-        [('{key="estimate"}', _seconds(s.estimate_age_ns)), ('{key="applied"}', _seconds(s.applied_age_ns))],
-    )
-    quantiles = [("0.5", s.cycle_median_us), ("0.99", s.cycle_p99_us)]
-    yield from family(
-        "cycle_seconds",
-        "gauge",
-        "Wall time of a cycle over the last 10 s.",
-        [(f'{{quantile="{share}"}}', None if us is None else us / 1e6) for share, us in quantiles],
-    )
-    yield from family("received_total", "counter", "Messages let in.", [("", s.received)])
-    yield from family("dropped_total", "counter", "Messages sent that never came.", [("", s.dropped)])
-    yield from family(
-        "rejected_total",
-        "counter",
-        "Messages refused, by reason.",
-        [(f'{{reason="{_escaped(reason)}"}}', count) for reason, count in s.rejected.items()],
-    )
-    yield from family("clock_error_seconds", "gauge", "Bound of the clock's error.", [("", _seconds(s.clock_error_ns))])
-    yield from family("tracking_error_metres", "gauge", "Estimate to reference.", [("", s.error_m)])
-    yield from family("progress_ratio", "gauge", "Along the reference.", [("", s.progress)])
-    yield from one_of("authority", "Who commands the thrusters.", s.authority, Authority)
-    yield from one_of("health", "How well the inputs keep up.", s.health, Health)
+def _gauge(name: str, help_: str, label: str, values: Mapping[str, float | None]) -> Metric:
+    """Return a gauge with one sample for each known value."""
+    gauge = GaugeMetricFamily(f"ltv_mpc_{name}", help_, labels=(label,))
+    for key, value in values.items():
+        if value is not None:
+            gauge.add_metric((key,), value)
+    return gauge
+
+
+def _one_of(name: str, help_: str, value: str, words: Iterable[str]) -> Metric:
+    """Return a gauge that is 1 for the word that holds and 0 for the others."""
+    return _gauge(name, help_, name, {str(word): float(word == value) for word in words})
 
 
 def _seconds(ns: int | None) -> float | None:
     return None if ns is None else ns / 1e9
-
-
-def _escaped(label: str) -> str:
-    return label.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")

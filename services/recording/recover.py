@@ -17,7 +17,6 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from ltv_mpc.errors import ConfigError
-from services.recording import chunk_index
 from services.recording.records import Loss, Records, start_of
 from services.recording.writer import CHUNK_BYTES, LIBRARY, PROFILE, RUN
 
@@ -102,11 +101,7 @@ class _Copy:
         self._start_ns: int | None = None
 
     def of(self, parts: Sequence[Path], out: Path) -> Recovery:
-        with chunk_index.on_disk(self._mcap, out.parent):
-            self._mcap.start(PROFILE, LIBRARY)
-            return self._made(parts, out)
-
-    def _made(self, parts: Sequence[Path], out: Path) -> Recovery:
+        self._mcap.start(PROFILE, LIBRARY)
         salvaged = tuple(self._segment(Records(path)) for path in parts)
         made = Recovery(
             file=str(out),

@@ -7,8 +7,9 @@ negative times: ``log_time`` = ``publish_time`` = vehicle time of publication mi
 was made of stands in the metadata record ``run``, at the head of the file, where a cut file has it too.
 
 Chunks have at most 1 MiB and are flushed at least every half second of wall time, so that a SIGKILL costs little. In
-lock step nothing is flushed by the wall clock: the file is a function of its messages, byte for byte. MCAP's index,
-which is written at the end, is kept on disk until then (``chunk_index.py``): nothing grows with the run.
+lock step nothing is flushed by the wall clock: the file is a function of its messages, byte for byte. MCAP's writer
+keeps its index in memory until it writes it at the end: 1.6 kB a chunk, 11 MB an hour at two chunks a second
+(docs/notes/libraries.md).
 """
 
 from __future__ import annotations
@@ -25,7 +26,6 @@ from mcap.writer import CompressionType, Writer
 
 from ltv_mpc.messages import Message
 from services.bus import schema, topics, wire
-from services.recording import chunk_index
 
 CHUNK_BYTES = 1024 * 1024
 FLUSH_S = 0.5
@@ -49,12 +49,10 @@ class RunWriter:
         self._flushed_at = time.monotonic()
         self._channels: dict[str, int] = {}
         self._schemas: dict[type[Message], int] = {}
-        self._index = contextlib.ExitStack()
         self._file = path.open("wb")
         # Any: the package leaves the types of some of its methods out.
         self._mcap: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
-            self._index.enter_context(chunk_index.on_disk(self._mcap, path.parent))
             self._mcap.start(PROFILE, LIBRARY)
             self._mcap.add_metadata(RUN, {"start_ns": str(start_ns), **metadata})
         except OSError:  # a full disk
@@ -125,7 +123,6 @@ class RunWriter:
     def _close(self) -> None:
         with contextlib.suppress(OSError):  # a full disk does not take what a buffer still has
             self._file.close()
-        self._index.close()
 
     def _register(self, key: str, kind: type[Message]) -> int:
         if kind not in self._schemas:

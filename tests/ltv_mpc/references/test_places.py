@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.references.places import EQUATORIAL_RADIUS_M, FLATTENING, Origin, Place, local, tangent_plane
+from ltv_mpc.references.places import Origin, Place, local, tangent_plane
 
+EQUATORIAL_RADIUS_M = 6_378_137.0
+FLATTENING = 1.0 / 298.257223563  # of WGS 84
 E2 = FLATTENING * (2.0 - FLATTENING)
 
 

@@ -169,15 +169,16 @@ def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(port: int,
     metrics.show(STATUS, 0)
     status, body = asked(port)
     assert status == 200
-    samples = dict(line.rsplit(" ", 1) for line in body.splitlines() if not line.startswith("#"))
-    assert samples['ltv_mpc_input_age_seconds{key="estimate"}'] == "0.04"
-    assert samples['ltv_mpc_cycle_seconds{quantile="0.99"}'] == "0.0021"
-    assert samples["ltv_mpc_received_total"] == "450"
-    assert samples[r'ltv_mpc_rejected_total{reason="depth \"m\"\n"}'] == "2"
-    assert samples["ltv_mpc_clock_error_seconds"] == "0.0009"
-    assert samples['ltv_mpc_authority{authority="controller"}'] == "1"
-    assert samples['ltv_mpc_authority{authority="manual"}'] == "0"
-    assert samples['ltv_mpc_health{health="nominal"}'] == "1"
+    lines = (line.rsplit(" ", 1) for line in body.splitlines() if not line.startswith("#"))
+    samples = {name: float(value) for name, value in lines}
+    assert samples['ltv_mpc_input_age_seconds{key="estimate"}'] == 0.04
+    assert samples['ltv_mpc_cycle_seconds{quantile="0.99"}'] == 0.0021
+    assert samples["ltv_mpc_received_total"] == 450
+    assert samples[r'ltv_mpc_rejected_total{reason="depth \"m\"\n"}'] == 2
+    assert samples["ltv_mpc_clock_error_seconds"] == 0.0009
+    assert samples['ltv_mpc_authority{authority="controller"}'] == 1
+    assert samples['ltv_mpc_authority{authority="manual"}'] == 0
+    assert samples['ltv_mpc_health{health="nominal"}'] == 1
     assert "ltv_mpc_progress_ratio" not in samples
     named = {line.split()[2] for line in body.splitlines() if line.startswith("# TYPE")}
     assert named == {name.partition("{")[0] for name in samples}
