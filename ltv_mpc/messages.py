@@ -64,7 +64,7 @@ Moment: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N m"}
 Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"})]
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
-# As announced, though a command may ask for less (SpeedOfTime).
+# At least real time, though a command may ask for less (SpeedOfTime): such a clock is refused.
 AskedSpeed: TypeAlias = Annotated[float, Meta(ge=1.0, le=float(MAX_EXACT_INTEGER), extra={"unit": "vehicle s per s"})]
 HarmSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
 # Finite also where a solve failed.

@@ -1,8 +1,8 @@
 """JSON Schema of each message as it travels and is recorded: the header's fields, then the signal's.
 
 A field is required where nobody can do without it: a reader takes the rest as absent (this project's own writers leave
-nothing out: there it is null). All comes from the annotations in ``ltv_mpc/messages.py``, bounds beyond which
-a message is refused included.
+nothing out: there it is null). Types, bounds and meanings are the annotations of ``ltv_mpc/messages.py``; a message
+beyond its bounds is refused.
 
 Every schema is an object and self-contained. Foxglove's reader of JSON schemas knows neither ``$ref`` nor ``null`` nor
 an array in an array under ``properties``: it drops the whole channel. So a field that may be null and a matrix are
@@ -121,7 +121,7 @@ def _value(of: struct.Type) -> Schema:
 
 
 def _number_or_null(of: struct.Type) -> Schema:
-    """An array's entry: where a value may be missing, one schema of two types, which is short."""
+    """Describe an entry of an array: a number, or a number or null where a value may be missing."""
     if not isinstance(of, struct.UnionType):
         return _value(of)
     (number,) = (_value(one) for one in of.types if not isinstance(one, struct.NoneType))
