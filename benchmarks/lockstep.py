@@ -50,7 +50,7 @@ def run(of: Situation, folder: str | None = None) -> float:
 
 
 def shares(of: Situation) -> dict[str, float]:
-    """Of the time that one run takes, each node's; the rest is admission's and lock step's own."""
+    """Of the time that one run takes, each node's; the rest is validation's and lock step's own."""
     spent: Counter[str] = Counter()
 
     class Timed:
@@ -74,7 +74,7 @@ def shares(of: Situation) -> dict[str, float]:
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)
     whole = time.perf_counter() - started
-    spent["admission and lock step"] = whole - sum(spent.values())
+    spent["validation and lock step"] = whole - sum(spent.values())
     return {name: seconds / whole for name, seconds in spent.most_common()}
 
 

@@ -1,10 +1,14 @@
-"""Every message, one struct each: what nodes read and write, and what travels.
+"""Every message, one struct each: type, bounds, unit and meaning of each field.
 
 Frames: world NED (north, east, down), body FRD (forward, starboard, down). SI units and radians, also on the wire.
 Times: ``t_ns`` is vehicle time in integer nanoseconds, 0 at the start of the descent (negative while afloat before it).
 Thrusts are in the order port, starboard, vertical (N). The signal's TYPE is the port: a node names the types it reads.
-The key, rate, delivery and writer of each are in ``services/bus/topics.py``; what makes one acceptable is in
-``admission.py``.
+The key, rate, delivery and writer of each are in ``services/bus/topics.py``.
+
+This is the only description of a message. ``validation.py`` compiles its checks from the annotations; the wire's
+decoder, JSON Schemas, protocol page and recording channels come from them too. Each number has the quantity's bounds
+(``ge``, ``le``) and unit; each field has a ``description``. An array is described by the list that it is on the wire:
+``Meta(extra={"wire": list[list[Force]]})`` is a matrix of forces, and ``None`` in it is a missing value, NaN inside.
 """
 
 from __future__ import annotations
@@ -19,11 +23,104 @@ import numpy.typing as npt
 from msgspec import Meta
 
 Array: TypeAlias = npt.NDArray[np.float64]
-# What a description of the wire cannot see in an array's type: whole numbers, and rows in rows.
-Matrix: TypeAlias = Annotated[Array, Meta(extra_json_schema={"items": {"type": "array"}})]
-Times: TypeAlias = Annotated[npt.NDArray[np.int64], Meta(extra_json_schema={"items": {"type": "integer"}})]
+Times: TypeAlias = npt.NDArray[np.int64]
 Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
+
+# --- quantities: bounds of plausibility for any vehicle on earth; a vehicle's own limits (box, slew) belong to its node
+
+MAX_EXACT_INTEGER = 2**53 - 1  # larger integers are not exact in JavaScript
+MAX_TRAVEL_TIME_S = 60.0
+
+# 126 years either way: Unix time too.
+Time: TypeAlias = Annotated[int, Meta(ge=-(4 * 10**18), le=4 * 10**18, extra={"unit": "ns"})]
+Duration: TypeAlias = Annotated[int, Meta(ge=0, le=MAX_EXACT_INTEGER, extra={"unit": "ns"})]
+Interval: TypeAlias = Annotated[int, Meta(ge=1, le=MAX_EXACT_INTEGER, extra={"unit": "ns"})]
+MonotonicTime: TypeAlias = Annotated[int, Meta(ge=0, le=MAX_EXACT_INTEGER, extra={"unit": "us"})]
+WallTime: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "us"})]
+WholeWallTime: TypeAlias = Annotated[int, Meta(ge=0, le=10**12, extra={"unit": "us"})]
+ScheduleTime: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e9, extra={"unit": "s"})]
+TravelTime: TypeAlias = Annotated[float, Meta(ge=0.0, le=MAX_TRAVEL_TIME_S, extra={"unit": "s"})]
+Count: TypeAlias = Annotated[int, Meta(ge=0, le=MAX_EXACT_INTEGER, extra={"unit": "count"})]
+Index: TypeAlias = Annotated[int, Meta(ge=0, le=MAX_EXACT_INTEGER, extra={"unit": "index"})]
+Identifier: TypeAlias = Annotated[int, Meta(ge=0, le=MAX_EXACT_INTEGER, extra={"unit": "identifier"})]
+SequenceOrNone: TypeAlias = Annotated[int, Meta(ge=-1, le=MAX_EXACT_INTEGER, extra={"unit": "count"})]
+PositiveInteger: TypeAlias = Annotated[int, Meta(ge=1, le=MAX_EXACT_INTEGER, extra={"unit": "integer"})]
+Position: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "m"})]
+Depth: TypeAlias = Annotated[float, Meta(ge=-100.0, le=12_000.0, extra={"unit": "m"})]
+Length: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e9, extra={"unit": "m"})]
+SlantRange: TypeAlias = Annotated[float, Meta(ge=0.0, le=10_000.0, extra={"unit": "m"})]
+Speed: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "m/s"})]
+WaterSpeed: TypeAlias = Annotated[float, Meta(ge=-20.0, le=20.0, extra={"unit": "m/s"})]
+SpeedDeviation: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s"})]
+SpeedVariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "m2/s2"})]
+RandomWalk: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e6, extra={"unit": "m/s per sqrt(s)"})]
+Angle: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "rad"})]  # headings may be unwrapped
+AngularRate: TypeAlias = Annotated[float, Meta(ge=-100.0, le=100.0, extra={"unit": "rad/s"})]
+SpecificForce: TypeAlias = Annotated[float, Meta(ge=-1e4, le=1e4, extra={"unit": "m/s2"})]
+Force: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N"})]
+ForceRate: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N/s"})]
+Moment: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N m"})]
+Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"})]
+Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
+SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
+# At least real time, though a command may ask for less (SpeedOfTime): such a clock is refused.
+AskedSpeed: TypeAlias = Annotated[float, Meta(ge=1.0, le=float(MAX_EXACT_INTEGER), extra={"unit": "vehicle s per s"})]
+HarmSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
+# Finite also where a solve failed.
+Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "dimensionless"})]
+VehicleState: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "m, m/s, rad, rad/s"})]
+FilterState: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9, extra={"unit": "m, m/s, rad, rad/s, m/s2, share"})]
+Covariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of m, m/s, rad, rad/s"})]
+RotationEntry: TypeAlias = Annotated[float, Meta(ge=-1.0001, le=1.0001, extra={"unit": "dimensionless"})]
+ModelProduct: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of noise deviations"})]
+# A reference is parsed within a cycle.
+ReferenceText: TypeAlias = Annotated[str, Meta(max_length=65_536)]
+# A restarted process is given them by a pipe.
+Durations: TypeAlias = Annotated[tuple[Duration, ...], Meta(max_length=1000)]
+
+Positions: TypeAlias = tuple[Position, Position, Position]
+Speeds: TypeAlias = tuple[Speed, Speed, Speed]
+Angles: TypeAlias = tuple[Angle, Angle, Angle]
+AngularRates: TypeAlias = tuple[AngularRate, AngularRate, AngularRate]
+SpecificForces: TypeAlias = tuple[SpecificForce, SpecificForce, SpecificForce]
+Forces: TypeAlias = tuple[Force, Force, Force]
+ForceRates: TypeAlias = tuple[ForceRate, ForceRate, ForceRate]
+Shares: TypeAlias = tuple[Share, Share, Share]
+
+# --- arrays, each described by the list that it is on the wire; null in it is NaN inside ------------------------------
+
+Depths: TypeAlias = Annotated[Array, Meta(extra={"wire": list[Depth]})]
+SlantRanges: TypeAlias = Annotated[Array, Meta(extra={"wire": list[SlantRange]})]
+SlantRangesOrNone: TypeAlias = Annotated[Array, Meta(extra={"wire": list[SlantRange | None]})]
+BeamSpeeds: TypeAlias = Annotated[Array, Meta(extra={"wire": list[Speed | None]})]
+BeamSpeedRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Speed | None]]})]
+WaterSpeeds: TypeAlias = Annotated[Array, Meta(extra={"wire": list[WaterSpeed]})]
+SpeedDeviations: TypeAlias = Annotated[Array, Meta(extra={"wire": list[SpeedDeviation]})]
+ForceRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Force]]})]
+VehicleStateRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[VehicleState]]})]
+FilterStates: TypeAlias = Annotated[Array, Meta(extra={"wire": list[FilterState]})]
+FilterStateRows: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[FilterState]]})]
+Covariances: TypeAlias = Annotated[Array, Meta(extra={"wire": list[Covariance]})]
+CovarianceMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[Covariance]]})]
+RotationMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[RotationEntry]]})]
+ModelProductMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[ModelProduct]]})]
+Knots: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Time]})]
+Indices: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Index]})]
+
+# --- fields that mean the same in several messages -------------------------------------------------------------------
+
+ValidityTime: TypeAlias = Annotated[Time, Meta(description="time of validity")]
+PublicationTime: TypeAlias = Annotated[Time, Meta(description="time of publication")]
+North: TypeAlias = Annotated[Position, Meta(description="position north of the origin")]
+East: TypeAlias = Annotated[Position, Meta(description="position east of the origin")]
+VelocityNorth: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, north")]
+VelocityEast: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, east")]
+YawRate: TypeAlias = Annotated[AngularRate, Meta(description="rate of turn about the down axis, positive to starboard")]
+Crc: TypeAlias = Annotated[Identifier, Meta(description="CRC-32 of the payload")]
+Publisher: TypeAlias = Annotated[str, Meta(description="node that publishes this")]
+Key: TypeAlias = Annotated[str, Meta(description="key of the message, without the namespace")]
+Why: TypeAlias = Annotated[str, Meta(description="reason in words; empty where there is none")]
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
@@ -47,14 +144,18 @@ class Health(enum.StrEnum):
 class Truth(Message, frozen=True, kw_only=True, eq=False):
     """The true state of the vehicle."""
 
-    t_ns: int
-    position_m: Triple  # NED
-    velocity_mps: Triple  # NED, over ground
-    attitude_rad: Triple  # roll, pitch, heading
-    water_velocity_mps: Triple  # surge, sway, heave relative to the water, in the level heading frame
-    yaw_rate_radps: float
-    current_mps: Pair  # north, east, at the vehicle
-    thrust_N: Triple  # delivered
+    t_ns: ValidityTime
+    position_m: Annotated[Positions, Meta(description="north, east, down")]
+    velocity_mps: Annotated[Speeds, Meta(description="over ground: north, east, down")]
+    attitude_rad: Annotated[Angles, Meta(description="roll, pitch, heading")]
+    water_velocity_mps: Annotated[
+        Speeds, Meta(description="through the water: surge, sway, heave, in the level heading frame")
+    ]
+    yaw_rate_radps: YawRate
+    current_mps: Annotated[
+        tuple[WaterSpeed, WaterSpeed], Meta(description="water at the vehicle over ground: north, east")
+    ]
+    thrust_N: Annotated[Forces, Meta(description="delivered: port, starboard, vertical")]
 
 
 class Disturbance(Message, frozen=True, kw_only=True, eq=False):
@@ -63,10 +164,12 @@ class Disturbance(Message, frozen=True, kw_only=True, eq=False):
     A new one takes the old one's place; nothing aboard reads it.
     """
 
-    until_t_ns: int
-    thrust_scale: Triple = (1.0, 1.0, 1.0)  # delivered thrust over what the propellers would give
-    force_N: Triple = (0.0, 0.0, 0.0)  # NED
-    yaw_moment_Nm: float = 0.0  # about down, positive to starboard
+    until_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
+    thrust_scale: Annotated[
+        Shares, Meta(description="delivered thrust over that of the propellers: port, starboard, vertical")
+    ] = (1.0, 1.0, 1.0)
+    force_N: Annotated[Forces, Meta(description="on the vehicle: north, east, down")] = (0.0, 0.0, 0.0)
+    yaw_moment_Nm: Annotated[Moment, Meta(description="about down, positive to starboard")] = 0.0
 
 
 class Harm(enum.StrEnum):
@@ -89,29 +192,43 @@ class Injection(Message, frozen=True, kw_only=True, eq=False):
     of "stale" nothing.
     """
 
-    key: str
-    harm: Harm
-    start_t_ns: int
-    end_t_ns: int
-    size: float = 1.0
-    seed: int = 0
+    key: Annotated[str, Meta(description="key of the messages that are harmed")]
+    harm: Annotated[Harm, Meta(description="what happens to them")]
+    start_t_ns: Annotated[Time, Meta(description="vehicle time at which it begins; immediately where that is past")]
+    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
+    size: Annotated[
+        HarmSize,
+        Meta(description="share of the messages; delay: seconds; clock_jump: seconds ahead of the time; stale: unused"),
+    ] = 1.0
+    seed: Annotated[
+        Identifier, Meta(description="seed of the random draws: which messages, which bits, which numbers")
+    ] = 0
 
 
 class Applied(Message, frozen=True, kw_only=True, eq=False):
     """What the thrusters do, and which plan they follow: the actuators' report to the controller."""
 
-    t_ns: int
-    thrust_N: Triple  # by eq 8 from the revolutions, after lag and saturation
-    command_N: Triple  # in force
-    command_slew_N_per_s: Triple  # largest |d command / dt| since the last report
-    plan_epoch: int  # of the plan accepted last; 0 before the first
-    plan_sequence: int  # of the plan accepted last; -1 before the first
-    plan_cycle_t_ns: int  # start of the cycle that made it, as the plan says; 0 before the first
-    plan_received_t_ns: int  # when it arrived
-    plan_late: bool  # it arrived after its start time: a deadline miss
-    plans_late: int  # so far
-    plans_refused: int  # so far: outside box or slew, out of order, or a second commander's
-    health: Health = Health.NOMINAL  # how well the plans keep up
+    t_ns: Annotated[Time, Meta(description="time of validity and of publication")]
+    thrust_N: Annotated[Forces, Meta(description="delivered, after lag and saturation: port, starboard, vertical")]
+    command_N: Annotated[Forces, Meta(description="command in force: port, starboard, vertical")]
+    command_slew_N_per_s: Annotated[
+        ForceRates, Meta(description="largest rate of change of the command since the last report; 0: unknown")
+    ]
+    plan_epoch: Annotated[Identifier, Meta(description="epoch of the newest accepted plan; 0 before the first")]
+    plan_sequence: Annotated[
+        SequenceOrNone, Meta(description="sequence of the newest accepted plan; -1 before the first")
+    ]
+    plan_cycle_t_ns: Annotated[Time, Meta(description="cycle_t_ns of the newest accepted plan; 0 before the first")]
+    plan_received_t_ns: Annotated[Time, Meta(description="arrival of the newest accepted plan; 0 before the first")]
+    plan_late: Annotated[bool, Meta(description="that plan arrived after its own first knot: a deadline miss")]
+    plans_late: Annotated[Count, Meta(description="late plans so far")]
+    plans_refused: Annotated[
+        Count, Meta(description="plans not followed so far: outside box or slew, out of order, of a second commander")
+    ]
+    health: Annotated[
+        Health,
+        Meta(description="how well plans keep up: degraded when two are missing, failsafe at the last one's end"),
+    ] = Health.NOMINAL
 
 
 # --- sensors ---------------------------------------------------------------------------------------------------------
@@ -120,29 +237,29 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
 class ImuSample(Message, frozen=True, kw_only=True, eq=False):
     """Increments of a strapdown IMU divided by the interval that ends at ``t_ns``: means over it, body frame."""
 
-    t_ns: int
-    interval_ns: int
-    angular_rate_radps: Triple
-    specific_force_mps2: Triple
+    t_ns: Annotated[Time, Meta(description="end of the interval")]
+    interval_ns: Annotated[Interval, Meta(description="length of the interval")]
+    angular_rate_radps: Annotated[AngularRates, Meta(description="mean over the interval: forward, starboard, down")]
+    specific_force_mps2: Annotated[SpecificForces, Meta(description="mean over the interval: forward, starboard, down")]
 
 
 class GnssFix(Message, frozen=True, kw_only=True, eq=False):
     """Position and velocity over ground, at the surface."""
 
-    t_ns: int
-    north_m: float
-    east_m: float
-    velocity_north_mps: float
-    velocity_east_mps: float
+    t_ns: ValidityTime
+    north_m: North
+    east_m: East
+    velocity_north_mps: VelocityNorth
+    velocity_east_mps: VelocityEast
 
 
 class TdcpFix(Message, frozen=True, kw_only=True, eq=False):
     """Change of position between two epochs from time-differenced carrier phase, at the surface."""
 
-    t_ns: int
-    from_t_ns: int
-    north_m: float
-    east_m: float
+    t_ns: ValidityTime
+    from_t_ns: Annotated[Time, Meta(description="the earlier epoch")]
+    north_m: Annotated[Position, Meta(description="change of position from the earlier epoch to t_ns, north")]
+    east_m: Annotated[Position, Meta(description="change of position from the earlier epoch to t_ns, east")]
 
 
 class AdcpPing(Message, frozen=True, kw_only=True, eq=False):
@@ -152,23 +269,26 @@ class AdcpPing(Message, frozen=True, kw_only=True, eq=False):
     where a beam has no return.
     """
 
-    t_ns: int
-    range_m: Array
-    beam_velocity_mps: Matrix
+    t_ns: ValidityTime
+    range_m: Annotated[SlantRanges, Meta(description="slant range of each cell's centre, increasing")]
+    beam_velocity_mps: Annotated[
+        BeamSpeedRows,
+        Meta(description="4 x K, of the water along each beam, positive away from the vehicle; null: no return"),
+    ]
 
 
 class PressureDepth(Message, frozen=True, kw_only=True, eq=False):
     """Depth below the surface from pressure."""
 
-    t_ns: int
-    depth_m: float
+    t_ns: ValidityTime
+    depth_m: Annotated[Depth, Meta(description="depth below the surface")]
 
 
 class CompassHeading(Message, frozen=True, kw_only=True, eq=False):
     """True heading from a magnetic compass, deviation and declination already taken off, (-pi, pi]."""
 
-    t_ns: int
-    heading_rad: float
+    t_ns: ValidityTime
+    heading_rad: Annotated[Angle, Meta(description="true heading, corrected for deviation and declination")]
 
 
 class BottomTrack(Message, frozen=True, kw_only=True, eq=False):
@@ -177,25 +297,29 @@ class BottomTrack(Message, frozen=True, kw_only=True, eq=False):
     ``range_m`` (4,) is the slant range to the bottom; both are NaN (null on the wire) for a beam that has not found it.
     """
 
-    t_ns: int
-    range_m: Array
-    beam_velocity_mps: Array
+    t_ns: ValidityTime
+    range_m: Annotated[SlantRangesOrNone, Meta(description="slant range to the bottom by beam; null: not found")]
+    beam_velocity_mps: Annotated[
+        BeamSpeeds, Meta(description="of the bottom along each beam, positive away from the vehicle; null: not found")
+    ]
 
 
 class LblRange(Message, frozen=True, kw_only=True, eq=False):
     """Two-way travel time to a transponder: half of it is a range, at the middle between interrogation and reply."""
 
-    t_ns: int  # that middle
-    transponder: int  # its place in the sensors file, from 0
-    travel_time_s: float  # there and back, the transponder's turn-around time already taken off
+    t_ns: Annotated[Time, Meta(description="middle between interrogation and reply")]
+    transponder: Annotated[Index, Meta(description="index in the sensors file, from 0")]
+    travel_time_s: Annotated[
+        TravelTime, Meta(description="two-way travel time without the transponder's turn-around time")
+    ]
 
 
 class UsblFix(Message, frozen=True, kw_only=True, eq=False):
     """Position over ground that a ship measured acoustically and sent down; it arrives later than it is valid."""
 
-    t_ns: int  # of validity
-    north_m: float
-    east_m: float
+    t_ns: ValidityTime
+    north_m: North
+    east_m: East
 
 
 # --- aboard ----------------------------------------------------------------------------------------------------------
@@ -204,10 +328,12 @@ class UsblFix(Message, frozen=True, kw_only=True, eq=False):
 class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
     """Horizontal water velocity over depth; linear between depths, constant beyond both ends. All arrays (K,)."""
 
-    depth_m: Array
-    north_mps: Array
-    east_mps: Array
-    sd_mps: Array | None = None
+    depth_m: Annotated[Depths, Meta(description="K depths, increasing; linear between them, constant beyond both ends")]
+    north_mps: Annotated[WaterSpeeds, Meta(description="velocity of the water over ground at each depth, north")]
+    east_mps: Annotated[WaterSpeeds, Meta(description="velocity of the water over ground at each depth, east")]
+    sd_mps: Annotated[
+        SpeedDeviations | None, Meta(description="standard deviation of either component at each depth")
+    ] = None
 
 
 class Estimate(Message, frozen=True, kw_only=True, eq=False):
@@ -216,17 +342,22 @@ class Estimate(Message, frozen=True, kw_only=True, eq=False):
     ``covariance`` is (6, 6) over north, east (m), velocity north, east (m/s), heading (rad), yaw rate (rad/s).
     """
 
-    t_ns: int
-    north_m: float
-    east_m: float
-    heading_rad: float
-    yaw_rate_radps: float
-    velocity_north_mps: float
-    velocity_east_mps: float
-    depth_m: float | None = None
-    velocity_down_mps: float | None = None
-    covariance: Matrix | None = None
-    current: CurrentProfile | None = None
+    t_ns: ValidityTime
+    north_m: North
+    east_m: East
+    heading_rad: Annotated[Angle, Meta(description="true heading, clockwise from north; may be unwrapped")]
+    yaw_rate_radps: YawRate
+    velocity_north_mps: VelocityNorth
+    velocity_east_mps: VelocityEast
+    depth_m: Annotated[Depth | None, Meta(description="depth below the surface; left out by surface craft")] = None
+    velocity_down_mps: Annotated[Speed | None, Meta(description="sinking speed; 0 is assumed without it")] = None
+    covariance: Annotated[
+        CovarianceMatrix | None,
+        Meta(description="6 x 6 of north, east, velocity north, velocity east, heading, yaw rate"),
+    ] = None
+    current: Annotated[
+        CurrentProfile | None, Meta(description="velocity of the water over depth, as far as it is known")
+    ] = None
 
     @classmethod
     def at_rest(
@@ -267,23 +398,31 @@ class SensorStatus(enum.StrEnum):
 class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One sensor since the last report. ``nis``: mean over the window, per degree of freedom, before the gate."""
 
-    sensor: str
-    status: SensorStatus
-    used: int  # scalar measurements that corrected the filter
-    refused: dict[str, int]  # by reason: gate, late, no_return, outside_grid, ...
-    nis: float | None
-    last_t_ns: int | None  # validity time of its newest message
+    sensor: Annotated[str, Meta(description="name in the sensors file")]
+    status: Annotated[SensorStatus, Meta(description="the filter's verdict on the sensor")]
+    used: Annotated[Count, Meta(description="scalar measurements that corrected the filter since the last report")]
+    refused: Annotated[
+        dict[str, Count],
+        Meta(description="measurements rejected since the last report, by reason: gate, late, no_return, ..."),
+    ]
+    nis: Annotated[
+        Dimensionless | None,
+        Meta(description="mean normalised innovation squared per degree of freedom, before the gate"),
+    ]
+    last_t_ns: Annotated[Time | None, Meta(description="time of validity of the newest message; null: none yet")]
 
 
 class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
     """The localisation filter's word about itself and its sensors."""
 
-    t_ns: int
-    status: FilterStatus
-    why: str  # empty while nominal
-    restarts: int  # of the filter, so far
-    water_walk_mps_per_rts: float  # granted to the water beyond the settings, because innovations asked for it; 0: none
-    sensors: tuple[SensorReport, ...]
+    t_ns: ValidityTime
+    status: Annotated[FilterStatus, Meta(description="how far the filter can be believed")]
+    why: Annotated[str, Meta(description="reason of the status; empty while nominal")]
+    restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
+    water_walk_mps_per_rts: Annotated[
+        RandomWalk, Meta(description="random walk added to the water's, because innovations require it; 0: none")
+    ]
+    sensors: Annotated[tuple[SensorReport, ...], Meta(description="one report for each sensor")]
 
 
 class PlanOrigin(enum.StrEnum):
@@ -331,23 +470,23 @@ class Action(enum.StrEnum):
 class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the controller knows of one input."""
 
-    input: str  # its key
-    alive: bool  # heard lately
-    valid: bool  # what was heard last is of now, by its own stamp
-    rate: bool  # of what came lately, no more than half was missing
-    age_ns: int | None  # of what was heard last; None before the first
-    period_ns: int  # median spacing of the stamps; 0 before the second
-    refused: int  # out of order, or not to be believed, so far
+    input: Annotated[str, Meta(description="key of the input")]
+    alive: Annotated[bool, Meta(description="a message arrived lately")]
+    valid: Annotated[bool, Meta(description="the newest message is current by its own stamp")]
+    rate: Annotated[bool, Meta(description="at most half of the recent messages are missing")]
+    age_ns: Annotated[Time | None, Meta(description="age of the newest message; null before the first")]
+    period_ns: Annotated[Duration, Meta(description="median spacing of the stamps; 0 before the second")]
+    refused: Annotated[Count, Meta(description="messages not used so far: out of order or implausible")]
 
 
 class Solve(Message, frozen=True, kw_only=True, eq=False):
     """The solver's account of one solve; residuals are those of the scaled problem."""
 
-    status: SolveStatus
-    iterations: int = 0
-    primal_residual: float = 0.0
-    dual_residual: float = 0.0
-    why: str = ""
+    status: Annotated[SolveStatus, Meta(description="how the solve ended")]
+    iterations: Annotated[Count, Meta(description="iterations of the solver")] = 0
+    primal_residual: Annotated[Residual, Meta(description="primal residual of the scaled problem")] = 0.0
+    dual_residual: Annotated[Residual, Meta(description="dual residual of the scaled problem")] = 0.0
+    why: Why = ""
 
 
 class Plan(Message, frozen=True, kw_only=True, eq=False):
@@ -357,22 +496,32 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     predicted n, e (m), u, v (m/s, relative to the water), heading (rad), yaw rate (rad/s).
     """
 
-    cycle_t_ns: int  # start of the cycle that made it
-    t_ns: Times
-    thrust_N: Matrix
-    states: Matrix
-    origin: PlanOrigin
-    solve: Solve
-    why: str = ""  # of the origin, where it is not "solved"
-    authority: Authority = Authority.CONTROLLER
-    health: Health = Health.NOMINAL
-    estimate_t_ns: int = 0  # validity time of the estimate it is built on
-    expected_delay_ns: int = 0
-    reference_m: Pair | None = None  # north, east of the target at the first knot; None before the start
-    reference_depth_m: float | None = None  # that it ends at
-    progress: float | None = None  # of a path: the share that the target has behind it, 0 .. 1
-    cross_track_m: float | None = None  # of the vehicle at the first knot, from the path, positive to starboard of it
-    remaining_m: float | None = None  # of the path, before the target
+    cycle_t_ns: Annotated[Time, Meta(description="start of the cycle that made the plan")]
+    t_ns: Annotated[Knots, Meta(description="N + 1 knots, increasing; the plan takes effect at the first")]
+    thrust_N: Annotated[ForceRows, Meta(description="(N + 1) x 3, commands at the knots: port, starboard, vertical")]
+    states: Annotated[
+        VehicleStateRows,
+        Meta(description="(N + 1) x 6, predicted: north, east, surge, sway (through the water), heading, yaw rate"),
+    ]
+    origin: Annotated[PlanOrigin, Meta(description="where the thrusts come from, best first")]
+    solve: Annotated[Solve, Meta(description="the solver's account")]
+    why: Annotated[str, Meta(description="reason of the origin, where it is not solved")] = ""
+    authority: Annotated[Authority, Meta(description="who commands the thrusters")] = Authority.CONTROLLER
+    health: Annotated[Health, Meta(description="how well the controller's inputs keep up")] = Health.NOMINAL
+    estimate_t_ns: Annotated[Time, Meta(description="t_ns of the estimate that the plan is built on")] = 0
+    expected_delay_ns: Annotated[Duration, Meta(description="from the start of the cycle to the first knot")] = 0
+    reference_m: Annotated[
+        tuple[Position, Position] | None,
+        Meta(description="north, east of the target at the first knot; null before the reference"),
+    ] = None
+    reference_depth_m: Annotated[
+        Depth | None, Meta(description="depth at which the reference ends; null where none is wanted")
+    ] = None
+    progress: Annotated[Share | None, Meta(description="share of the path behind the target")] = None
+    cross_track_m: Annotated[
+        Position | None, Meta(description="distance from the path at the first knot, positive to starboard")
+    ] = None
+    remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
 
     def thrust_at(self, t_ns: int) -> Array:
         """Commanded thrust (3,) at ``t_ns``, linear between knots, constant beyond both ends."""
@@ -389,25 +538,29 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
 class Command(Message, frozen=True, kw_only=True, eq=False):
     """What an operator asks: answered by an ``Acknowledged`` of the same ``command_id``."""
 
-    command_id: int  # the sender's choice; 48 random bits are told apart from every other's
-    action: Action
-    reference_toml: str = ""  # of "follow": what a reference file holds, as TOML
+    command_id: Annotated[
+        Identifier, Meta(description="the sender's choice, repeated in the answer; 48 random bits are unique")
+    ]
+    action: Annotated[Action, Meta(description="requested action")]
+    reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
 
 
 class Manual(Message, frozen=True, kw_only=True, eq=False):
     """Thrusts that a pilot asks for. They count for a second from their arrival, then the thrusters go to zero."""
 
-    thrust_N: Triple
+    thrust_N: Annotated[
+        Forces, Meta(description="wanted: port, starboard, vertical; valid for a second from its arrival")
+    ]
 
 
 class Acknowledged(Message, frozen=True, kw_only=True, eq=False):
     """The controller's answer to a ``Command``."""
 
-    t_ns: int
-    command_id: int
-    accepted: bool
-    authority: Authority  # after it
-    why: str  # it was refused; empty where it was accepted
+    t_ns: Annotated[Time, Meta(description="time of the controller's decision")]
+    command_id: Annotated[Identifier, Meta(description="command_id of the command that this answers")]
+    accepted: Annotated[bool, Meta(description="the command was carried out")]
+    authority: Annotated[Authority, Meta(description="who commands the thrusters after it")]
+    why: Annotated[str, Meta(description="reason of the refusal; empty where it was accepted")]
 
 
 # --- how the run itself goes: times, records, faults -----------------------------------------------------------------
@@ -420,22 +573,22 @@ class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
     vehicle time from the start of the cycle to its plan's publication, ``compute_wall_ns`` the same on the wall.
     """
 
-    t_ns: int  # start of the cycle
-    compute_ns: int
-    compute_wall_ns: int
-    estimate_age_ns: int  # at the start of the cycle
-    stage_us: dict[str, float]
+    t_ns: Annotated[Time, Meta(description="start of the cycle")]
+    compute_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, vehicle time")]
+    compute_wall_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, wall time")]
+    estimate_age_ns: Annotated[Time, Meta(description="age of the estimate at the start of the cycle")]
+    stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by stage")]
 
 
 class Rejected(Message, frozen=True, kw_only=True, eq=False):
     """A frame that was refused at a node's door."""
 
-    t_ns: int
-    node: str
-    key: str
-    reason: str
-    crc: int
-    payload_base64: str  # at most 4 KiB of it
+    t_ns: Annotated[Time, Meta(description="time of arrival")]
+    node: Publisher
+    key: Key
+    reason: Annotated[str, Meta(description="reason in words: the field and its bound")]
+    crc: Crc
+    payload_base64: Annotated[str, Meta(description="what arrived, at most 3072 bytes of it")]
 
 
 class Handed(Message, frozen=True, kw_only=True, eq=False):
@@ -444,21 +597,21 @@ class Handed(Message, frozen=True, kw_only=True, eq=False):
     What the node is given in the place of a message that was harmed, or what it said itself before that was harmed.
     """
 
-    t_ns: int
-    key: str
-    crc: int  # of the frame
-    payload_base64: str  # all of it
+    t_ns: Annotated[Time, Meta(description="time at which the injector received it")]
+    key: Annotated[str, Meta(description="key on which the node under test was given it, or published it")]
+    crc: Crc
+    payload_base64: Annotated[str, Meta(description="the whole frame")]
 
 
 class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where and when a reference began, and how the vehicle moved then."""
 
-    t_ns: int
-    north_m: float
-    east_m: float
-    depth_m: float
-    heading_rad: float
-    velocity_mps: Pair  # north, east, over ground
+    t_ns: Annotated[Time, Meta(description="time at which the reference began")]
+    north_m: North
+    east_m: East
+    depth_m: Annotated[Depth, Meta(description="depth below the surface")]
+    heading_rad: Annotated[Angle, Meta(description="true heading, clockwise from north seen from above")]
+    velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="over ground: north, east")]
 
 
 class ControllerState(Message, frozen=True, kw_only=True, eq=False):
@@ -468,33 +621,52 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     of a dead one is given it as its first message; its supervisor has put in the plan that is in force by then.
     """
 
-    t_ns: int
-    authority: Authority = Authority.DISARMED
-    reference_toml: str = ""  # as a reference file holds it; empty: the one that the controller was started with
-    began: ReferenceStart | None = None  # None before the reference is in force
-    schedule_t_ns: int = 0  # when ``schedule_s`` was right: the first knot of the last plan
-    schedule_s: float = 0.0  # how far the target has come: the time of the reference's own schedule
-    schedule_rate: float = 1.0  # of that time to the vehicle's
-    progress: float | None = None  # of a path, 0 .. 1
-    depth_integral_N: float = 0.0  # of the depth law: the vertical thrust at rest
-    plan_delays_ns: tuple[int, ...] = ()  # of the last plans, from the start of their cycle to their arrival
-    cycle_times_ns: tuple[int, ...] = ()  # of the last cycles, computing alone
-    model_products: Matrix | None = None  # (4, 4), of what was missing and its three likely reasons: safety/evidence.py
-    plan: Plan | None = None  # the last one that was sent
-    estimate: Estimate | None = None  # the newest one
+    t_ns: PublicationTime
+    authority: Annotated[Authority, Meta(description="who commands the thrusters")] = Authority.DISARMED
+    reference_toml: Annotated[
+        ReferenceText,
+        Meta(description="reference that is followed, as a reference file holds it; empty: the one of the start"),
+    ] = ""
+    began: Annotated[
+        ReferenceStart | None, Meta(description="where the reference began; null before it is in force")
+    ] = None
+    schedule_t_ns: Annotated[Time, Meta(description="when schedule_s was right: the first knot of the last plan")] = 0
+    schedule_s: Annotated[ScheduleTime, Meta(description="time of the target on the reference's own schedule")] = 0.0
+    schedule_rate: Annotated[
+        Share, Meta(description="rate of the schedule's time to the vehicle's; below 1 the target waits")
+    ] = 1.0
+    progress: Annotated[
+        Share | None, Meta(description="share of the reference behind the target; null where it has no end")
+    ] = None
+    depth_integral_N: Annotated[
+        Force, Meta(description="integral of the depth law: the vertical thrust that keeps a depth")
+    ] = 0.0
+    plan_delays_ns: Annotated[
+        Durations, Meta(description="of the last plans: from the start of the cycle to arrival at the actuators")
+    ] = ()
+    cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
+    model_products: Annotated[
+        ModelProductMatrix | None, Meta(description="4 x 4, summed: missing impulse, those of port, starboard, drag")
+    ] = None
+    plan: Annotated[
+        Plan | None, Meta(description="last plan that was sent; after a restart, the one in force at the actuators")
+    ] = None
+    estimate: Annotated[Estimate | None, Meta(description="newest estimate")] = None
 
 
 class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is known of a depth whose water is no state any more: ``Link`` of ``localisation/column.py``, flat."""
 
-    node: int  # of the grid of depths
-    velocity_mps: Pair  # c, north and east
-    given: Array  # g of then, (q,)
-    regression: Matrix  # A, (2, q)
-    covariance: Matrix  # C, (2, 2)
-    with_position: Matrix  # B, (2, 2)
-    position: Matrix  # S, (2, 2)
-    walked: float  # variance that each depth had gained by then, m2/s2
+    node: Annotated[Index, Meta(description="index in the grid of depths, from 0 at the surface")]
+    velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="velocity of the water over ground: north, east")]
+    given: Annotated[FilterStates, Meta(description="q states at that time, to which the regression refers")]
+    regression: Annotated[FilterStateRows, Meta(description="2 x q, regression of the velocity on those states")]
+    covariance: Annotated[CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity given those states")]
+    with_position: Annotated[CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity with the position")]
+    position: Annotated[
+        CovarianceMatrix, Meta(description="2 x 2, covariance of the position given those states, at that time")
+    ]
+    walked: Annotated[SpeedVariance, Meta(description="variance gained by the random walk up to that time")]
 
 
 class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
@@ -505,40 +677,44 @@ class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
     every 5 s; a new estimator that takes the place of a dead one is given it as its first message.
     """
 
-    t_ns: int
-    settings: int
-    x: Array  # (n,)
-    attitude: Matrix  # (3, 3), body to NED
-    mounting: Matrix  # (3, 3), profiler to body
-    covariance: Array
-    epoch_t_ns: int  # of the satellite epoch that x holds a clone of
-    first_node: int  # of the window of depths
-    seen_nodes: Times  # depths that the profiler has measured at
-    dropped: tuple[DroppedNode, ...]
-    walked: float  # variance that each depth has gained by walking in time, m2/s2
-    restarts: int  # of the filter, so far
-    estimate: Estimate | None = None  # the newest one, put in by the supervisor
+    t_ns: ValidityTime
+    settings: Annotated[
+        Identifier, Meta(description="CRC-32 of the settings of sensors and filter, with which alone it is valid")
+    ]
+    x: Annotated[FilterStates, Meta(description="n states, in the filter's order")]
+    attitude: Annotated[RotationMatrix, Meta(description="3 x 3, body to north, east, down")]
+    mounting: Annotated[RotationMatrix, Meta(description="3 x 3, profiler to body")]
+    covariance: Annotated[
+        Covariances, Meta(description="of the states: lower triangle, row by row, n (n + 1) / 2 numbers")
+    ]
+    epoch_t_ns: Annotated[Time, Meta(description="satellite epoch whose position is among the states")]
+    first_node: Annotated[Index, Meta(description="first depth of the window whose water is among the states")]
+    seen_nodes: Annotated[Indices, Meta(description="depths of the grid at which the profiler has measured")]
+    dropped: Annotated[tuple[DroppedNode, ...], Meta(description="what is known of depths that are no states any more")]
+    walked: Annotated[SpeedVariance, Meta(description="variance that each depth has gained by the random walk")]
+    restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
+    estimate: Annotated[Estimate | None, Meta(description="after a restart, the newest estimate")] = None
 
 
 class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):
     """One entry of a step's inbox as the record keeps it: enough to find the frame again."""
 
-    key: str
-    epoch: int
-    sequence: int
-    crc: int
-    received_t_ns: int
+    key: Key
+    epoch: Annotated[Identifier, Meta(description="epoch of the message's header")]
+    sequence: Annotated[Count, Meta(description="sequence of the message's header")]
+    crc: Crc
+    received_t_ns: Annotated[Time, Meta(description="time of arrival")]
 
 
 class StepRecord(Message, frozen=True, kw_only=True, eq=False):
     """One step of one node, published before the step's outputs: what an exact replay needs."""
 
-    node: str
-    epoch: int
-    step: int
-    t_ns: int
-    cause: str  # "grid", "cycle" or the key of the message that caused it
-    inbox: tuple[InboxEntry, ...]
+    node: Publisher
+    epoch: Annotated[Identifier, Meta(description="start of the sender that this is, as in the header")]
+    step: Annotated[Count, Meta(description="number of this node's step, from 0")]
+    t_ns: Annotated[Time, Meta(description="time of the step")]
+    cause: Annotated[str, Meta(description="grid, cycle, or the key of the message that caused the step")]
+    inbox: Annotated[tuple[InboxEntry, ...], Meta(description="messages given to the step, in order")]
 
 
 class ClockState(enum.StrEnum):
@@ -556,22 +732,26 @@ class Clock(Message, frozen=True, kw_only=True, eq=False):
     them exactly.
     """
 
-    clock_epoch: int
-    clock_sequence: int
-    host_boot_id: str
-    at_monotonic_us: int
-    vehicle_ns: int
-    speed_num: int
-    speed_den: int
-    asked_speed: float  # vehicle seconds per second of the wall; the machine may allow less
-    state: ClockState
+    clock_epoch: Annotated[Identifier, Meta(description="which start of the time-keeper this is")]
+    clock_sequence: Annotated[Count, Meta(description="number of the announcement; a repetition keeps its number")]
+    host_boot_id: Annotated[
+        str, Meta(description="boot of the time-keeper's host, within which monotonic times are comparable")
+    ]
+    at_monotonic_us: Annotated[MonotonicTime, Meta(description="CLOCK_MONOTONIC from which this holds")]
+    vehicle_ns: Annotated[Time, Meta(description="vehicle time at that instant")]
+    speed_num: Annotated[PositiveInteger, Meta(description="speed in force, numerator")]
+    speed_den: Annotated[PositiveInteger, Meta(description="speed in force, denominator")]
+    asked_speed: Annotated[
+        AskedSpeed, Meta(description="requested vehicle seconds per wall second; a slow machine is given fewer")
+    ]
+    state: Annotated[ClockState, Meta(description="what vehicle time does from then on")]
 
 
 class ClockCommand(Message, frozen=True, kw_only=True, eq=False):
     """How vehicle time shall go on, asked of the simulated vehicle that keeps it."""
 
-    paused: bool
-    speed: float  # vehicle seconds per second, of the wall
+    paused: Annotated[bool, Meta(description="vehicle time is to stand still")]
+    speed: Annotated[SpeedOfTime, Meta(description="vehicle seconds per second of the wall")]
 
 
 class ClockMode(enum.StrEnum):
@@ -585,65 +765,84 @@ class ClockMode(enum.StrEnum):
 class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     """One process's word about itself: that it is ready, what it counts, what it waits for."""
 
-    node: str
-    t_ns: int
-    ready: bool
-    waiting_for: str
-    steps: int
-    published: int
-    received: int
-    dropped: int
-    rejected: int
-    step_us: float  # mean wall time of a step since the last status
-    behind_us: int = 0  # least wall time that a message waited since the last status: a queue that stands
-    finished: bool = False  # it has done all that it was asked for
+    node: Publisher
+    t_ns: PublicationTime
+    ready: Annotated[bool, Meta(description="the node can do its work")]
+    waiting_for: Annotated[str, Meta(description="what the node waits for, in words; empty where nothing")]
+    steps: Annotated[Count, Meta(description="steps so far")]
+    published: Annotated[Count, Meta(description="messages published so far, on all keys")]
+    received: Annotated[Count, Meta(description="messages accepted so far")]
+    dropped: Annotated[Count, Meta(description="messages that never arrived so far, by gaps in the sequences")]
+    rejected: Annotated[Count, Meta(description="messages refused so far")]
+    step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")]
+    behind_us: Annotated[
+        WholeWallTime, Meta(description="least wall time that a message waited since the last status: a standing queue")
+    ] = 0
+    finished: Annotated[bool, Meta(description="the node has done all its work; this is its last status")] = False
 
 
 class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
     """How the controller fares: its inputs, its cycles, who is in charge. Times are those of the last 10 s."""
 
-    t_ns: int
-    estimate_age_ns: int | None  # of the newest estimate; None before the first
-    applied_age_ns: int | None  # of the actuators' newest report; None: its plans are assumed to be followed
-    cycle_median_us: float | None  # from the start of a cycle to its plan, on the wall; None where there was none
-    cycle_p99_us: float | None
-    received: int  # messages let in so far
-    dropped: int  # that were sent and never came, by their sequences
-    rejected: dict[str, int]  # by reason
-    clock: ClockMode
-    clock_error_ns: int | None  # at most so far off; None: one-way, where nobody can tell
-    authority: Authority
-    health: Health
-    error_m: float | None  # horizontal, from the newest estimate to the reference; None where nothing is followed
-    progress: float | None = None  # along the reference, 0 to 1; None where it has no end
-    inputs: tuple[InputReport, ...] = ()  # whose ages count
+    t_ns: PublicationTime
+    estimate_age_ns: Annotated[Time | None, Meta(description="age of the newest estimate; null before the first")]
+    applied_age_ns: Annotated[
+        Time | None, Meta(description="age of the actuators' newest report; null: plans count as followed")
+    ]
+    cycle_median_us: Annotated[
+        WallTime | None, Meta(description="from the start of a cycle to its plan, median of 10 s; null: no cycle")
+    ]
+    cycle_p99_us: Annotated[WallTime | None, Meta(description="99th percentile of the same")]
+    received: Annotated[Count, Meta(description="messages accepted so far")]
+    dropped: Annotated[Count, Meta(description="messages that never arrived so far, by gaps in the sequences")]
+    rejected: Annotated[dict[str, Count], Meta(description="messages refused so far, by reason")]
+    clock: Annotated[ClockMode, Meta(description="how the controller knows your time")]
+    clock_error_ns: Annotated[
+        Duration | None, Meta(description="bound of the clock's error; null: one-way, where it is unknown")
+    ]
+    authority: Annotated[Authority, Meta(description="who commands the thrusters")]
+    health: Annotated[Health, Meta(description="how well the controller's inputs keep up")]
+    error_m: Annotated[
+        Position | None,
+        Meta(description="horizontal, from the newest estimate to the reference; null: nothing is followed"),
+    ]
+    progress: Annotated[
+        Share | None, Meta(description="share of the reference behind the target; null where it has no end")
+    ] = None
+    inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose ages count")] = ()
 
 
 class Kill(Message, frozen=True, kw_only=True, eq=False):
     """End one process of a simulation without warning, to see what the others do: asked of its launcher."""
 
-    node: str
+    node: Annotated[str, Meta(description="node whose process is ended")]
 
 
 class ModelCheck(Message, frozen=True, kw_only=True, eq=False):
     """How far the vehicle does what its model says: the motion from one estimate to the next, seen less foreseen."""
 
-    t_ns: int
-    residual_N: float  # in surge, mean since the last word; below 0: it is pushed ahead by less than it should be
-    residual_Nm: float  # in yaw
-    evidence: float  # that thrust has been lost, beyond what mismatch explains: a log-likelihood ratio
-    thrust_loss: Pair  # share of it that is most likely lacking, port and starboard
-    alarm: bool  # it stays until the vehicle has done as its model says for a while
-    why: str  # of the alarm
+    t_ns: PublicationTime
+    residual_N: Annotated[Force, Meta(description="surge force, observed minus predicted, mean since the last message")]
+    residual_Nm: Annotated[
+        Moment, Meta(description="yaw moment, observed minus predicted, mean since the last message")
+    ]
+    evidence: Annotated[
+        Dimensionless, Meta(description="log-likelihood ratio of lost thrust, beyond what model mismatch explains")
+    ]
+    thrust_loss: Annotated[
+        tuple[Share, Share], Meta(description="most likely lost share of the thrust: port, starboard")
+    ]
+    alarm: Annotated[bool, Meta(description="the vehicle does not move as its model says")]
+    why: Annotated[str, Meta(description="reason of the alarm")]
 
 
 class RunEvent(Message, frozen=True, kw_only=True, eq=False):
     """Something worth a mark on the time axis: a phase, a loss, a restart."""
 
-    t_ns: int
-    node: str
-    kind: str
-    text: str
+    t_ns: Annotated[Time, Meta(description="time of the event")]
+    node: Publisher
+    kind: Annotated[str, Meta(description="one word")]
+    text: Annotated[str, Meta(description="in words")]
 
 
 def to_wire(value: Any) -> Any:

@@ -38,7 +38,7 @@ Schedule: TypeAlias = Grid | Cycle | OnMessage
 
 
 class Arrival(msgspec.Struct, frozen=True, eq=False, gc=False):
-    """One entry of an inbox: a signal that passed admission, its source's epoch and sequence, and its arrival."""
+    """One entry of an inbox: a signal that passed validation, its source's epoch and sequence, and its arrival."""
 
     signal: Message
     epoch: int

@@ -13,7 +13,7 @@ Whoever calls a cycle measures it. Here nothing is measured: a cycle that made a
 that says ``compute_delay_ns``, no wall time and no stages.
 
 ``between`` stands where the bus stands between processes: what it does to messages is done outside every node. With
-none a message arrives as it was published, and admission is its only door.
+none a message arrives as it was published, and validation is its only check.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.messages import CycleTiming, Estimate, Message, Plan, Rejected
 from ltv_mpc.node import Arrival, Grid, Inbox, Node, OnMessage
+from ltv_mpc.validation import refusal
 
 EPOCH = 1
 """The epoch of every node: in lock step none restarts."""
@@ -102,7 +102,7 @@ class LockStep:
 
     ``compute_delay_ns`` is one for all cycles, or a function of a cycle's start. ``observe`` sees everything,
     ``latest`` names the types of which a reader wants the newest only, ``refused`` words the ``Rejected`` for what
-    admission turns away.
+    validation refuses.
     """
 
     def __init__(

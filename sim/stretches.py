@@ -17,9 +17,9 @@ from itertools import count
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from ltv_mpc.admission import JUDGES, refusal
 from ltv_mpc.messages import Message, Plan, Rejected
 from ltv_mpc.node import Arrival, Cycle, Due, Node, OnMessage, steps_of
+from ltv_mpc.validation import validator
 from sim.lockstep import EPOCH, LATEST, Refuse, refused_by_name, timing_of
 
 
@@ -40,7 +40,7 @@ _by_place = itemgetter(0)
 
 
 class _Refusal(NamedTuple):
-    """What ``admission`` turns away at the door of one reader."""
+    """What ``validation`` refuses one reader."""
 
     place: Place
     reader: _Seat
@@ -54,7 +54,7 @@ class _Route:
     __slots__ = ("_published", "judge", "readers", "told")
 
     def __init__(self, kind: type[Message], readers: Sequence[_Seat], told: bool) -> None:
-        self.judge = JUDGES.get(kind, refusal)
+        self.judge = validator(kind)
         self.readers = tuple(readers)
         self.told = told
         self._published = 0

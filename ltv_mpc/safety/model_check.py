@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.prediction import current_in
-from ltv_mpc.messages import Applied, Estimate, Matrix, ModelCheck, Pair
+from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
 from ltv_mpc.safety.evidence import WINDOWS, learn, weigh
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -98,11 +98,11 @@ class ModelWatch:
         self.loss: Pair = (0.0, 0.0)
 
     @property
-    def learned(self) -> Matrix | None:
+    def learned(self) -> Array | None:
         """What is known of the vehicle (``evidence.learn``), its own copy; None before anything is."""
         return self._known.copy() if self._known.any() else None
 
-    def resume(self, learned: Matrix) -> None:
+    def resume(self, learned: Array) -> None:
         """Go on from what another one had ``learned`` of the same vehicle, in a dive that has settled."""
         self._known[...] = learned
         self._unsettled_s = 0.0

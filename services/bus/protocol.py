@@ -118,10 +118,9 @@ def _fields(found: Mapping[str, Field]) -> str:
 
 def unit(field: Field) -> str:
     """``m, -1e+06 to 1e+06``; empty where a field has no number, or none with bounds."""
-    if field.range is None:
+    if field.bounds is None:
         return ""
-    low, high, name = field.range
-    return f"{re.split('[,;]', name)[0]}, {_bound(low)} to {_bound(high)}"
+    return f"{field.bounds.unit}, {_bound(field.bounds.low)} to {_bound(field.bounds.high)}"
 
 
 def _bound(bound: float) -> str:

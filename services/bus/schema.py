@@ -1,7 +1,8 @@
 """JSON Schema of each message as it travels and is recorded: the header's fields, then the signal's.
 
 A field is required where nobody can do without it: a reader takes the rest as absent (this project's own writers leave
-nothing out: there it is null). Numbers have the bounds of ``ltv_mpc/ranges.py``, beyond which a message is refused.
+nothing out: there it is null). Types, bounds and meanings are the annotations of ``ltv_mpc/messages.py``; a message
+beyond its bounds is refused.
 
 Every schema is an object and self-contained. Foxglove's reader of JSON schemas knows neither ``$ref`` nor ``null`` nor
 an array in an array under ``properties``: it drops the whole channel. So a field that may be null and a matrix are
@@ -16,13 +17,11 @@ from inspect import cleandoc
 from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
-import numpy as np
 from msgspec import inspect as struct
 
 from ltv_mpc.messages import Message
-from ltv_mpc.ranges import RANGES, Range
-from services.bus.meanings import meaning
-from services.bus.wire import HEADER_RANGES, Header
+from ltv_mpc.validation import Bounds, bounds, plain_type
+from services.bus.wire import Header
 
 Schema: TypeAlias = dict[str, Any]
 
@@ -32,7 +31,7 @@ class Field(NamedTuple):
 
     value: Schema
     required: bool
-    range: Range | None  # of all its numbers
+    bounds: Bounds | None  # of all its numbers
 
 
 @cache
@@ -62,15 +61,15 @@ def fields(kind: type) -> dict[str, Field]:
     info = struct.type_info(kind)
     if not isinstance(info, struct.StructType):
         raise TypeError(f"{kind} is no message")
-    ranges = HEADER_RANGES if kind is Header else RANGES.get(kind, {})
-    found = {}
-    for field in info.fields:
-        name = field.encode_name
-        value = _value(field.type, ranges.get(name))
-        if words := meaning(kind, name):
-            value = {"description": words} | value
-        found[name] = Field(value, field.required, ranges.get(name))
-    return found
+    limits = bounds(kind)
+    return {
+        field.name: Field(_description(field.type) | _value(field.type), field.required, limits.get(field.name))
+        for field in info.fields
+    }
+
+
+def _description(of: struct.Type) -> Schema:
+    return (of.extra_json_schema or {}) if isinstance(of, struct.Metadata) else {}
 
 
 def _object(found: dict[str, Field]) -> Schema:
@@ -92,47 +91,38 @@ def _is_simple(value: Schema) -> bool:
     return inside != "array" and not isinstance(inside, list)
 
 
-def _value(info: struct.Type, bounds: Range | None) -> Schema:
-    match info:
-        case struct.Metadata(type=inner, extra_json_schema=extra):
-            return _array(inner, (extra or {}).get("items", {}).get("type", "number"), bounds)
+def _value(of: struct.Type) -> Schema:
+    match plain_type(of):
         case struct.BoolType():
             return {"type": "boolean"}
-        case struct.IntType():
-            return {"type": "integer"} | _bounds(bounds)
-        case struct.FloatType():
-            return {"type": "number"} | _bounds(bounds)
-        case struct.StrType():
-            return {"type": "string"}
+        case struct.IntType(ge=low, le=high):
+            return {"type": "integer", "minimum": low, "maximum": high}
+        case struct.FloatType(ge=low, le=high):
+            return {"type": "number", "minimum": low, "maximum": high}
+        case struct.StrType(max_length=most):
+            return {"type": "string"} | ({} if most is None else {"maxLength": most})
         case struct.EnumType(cls=cls):
             return {"type": "string", "enum": [member.value for member in cls]}
-        case struct.CustomType(cls=cls) if cls is np.ndarray:
-            return _array(info, "number", bounds)
         case struct.TupleType(item_types=items):
-            item = _value(items[0], bounds)
-            return {"type": "array", "items": item, "minItems": len(items), "maxItems": len(items)}
-        case struct.VarTupleType(item_type=item):
-            return {"type": "array", "items": _value(item, bounds)}
+            return {"type": "array", "items": _value(items[0]), "minItems": len(items), "maxItems": len(items)}
+        case struct.VarTupleType(item_type=item, max_length=most):
+            return {"type": "array", "items": _value(item)} | ({} if most is None else {"maxItems": most})
+        case struct.ListType(item_type=item):
+            return {"type": "array", "items": _number_or_null(item)}
         case struct.DictType(value_type=value):
-            return {"type": "object", "properties": {}, "additionalProperties": _value(value, bounds)}
+            return {"type": "object", "properties": {}, "additionalProperties": _value(value)}
         case struct.StructType(cls=cls):
             return _object(fields(cls))
         case struct.UnionType(types=types):
-            return {"anyOf": [_value(t, bounds) for t in types]}
+            return {"anyOf": [_value(one) for one in types]}
         case struct.NoneType():
             return {"type": "null"}
-    raise NotImplementedError(f"{info} has no place in a message")
+    raise NotImplementedError(f"{of} has no place in a message")
 
 
-def _array(info: struct.Type, item: str, bounds: Range | None) -> Schema:
-    """``item`` is "integer", "number" or, where the array is a matrix, "array"."""
-    if not isinstance(info, struct.CustomType):
-        raise NotImplementedError(f"{info} has no place in a message")
-    # Without bounds of its own it may hold NaN, which means something there and travels as null.
-    number: Schema = {"type": "number" if bounds else ["number", "null"]} | _bounds(bounds)
-    inner = {"array": {"type": "array", "items": number}, "integer": {"type": "integer"} | _bounds(bounds)}
-    return {"type": "array", "items": inner.get(item, number)}
-
-
-def _bounds(bounds: Range | None) -> Schema:
-    return {} if bounds is None else {"minimum": bounds.low, "maximum": bounds.high}
+def _number_or_null(of: struct.Type) -> Schema:
+    """Describe an entry of an array: a number, or a number or null where a value may be missing."""
+    if not isinstance(of, struct.UnionType):
+        return _value(of)
+    (number,) = (_value(one) for one in of.types if not isinstance(one, struct.NoneType))
+    return number | {"type": [number["type"], "null"]}

@@ -1,23 +1,24 @@
 """One message as bytes: a plain msgpack map, the header's fields first, then the signal's, units in their names.
 
 Encoding is ``plain`` (a map of builtins, which is also what a recording holds as JSON) packed with msgpack. Decoding
-is typed (unknown, missing and mistyped fields are refused) and checks meaning (``ltv_mpc/admission.py``). Whatever the
-bytes are, ``decode`` returns a signal that is fit for a node or raises ``WireError`` with the reason.
+is typed (unknown, missing and mistyped fields, and single numbers out of bounds, are refused) and valid
+(``ltv_mpc/validation.py``). Whatever the bytes are, ``decode`` returns a signal that is fit for a node or raises
+``WireError`` with the reason.
 """
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgpack
 import msgspec
-import numpy as np
+from msgspec import Meta
 
-from ltv_mpc.admission import refusal
-from ltv_mpc.messages import Message, from_wire, to_wire
-from ltv_mpc.ranges import Range
+from ltv_mpc.messages import Count, Message, MonotonicTime, from_wire, to_wire
+from ltv_mpc.validation import refusal
 
 S = TypeVar("S", bound=Message)
 T = TypeVar("T")
@@ -25,25 +26,20 @@ T = TypeVar("T")
 MAX_PAYLOAD_BYTES = 1 << 20
 """A larger frame is refused unread: the largest message, an estimate with its profile, has about 10 kB."""
 
-MAX_EPOCH = 2**48 - 1
-MAX_COUNT = 2**53 - 1  # beyond it JavaScript's numbers are not exact
-
-HEADER_RANGES: Mapping[str, Range] = {
-    "epoch": Range(0, MAX_EPOCH, "48 bits"),
-    "sequence": Range(0, MAX_COUNT, "a count"),
-    "sent_monotonic_us": Range(0, MAX_COUNT, "us"),
-}
+Epoch: TypeAlias = Annotated[int, Meta(ge=0, le=2**48 - 1, extra={"unit": "identifier"})]
 
 RUBBISH = (ValueError, TypeError, ArithmeticError, LookupError, RecursionError, msgpack.UnpackException)
 """What msgpack, msgspec and numpy raise on hostile bytes; UnicodeDecodeError and ValidationError are ValueErrors."""
 
 
-class Header(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Header(msgspec.Struct, frozen=True, kw_only=True):
     """Who sent a message and which of its messages it is."""
 
-    epoch: int  # 48 random bits for each start of a process
-    sequence: int  # of this key and epoch, from 0 without a gap
-    sent_monotonic_us: int = 0  # the host's CLOCK_MONOTONIC at publication; 0: not said, as in lock step
+    epoch: Annotated[Epoch, Meta(description="start of the sender that this is: 48 random bits, drawn at each start")]
+    sequence: Annotated[Count, Meta(description="number of the message of this key and epoch, from 0 without a gap")]
+    sent_monotonic_us: Annotated[
+        MonotonicTime, Meta(description="the sender's CLOCK_MONOTONIC at publication; 0 or left out: unknown")
+    ] = 0
 
 
 class WireError(ValueError):
@@ -83,15 +79,14 @@ def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     """The same of a plain map: what ``unpack`` gives, or a recording's JSON. Raises ``WireError``, and nothing else."""
     header = header_of(message)
     signal = _checked(_signal, kind, message)
-    with np.errstate(all="ignore"):  # infinity over infinity in a hostile covariance is refused, and no news
-        reason = _checked(refusal, signal)
+    reason = _checked(refusal, signal)
     if reason is not None:
         raise WireError(reason)
     return signal, header
 
 
 def admitted(kind: type[S], message: dict[str, Any]) -> S:
-    """The signal of a plain map that a door has let in before: only its form is judged. Raises ``WireError``."""
+    """The signal of a plain map that a door has let in before: it is not validated again. Raises ``WireError``."""
     signal: S = _checked(_signal, kind, message)
     return signal
 
@@ -107,8 +102,9 @@ def unpack(payload: bytes) -> dict[str, Any]:
 
 
 def header_of(message: dict[str, Any]) -> Header:
-    """The header of what ``unpack`` gives, its ranges checked. Raises ``WireError``, and nothing else."""
-    return _checked(_header, message)
+    """The header of what ``unpack`` gives, its bounds checked. Raises ``WireError``, and nothing else."""
+    header: Header = _checked(_converted, message, Header)
+    return header
 
 
 def crc(payload: bytes) -> int:
@@ -123,16 +119,7 @@ def _checked(function: Callable[..., T], *args: object) -> T:
         raise WireError((str(error) or type(error).__name__)[:200]) from None
 
 
-HEADER_FIELDS = tuple(Header.__struct_fields__)
-
-
-def _header(message: dict[str, Any]) -> Header:
-    values: tuple[Any, ...] = (message.get("epoch"), message.get("sequence"), message.get("sent_monotonic_us", 0))
-    for value, (name, (low, high, _)) in zip(values, HEADER_RANGES.items(), strict=True):
-        if not (type(value) is int and low <= value <= high):
-            raise ValueError(f"{name}: an integer from {low} to {high} is required")
-    epoch, sequence, sent_monotonic_us = values
-    return Header(epoch=epoch, sequence=sequence, sent_monotonic_us=sent_monotonic_us)
+HEADER_FIELDS = Header.__struct_fields__
 
 
 def _signal(kind: type[S], message: dict[str, Any]) -> S:
@@ -141,4 +128,31 @@ def _signal(kind: type[S], message: dict[str, Any]) -> S:
     for name in HEADER_FIELDS:
         if name not in kind.__struct_fields__:
             own.pop(name, None)
-    return msgspec.convert(own, kind, dec_hook=from_wire)
+    return _converted(own, kind)
+
+
+def _converted(message: dict[str, Any], kind: type[T]) -> T:
+    try:
+        return msgspec.convert(message, kind, dec_hook=from_wire)
+    except msgspec.ValidationError as error:
+        raise WireError(_with_value(str(error), message)) from None
+
+
+_AT = re.compile(r" - at `\$\.?(.*)`$")
+_STEP = re.compile(r"(\w+)|\[(\d+)\]")
+
+
+def _with_value(text: str, message: Any) -> str:
+    """Return msgspec's reason as ``field = value: reason``, the value only where it is a number."""
+    found = _AT.search(text)
+    if found is None:
+        return text
+    field = found[1]
+    value = message
+    try:
+        for name, index in _STEP.findall(field):
+            value = value[name or int(index)]
+    except (LookupError, TypeError):  # an entry of a map has no place in msgspec's path
+        value = None
+    reason = text[: found.start()]
+    return f"{field} = {value}: {reason}" if isinstance(value, int | float) else f"{field}: {reason}"

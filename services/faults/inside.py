@@ -9,7 +9,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.messages import (
     Applied,
     Disturbance,
@@ -28,6 +27,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
 from services.bus.door import Door

@@ -12,7 +12,7 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Harm, Injection
-from ltv_mpc.ranges import RANGES
+from ltv_mpc.validation import bounds
 from services.bus.topics import topic_at
 
 Time = Annotated[float, Meta(ge=-1e6, le=1e6)]
@@ -67,7 +67,9 @@ def problem(asked: Injection) -> tuple[str, str] | None:
         return "size", f"must be > 0 and <= 1 (a share of the messages) for {asked.harm}"
     if asked.harm is Harm.DELAY and not 0 < asked.size <= LONGEST_DELAY_S:
         return "size", f"must be > 0 and <= {LONGEST_DELAY_S:g} (s) for {asked.harm}"
-    if asked.harm is Harm.NOT_A_NUMBER and topic.signal not in RANGES:
+    # NaN in an array with gaps is a missing value.
+    harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.signal).values())
+    if asked.harm is Harm.NOT_A_NUMBER and not any(harmable):
         return "key", "has no number that could be none"
     return None
 

@@ -14,8 +14,9 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc.config import loads
+from ltv_mpc.messages import Count
 from services.bus import topics
-from services.bus.wire import MAX_COUNT, MAX_EPOCH
+from services.bus.wire import Epoch
 from services.recording.gaps import Gaps
 from services.recording.recover import RECOVERY, Line, Lines
 
@@ -93,8 +94,8 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Header(msgspec.Struct):
-    epoch: Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
-    sequence: Annotated[int, Meta(ge=0, le=MAX_COUNT)]
+    epoch: Epoch
+    sequence: Count
 
 
 class _RunEvent(msgspec.Struct):

@@ -9,8 +9,8 @@ from collections import deque
 
 import numpy as np
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.messages import Array, Estimate, Plan
+from ltv_mpc.validation import refusal
 from services.ros2 import cdr
 from services.ros2.odometry import OdometryError, estimate_of
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.currents import WaterPrior, read_prior
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import Estimate
+from ltv_mpc.validation import refusal
 
 
 def beside(folder: Path, settings: EstimatorConfig) -> EstimatorConfig:

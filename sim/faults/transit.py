@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.messages import Harm, Message
 from ltv_mpc.node import Arrival
-from ltv_mpc.ranges import RANGES
+from ltv_mpc.validation import bounds
 from sim.faults.spell import Spell
 from sim.lockstep import Delivery
 
@@ -169,8 +169,9 @@ class _Corruption(_Harm):
 
 class _NotANumber(_Harm):
     def harm(self, message: Arrival) -> list[Delivery]:
-        signal: Any = message.signal
-        fields = [name for name in RANGES[type(signal)] if _is_real(getattr(signal, name))]
+        signal = message.signal
+        limits = bounds(type(signal)).items()
+        fields = [name for name, of in limits if not of.has_gaps and _is_real(getattr(signal, name))]
         name = fields[int(self.rng.integers(len(fields)))]
         bad = NOT_NUMBERS[int(self.rng.integers(len(NOT_NUMBERS)))]
         values = np.array(getattr(signal, name), dtype=np.float64)

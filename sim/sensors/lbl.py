@@ -19,8 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.localisation.suite import Lbl
-from ltv_mpc.messages import LblRange, Triple
-from ltv_mpc.ranges import TRAVEL_TIME
+from ltv_mpc.messages import MAX_TRAVEL_TIME_S, LblRange, Triple
 from sim.draws import Stream, generator
 from sim.sensors.injected import Injected
 from sim.sensors.instant import Instant, Motion
@@ -71,7 +70,7 @@ class Transceiver:
             tau = self._time_s(answer, motion, until_ns)
             # t - t0 - tau(t) grows with t: the head is slower than sound. So it is back by now or it is not.
             if until_ns - answer.called_ns < tau * 1e9:
-                if tau <= TRAVEL_TIME.high:
+                if tau <= MAX_TRAVEL_TIME_S:
                     waiting.append(answer)
                 continue
             for _ in range(3):  # each makes the error v / c of what it was

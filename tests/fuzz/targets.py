@@ -25,7 +25,6 @@ from mcap.writer import Writer
 from scipy.sparse import csc_array, eye_array
 
 from ltv_mpc import references
-from ltv_mpc.admission import refusal
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.failed import FailedQp
@@ -50,6 +49,7 @@ from ltv_mpc.messages import (
     SolveStatus,
 )
 from ltv_mpc.node import Arrival
+from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
 from services.bus.door import Door

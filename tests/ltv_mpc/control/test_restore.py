@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Estimate, Plan, PlanOrigin, Vehicle, advance, references
-from ltv_mpc.admission import refusal
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import SAVE_NS, ControllerNode
 from ltv_mpc.messages import (
@@ -24,6 +23,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Arrival
 from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.validation import refusal
 from tests.ltv_mpc.reports import report
 
 PAPER = Vehicle.load("paper")

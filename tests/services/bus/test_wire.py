@@ -13,25 +13,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.admission import CONSISTENCY, refusal
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
     CurrentProfile,
-    DroppedNode,
     Estimate,
-    InboxEntry,
-    InputReport,
     Message,
     Plan,
     PressureDepth,
-    ReferenceStart,
-    SensorReport,
-    Solve,
     StepRecord,
 )
-from ltv_mpc.ranges import RANGES
-from services.bus.topics import BY_SIGNAL, TOPICS
+from ltv_mpc.validation import refusal
+from services.bus.topics import TOPICS
 from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, plain, unpack
 from tests.services.bus.messages import EXAMPLES, HEADER
 
@@ -94,11 +87,11 @@ def test_the_crc_is_that_of_every_other_implementation() -> None:
         (msgpack.packb({"epoch": 1, "sequence": 0, "sent_monotonic_us": 0}), "t_ns"),
         (
             msgpack.packb({"epoch": 2**48, "sequence": 0, "sent_monotonic_us": 0}),
-            "from 0 to 281474976710655",
+            "epoch = 281474976710656: Expected `int` <= 281474976710655",
         ),
         (
             msgpack.packb({"epoch": True, "sequence": 0, "sent_monotonic_us": 0}),
-            "from 0 to 281474976710655",
+            "epoch = True: Expected `int`",
         ),
         (msgpack.packb({"epoch": 1, "sequence": -1, "sent_monotonic_us": 0}), "sequence"),
         (b"\x91" * 100_000, "."),
@@ -187,7 +180,9 @@ def test_an_array_is_held_to_both_ends_of_its_range(depth_m: float) -> None:
 def test_a_covariance_that_is_not_finite_is_refused_though_it_is_symmetric(at: tuple[int, int], wrong: float) -> None:
     P = np.eye(6)
     P[at] = P[at[::-1]] = wrong
-    assert refusal(msgspec.structs.replace(ESTIMATE, covariance=P)) == "covariance: must be finite"
+    place = f"covariance[{at[1]}][{at[0]}]" if at[0] > at[1] else f"covariance[{at[0]}][{at[1]}]"
+    reason = f"{place} = {wrong}: must be from -1e+12 to 1e+12 (squares of m, m/s, rad, rad/s)"
+    assert refusal(msgspec.structs.replace(ESTIMATE, covariance=P)) == reason
 
 
 def test_a_singular_covariance_passes_and_a_perfectly_known_state_too() -> None:
@@ -280,33 +275,6 @@ def test_of_ten_thousand_hostile_frames_none_crashes_and_none_gets_in_with_a_wro
         if isinstance(decoded, Estimate) and decoded.covariance is not None:
             assert np.linalg.eigvalsh(decoded.covariance / 25.0).min() > -1e-4
     assert accepted < 2_500  # a changed digit is still a number; the rest was seen through
-
-
-def test_no_number_of_any_signal_is_left_without_a_range() -> None:
-    """NaN in any field that holds numbers is refused (a beam's NaN alone means something)."""
-    for example in EXAMPLES:
-        for field in example.__struct_fields__:
-            value = getattr(example, field)
-            if isinstance(value, tuple) and value and isinstance(value[0], float):
-                bad: Any = (math.nan, *value[1:])
-            elif isinstance(value, float):
-                bad = math.nan
-            elif isinstance(value, np.ndarray) and value.dtype == np.float64 and field != "beam_velocity_mps":
-                bad = value.copy()
-                bad.flat[-1] = math.nan
-            elif isinstance(value, dict):
-                bad = dict.fromkeys(value, math.nan)
-            elif type(value) is int:
-                bad = 2**63 - 1
-            else:
-                continue
-            assert refusal(msgspec.structs.replace(example, **{field: bad})) is not None, (type(example), field)
-
-
-def test_tables_of_admission_know_no_signal_that_does_not_travel() -> None:
-    inner = {CurrentProfile, Solve, InboxEntry, InputReport, SensorReport, ReferenceStart, DroppedNode}
-    assert set(RANGES) - inner == set(BY_SIGNAL)
-    assert set(CONSISTENCY) <= set(RANGES)
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.messages import Estimate, Harm, ImuSample, Message, PressureDepth, Rejected
 from ltv_mpc.node import Arrival, Grid, Inbox, OnMessage
+from ltv_mpc.validation import refusal
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed, Transit
 from sim.lockstep import Delivery, LockStep
@@ -23,14 +23,14 @@ def depth(t_ns: int) -> PressureDepth:
     return PressureDepth(t_ns=t_ns, depth_m=1e-9 * t_ns)
 
 
-def by_admission(_: str, delivery: Delivery) -> Arrival | str:
+def by_validation(_: str, delivery: Delivery) -> Arrival | str:
     if delivery.payload is not None:
         return "damaged"
     return refusal(delivery.message.signal) or delivery.message
 
 
 def transit(harm: Harm, size: float = 1.0, kind: type[Message] = PressureDepth) -> Transit:
-    return Transit([Harmed((kind,), harm, SPELL, size, seed=4)], encode=lambda _: bytes(range(60)), admit=by_admission)
+    return Transit([Harmed((kind,), harm, SPELL, size, seed=4)], encode=lambda _: bytes(range(60)), admit=by_validation)
 
 
 def through(way: Transit, *, until_ns: int = 3 * S) -> list[Delivery]:
@@ -161,7 +161,7 @@ def test_in_lock_step_what_the_door_refuses_is_told_and_not_heard():
 
 
 def test_without_faults_a_way_between_the_nodes_changes_nothing():
-    way = Transit([], encode=lambda _: b"", admit=by_admission)
+    way = Transit([], encode=lambda _: b"", admit=by_validation)
     assert in_lockstep(way).heard == in_lockstep(None).heard
 
 

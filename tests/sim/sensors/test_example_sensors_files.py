@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
 from ltv_mpc.node import Arrival
+from ltv_mpc.validation import refusal
 from sim.scenario import Scenario, overridden
 from sim.sensors.node import Sensors
 from sim.water import make

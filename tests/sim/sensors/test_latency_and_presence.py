@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
 from ltv_mpc.messages import (
     AdcpPing,
@@ -25,6 +24,7 @@ from ltv_mpc.messages import (
     to_wire,
 )
 from ltv_mpc.node import Arrival
+from ltv_mpc.validation import refusal
 from sim.scenario import Scenario, overridden
 from sim.sensors.lbl import Transceiver
 from sim.sensors.node import Sensors

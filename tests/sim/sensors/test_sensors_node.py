@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.admission import refusal
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import (
     AdcpPing,
@@ -23,6 +22,7 @@ from ltv_mpc.messages import (
     to_wire,
 )
 from ltv_mpc.node import Arrival
+from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario

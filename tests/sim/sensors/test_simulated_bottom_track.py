@@ -11,8 +11,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames
-from ltv_mpc.admission import refusal
 from ltv_mpc.localisation.suite import BottomTracking, Suite
+from ltv_mpc.validation import refusal
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.instant import Instant

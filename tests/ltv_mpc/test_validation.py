@@ -1,0 +1,195 @@
+"""Each number of each message is held to the bounds of its annotation, by lock step and on the wire alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+from msgspec import Meta
+
+from ltv_mpc.messages import (
+    AdcpPing,
+    BottomTrack,
+    ControllerState,
+    ControllerStatus,
+    Estimate,
+    Message,
+    Plan,
+    to_wire,
+)
+from ltv_mpc.validation import RELATIONS, Bounds, bounds, refusal, validator
+from services.bus.topics import TOPICS
+from services.bus.wire import WireError, typed
+from tests.services.bus.messages import EXAMPLES, HEADER
+
+PLAN = next(message for message in EXAMPLES if isinstance(message, Plan))
+STATUS = next(message for message in EXAMPLES if isinstance(message, ControllerStatus))
+MESSAGES = (
+    *EXAMPLES,
+    msgspec.structs.replace(PLAN, reference_depth_m=5.0, progress=0.5, cross_track_m=-1.0, remaining_m=9.0),
+    msgspec.structs.replace(STATUS, applied_age_ns=5, progress=0.5),
+)
+"""With a number in every field that may be None."""
+
+NUMBER = int | float | np.integer | np.floating
+
+
+class Place(NamedTuple):
+    """One number inside a message: the way to it by names and indices, and the bounds of its field."""
+
+    way: tuple[Any, ...]
+    limits: Bounds
+
+
+def places(part: Any, way: tuple[Any, ...] = (), limits: Bounds | None = None) -> Iterator[Place]:
+    """Every number in a message; of an array the first and the last entry."""
+    if isinstance(part, msgspec.Struct):
+        for name in part.__struct_fields__:
+            yield from places(getattr(part, name), (*way, name), bounds(type(part)).get(name))
+    elif isinstance(part, np.ndarray):
+        for at in {(0,) * part.ndim, tuple(n - 1 for n in part.shape)}:
+            yield from places(part[at], (*way, at), limits)
+    elif isinstance(part, tuple):
+        for i, entry in enumerate(part):
+            yield from places(entry, (*way, i), limits)
+    elif isinstance(part, dict):
+        for key, entry in part.items():
+            yield from places(entry, (*way, key), limits)
+    elif isinstance(part, NUMBER) and not isinstance(part, bool):
+        assert limits is not None, way
+        yield Place(way, limits)
+
+
+def structs(part: Any) -> Iterator[msgspec.Struct]:
+    """A message and the structs inside it."""
+    if isinstance(part, msgspec.Struct):
+        yield part
+        for name in part.__struct_fields__:
+            yield from structs(getattr(part, name))
+    elif isinstance(part, tuple):
+        for entry in part:
+            yield from structs(entry)
+
+
+def changed(part: Any, way: tuple[Any, ...], number: Any) -> Any:
+    """The same with another number at one place."""
+    if not way:
+        return number
+    first, *rest = way
+    if isinstance(part, msgspec.Struct):
+        return msgspec.structs.replace(part, **{first: changed(getattr(part, first), tuple(rest), number)})
+    if isinstance(part, np.ndarray):
+        other = part.copy()
+        other[first] = number
+        return other
+    if isinstance(part, dict):
+        return part | {first: changed(part[first], tuple(rest), number)}
+    return (*part[:first], changed(part[first], tuple(rest), number), *part[first + 1 :])
+
+
+def on_the_wire(message: Message) -> str | None:
+    plain = msgspec.to_builtins(message, enc_hook=to_wire)
+    header = {"epoch": plain.get("epoch", HEADER.epoch), "sequence": 0, "sent_monotonic_us": 0}
+    try:
+        typed(type(message), header | plain)
+    except WireError as error:
+        return str(error)
+    return None
+
+
+def is_of_bounds(reason: str | None) -> bool:
+    """Whether a number was refused for its bounds, and not for a relation between fields."""
+    return reason is not None and ("must be from" in reason or "Expected `" in reason)
+
+
+def beyond(limits: Bounds) -> tuple[Any, Any]:
+    if isinstance(limits.low, int):
+        return limits.low - 1, limits.high + 1
+    return math.nextafter(limits.low, -math.inf), math.nextafter(limits.high, math.inf)
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
+def test_each_number_may_lie_at_both_its_bounds_and_not_a_hair_outside(message: Message) -> None:
+    assert refusal(message) is None
+    for way, limits in places(message):
+        # The header has narrower bounds for a step record's epoch, which is its own.
+        judges = (refusal,) if way == ("epoch",) else (refusal, on_the_wire)
+        for judge in judges:
+            for number in (limits.low, limits.high):
+                reason = judge(changed(message, way, number))
+                assert not is_of_bounds(reason), (way, number, reason)
+            for number in (*beyond(limits), *([math.inf, -math.inf] if isinstance(limits.low, float) else [])):
+                reason = judge(changed(message, way, number))
+                assert is_of_bounds(reason), (way, number, reason)
+                assert str(way[0]) in str(reason)
+        if isinstance(limits.low, float):
+            not_a_number = refusal(changed(message, way, math.nan))
+            assert is_of_bounds(not_a_number) != limits.has_gaps, way
+
+
+def test_every_field_with_numbers_was_tried() -> None:
+    tried: dict[type, set[str]] = {}
+    for message in MESSAGES:
+        for part in structs(message):
+            values = {name: getattr(part, name) for name in bounds(type(part))}
+            given = {name for name, value in values.items() if list(places(value, (), bounds(type(part))[name]))}
+            tried.setdefault(type(part), set()).update(given)
+    assert {topic.signal for topic in TOPICS} | set(RELATIONS) <= set(tried)
+    assert [(kind, name) for kind, names in tried.items() for name in bounds(kind) if name not in names] == []
+
+
+def test_a_refusal_names_field_entry_value_and_bound_also_inside() -> None:
+    estimate = next(m for m in EXAMPLES if isinstance(m, Estimate) and m.current is not None)
+    assert estimate.current is not None
+    depth_m = estimate.current.depth_m.copy()
+    depth_m[3] = 12_001.0
+    deep = msgspec.structs.replace(estimate, current=msgspec.structs.replace(estimate.current, depth_m=depth_m))
+    reason = "current.depth_m[3] = 12001.0: must be from -100 to 12000 (m)"
+    assert refusal(deep) == on_the_wire(deep) == reason
+    far = msgspec.structs.replace(estimate, north_m=1e7)
+    assert refusal(far) == "north_m = 10000000.0: must be from -1e+06 to 1e+06 (m)"
+    assert on_the_wire(far) == "north_m = 10000000.0: Expected `float` <= 1000000.0"
+
+
+def test_a_missing_value_is_nan_where_an_array_may_have_gaps_and_nowhere_else() -> None:
+    gaps = {(t.signal.__name__, name) for t in TOPICS for name, of in bounds(t.signal).items() if of.has_gaps}
+    assert gaps == {
+        (AdcpPing.__name__, "beam_velocity_mps"),
+        (BottomTrack.__name__, "range_m"),
+        (BottomTrack.__name__, "beam_velocity_mps"),
+    }
+
+
+def test_texts_and_lists_are_held_to_their_lengths() -> None:
+    whole = next(m for m in EXAMPLES if isinstance(m, ControllerState))
+    for longest, longer in (
+        ({"reference_toml": "#" * 65_536}, {"reference_toml": "#" * 65_537}),
+        ({"plan_delays_ns": (1,) * 1000}, {"plan_delays_ns": (1,) * 1001}),
+        ({"cycle_times_ns": (1,) * 1000}, {"cycle_times_ns": (1,) * 1001}),
+    ):
+        (name,) = longer
+        fits, exceeds = (msgspec.structs.replace(whole, **change) for change in (longest, longer))
+        assert refusal(fits) is None
+        assert on_the_wire(fits) is None
+        assert f"{name}: {len(longer[name])} " in str(refusal(exceeds))
+        assert name in str(on_the_wire(exceeds))
+
+
+def test_a_number_without_bounds_or_unit_is_refused_with_its_type() -> None:
+    class Unbounded(Message, frozen=True, kw_only=True, eq=False):
+        """A message whose number is left without bounds."""
+
+        depth_m: float
+
+    class Unitless(Message, frozen=True, kw_only=True, eq=False):
+        """A message whose number is left without a unit."""
+
+        depth_m: Annotated[float, Meta(ge=0.0, le=1.0)]
+
+    for kind in (Unbounded, Unitless):
+        with pytest.raises(TypeError, match=f"{kind.__name__}.depth_m: a number needs"):
+            validator(kind)
