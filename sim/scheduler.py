@@ -387,15 +387,17 @@ _OWN = (CycleTiming, Rejected)
 
 def _divided(seats: Sequence[_Seat], *, singly: bool) -> tuple[list[_Seat], list[_Seat]]:
     """The nodes that do all steps of a stretch at once, and those whose every step ends a stretch."""
-    read: set[type[Message]] = set()  # by nodes up to here
+    read: set[type[Message]] = set()  # by nodes up to here that do not cycle
     bounding: list[_Seat] = []
     for seat in seats:
+        if seat.cycles:
+            bounding.append(seat)
+            continue
         read.update(seat.node.reads)
-        if seat.cycles or not read.isdisjoint(seat.node.writes):
+        if not read.isdisjoint(seat.node.writes):
             bounding.append(seat)
             singly |= bool(seat.causes)
-        elif Rejected in seat.node.reads:
-            singly = True
+    singly |= Rejected in read
     if not singly:
         return [seat for seat in seats if seat not in bounding], bounding
     for seat in seats:

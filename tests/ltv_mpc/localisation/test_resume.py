@@ -25,6 +25,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Arrival
 from services.bus.wire import Header, decode, encode
+from tests.stepping import step
 
 SUITE = Suite.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
@@ -36,7 +37,7 @@ def said(estimator, messages, inbox_of, *, restore=None):
     first = [] if restore is None else [Arrival(restore, 1, 0, restore.t_ns)]
     out = []
     for message in messages:
-        out += estimator.step(message.t_ns, [*first, *inbox_of(message)])
+        out += step(estimator, message.t_ns, [*first, *inbox_of(message)])
         first = []
     return out
 
