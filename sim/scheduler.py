@@ -118,12 +118,13 @@ class _Refusal(NamedTuple):
 class _Route:
     """Where one node's messages of one type go. Looked up once for each type."""
 
-    __slots__ = ("inboxes", "judge", "published", "readers", "told")
+    __slots__ = ("inboxes", "judge", "published", "readers", "told", "wakes")
 
     def __init__(self, kind: type[Message], readers: Sequence[_Seat], told: bool) -> None:
         self.judge = JUDGES.get(kind, refusal)
         self.readers = tuple(readers)
         self.inboxes = tuple(reader.inbox_of(kind).append for reader in readers)
+        self.wakes = tuple(reader for reader in readers if reader.bounds and kind in reader.causes)
         self.told = told
         self.published = 0
 
@@ -140,12 +141,13 @@ class _Seat:
     def __init__(self, index: int, node: Node, start_ns: int, latest: frozenset[type[Message]]) -> None:
         self.index, self.name, self.node = index, node.name, node
         self.rank = index  # of what it publishes, among all that is published at one instant
+        self.bounds = False  # whether each of its steps ends a stretch
         schedule = node.schedule
         self.cycles = isinstance(schedule, Cycle)
         self.causes = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
         self.period_ns = 0 if isinstance(schedule, OnMessage) else schedule.period_ns
         # On the grid k x period, not before the start.
-        self._next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
+        self.next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
         self._latest = latest.intersection(node.reads) - self.causes
         self.waiting: list[tuple[Place, Arrival]] = []
         self.causing: list[tuple[Place, Arrival]] = []
@@ -156,25 +158,14 @@ class _Seat:
         """Where a message of this type goes: it causes a step, or waits for the next one."""
         return self.causing if kind in self.causes else self.waiting
 
-    @property
-    def next_ns(self) -> int | None:
-        """When it is due next, as far as is known."""
-        if self.period_ns:
-            return self._next_ns
-        return self.causing[0][0][0] if self.causing else None
-
-    def cycled(self, started_ns: int, delay_ns: int) -> None:
-        """Start the next cycle at its period, or when this one ends."""
-        self._next_ns = started_ns + max(self.period_ns, delay_ns)
-
     def due(self, last_ns: int, *, one: bool = False) -> tuple[list[int], list[Due]]:
         """When, and what for, it is to be stepped up to ``last_ns``; ``one``: the first of them alone."""
         return self._by_time(last_ns) if self.period_ns else self._by_messages(last_ns, one=one)
 
     def _by_time(self, last_ns: int) -> tuple[list[int], list[Due]]:
-        times = list(range(self._next_ns, last_ns + 1, self.period_ns))
+        times = list(range(self.next_ns, last_ns + 1, self.period_ns))
         if times:
-            self._next_ns = times[-1] + self.period_ns
+            self.next_ns = times[-1] + self.period_ns
         return times, [(t_ns, self._take(t_ns) if self.waiting else []) for t_ns in times]
 
     def _by_messages(self, last_ns: int, *, one: bool) -> tuple[list[int], list[Due]]:
@@ -235,13 +226,18 @@ class LockStep:
         self._refused = refused
         self._between = between
         self._seats = [_Seat(index, node, start_ns, latest) for index, node in enumerate(nodes)]
-        self._flowing, self._bounding = _divided(self._seats, singly=between is not None)
+        _divide(self._seats, singly=between is not None)
+        self._flowing = [seat for seat in self._seats if not seat.bounds]
         self._readers: dict[type[Message], list[_Seat]] = {}
         for seat in self._seats:
             for kind in seat.node.reads:
                 self._readers.setdefault(kind, []).append(seat)
         self._count = count()
-        self._on_the_way: list[tuple[Place, Callable[[], None]]] = []  # a heap: when, and what happens then
+        # A heap of what ends stretches: time, place in the list, a count, and what happens then.
+        self._events: list[tuple[int, int, int, Callable[[], None]]] = []
+        for seat in self._seats:
+            if seat.bounds and seat.period_ns:
+                self._later(seat.next_ns, seat.index, partial(self._once, seat, seat.next_ns))
         self._happened: list[tuple[Place, str, Step | Arrival]] = []  # and not told yet
         self._refusals: list[_Refusal] = []
 
@@ -265,22 +261,17 @@ class LockStep:
 
     def _stretch(self, until_ns: int) -> bool:
         """Go on to the next event that ends a stretch, and let it happen; False where none is left."""
-        end, bounding, arrives = (until_ns + 1, _ON_ITS_WAY), None, False
-        for seat in self._bounding:
-            if (next_ns := seat.next_ns) is not None and (next_ns, seat.index) < end:
-                end, bounding = (next_ns, seat.index), seat
-        if self._on_the_way and (at_ns := self._on_the_way[0][0][0], _ON_ITS_WAY) < end:
-            end, arrives = (at_ns, _ON_ITS_WAY), True
+        events = self._events
+        event = heapq.heappop(events) if events and events[0][0] <= until_ns else None
+        end_ns, index = (until_ns + 1, _ON_ITS_WAY) if event is None else event[:2]
         for seat in self._flowing:
-            times_ns, due = seat.due(end[0] if seat.index < end[1] else end[0] - 1)
+            times_ns, due = seat.due(end_ns if seat.index < index else end_ns - 1)
             if due:
                 self._publish(seat, *self._step(seat, times_ns, due))
         self._tell()
-        if arrives:
-            heapq.heappop(self._on_the_way)[-1]()
-        elif bounding is not None:
-            self._once(bounding, end[0])
-        return arrives or bounding is not None
+        if event is not None:
+            event[-1]()
+        return event is not None
 
     def _once(self, seat: _Seat, at_ns: int) -> None:
         places, (outputs,) = self._step(seat, *seat.due(at_ns, one=True))
@@ -288,19 +279,17 @@ class LockStep:
         delay_ns = 0 if plan is None else self._compute_delay_ns(at_ns)  # without a plan nothing was computed
         if plan is not None:
             outputs = [*outputs, timing_of(plan, at_ns, delay_ns)]
-        if seat.cycles:
-            seat.cycled(at_ns, delay_ns)
         if delay_ns:
-            place = self._place(at_ns + delay_ns, _ON_ITS_WAY)
-            self._later(place, partial(self._publish, seat, [place], [outputs]))
+            place = (at_ns + delay_ns, _ON_ITS_WAY, next(self._count), 0)
+            self._later(place[0], _ON_ITS_WAY, partial(self._publish, seat, [place], [outputs]))
         else:
             self._publish(seat, places, [outputs])
+        if seat.period_ns:
+            seat.next_ns = next_ns = at_ns + max(seat.period_ns, delay_ns)
+            self._later(next_ns, seat.index, partial(self._once, seat, next_ns))
 
-    def _place(self, at_ns: int, rank: int) -> Place:
-        return at_ns, rank, next(self._count), 0
-
-    def _later(self, place: Place, act: Callable[[], None]) -> None:
-        heapq.heappush(self._on_the_way, (place, act))
+    def _later(self, at_ns: int, index: int, act: Callable[[], None]) -> None:
+        heapq.heappush(self._events, (at_ns, index, next(self._count), act))
 
     def _step(
         self, seat: _Seat, times_ns: Sequence[int], due: Sequence[Due]
@@ -333,6 +322,8 @@ class LockStep:
                 elif (reason := route.judge(signal)) is None:
                     for append in route.inboxes:
                         append((place, message))
+                    for reader in route.wakes:
+                        self._later(place[0], reader.index, partial(self._once, reader, place[0]))
                     continue
                 else:
                     self._refusals += [_Refusal(place, reader, message, reason) for reader in route.readers]
@@ -350,19 +341,33 @@ class LockStep:
             if delivery.at_ns <= message.received_t_ns:
                 self._arrive(between, reader, delivery, place)
             else:
-                later = self._place(delivery.at_ns, _ON_ITS_WAY)
-                self._later(later, partial(self._arrive, between, reader, delivery, later))
+                later = (delivery.at_ns, _ON_ITS_WAY, next(self._count), 0)
+                self._later(delivery.at_ns, _ON_ITS_WAY, partial(self._arrive, between, reader, delivery, later))
 
     def _arrive(self, between: Between, reader: _Seat, delivery: Delivery, place: Place) -> None:
         admitted = between.admit(reader.name, delivery)
         if isinstance(admitted, str):
             self._refusals.append(_Refusal(place, reader, delivery.message, admitted))
         else:
-            message = Arrival(admitted.signal, admitted.epoch, admitted.sequence, place[0])
-            reader.inbox_of(type(message.signal)).append((place, message))
+            message, kind = Arrival(admitted.signal, admitted.epoch, admitted.sequence, place[0]), type(admitted.signal)
+            reader.inbox_of(kind).append((place, message))
+            if kind in reader.causes:
+                self._later(place[0], reader.index, partial(self._once, reader, place[0]))
 
     def _tell(self) -> None:
         """Those whose messages were refused, then the observers, of all that has happened."""
+        if self._refusals:
+            self._turn_back()
+        happened, self._happened = self._happened, []
+        happened.sort(key=_by_place)
+        for _, name, what in happened:
+            if type(what) is Step:
+                assert self._stepped is not None
+                self._stepped(what)
+            elif self._observe is not None:
+                self._observe.published(name, what)  # type: ignore[arg-type]
+
+    def _turn_back(self) -> None:
         for place, reader, message, reason in sorted(self._refusals, key=_by_place):
             route = reader.routes.get(Rejected) or self._route(reader, Rejected)
             rejected = route.numbered(self._refused(reader.name, message, reason), place[0])
@@ -371,38 +376,23 @@ class LockStep:
             if Rejected in reader.node.reads:
                 reader.waiting.append((place, rejected))
         self._refusals.clear()
-        happened = sorted(self._happened, key=_by_place)
-        self._happened.clear()
-        for _, name, what in happened:
-            if type(what) is Step:
-                assert self._stepped is not None
-                self._stepped(what)
-            elif self._observe is not None:
-                self._observe.published(name, what)  # type: ignore[arg-type]
 
 
 _OWN = (CycleTiming, Rejected)
 """Types that the scheduler publishes in a node's name."""
 
 
-def _divided(seats: Sequence[_Seat], *, singly: bool) -> tuple[list[_Seat], list[_Seat]]:
-    """The nodes that do all steps of a stretch at once, and those whose every step ends a stretch."""
+def _divide(seats: Sequence[_Seat], *, singly: bool) -> None:
+    """Find the nodes whose every step ends a stretch; the others do all steps of a stretch at once."""
     read: set[type[Message]] = set()  # by nodes up to here that do not cycle
-    bounding: list[_Seat] = []
     for seat in seats:
-        if seat.cycles:
-            bounding.append(seat)
-            continue
-        read.update(seat.node.reads)
-        if not read.isdisjoint(seat.node.writes):
-            bounding.append(seat)
-            singly |= bool(seat.causes)
-    singly |= Rejected in read
-    if not singly:
-        return [seat for seat in seats if seat not in bounding], bounding
-    for seat in seats:
-        seat.rank = 0  # things are in the order in which they happen
-    return [], list(seats)
+        if not seat.cycles:
+            read.update(seat.node.reads)
+        seat.bounds = seat.cycles or not read.isdisjoint(seat.node.writes)
+        singly |= seat.bounds and bool(seat.causes)
+    if singly or Rejected in read:
+        for seat in seats:
+            seat.bounds, seat.rank = True, 0  # things are in the order in which they happen
 
 
 def timing_of(plan: Plan, start_ns: int, delay_ns: int) -> CycleTiming:
