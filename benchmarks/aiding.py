@@ -16,7 +16,7 @@ import numpy as np
 from ltv_mpc.messages import Array, Estimate, Truth
 from services.measure.batch import Job, each
 from services.run import locked
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "sensors"
 SUITES = {
@@ -40,9 +40,6 @@ class _Log:
     def __init__(self) -> None:
         self.truth: dict[int, Truth] = {}
         self.rows: list[tuple[float, float, float]] = []
-
-    def stepped(self, *_: Any) -> None:
-        pass
 
     def published(self, _node: str, message: Any) -> None:
         signal = message.signal

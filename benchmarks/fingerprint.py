@@ -16,7 +16,7 @@ import argparse
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -35,13 +35,13 @@ from ltv_mpc.messages import (
     Message,
     Plan,
 )
-from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.node import Arrival, Due, Inbox, Node
 from services.faults import inside, kinds
 from services.faults.draw import Run
 from services.faults.fault import Fault, Place
 from services.run import locked
 from services.run.situation import Override, Situation, resolve
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
 
 S = 1_000_000_000
 DURATION_S = 40.0
@@ -75,9 +75,6 @@ class Collector:
 
     def __init__(self) -> None:
         self._rows: dict[str, list[tuple[int, np.ndarray]]] = {"estimate": [], "plan": [], "applied": []}
-
-    def stepped(self, *_: object) -> None:
-        """Which node is stepped when is the scheduler's affair."""
 
     def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
         """Keep the message's numbers."""
@@ -124,12 +121,15 @@ class Restarted:
         self.name, self.schedule = self._node.name, self._node.schedule
         self.reads, self.writes = self._node.reads, self._node.writes
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Step the node; at the time of the restart, step a new one that begins from the newest saved state."""
+        return [self._step(t_ns, inbox) for t_ns, inbox in due]
+
+    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         if not self._restarted and t_ns >= RESTART_NS:
             self._restarted, self._node = True, self._make()
             inbox = [Arrival(self._state(), 1, 0, t_ns), *inbox]
-        out = self._node.step(t_ns, inbox)
+        (out,) = self._node.steps([(t_ns, inbox)])
         self._memory.update({type(signal): signal for signal in out})
         return out
 

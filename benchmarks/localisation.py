@@ -31,10 +31,10 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import ImuSample
-from ltv_mpc.node import Arrival, Inbox
+from ltv_mpc.node import Due
 from services.measure.batch import Job
 from services.run import locked
-from sim.lockstep import Cause, LockStep
+from sim.scheduler import LockStep, Step
 
 CELLS = (25, 50, 70, 140, 280, 500)
 DESCENT_S = 60.0
@@ -73,42 +73,33 @@ class Cost(NamedTuple):
     median: float
 
 
-class Heard:
-    """What an estimator is handed, step by step."""
-
-    def __init__(self) -> None:
-        self.steps: list[tuple[int, Inbox]] = []
-
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:  # noqa: ARG002
-        if node == Estimator.name:
-            self.steps.append((t_ns, list(inbox)))
-
-    def published(self, node: str, message: Arrival) -> None:
-        pass
-
-
 class Descent(NamedTuple):
     """The sensors, and what an estimator was handed of them."""
 
     suite: Suite
-    steps: list[tuple[int, Inbox]]
+    steps: list[Due]
 
     @classmethod
     def simulated(cls, sensors: str) -> Descent:
         """In lock step, once. Raises ``ConfigError``."""
         situation = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).situation()
-        scenario, heard = situation.scenario, Heard()
-        nodes = locked.nodes(situation)
-        LockStep(nodes, start_ns=scenario.start_ns, observe=heard, latest=locked.LATEST).advance(scenario.end_ns)
-        return cls(situation.suite, heard.steps)
+        scenario, steps = situation.scenario, list[Due]()
 
-    def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[tuple[int, Inbox]]]:
+        def stepped(step: Step) -> None:
+            if step.node == Estimator.name:
+                steps.append((step.t_ns, step.inbox))
+
+        nodes = locked.nodes(situation)
+        LockStep(nodes, start_ns=scenario.start_ns, stepped=stepped, latest=locked.LATEST).advance(scenario.end_ns)
+        return cls(situation.suite, steps)
+
+    def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:
         """An estimator whose filter stands, and what is still to come."""
         estimator = Estimator(self.suite, config)
         for i, (t_ns, inbox) in enumerate(self.steps):
             if estimator.filter is not None:
                 return estimator, self.steps[i:]
-            estimator.step(t_ns, inbox)
+            estimator.steps([(t_ns, inbox)])
         raise RuntimeError("the descent has not been long enough to align")
 
 
@@ -117,7 +108,7 @@ def of_node(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     estimator, rest = descent.aligned(config)
     began, from_ns = time.process_time(), rest[0][0]
     for t_ns, inbox in rest:
-        estimator.step(t_ns, inbox)
+        estimator.steps([(t_ns, inbox)])
     spent = time.process_time() - began
     if estimator.filter is None:
         raise RuntimeError("the filter has been lost on the way")

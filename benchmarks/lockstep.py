@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.table import Table
 
 from ltv_mpc.messages import Message
-from ltv_mpc.node import Due, Inbox, Node, steps_of
+from ltv_mpc.node import Due, Node
 from services.run import locked
 from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
-from sim.stretches import Stretches
+from sim.scheduler import LockStep
 
 SETTINGS: dict[str, tuple[str, ...]] = {
     "full loop, paper": ("sensors=paper",),
@@ -58,10 +58,7 @@ def shares(of: Situation) -> dict[str, float]:
 
         def __init__(self, node: Node) -> None:
             self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
-            self._steps = steps_of(node)
-
-        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-            return self.steps([(t_ns, inbox)])[0]
+            self._steps = node.steps
 
         def steps(self, due: Sequence[Due]) -> list[list[Message]]:
             started = time.perf_counter()
@@ -70,7 +67,7 @@ def shares(of: Situation) -> dict[str, float]:
             return said
 
     nodes = [Timed(node) for node in locked.nodes(of, unheard=False)]
-    lockstep = Stretches(nodes, start_ns=of.scenario.start_ns, latest=locked.LATEST, refused=locked.refused)
+    lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=locked.LATEST, refused=locked.refused)
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)
     whole = time.perf_counter() - started

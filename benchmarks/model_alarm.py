@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,10 +28,10 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Applied, Disturbance, Message, ModelCheck, Triple, Truth
-from ltv_mpc.node import Arrival, Grid, Inbox, Node
+from ltv_mpc.node import Arrival, Due, Grid, Node
 from services.run.locked import LATEST, nodes
 from services.run.situation import Override, resolve
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
 
 S = 1_000_000_000
 EVERY_NS, LASTS_NS, FIRST_NS = 30 * S, 8 * S, 6 * S
@@ -71,9 +71,11 @@ class Breaker:
         self.losses: list[tuple[int, str]] = []
         self._first = first
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """A loss at its time."""
-        del inbox
+        return [self._begun(t_ns) for t_ns, _ in due]
+
+    def _begun(self, t_ns: int) -> list[Message]:
         since_ns = t_ns - FIRST_NS
         if since_ns < 0 or since_ns % EVERY_NS:
             return []
@@ -92,9 +94,6 @@ class Watcher:
         self._times: list[int] = []
         self._true: list[Triple] = []
         self._reports: list[tuple[int, Triple]] = []
-
-    def stepped(self, *_: object) -> None:
-        """Not looked at."""
 
     def published(self, _node: str, message: Arrival) -> None:
         """One message."""

@@ -30,12 +30,12 @@ from ltv_mpc.localisation.filter import Aiding, Filter, Verdict
 from ltv_mpc.localisation.state import VELOCITY, Belief
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
-from ltv_mpc.node import Arrival, Inbox
+from ltv_mpc.node import Arrival, Due
 from services.measure.batch import Job
 from services.run import locked
-from sim.lockstep import Cause, LockStep
 from sim.scenario import Feature as Shape
 from sim.scenario import Water
+from sim.scheduler import LockStep, Step
 from sim.sensors.adcp import Profiler, beams
 from sim.sensors.injected import Mask
 from sim.sensors.node import Sensors
@@ -117,20 +117,22 @@ class Descent:
         nodes = locked.nodes(situation)
         self.suite: Suite = situation.suite
         self.water: Water = situation.scenario.water
-        self.steps: list[tuple[int, Inbox]] = []  # of the estimator
+        self.steps: list[Due] = []  # of the estimator
         self.pings: dict[int, _Ping] = {}
         self._truth: Truth | None = None
         units = next(node for node in nodes if isinstance(node, Sensors)).sensors
         self._profiler = next(unit for unit in units if isinstance(unit, Profiler))
         self._beams = beams(self.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T  # (4, 3), body
         scenario = situation.scenario
-        LockStep(nodes, start_ns=scenario.start_ns, observe=self, latest=locked.LATEST).advance(scenario.end_ns)
+        LockStep(nodes, start_ns=scenario.start_ns, observe=self, stepped=self._stepped, latest=locked.LATEST).advance(
+            scenario.end_ns
+        )
         self.end_ns = scenario.end_ns
 
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:  # noqa: ARG002
+    def _stepped(self, step: Step) -> None:
         """What the estimator is handed."""
-        if node == Estimator.name:
-            self.steps.append((t_ns, list(inbox)))
+        if step.node == Estimator.name:
+            self.steps.append((step.t_ns, step.inbox))
 
     def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
         """The truth behind each ping."""
@@ -140,14 +142,16 @@ class Descent:
             case AdcpPing(t_ns=t_ns) if self._truth is not None:
                 R = rotation(*self._truth.attitude_rad)
                 down = self._truth.position_m[2] + float(R[2] @ np.array(self.suite.adcp.lever_arm_m))
-                self.pings[t_ns] = _Ping(self._beams @ R.T, down, self._profiler.outliers.copy())
+                wild = self._profiler.injected.at(t_ns)
+                assert wild is not None
+                self.pings[t_ns] = _Ping(self._beams @ R.T, down, wild)
 
     def aligned(self) -> tuple[Belief, list[ImuSample | Aiding]]:
         """Where the filter stands once it is aligned, and what is measured from there on, by validity time."""
         estimator = Estimator(self.suite, _OPEN)
         rest = iter(self.steps)
         for t_ns, inbox in rest:
-            estimator.step(t_ns, inbox)
+            estimator.steps([(t_ns, inbox)])
             if estimator.filter is not None:
                 break
         else:

@@ -1,15 +1,15 @@
-"""What a node is: a pure step. It never asks what time it is, draws no unseeded number, and keeps no thread.
+"""What a node is: pure steps. It never asks what time it is, draws no unseeded number, and keeps no thread.
 
-Three callers exist: ``sim/lockstep.py`` (one process, simulated clock), ``sim/stretches.py`` (the same, faster, for
-whoever only listens) and ``services/process/runner.py`` (Zenoh, wall clock). Given the same state and the same
-(t_ns, inbox) a step returns the same signals, bit for bit; so a recording replays through the nodes without tolerances.
+A node is given the steps that are due. ``sim/scheduler.py`` (one process, simulated clock) gives it as many at once as
+are known; ``services/process/runner.py`` (Zenoh, wall clock) and a replay give it one at a time. Given the same state
+and the same (t_ns, inbox) a step returns the same messages, bit for bit, alone or with others; so a recording replays
+through the nodes without tolerances.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias
 
 import msgspec
 
@@ -48,9 +48,12 @@ class Arrival(msgspec.Struct, frozen=True, eq=False, gc=False):
 
 Inbox: TypeAlias = Sequence[Arrival]
 
+Due: TypeAlias = tuple[int, Inbox]
+"""What a step is given: its time and its inbox."""
+
 
 class Node(Protocol):
-    """A component. ``reads`` are the types its inbox may hold, ``writes`` those its step may return."""
+    """A component. ``reads`` are the types its inbox may hold, ``writes`` those its steps may return."""
 
     @property
     def name(self) -> str: ...
@@ -61,32 +64,12 @@ class Node(Protocol):
     @property
     def writes(self) -> tuple[type[Message], ...]: ...
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """One step: consumes the inbox in its order, returns what is to be published, in order."""
-        ...
-
-
-Due: TypeAlias = tuple[int, Inbox]
-"""What a step is given: its time and its inbox."""
-
-
-@runtime_checkable
-class InBulk(Protocol):
-    """A node that can do many steps at once, faster."""
-
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """What ``step`` returns for each in turn, bit for bit; and it leaves the node as they do."""
+        """Do these steps in turn. Each consumes its inbox in its order, and returns what to publish, in order.
+
+        Steps given together return what they return one at a time, bit for bit, and leave the node in the same state.
+        """
         ...
-
-
-def one_by_one(node: Node, due: Sequence[Due]) -> list[list[Message]]:
-    """What ``steps`` are made of."""
-    return [node.step(t_ns, inbox) for t_ns, inbox in due]
-
-
-def steps_of(node: Node) -> Callable[[Sequence[Due]], list[list[Message]]]:
-    """The node's own ``steps``, or its ``step`` for each in turn."""
-    return node.steps if isinstance(node, InBulk) else partial(one_by_one, node)
 
 
 Stopwatch: TypeAlias = Callable[[str], None]

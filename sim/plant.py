@@ -66,12 +66,8 @@ class Plant:
         self._gate = Gate(vehicle)
         self._receipt: tuple[Plan, Arrival, Verdict] | None = None  # of the plan accepted last
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """The vehicle at ``t_ns``, after what arrived up to then."""
-        return self._go([t_ns], inbox)[0]
-
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """``step`` for each in turn; between two reports of the actuators at once."""
+        """The vehicle at each time, after what arrived up to then; between two reports of the actuators at once."""
         signals: list[list[Message]] = []
         while len(signals) < len(due):
             first = len(signals)

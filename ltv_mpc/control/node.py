@@ -6,6 +6,8 @@ force another one continues where this one ended.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from ltv_mpc import config as settings
@@ -28,7 +30,7 @@ from ltv_mpc.messages import (
     ModelCheck,
     Plan,
 )
-from ltv_mpc.node import Arrival, Cycle, Inbox, Stopwatch, no_stopwatch
+from ltv_mpc.node import Arrival, Cycle, Due, Inbox, Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference, Timed
 from ltv_mpc.safety.ages import Input
 from ltv_mpc.safety.authority import Answer, Helm
@@ -79,8 +81,11 @@ class ControllerNode:
         self._cycled_ns = 0  # the last cycle's time
         self._saved: ControllerState | None = None
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """One cycle at ``t_ns``; no plan until the first estimate."""
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """One cycle at each time; no plan until the first estimate."""
+        return [self._step(t_ns, inbox) for t_ns, inbox in due]
+
+    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         self._cycled_ns = t_ns
         said: list[Message] = []
         for arrival in inbox:

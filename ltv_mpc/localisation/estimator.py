@@ -153,7 +153,19 @@ class Estimator:
         account.update(self._filter.account)
         return account
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (each message carries its own time)
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """Use every message of each inbox in its order, by its own time.
+
+        Inertial samples between which nothing else happens are integrated at once.
+        """
+        if len(due) == 1:  # as in a process, where looking for several costs more than it saves
+            return [self._step(due[0][1])]
+        signals: list[list[Message]] = []
+        while (first := len(signals)) < len(due):
+            signals += self._go_through(due, first) or [self._step(due[first][1])]
+        return signals
+
+    def _step(self, inbox: Inbox) -> list[Message]:
         """Use every message of the inbox in its order."""
         out: list[Message] = []
         for arrival in inbox:
@@ -168,13 +180,6 @@ class Estimator:
             elif isinstance(signal, EstimatorState):
                 self._restore(signal)
         return out
-
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """``step`` for each in turn; inertial samples between which nothing else happens at once."""
-        signals: list[list[Message]] = []
-        while (first := len(signals)) < len(due):
-            signals += self._go_through(due, first) or [self.step(*due[first])]
-        return signals
 
     def _go_through(self, due: Sequence[Due], first: int) -> list[list[Message]]:
         """What is said at those of them, from ``first`` on, that were samples which only had to be integrated, at most

@@ -26,7 +26,7 @@ from ltv_mpc.messages import (
     SensorStatus,
     Truth,
 )
-from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.node import Arrival, Node
 from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
@@ -42,7 +42,7 @@ from sim.faults.instruments import Broken, FailingSensors, Failure
 from sim.faults.solver import Now, Timed, Trouble, Troubled, troubled
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed, Transit
-from sim.lockstep import Cause, Delivery, LockStep
+from sim.scheduler import Delivery, LockStep, Step
 
 SCENARIO = "hover"
 
@@ -86,7 +86,7 @@ class ReportSeen(NamedTuple):
 
 @dataclass
 class Log:
-    """What a run's messages showed, in order; an observer of its lock step."""
+    """What a run's steps and messages showed, in order; an observer of its lock step."""
 
     vehicle: Vehicle
     tap: Callable[[Message], None] = lambda _: None
@@ -108,12 +108,12 @@ class Log:
         self._box = np.array([[t.min_N, t.max_N] for t in self.vehicle.thrusters])
         self._slew = np.array([t.slew_N_per_s for t in self.vehicle.thrusters])
 
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:  # noqa: ARG002
+    def stepped(self, step: Step) -> None:
         """Cycles of the controller, and what it heard before them."""
-        if node != "controller":
+        if step.node != "controller":
             return
-        self.cycles.append(at_ns)
-        self.heard += [(a.received_t_ns, a.signal.t_ns) for a in inbox if isinstance(a.signal, Estimate)]
+        self.cycles.append(step.at_ns)
+        self.heard += [(a.received_t_ns, a.signal.t_ns) for a in step.inbox if isinstance(a.signal, Estimate)]
 
     def published(self, node: str, message: Arrival) -> None:
         """Every message, as its writer published it."""
@@ -242,6 +242,7 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
             start_ns=of.scenario.start_ns,
             compute_delay_ns=_overrun(run.faults),
             observe=log,
+            stepped=log.stepped,
             latest=locked.LATEST,
             refused=locked.refused,
             between=bus,

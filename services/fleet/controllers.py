@@ -90,7 +90,8 @@ class _Helm:
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns
             arrivals.append(Arrival(signal, header.epoch, header.sequence, received_ns))
-        for signal in self.node.step(now_ns(start_ns), arrivals):
+        (outputs,) = self.node.steps([(now_ns(start_ns), arrivals)])
+        for signal in outputs:
             if isinstance(signal, Plan):
                 self.out.publish(signal)
 

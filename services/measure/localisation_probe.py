@@ -2,7 +2,7 @@
 
 Sensors are asked for their true biases right after their step of a whole second, the filter for its belief after the
 step that says what it estimates of it, if it stands there; both go on as if nobody had asked. These copies are compared
-when the truth of that second is heard, for nodes run ahead of what they said (``sim/stretches.py``).
+when the truth of that second is heard, for nodes run ahead of what they said (``sim/scheduler.py``).
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter, Verdict
 from ltv_mpc.localisation.state import VELOCITY, Belief, grid
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
-from ltv_mpc.node import Arrival, Due, Inbox, Node, steps_of
+from ltv_mpc.node import Arrival, Due, Node
 from services.measure.batch import Job
 from services.run import locked
 from services.run.situation import Situation
 from sim.grading.bound import Trajectory, bound
 from sim.grading.cells import Cells
 from sim.grading.consistency import TrueState, drawn, nees, nodes_around, squared
+from sim.scheduler import LockStep
 from sim.sensors.adcp import Profiler, beams
 from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
@@ -34,7 +35,6 @@ from sim.sensors.injected import Injected
 from sim.sensors.lbl import Transceiver
 from sim.sensors.node import Sensors
 from sim.sensors.usbl import Ship
-from sim.stretches import Stretches
 
 LOOK_NS = 1_000_000_000
 TRACK_NS = 100_000_000
@@ -100,11 +100,7 @@ class _Watched:
     ) -> None:
         """``ran`` is told a step's time and what came of it: of each at a time of ``LOOK_NS``, or while ``closely``."""
         self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
-        self._steps, self._ran, self._closely = steps_of(node), ran, closely
-
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """The node's."""
-        return self.steps([(t_ns, inbox)])[0]
+        self._steps, self._ran, self._closely = node.steps, ran, closely
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """The node's, as many at once as go by unseen."""
@@ -160,7 +156,7 @@ class Probe:
     def descend(self) -> None:
         """All of it."""
         scenario = self._situation.scenario
-        Stretches(
+        LockStep(
             self._nodes,
             start_ns=scenario.start_ns,
             compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),

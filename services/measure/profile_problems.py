@@ -8,7 +8,7 @@ descent onto a line 2 m off with the heading up to 3 rad from it. All with one Q
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,14 +20,14 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Estimate, Message, StepRecord
-from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.node import Arrival, Due, Node
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
 from services.run import folder, locked
 from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
 from sim.sensors.node import Sensors
 
 LONGEST_DESCENT = 650
@@ -154,12 +154,15 @@ class _Untold:
             sensors.reads,
             sensors.writes,
         )
-        self._step = sensors.step
+        self._steps = sensors.steps
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         return [
-            msgspec.structs.replace(signal, current=None) if isinstance(signal, Estimate) else signal
-            for signal in self._step(t_ns, inbox)
+            [
+                msgspec.structs.replace(signal, current=None) if isinstance(signal, Estimate) else signal
+                for signal in signals
+            ]
+            for signals in self._steps(due)
         ]
 
 
@@ -180,10 +183,10 @@ def _replay(recording: Path, node: Node, enough: Callable[[], bool]) -> None:
     for t_ns, inbox in _steps(recording, node):
         if enough():
             return
-        node.step(t_ns, inbox)
+        node.steps([(t_ns, inbox)])
 
 
-def _steps(recording: Path, node: Node) -> Iterable[tuple[int, Inbox]]:
+def _steps(recording: Path, node: Node) -> Iterable[Due]:
     """Time and inbox of each step; what the recorder has lost is not in them."""
     reads = frozenset(node.reads)
     heard: dict[tuple[str, int, int], Message] = {}

@@ -147,11 +147,11 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
     for k, estimate in enumerate((here, here, off, off, broken, here)):
         t_ns = begun + k * config.period_ns
         signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
-        node.step(t_ns, [Arrival(signal, 1, k, t_ns) for signal in signals])
+        node.steps([(t_ns, [Arrival(signal, 1, k, t_ns) for signal in signals])])
     node.controller.rehearse()
     evidence.rehearse()  # which these cycles, without a report of the actuators, have not asked for
     for missed_s in (2.0, 20.0):  # hold, and then failsafe
-        node.step(t_ns + round(missed_s * 1e9), [])
+        node.steps([(t_ns + round(missed_s * 1e9), [])])
 
 
 def rehearse_solver(vehicle: Vehicle, config: ControllerConfig) -> None:

@@ -31,7 +31,7 @@ from services.process.clock import ClockError, VehicleClock, monotonic_us
 from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed, Transit
-from sim.lockstep import Delivery
+from sim.scheduler import Delivery
 
 NAME = "inject"
 WAIT_S = 0.05

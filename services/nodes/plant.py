@@ -32,7 +32,7 @@ def rehearse(situation: Situation) -> None:
     """Have all compiled code loaded: a few steps of a plant that is thrown away."""
     plant = _make(situation)
     for t_ns in range(0, 5 * Plant.schedule.period_ns, Plant.schedule.period_ns):
-        plant.step(t_ns, [])
+        plant.steps([(t_ns, [])])
 
 
 def _make(situation: Situation) -> Plant:

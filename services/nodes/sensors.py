@@ -37,7 +37,7 @@ def rehearse(situation: Situation) -> None:
             current_mps=(0.0, 0.0),
             thrust_N=still,
         )
-        sensors.step(t_ns, [Arrival(truth, 1, 0, t_ns)])
+        sensors.steps([(t_ns, [Arrival(truth, 1, 0, t_ns)])])
 
 
 def _make(situation: Situation) -> Sensors:

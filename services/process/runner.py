@@ -240,7 +240,7 @@ class Runner:
             )
         )
         self._stages("read")
-        outputs = self._node.step(t_ns, arrivals)
+        (outputs,) = self._node.steps([(t_ns, arrivals)])
         self._status.stepped(monotonic_us() - started_us)
         if not outputs:
             return

@@ -127,7 +127,7 @@ class Epoch:
             self._node = self._make()
         self._next += 1
         try:
-            signals = self._node.step(record.t_ns, arrivals)
+            (signals,) = self._node.steps([(record.t_ns, arrivals)])
         except Exception as error:
             self.outcome.raised(record, error)
             self._stop(f"the replayed step {record.step} raised {type(error).__name__}", record.t_ns)

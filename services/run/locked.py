@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Estimate, InboxEntry, Message, Rejected, StepRecord
-from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.node import Arrival, Node
 from services.bus import topics, wire
 from services.bus.door import rejection
 from services.bus.mailbox import Frame
@@ -20,10 +20,9 @@ from services.run.summary import LOCKSTEP, summarise
 from services.run.water import Learned
 from sim.grading.metrics import Grader
 from sim.grading.summary import Messages, Summary
-from sim.lockstep import EPOCH, Cause, LockStep
 from sim.plant import Plant
+from sim.scheduler import EPOCH, LockStep, Step
 from sim.sensors.node import Sensors
-from sim.stretches import Stretches
 
 LATEST = frozenset(topic.signal for topic in topics.TOPICS if topic.delivery is topics.LATEST)
 
@@ -78,13 +77,14 @@ def _go(
     _leave_alone()
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer, learned)
-    # Without records nobody asks in which order nodes were stepped.
-    way = partial(Stretches, heard=log.heard) if writer is None else LockStep
-    lockstep = way(
-        nodes(situation, unheard=writer is not None),
+    recorded = writer is not None
+    lockstep = LockStep(
+        nodes(situation, unheard=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observe=log,
+        heard=None if recorded else log.heard,
+        stepped=log.stepped if recorded else None,
         latest=LATEST,
         refused=refused,
     )
@@ -94,8 +94,8 @@ def _go(
         lockstep.advance(t_ns)
         if progress is not None:
             progress(t_ns)
-    untold = lockstep.untold if isinstance(lockstep, Stretches) else 0
-    messages = Messages(published=log.published_count + untold, dropped=0, rejected=log.rejected_count)
+    records = sum(lockstep.steps.values()) if recorded else 0
+    messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
     return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages)
 
 
@@ -113,7 +113,6 @@ class _Log:
 
     def __init__(self, grader: Grader, writer: RunWriter | None, learned: Learned | None) -> None:
         self.grader = grader
-        self.published_count = 0
         self.rejected_count = 0
         self._learned = learned
         self._writer = writer
@@ -123,23 +122,21 @@ class _Log:
         """Of which types it takes more than their number, without a recording."""
         return self.grader.hears | {Estimate, Rejected}
 
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: Cause, inbox: Inbox) -> None:
-        if self._writer is None:
-            return
+    def stepped(self, step: Step) -> None:
+        assert self._writer is not None
+        node, cause = step.node, step.cause
         record = StepRecord(
             node=node,
             epoch=EPOCH,
-            step=number,
-            t_ns=t_ns,
-            cause=cause if isinstance(cause, str) else _key(inbox[-1].signal, node),
-            inbox=tuple(_entry(message, node) for message in inbox),
+            step=step.number,
+            t_ns=step.t_ns,
+            cause=cause if isinstance(cause, str) else _key(step.inbox[-1].signal, node),
+            inbox=tuple(_entry(message, node) for message in step.inbox),
         )
-        self.published_count += 1
-        self._writer.write(node, record, _header(number), at_ns)
+        self._writer.write(node, record, _header(step.number), step.at_ns)
 
     def published(self, node: str, message: Arrival) -> None:
         signal = message.signal
-        self.published_count += 1
         self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
         if type(signal) is Rejected:
             self.rejected_count += 1

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Message
-from ltv_mpc.node import Inbox, Node, Schedule
+from ltv_mpc.node import Due, Node, Schedule
 from sim.faults.readings import Reading, changed, restamped
 from sim.faults.spell import Spell
 
@@ -71,12 +71,12 @@ class FailingSensors:
         """As the node inside."""
         return self._sensors.writes
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """What the instruments say, and what the broken ones make of it."""
-        signals = self._sensors.step(t_ns, inbox)
+        outputs = self._sensors.steps(due)
         for failing in self._failures:
-            signals = failing.through(t_ns, signals)
-        return signals
+            outputs = [failing.through(t_ns, signals) for (t_ns, _), signals in zip(due, outputs, strict=True)]
+        return outputs
 
 
 class _Failing:

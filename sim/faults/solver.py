@@ -18,7 +18,7 @@ import numpy as np
 from ltv_mpc.control import controller
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.messages import Message, Solve, SolveStatus
-from ltv_mpc.node import Inbox, Node, Schedule
+from ltv_mpc.node import Due, Node, Schedule
 from sim.faults.spell import Spell
 
 
@@ -99,10 +99,13 @@ class Timed:
         """As the node inside."""
         return self._node.writes
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """The node's own step."""
-        self._now.t_ns = t_ns
-        return self._node.step(t_ns, inbox)
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """The node's own steps, one at a time."""
+        outputs: list[list[Message]] = []
+        for one in due:
+            self._now.t_ns = one[0]
+            outputs += self._node.steps([one])
+        return outputs
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Faults of messages on their way: lost, late, out of order, doubled, damaged, not a number, stale, wrongly stamped.
 
-``Transit`` stands between the nodes of a lock step (``sim.lockstep.Between``): each message of a key that a fault
+``Transit`` stands between the nodes of a lock step (``sim.scheduler.Between``): each message of a key that a fault
 concerns goes through that fault, all others arrive as they were published. Harmed messages are counted, so that the
 readers' own counts can be held against them.
 """
@@ -18,7 +18,7 @@ from ltv_mpc.messages import Harm, Message
 from ltv_mpc.node import Arrival
 from ltv_mpc.validation import bounds
 from sim.faults.spell import Spell
-from sim.lockstep import Delivery
+from sim.scheduler import Delivery
 
 
 class Harmed(NamedTuple):

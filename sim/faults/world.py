@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
-from ltv_mpc.node import Grid, Inbox
+from ltv_mpc.node import Due, Grid
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.faults.spell import Spell
 
@@ -30,8 +30,11 @@ class Disturber:
         """Pairs of when (vehicle ns) and what."""
         self._waiting = sorted(disturbances, key=lambda pair: pair[0])
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (it hears nothing)
-        """What is due."""
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """The disturbances whose time has come."""
+        return [self._begun(t_ns) for t_ns, _ in due]
+
+    def _begun(self, t_ns: int) -> list[Message]:
         due = [disturbance for at_ns, disturbance in self._waiting if at_ns <= t_ns]
         self._waiting = self._waiting[len(due) :]
         return list(due)
@@ -55,9 +58,9 @@ class Intruder:
     def __init__(self, intrusions: Sequence[Intrusion]) -> None:
         self._intrusions = intrusions
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (it hears nothing)
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """One plan each period of a spell."""
-        return [plan(t_ns, one.thrust_N) for one in self._intrusions if one.spell.holds(t_ns)]
+        return [[plan(t_ns, one.thrust_N) for one in self._intrusions if one.spell.holds(t_ns)] for t_ns, _ in due]
 
 
 def plan(t_ns: int, thrust_N: Triple) -> Plan:

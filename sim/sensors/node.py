@@ -28,7 +28,7 @@ from ltv_mpc.messages import (
     Truth,
     UsblFix,
 )
-from ltv_mpc.node import Due, Inbox, OnMessage, one_by_one
+from ltv_mpc.node import Due, Inbox, OnMessage
 from sim.scenario import Scenario
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
@@ -129,20 +129,17 @@ class Sensors:
         """The sensors, in the order in which they speak at one instant."""
         return tuple(mounted.sensor for mounted in self._mounted)
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002  (each truth carries its own)
-        """What has arrived since the last truth, in order of validity."""
-        signals: list[Message] = []
-        for arrival in inbox:
-            if isinstance(arrival.signal, Truth) and (self._last is None or arrival.signal.t_ns > self._last.t_ns):
-                signals += self._measure(arrival.signal)
-        return signals
-
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """``step`` for each in turn; where the inertial unit measures at every truth, its samples at once."""
+        """What has arrived since the last truth, in order of validity.
+
+        Where the inertial unit measures at every truth, its samples are made at once.
+        """
+        if len(due) == 1:  # as in a process, where looking for several costs more than it saves
+            return [self._step(due[0][1])]
         truths = [arrival.signal for _, inbox in due for arrival in inbox if isinstance(arrival.signal, Truth)]
         imu = self._mounted[0].sensor if self._mounted else None
         if not (isinstance(imu, InertialUnit) and len(truths) == len(due) and self._is_measured_at(truths, imu)):
-            return one_by_one(self, due)
+            return [self._step(inbox) for _, inbox in due]
         assert self._last is not None
         ends = [self._last, *truths]
         motions = through(ends, self._motion)
@@ -160,6 +157,13 @@ class Sensors:
             else:
                 signals.append([sample])
         heappush(self._due, (truths[-1].t_ns + self._mounted[0].period_ns, 0))
+        return signals
+
+    def _step(self, inbox: Inbox) -> list[Message]:
+        signals: list[Message] = []
+        for arrival in inbox:
+            if isinstance(arrival.signal, Truth) and (self._last is None or arrival.signal.t_ns > self._last.t_ns):
+                signals += self._measure(arrival.signal)
         return signals
 
     def _is_measured_at(self, truths: Sequence[Truth], imu: InertialUnit) -> bool:

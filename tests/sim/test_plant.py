@@ -15,6 +15,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario
 from sim.water import make
+from tests.stepping import step
 
 MS, S = 1_000_000, 1_000_000_000
 VEHICLE = Vehicle.load("paper")
@@ -49,7 +50,7 @@ def run(
     """Everything published; ``arrivals`` are the inboxes by step."""
     said = []
     for t in range(start_ns, until_ns + 1, PERIOD_NS):
-        said += plant.step(t, arrivals.get(t, []))
+        said += step(plant, t, arrivals.get(t, []))
     return said
 
 

@@ -14,18 +14,19 @@ from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import Acknowledged, Action, Applied, Command, Manual, Message, Plan
 from ltv_mpc.node import Arrival, Grid, Inbox
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.lockstep import LockStep
 from sim.plant import Plant
 from sim.scenario import Scenario
+from sim.scheduler import LockStep
 from sim.sensors.node import Sensors
 from sim.water import make
+from tests.stepping import OneByOne
 
 S = 1_000_000_000
 VEHICLE = Vehicle.load("paper")  # +-62.5 N, 100 N/s
 DELAY_NS = 50_000_000
 
 
-class Operator:
+class Operator(OneByOne):
     """Gives each command at its time; from the first "manual" on its hand is on the stick."""
 
     name = "operator"
@@ -50,9 +51,6 @@ class Seen:
     def __init__(self) -> None:
         self.applied: list[Applied] = []
         self.plans: list[Plan] = []
-
-    def stepped(self, *_: object) -> None:
-        pass
 
     def published(self, _node: str, message: Arrival) -> None:
         match message.signal:

@@ -36,6 +36,7 @@ from services.bus.wire import Header, WireError, crc, decode, encode
 from services.launch import loopback
 from services.process.stopping import StopRequest
 from tests.services.bus.messages import EXAMPLES
+from tests.stepping import step
 from tests.system.alone import CLI, controller
 from tests.system.damaged import damaged
 
@@ -88,7 +89,7 @@ class Listening:
 
     def plan(self, t_ns: int) -> Plan:
         inbox, self._inbox = self._inbox, []
-        (plan,) = (signal for signal in self.node.step(t_ns, inbox) if isinstance(signal, Plan))
+        (plan,) = (signal for signal in step(self.node, t_ns, inbox) if isinstance(signal, Plan))
         return plan
 
 

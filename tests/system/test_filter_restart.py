@@ -9,13 +9,14 @@ import pytest
 from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
 from services.run import locked
 from services.run.situation import Override, resolve
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
+from tests.stepping import OneByOne, step
 
 FROM_S = 15
 SECOND = 1_000_000_000
 
 
-class Led:
+class Led(OneByOne):
     """The sensors' node, whose words are altered for a while."""
 
     def __init__(self, node, alter, to_s):
@@ -23,7 +24,7 @@ class Led:
         self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
 
     def step(self, t_ns, inbox):
-        said = self.node.step(t_ns, inbox)
+        said = step(self.node, t_ns, inbox)
         return [self.alter(s) if FROM_S * SECOND < s.t_ns < self.to_ns else s for s in said]
 
 
@@ -44,9 +45,6 @@ def wild_accelerometer(signal):
 class Ears:
     def __init__(self):
         self.truth, self.estimates, self.reports, self.applied = {}, [], [], []
-
-    def stepped(self, *_):
-        pass
 
     def published(self, _node, message):
         match message.signal:

@@ -10,14 +10,15 @@ import pytest
 from ltv_mpc.messages import Applied, Estimate, Truth, UsblFix
 from services.run import locked
 from services.run.situation import Override, resolve
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
+from tests.stepping import OneByOne, step
 
 SECOND = 1_000_000_000
 FIRST_FIX_S, END_S = 20, 45
 USBL = Path(__file__).resolve().parents[2] / "examples" / "sensors" / "usbl.toml"
 
 
-class WithoutFixes:
+class WithoutFixes(OneByOne):
     """The sensors' node, whose USBL is not heard before ``FIRST_FIX_S``."""
 
     def __init__(self, node):
@@ -25,16 +26,13 @@ class WithoutFixes:
         self.name, self.schedule, self.reads, self.writes = node.name, node.schedule, node.reads, node.writes
 
     def step(self, t_ns, inbox):
-        said = self.node.step(t_ns, inbox)
+        said = step(self.node, t_ns, inbox)
         return [s for s in said if not (isinstance(s, UsblFix) and s.t_ns < FIRST_FIX_S * SECOND)]
 
 
 class Ears:
     def __init__(self):
         self.heard = {Truth: [], Estimate: [], Applied: []}
-
-    def stepped(self, *_):
-        pass
 
     def published(self, _node, message):
         if type(message.signal) in self.heard:

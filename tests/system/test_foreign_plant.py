@@ -23,6 +23,7 @@ from services.bus.mailbox import Frame
 from services.bus.topics import BY_KEY, key_of
 from services.bus.wire import Header, encode
 from services.launch import loopback
+from tests.stepping import step
 from tests.system.alone import controller, started
 from tests.system.foreign_plant import STEP_NS, Actuators, Hull, Sender
 
@@ -130,7 +131,7 @@ class Flight:
         return Arrival(signal, header.epoch, header.sequence, t_ns)
 
     def _cycle(self, t_ns: int, inbox: list[Arrival]) -> None:
-        for signal in self.node.step(t_ns, inbox):
+        for signal in step(self.node, t_ns, inbox):
             if key_of(type(signal), "controller") == "plan":
                 payload = encode(signal, Header(epoch=1, sequence=self._sequence))
                 self._sequence += 1

@@ -25,6 +25,7 @@ from ltv_mpc.node import Arrival
 from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.validation import refusal
 from tests.ltv_mpc.reports import report
+from tests.stepping import step
 
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
@@ -52,7 +53,7 @@ class Flight:
     def step(self, *words: Message) -> Plan:
         """One cycle, and what it leads to."""
         inbox = [self.arrival(word) for word in (*words, self.estimate)]
-        for signal in self.node.step(self.estimate.t_ns, inbox):
+        for signal in step(self.node, self.estimate.t_ns, inbox):
             assert refusal(signal) is None
             self.words.append(signal)
             match signal:
@@ -234,10 +235,10 @@ def test_estimates_out_of_order_are_not_planned_on_and_are_counted():
     flight = armed(references.load("line"), 5)
     newest = flight.estimate
     node, t = flight.node, newest.t_ns
-    node.step(t, [Arrival(newest, 1, 100, t)])
+    step(node, t, [Arrival(newest, 1, 100, t)])
     old = msgspec.structs.replace(newest, t_ns=t - S, north_m=0.0)
     for arrival in (Arrival(old, 1, 101, t), Arrival(msgspec.structs.replace(newest, t_ns=t + 1), 1, 100, t)):
-        plan = node.step(t + PERIOD_NS, [arrival])[0]
+        plan = step(node, t + PERIOD_NS, [arrival])[0]
         assert plan.estimate_t_ns == t
     word = node.inputs()[0]
     assert (word.input, word.refused, word.alive, word.valid) == ("estimate", 2, True, True)
@@ -263,7 +264,7 @@ def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_o
 def test_health_follows_the_age_of_the_estimate_and_reports_that_fall_silent():
     flight = armed(references.load("line"), 12)
     node, t = flight.node, flight.estimate.t_ns - PERIOD_NS
-    said = [node.step(t + k * PERIOD_NS, [])[0] for k in range(1, 12)]
+    said = [step(node, t + k * PERIOD_NS, [])[0] for k in range(1, 12)]
     # 10 estimates at 0.3 s: 0.9, 1.5, 3 s
     assert [p.health for p in said] == ["nominal"] * 3 + ["degraded"] * 2 + ["hold"] * 5 + ["failsafe"]
     assert [p.origin for p in said] == [PlanOrigin.SOLVED] * 5 + [PlanOrigin.DAMPING] * 5 + [PlanOrigin.ZERO]

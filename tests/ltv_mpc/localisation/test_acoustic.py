@@ -13,6 +13,7 @@ from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.state import Belief, Layout
 from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
 from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
+from tests.stepping import step
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.1, "outlier_share": 0.1}
@@ -90,7 +91,7 @@ def drifts(dive, inbox_of, aid=None):
         arriving += [(t_ns, 10**6 + i, m) for i, (t_ns, m) in enumerate(aid(dive, np.random.default_rng(3)))]
     estimator, errors = Estimator(SUITE, CONFIG), []
     for _, _, message in sorted(arriving, key=lambda entry: entry[:2]):
-        for said in estimator.step(message.t_ns, inbox_of(message)):
+        for said in step(estimator, message.t_ns, inbox_of(message)):
             if not isinstance(said, Estimate):
                 continue
             if said.t_ns > 0 and said.t_ns % SECOND == 0:

@@ -18,6 +18,7 @@ from ltv_mpc.localisation.onsets import Found
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import AdcpPing, ImuSample
+from tests.stepping import step
 
 PAPER = Suite.load("paper")
 CONFIG = EstimatorConfig()
@@ -65,7 +66,7 @@ def run(inbox_of):
     def run(messages, config=CONFIG, estimator=None):
         estimator = estimator or Estimator(PAPER, config)
         for message in messages:
-            estimator.step(message.t_ns, inbox_of(message))
+            step(estimator, message.t_ns, inbox_of(message))
         estimator.filter.settle()
         return estimator.filter
 

@@ -16,7 +16,8 @@ from ltv_mpc.node import Arrival, Due
 from services.bus import wire
 from services.run import locked
 from services.run.situation import Override, Situation, resolve
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
+from tests.stepping import step
 
 S = 1_000_000_000
 
@@ -26,9 +27,6 @@ class Ears:
 
     def __init__(self) -> None:
         self.said: list[Arrival] = []
-
-    def stepped(self, *_: object) -> None:
-        pass
 
     def published(self, node: str, message: Arrival) -> None:
         if node == "sensors":
@@ -69,7 +67,7 @@ def both(situation: Situation, arrivals: Sequence[Arrival], chunk: int) -> tuple
     """What the estimator says to them, once it has been seen to say the same in chunks."""
     due: list[Due] = [(arrival.signal.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
     one, other = estimator(situation), estimator(situation)
-    slow = [one.step(*step) for step in due]
+    slow = [step(one, *one_due) for one_due in due]
     fast: list[list[Message]] = []
     for first in range(0, len(due), chunk):
         fast += other.steps(due[first : first + chunk])

@@ -9,6 +9,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import Estimate
+from tests.stepping import step
 
 EVERY_NS = 10_000_000_000
 
@@ -24,7 +25,7 @@ class Sailed:
         self.least_eigenvalue = np.inf
         seen = np.zeros(71, dtype=bool)
         for message in dive.messages:
-            for said in self.estimator.step(message.t_ns, inbox_of(message)):
+            for said in step(self.estimator, message.t_ns, inbox_of(message)):
                 if not isinstance(said, Estimate):
                     continue
                 self.estimates[said.t_ns] = said
@@ -158,7 +159,7 @@ def test_water_unlike_the_prior_is_still_let_through_the_gate(make_dive, inbox_o
             ahead, starboard = s * 0.25 * R[0, 0], s * 0.25 * R[0, 1]
             tide = np.array([ahead, -ahead, starboard, -starboard])
             message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + tide[:, None])
-        estimator.step(message.t_ns, inbox_of(message))
+        step(estimator, message.t_ns, inbox_of(message))
     account = estimator.account
     assert account["adcp.gate"] < 0.01 * account["adcp.used"]
     belief = estimator.filter.belief

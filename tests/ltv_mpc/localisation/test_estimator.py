@@ -13,6 +13,7 @@ from ltv_mpc.localisation.output import estimate
 from ltv_mpc.localisation.state import Belief, Layout, grid
 from ltv_mpc.localisation.suite import BottomTracking, Suite
 from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
+from tests.stepping import step
 
 SUITE = Suite.load("realistic")
 CONFIG = EstimatorConfig()
@@ -30,7 +31,7 @@ def run(inbox_of):
         estimator = estimator or Estimator(suite, config)
         out = []
         for message in messages:
-            said = estimator.step(message.t_ns, inbox_of(message))
+            said = step(estimator, message.t_ns, inbox_of(message))
             out += [(message, one) for one in said if isinstance(one, Estimate)]
         return estimator, out
 
@@ -152,7 +153,7 @@ def test_what_is_too_old_or_comes_twice_is_counted_and_changes_nothing(dive, run
     second = [next(m for m in reversed(dive.messages) if isinstance(m, kind)) for kind in kinds]
     old = [m for m in dive.messages if 2_000_000_000 < m.t_ns < 2_700_000_000]
     for message in (*second, *old):
-        assert estimator.step(message.t_ns, inbox_of(message)) == []
+        assert step(estimator, message.t_ns, inbox_of(message)) == []
     np.testing.assert_array_equal(estimator.filter.belief.x, before.x)
     np.testing.assert_array_equal(estimator.filter.belief.P, before.P)
     account = estimator.account
@@ -174,7 +175,7 @@ def test_messages_without_an_inertial_unit_do_not_pile_up(dive, run, inbox_of):
     estimator, _ = run(dive.messages)
     for k in range(1, 1101):
         message = PressureDepth(t_ns=4_000_000_000 + k, depth_m=0.8)
-        estimator.step(message.t_ns, inbox_of(message))
+        step(estimator, message.t_ns, inbox_of(message))
     assert estimator.account["pressure.without_imu"] == 100
 
 
@@ -202,7 +203,7 @@ def test_two_runs_give_the_same_bits(dive, run):
 def test_messages_of_one_inbox_are_used_as_if_they_came_one_by_one(dive, run, inbox_of):
     _, out = run(dive.messages)
     together = Estimator(SUITE, CONFIG)
-    said = together.step(0, [entry for m in dive.messages for entry in inbox_of(m)])
+    said = step(together, 0, [entry for m in dive.messages for entry in inbox_of(m)])
     said = [one for one in said if isinstance(one, Estimate)]
     assert len(said) == len(out)
     assert all(same(a, b) for (_, a), b in zip(out, said, strict=True))

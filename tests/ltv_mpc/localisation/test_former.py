@@ -11,6 +11,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import AdcpPing, Estimate, ImuSample, LocalisationReport, Message, PressureDepth
+from tests.stepping import step
 
 SUITE = Suite.load("realistic")
 SECOND = 1_000_000_000
@@ -36,7 +37,7 @@ class Said:
                 self._step(inbox_of, waiting.pop(0))
 
     def _step(self, inbox_of, message: Message) -> None:
-        for one in self.estimator.step(message.t_ns, inbox_of(message)):
+        for one in step(self.estimator, message.t_ns, inbox_of(message)):
             if isinstance(one, Estimate):
                 self.estimates[one.t_ns] = one
             elif isinstance(one, LocalisationReport):

@@ -26,6 +26,7 @@ from ltv_mpc.messages import (
     TdcpFix,
     UsblFix,
 )
+from tests.stepping import step
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.0, "outlier_share": 0.0}
@@ -93,7 +94,7 @@ def used(messages, inbox_of, observe=None):
         heard = estimator.filter is not None and message.t_ns > ALIGNED_NS
         if heard and observe not in (None, *estimator.filter.observers):
             estimator.filter.observers.append(observe)
-        said += [one for one in estimator.step(message.t_ns, inbox_of(message)) if isinstance(one, Estimate)]
+        said += [one for one in step(estimator, message.t_ns, inbox_of(message)) if isinstance(one, Estimate)]
     return estimator, said
 
 
@@ -248,5 +249,5 @@ def test_snapshots_are_few_and_rarer_where_nothing_is_meant_to_be_late(
     monkeypatch.setattr(Filter, "snapshot", lambda self: taken.append(self.belief.t_ns) or snapshot(self))
     estimator = Estimator(suite, CONFIG)
     for message in messages:
-        estimator.step(message.t_ns, inbox_of(message))
+        step(estimator, message.t_ns, inbox_of(message))
     assert 0.9 * a_second < len(taken) / 6 <= a_second

@@ -24,6 +24,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Arrival
 from services.bus.wire import Header, decode, encode
+from tests.stepping import step
 
 SUITE = Suite.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
@@ -35,7 +36,7 @@ def said(estimator, messages, inbox_of, *, state=None):
     first = [] if state is None else [Arrival(state, 1, 0, state.t_ns)]
     out = []
     for message in messages:
-        out += estimator.step(message.t_ns, [*first, *inbox_of(message)])
+        out += step(estimator, message.t_ns, [*first, *inbox_of(message)])
         first = []
     return out
 

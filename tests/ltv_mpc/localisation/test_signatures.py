@@ -16,6 +16,7 @@ from ltv_mpc.localisation.state import VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.localisation.turning import HEADING, swing
 from ltv_mpc.messages import AdcpPing
+from tests.stepping import step
 
 PAPER = Suite.load("paper")
 CONFIG = EstimatorConfig()
@@ -108,7 +109,7 @@ def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive
     def belief_of(messages):
         estimator = Estimator(PAPER, config)
         for message in messages:
-            estimator.step(message.t_ns, inbox_of(message))
+            step(estimator, message.t_ns, inbox_of(message))
         return estimator.filter.settled()
 
     def instant(t_s):

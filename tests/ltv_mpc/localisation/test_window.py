@@ -17,6 +17,7 @@ from ltv_mpc.localisation.survey import learned
 from ltv_mpc.localisation.water_column import node_prior, walk, write_prior
 from ltv_mpc.localisation.window import follow, given, grown
 from ltv_mpc.messages import AdcpPing, Estimate
+from tests.stepping import step
 
 WHOLE = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False)
 WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
@@ -77,7 +78,7 @@ def test_a_filter_that_forgets_depths_behind_it_knows_the_rest_as_one_that_keeps
     keeps, forgets = Estimator(suite, WHOLE), Estimator(suite, WINDOW)
     said = 0
     for message in dive.messages:
-        pairs = zip(*(e.step(message.t_ns, inbox_of(message)) for e in (keeps, forgets)), strict=True)
+        pairs = zip(*(step(e, message.t_ns, inbox_of(message)) for e in (keeps, forgets)), strict=True)
         for a, b in pairs:
             if not isinstance(a, Estimate):
                 continue

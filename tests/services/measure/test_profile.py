@@ -26,6 +26,7 @@ from services.measure.profile_measuring import STAGES, Contestant, Piqp, Samples
 from services.recording.reader import Recording
 from services.run import folder, locked
 from services.run.situation import Override, resolve
+from tests.stepping import OneByOne, step
 
 OSQP, PIQP = SolverByName("osqp"), Piqp()
 
@@ -36,7 +37,7 @@ def measured(episodes: list[problems.Episode], *contestants: Contestant) -> list
     return measure(episodes, contestants, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
 
 
-class Probe:
+class Probe(OneByOne):
     """Stands in the controller's place and keeps what it hears."""
 
     name = "controller"
@@ -316,7 +317,7 @@ def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
         reads = ControllerNode.reads  # the command to arm too
 
         def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-            plans.extend(plan for plan in node.step(t_ns, inbox) if isinstance(plan, Plan))
+            plans.extend(plan for plan in step(node, t_ns, inbox) if isinstance(plan, Plan))
             return []
 
     episode.feed(Kept(), lambda: False)

@@ -31,6 +31,7 @@ from services.process.foreign_clock import Reading
 from services.process.metrics import Metrics, serving
 from services.process.report import ControllerReport
 from services.process.status_line import ERASE, StatusLine
+from tests.stepping import step
 
 STATUS = ControllerStatus(
     t_ns=5,
@@ -96,7 +97,7 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
 
 
 def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: ControllerNode) -> None:
-    node.step(0, [Arrival(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
+    step(node, 0, [Arrival(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
     assert node.helm.manual_refused == 1
 
 

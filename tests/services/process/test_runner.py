@@ -42,13 +42,14 @@ from services.process.clock import monotonic_us
 from services.process.runner import Runner
 from services.process.stopping import StopRequest
 from services.process.timekeeping import KeepsTime
+from tests.stepping import OneByOne
 
 TICK_NS = 10_000_000
 ZERO = (0.0, 0.0, 0.0)
 PATIENCE_S = 20.0
 
 
-class Plant:
+class Plant(OneByOne):
     name = "plant"
     schedule = Grid(TICK_NS)
     reads: tuple[type[Message], ...] = (Plan,)
@@ -69,7 +70,7 @@ class Plant:
         return [truth]
 
 
-class Sensors:
+class Sensors(OneByOne):
     name = "sensors"
     schedule = OnMessage((Truth,))
     reads: tuple[type[Message], ...] = (Truth,)
@@ -85,7 +86,7 @@ class Sensors:
         return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
 
 
-class Controller:
+class Controller(OneByOne):
     name = "controller"
     schedule = Cycle(300_000_000)
     reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
@@ -112,7 +113,7 @@ class Commanded(Controller):
     reads: tuple[type[Message], ...] = (*Controller.reads, Command)
 
 
-class Listener:
+class Listener(OneByOne):
     """Reads what a test publishes by hand."""
 
     name = "estimator"
@@ -370,7 +371,7 @@ def test_what_was_on_its_way_when_a_process_is_told_to_stop_is_taken(bus: BusOpt
             until(lambda: len(node.heard) == 2)
 
 
-class Slow:
+class Slow(OneByOne):
     """A cycle that lasts longer than its period; ``during`` is what happens in the first one."""
 
     name = "estimator"
@@ -406,7 +407,7 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
     assert node.inboxes[:3] == [[], list(range(50)), []]
 
 
-class Flooded:
+class Flooded(OneByOne):
     """Notes when its cycles begin."""
 
     name = "estimator"

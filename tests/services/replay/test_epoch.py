@@ -11,6 +11,7 @@ from services.recording.reader import Stored
 from services.replay.compare import Comparison
 from services.replay.epoch import REACH, Epoch, Record
 from services.replay.frames import Frames, Header
+from tests.stepping import OneByOne
 
 
 def depth(sequence: int) -> tuple[Stored, Header]:
@@ -40,7 +41,7 @@ def test_what_was_used_or_is_old_is_not_kept() -> None:
     assert frames.find(entry(*depth(9))) is not None
 
 
-class Fragile:
+class Fragile(OneByOne):
     """Steps until it is told of a depth."""
 
     name = "sensors"

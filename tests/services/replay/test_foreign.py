@@ -106,7 +106,7 @@ def test_a_controller_alone_by_a_foreign_clock_is_replayed_by_the_times_in_its_r
                 entries.append(InboxEntry(key=key, crc=wire.crc(payload), received_t_ns=t_ns, **_named(header)))
                 writer.write_plain(key, type(signal), wire.unpack(payload), t_ns, wire.crc(payload))
             record = StepRecord(node=node.name, epoch=own, step=step, t_ns=t_ns, cause="cycle", inbox=tuple(entries))
-            outputs = node.step(t_ns, arrivals)
+            (outputs,) = node.steps([(t_ns, arrivals)])
             made += len(outputs)
             for signal in (record, *outputs):
                 key = key_of(type(signal), node.name)

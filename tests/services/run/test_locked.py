@@ -22,6 +22,7 @@ from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
 from services.run.summary import of_recording
 from sim.grading.summary import Summary
+from tests.stepping import step
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -113,7 +114,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
         record, _ = message.typed()
         assert isinstance(record, StepRecord)
         steps[record.node] += 1
-        outputs = nodes[record.node].step(record.t_ns, list(inbox(record, frames)))
+        outputs = step(nodes[record.node], record.t_ns, list(inbox(record, frames)))
         for signal in outputs:
             key = topics.key_of(type(signal), record.node)
             sequence = made.get(key, 0)

@@ -15,7 +15,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.state import Belief
 from ltv_mpc.messages import CurrentProfile, Estimate, Message, Truth
-from ltv_mpc.node import Due, Node, steps_of
+from ltv_mpc.node import Due, Node
 from services.cli.app import run
 from services.nodes import estimator as process
 from services.recording.reader import Recording
@@ -62,7 +62,7 @@ def visit(here: Situation) -> Visit:
 
 
 def listen(node: Node, said: dict[type[Message], Any]) -> None:
-    steps = steps_of(node)
+    steps = node.steps
 
     def listening(due: Sequence[Due]) -> list[list[Message]]:
         out = steps(due)

@@ -10,13 +10,14 @@ from ltv_mpc.node import Inbox, OnMessage
 from sim.faults.instruments import Broken, FailingSensors, Failure
 from sim.faults.readings import READINGS
 from sim.faults.spell import Spell
+from tests.stepping import OneByOne, step
 
 MS, S = 1_000_000, 1_000_000_000
 SPELL = Spell(S, 2 * S)
 PERIOD_NS = 100 * MS
 
 
-class Healthy:
+class Healthy(OneByOne):
     """Depth and heading ten times a second: the time in seconds, and its tenth."""
 
     name = "sensors"
@@ -33,7 +34,7 @@ def said(failure: Failure, size: float = 1.0) -> list[tuple[int, PressureDepth]]
     sensors = FailingSensors(Healthy(), [Broken(PressureDepth, failure, SPELL, size, seed=3)])
     result = []
     for t in range(0, 4 * S, PERIOD_NS):
-        signals = sensors.step(t, [])
+        signals = step(sensors, t, [])
         assert [x.heading_rad for x in signals if isinstance(x, CompassHeading)] == [1e-10 * t]
         result += [(t, x) for x in signals if isinstance(x, PressureDepth)]
     return result

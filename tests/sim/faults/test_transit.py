@@ -12,7 +12,8 @@ from ltv_mpc.node import Arrival, Grid, Inbox, OnMessage
 from ltv_mpc.validation import refusal
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed, Transit
-from sim.lockstep import Delivery, LockStep
+from sim.scheduler import Delivery, LockStep
+from tests.stepping import OneByOne
 
 MS, S = 1_000_000, 1_000_000_000
 SPELL = Spell(S, 2 * S)
@@ -114,7 +115,7 @@ def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
     assert [d.message.signal.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
 
 
-class Speaker:
+class Speaker(OneByOne):
     name = "sensors"
     schedule = Grid(PERIOD_NS)
     reads: tuple[type[Message], ...] = ()
@@ -124,7 +125,7 @@ class Speaker:
         return [depth(t_ns)]
 
 
-class Listener:
+class Listener(OneByOne):
     name = "estimator"
     schedule = OnMessage((PressureDepth,))
     reads: tuple[type[Message], ...] = (PressureDepth, Rejected)

@@ -16,6 +16,7 @@ from ltv_mpc.validation import refusal
 from sim.scenario import Scenario, overridden
 from sim.sensors.node import Sensors
 from sim.water import make
+from tests.stepping import step
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "sensors"
 REALISTIC = Suite.load("realistic")
@@ -75,7 +76,7 @@ def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
             current_mps=(0.0, 0.0),
             thrust_N=(0.0, 0.0, 0.0),
         )
-        for message in node.step(t, [Arrival(truth, 1, k, t)]):
+        for message in step(node, t, [Arrival(truth, 1, k, t)]):
             assert refusal(message) is None
             if isinstance(message, kind):
                 seen += 1

@@ -29,6 +29,7 @@ from sim.scenario import Scenario, overridden
 from sim.sensors.lbl import Transceiver
 from sim.sensors.node import Sensors
 from sim.water import make
+from tests.stepping import step
 
 MS, S = 1_000_000, 1_000_000_000
 encode = msgspec.json.Encoder(enc_hook=to_wire).encode
@@ -90,7 +91,7 @@ def said(suite: Suite, world: list[Truth], settings: Scenario | None = None) -> 
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     out = []
     for k, truth in enumerate(world):
-        for message in node.step(truth.t_ns, [Arrival(truth, 1, k, truth.t_ns)]):
+        for message in step(node, truth.t_ns, [Arrival(truth, 1, k, truth.t_ns)]):
             assert type(message) in node.writes
             assert refusal(message) is None
             out.append((truth.t_ns, message))

@@ -1,4 +1,4 @@
-"""Stretches against lock step one step at a time: the same signals, in the same order, bit for bit."""
+"""Stretches of many steps against one step at a time: the same messages and steps, in the same order, bit for bit."""
 
 from __future__ import annotations
 
@@ -22,43 +22,72 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage, one_by_one
+from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage
+from ltv_mpc.validation import refusal
 from services.bus import wire
 from services.run import locked
 from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
-from sim.lockstep import LockStep
 from sim.plant import Plant
+from sim.scheduler import Delivery, LockStep, Step
 from sim.sensors.node import Sensors
-from sim.stretches import Stretches
 from tests.sim.table import MS, Fake, plan
+from tests.stepping import OneByOne
 
 S = 1000 * MS
 
 
 class Ears:
-    """What is published, as bytes."""
+    """What is published, as bytes, and each step."""
 
     def __init__(self) -> None:
         self.said: list[tuple[str, int, int, type[Message], bytes]] = []
+        self.steps: list[tuple[Any, ...]] = []
+        self.order: list[str] = []
 
-    def stepped(self, *_: object) -> None:
-        pass
+    def stepped(self, step: Step) -> None:
+        self.steps.append((*step[:5], [(type(a.signal), a.sequence, a.received_t_ns) for a in step.inbox]))
+        self.order.append(step.node)
 
     def published(self, node: str, message: Arrival) -> None:
         header = wire.Header(epoch=message.epoch, sequence=message.sequence, sent_monotonic_us=0)
         payload = wire.encode(message.signal, header)
         self.said.append((node, message.received_t_ns, message.sequence, type(message.signal), payload))
+        self.order.append(type(message.signal).__name__)
+
+    def __eq__(self, other: object) -> bool:
+        assert isinstance(other, Ears)
+        return (self.said, self.steps, self.order) == (other.said, other.steps, other.order)
 
 
-def said_by(
-    way: type[LockStep] | type[Stretches], nodes: Sequence[Node], start_ns: int, until: Sequence[int], delay_ns: int = 0
-) -> list[tuple[str, int, int, type[Message], bytes]]:
+class Through:
+    """Carries each message as it was published, so that a stretch is one step."""
+
+    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:  # noqa: ARG002
+        return [Delivery(message.received_t_ns, message)]
+
+    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:  # noqa: ARG002
+        return refusal(delivery.message.signal) or delivery.message
+
+
+def ears_of(
+    nodes: Sequence[Node], start_ns: int, until: Sequence[int], delay_ns: int = 0, *, singly: bool = False
+) -> Ears:
     ears = Ears()
-    lockstep = way(nodes, start_ns=start_ns, compute_delay_ns=delay_ns, observe=ears, refused=locked.refused)
+    lockstep = LockStep(
+        nodes,
+        start_ns=start_ns,
+        compute_delay_ns=delay_ns,
+        observe=ears,
+        stepped=ears.stepped,
+        refused=locked.refused,
+        between=Through() if singly else None,
+    )
     for until_ns in until:
         lockstep.advance(until_ns)
-    return ears.said
+    assert lockstep.published == len(ears.said)
+    assert sum(lockstep.steps.values()) == len(ears.steps)
+    return ears
 
 
 # --- a descent -------------------------------------------------------------------------------------------------------
@@ -69,7 +98,7 @@ def descent(*settings: str, duration_s: float = 8.0) -> Situation:
     return resolve("descent", [Override("test", (*of_all, *settings))])
 
 
-class Storm:
+class Storm(OneByOne):
     """Pushes the vehicle for a while; stands where another process would."""
 
     name = "operator"
@@ -93,29 +122,30 @@ class Storm:
         (("sensors=paper", "water.feature.kind=front", "water.feature.at_s=4.0", "water.feature.width_s=1.0"), False),
     ],
 )
-def test_of_a_descent_every_signal_is_the_same_to_the_bit(settings: tuple[str, ...], storm: bool) -> None:
+def test_of_a_descent_every_step_and_message_is_the_same_to_the_bit(settings: tuple[str, ...], storm: bool) -> None:
     situation = descent(*settings)
     scenario = situation.scenario
 
-    def said(way: type[LockStep] | type[Stretches]) -> list[tuple[str, int, int, type[Message], bytes]]:
+    def ears(*, singly: bool) -> Ears:
         nodes = locked.nodes(situation)
         until = [*range(scenario.start_ns, scenario.end_ns, 700 * MS), scenario.end_ns]
         delay_ns = round(scenario.run.compute_delay_s * 1e9)
-        return said_by(way, [Storm(), *nodes] if storm else nodes, scenario.start_ns, until, delay_ns)
+        nodes = [Storm(), *nodes] if storm else nodes
+        return ears_of(nodes, scenario.start_ns, until, delay_ns, singly=singly)
 
-    one_by_one, at_once = said(LockStep), said(Stretches)
-    assert {kind for *_, kind, _ in one_by_one} >= {Truth, ImuSample, Estimate, Plan, CycleTiming}
-    assert at_once == one_by_one
+    singly, at_once = ears(singly=True), ears(singly=False)
+    assert {kind for *_, kind, _ in singly.said} >= {Truth, ImuSample, Estimate, Plan, CycleTiming}
+    assert at_once == singly
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.71])
-def test_who_wants_some_types_hears_of_these_and_of_how_many_others(delay_s: float) -> None:
+def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float) -> None:
     """Plans that are on their way when the run ends are neither told nor counted."""
     situation = descent(f"run.compute_delay_s={delay_s}", duration_s=4.0)
 
     def told(heard: frozenset[type[Message]] | None) -> tuple[list[tuple[str, int, int, type[Message], bytes]], int]:
         ears = Ears()
-        stretches = Stretches(
+        lockstep = LockStep(
             locked.nodes(situation),
             start_ns=situation.scenario.start_ns,
             compute_delay_ns=round(delay_s * 1e9),
@@ -123,18 +153,14 @@ def test_who_wants_some_types_hears_of_these_and_of_how_many_others(delay_s: flo
             heard=heard,
             refused=locked.refused,
         )
-        stretches.advance(situation.scenario.end_ns)
-        return ears.said, stretches.untold
+        lockstep.advance(situation.scenario.end_ns)
+        return ears.said, lockstep.published
 
     wanted: frozenset[type[Message]] = frozenset({Truth, Estimate, Plan})
-    everything, none = told(None)
-    some, others = told(wanted)
-    assert none == 0
-    if not delay_s:
-        assert some == [said for said in everything if said[3] in wanted]
-        assert others == len(everything) - len(some)
-    assert [said for said in some if said[3] in wanted] == [said for said in everything if said[3] in wanted]
-    assert len(some) + others == len(everything)
+    everything, number = told(None)
+    some, of_all = told(wanted)
+    assert some == [said for said in everything if said[3] in wanted]
+    assert number == of_all == len(everything) > len(some)
 
 
 def test_an_unrecorded_run_has_the_summary_of_a_recorded_one(tmp_path: Any) -> None:
@@ -158,12 +184,12 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
         monkeypatch.setattr(kind, method, outer)
 
     counted(Plant, "_go")
-    counted(Sensors, "step")
-    counted(Estimator, "step")
+    counted(Sensors, "_step")
+    counted(Estimator, "_step")
     situation = descent("sensors=paper", duration_s=4.0)
     scenario = situation.scenario
     nodes = locked.nodes(situation, unheard=False)
-    said = said_by(Stretches, nodes, scenario.start_ns, [scenario.end_ns])
+    said = ears_of(nodes, scenario.start_ns, [scenario.end_ns]).said
     ticks = sum(kind is Truth for *_, kind, _ in said)
     assert ticks == 701
     assert single["Plant"] < ticks / 5
@@ -175,7 +201,7 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
 
 
 class Many(Fake):
-    """The same, at once."""
+    """Keeps how many steps it is given at once."""
 
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
@@ -183,7 +209,7 @@ class Many(Fake):
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         self.bulks.append(len(due))
-        return one_by_one(self, due)
+        return super().steps(due)
 
 
 def event(name: str) -> Callable[[int, Inbox], list[Message]]:
@@ -207,46 +233,69 @@ def estimate(t_ns: int, _: Inbox) -> list[Message]:
     return [Estimate.at_rest(north_m=t_ns * 1e-9)]
 
 
-def table(fake: type[Fake]) -> list[Fake]:
-    """Two on grids, two on messages, two that cycle at other periods, and messages of each kind between them."""
-    return [
-        fake("first", Grid(10 * MS), (Plan,), first, (RunEvent, PressureDepth)),
-        fake("second", Grid(25 * MS), (), depth, (PressureDepth, RunEvent)),
-        fake("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), estimate, (Estimate,)),
-        fake("last", OnMessage((Estimate,)), (Estimate, RunEvent)),
-        Fake("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), plans, (Plan,)),
-        Fake("other", Cycle(70 * MS), (Estimate, Plan, PressureDepth, CycleTiming)),
-    ]
-
-
 def plans(t_ns: int, _: Inbox) -> list[Message]:
     """At two of three cycles."""
     return [plan(t_ns, t_ns)] if t_ns % (210 * MS) else []
 
 
+def table() -> list[Many]:
+    """Two on grids, two on messages, two that cycle at other periods, and messages of each kind between them."""
+    return [
+        Many("first", Grid(10 * MS), (Plan,), first, (RunEvent, PressureDepth)),
+        Many("second", Grid(25 * MS), (), depth, (PressureDepth, RunEvent)),
+        Many("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), estimate, (Estimate,)),
+        Many("last", OnMessage((Estimate,)), (Estimate, RunEvent)),
+        Many("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), plans, (Plan,)),
+        Many("other", Cycle(70 * MS), (Estimate, Plan, PressureDepth, CycleTiming)),
+    ]
+
+
+def cycling_first() -> list[Many]:
+    """The same, with those that cycle before those that they hear."""
+    *others, controller, other = table()
+    return [controller, *others[:2], other, *others[2:]]
+
+
+def answering() -> list[Many]:
+    """One on a grid writes what one before it and itself read; it wants the newest estimate."""
+    answer = Many(
+        "answer", Grid(30 * MS), (Estimate, RunEvent, PressureDepth), event("answer"), (RunEvent, PressureDepth)
+    )
+    return [*table()[:4], answer, *table()[4:]]
+
+
+def echoing() -> list[Many]:
+    """One on messages is heard by those before it, on a grid and on messages."""
+    nodes = table()
+    nodes[3] = Many("last", OnMessage((Estimate,)), (Estimate, RunEvent), event("last"), (RunEvent,))
+    listener = Many("listener", OnMessage((RunEvent,)), (RunEvent, Estimate), estimate, (Estimate,))
+    nodes[1] = Many("second", Grid(25 * MS), (RunEvent,), depth, (PressureDepth, RunEvent))
+    return [listener, *nodes[:3], *nodes[4:]]
+
+
+def refused() -> list[Many]:
+    """Two that do not cycle are told of what they were refused."""
+    nodes = table()
+    nodes[2] = Many("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent, Rejected), estimate, (Estimate,))
+    nodes[3] = Many("last", Grid(20 * MS), (PressureDepth, Rejected))
+    return nodes
+
+
 @pytest.mark.parametrize("delay_ms", [0, 30, 90])
 @pytest.mark.parametrize("pieces_ms", [(1000,), (0, 1, 69, 70, 333, 1000)])
-def test_each_step_is_given_what_lock_step_gives_it(delay_ms: int, pieces_ms: tuple[int, ...]) -> None:
-    slow, fast = table(Fake), table(Many)
+@pytest.mark.parametrize(
+    ("make", "at_once"),
+    [(table, True), (cycling_first, True), (answering, True), (echoing, False), (refused, False)],
+)
+def test_each_step_is_given_what_it_is_given_one_step_at_a_time(
+    make: Callable[[], list[Many]], at_once: bool, delay_ms: int, pieces_ms: tuple[int, ...]
+) -> None:
+    slow, fast = make(), make()
     until = [ms * MS for ms in pieces_ms]
-    one = said_by(LockStep, slow, -35 * MS, until, delay_ms * MS)
-    other = said_by(Stretches, fast, -35 * MS, until, delay_ms * MS)
+    one = ears_of(slow, -35 * MS, until, delay_ms * MS, singly=True)
+    other = ears_of(fast, -35 * MS, until, delay_ms * MS)
     assert [node.seen for node in fast] == [node.seen for node in slow]
     assert other == one
-    assert any(kind is Rejected for *_, kind, _ in one)
-    assert max(bulk for node in fast[:4] for bulk in node.bulks) > 2  # type: ignore[attr-defined]
-
-
-@pytest.mark.parametrize(
-    ("nodes", "why"),
-    [
-        ([Fake("c", Cycle(MS)), Fake("g", Grid(MS))], "cycle come last"),
-        ([Fake("a", Grid(MS), (Truth,)), Fake("b", Grid(MS), writes=(Truth,))], "a reads Truth"),
-        ([Fake("a", Grid(MS), (Truth,), writes=(Truth,))], "a reads Truth"),
-        ([Fake("a", Grid(MS), (Rejected,))], "a reads Rejected"),
-        ([Fake("a", Grid(MS), (Estimate,))], "a reads Estimate"),
-    ],
-)
-def test_what_cannot_be_done_by_stretches_is_refused(nodes: list[Fake], why: str) -> None:
-    with pytest.raises(ValueError, match=why):
-        Stretches(nodes, start_ns=0)
+    assert any(kind is Rejected for *_, kind, _ in one.said)
+    assert {bulk for node in slow for bulk in node.bulks} == {1}
+    assert (max(bulk for node in fast for bulk in node.bulks) > 2) is at_once

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pytest
@@ -16,8 +17,8 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, OnMessage
-from sim import lockstep
+from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, Node, OnMessage
+from sim.scheduler import LockStep, Step
 from tests.sim.table import MS, Fake, plan
 
 
@@ -47,13 +48,22 @@ def estimate(t_ns: int) -> Estimate:
     )
 
 
+def depths(t_ns: int, _: Inbox) -> list[Message]:
+    return [PressureDepth(t_ns=t_ns, depth_m=0.0)]
+
+
+def estimates(t_ns: int, _: Inbox) -> list[Message]:
+    return [estimate(t_ns)]
+
+
 class Log:
     """Writes down what an observer is told."""
 
     def __init__(self) -> None:
         self.lines: list[tuple[Any, ...]] = []
 
-    def stepped(self, at_ns: int, node: str, number: int, t_ns: int, cause: str | type[Message], inbox: Inbox) -> None:
+    def stepped(self, step: Step) -> None:
+        at_ns, node, number, t_ns, cause, inbox = step
         self.lines.append(("step", at_ns // MS, node, number, t_ns / MS, cause, len(inbox)))
 
     def published(self, node: str, message: Arrival) -> None:
@@ -61,8 +71,20 @@ class Log:
         self.lines.append(("out", message.received_t_ns // MS, node, kind, message.epoch, message.sequence))
 
 
-def plant(**kw: Any) -> Fake:
-    return Fake("plant", Grid(10 * MS), (Plan,), lambda t_ns, _: [truth(t_ns)], **kw)
+def run(
+    nodes: Sequence[Node], *, start_ns: int, end_ns: int, compute_delay_ns: int = 0, observe: Log | None = None
+) -> None:
+    LockStep(
+        nodes,
+        start_ns=start_ns,
+        compute_delay_ns=compute_delay_ns,
+        observe=observe,
+        stepped=None if observe is None else observe.stepped,
+    ).advance(end_ns)
+
+
+def plant() -> Fake:
+    return Fake("plant", Grid(10 * MS), (Plan,), lambda t_ns, _: [truth(t_ns)], (Truth,))
 
 
 def controller(period_ms: int = 300) -> Fake:
@@ -74,29 +96,31 @@ def controller(period_ms: int = 300) -> Fake:
                 newest["t_ns"] = arrival.signal.t_ns
         return [plan(t_ns, newest["t_ns"])]
 
-    return Fake("controller", Cycle(period_ms * MS), (Estimate, CycleTiming), answer)
+    return Fake("controller", Cycle(period_ms * MS), (Estimate, CycleTiming), answer, (Plan,))
 
 
 def test_a_grid_steps_at_whole_multiples_of_its_period_from_the_start_to_the_end_both_included() -> None:
     node = plant()
-    lockstep.run([node], start_ns=-25 * MS, end_ns=30 * MS)
+    run([node], start_ns=-25 * MS, end_ns=30 * MS)
     assert node.times_ms == [-20, -10, 0, 10, 20, 30]
 
 
 def test_at_one_instant_nodes_step_in_the_order_of_the_list_however_their_schedules_differ() -> None:
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=0.0)])
-    estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)])
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), depths, (PressureDepth,))
+    estimator = Fake(
+        "estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)], (Estimate,)
+    )
     log = Log()
-    lockstep.run([plant(), sensors, estimator, controller(20)], start_ns=0, end_ns=20 * MS, observe=log)
+    run([plant(), sensors, estimator, controller(20)], start_ns=0, end_ns=20 * MS, observe=log)
     steps = [(line[1], line[2]) for line in log.lines if line[0] == "step"]
     table = ["plant", "sensors", "estimator", "controller"]
     assert steps == [(0, n) for n in table] + [(10, n) for n in table[:3]] + [(20, n) for n in table]
 
 
 def test_the_observer_hears_of_a_step_before_its_outputs_with_cause_number_epoch_and_sequence() -> None:
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=0.0)])
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), depths, (PressureDepth,))
     log = Log()
-    lockstep.run([plant(), sensors], start_ns=0, end_ns=10 * MS, observe=log)
+    run([plant(), sensors], start_ns=0, end_ns=10 * MS, observe=log)
     assert log.lines == [
         ("step", 0, "plant", 0, 0, "grid", 0),
         ("out", 0, "plant", Truth, 1, 0),
@@ -110,12 +134,15 @@ def test_the_observer_hears_of_a_step_before_its_outputs_with_cause_number_epoch
 
 
 def test_a_step_on_a_message_is_for_its_validity_time_and_its_outputs_are_published_when_it_arrived() -> None:
-    sensors = Fake(
-        "sensors", OnMessage((Truth,)), (Truth,), lambda t_ns, _: [PressureDepth(t_ns=t_ns - 3 * MS, depth_m=0.0)]
+    def late(t_ns: int, _: Inbox) -> list[Message]:
+        return [PressureDepth(t_ns=t_ns - 3 * MS, depth_m=0.0)]
+
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), late, (PressureDepth,))
+    estimator = Fake(
+        "estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)], (Estimate,)
     )
-    estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)])
     log = Log()
-    lockstep.run([plant(), sensors, estimator], start_ns=10 * MS, end_ns=10 * MS, observe=log)
+    run([plant(), sensors, estimator], start_ns=10 * MS, end_ns=10 * MS, observe=log)
     assert log.lines[-2:] == [
         ("step", 10, "estimator", 0, 7, PressureDepth, 1),
         ("out", 10, "estimator", Estimate, 1, 0),
@@ -126,17 +153,20 @@ def test_several_messages_at_once_are_stepped_on_one_by_one_in_their_order_of_ar
     def two(t_ns: int, _: Inbox) -> list[Message]:
         return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=0.0), PressureDepth(t_ns=t_ns, depth_m=0.0)]
 
-    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), two)
+    sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), two, (PressureDepth,))
     estimator = Fake("estimator", OnMessage((PressureDepth,)), (PressureDepth,))
-    lockstep.run([plant(), sensors, estimator], start_ns=0, end_ns=0)
+    run([plant(), sensors, estimator], start_ns=0, end_ns=0)
     assert estimator.seen == [(-2 * MS, [(PressureDepth, 0, 0)]), (0, [(PressureDepth, 1, 0)])]
 
 
 def test_what_causes_no_step_waits_in_the_inbox_and_comes_before_the_message_that_does() -> None:
-    first = Fake("first", Grid(10 * MS), (), lambda t_ns, _: [RunEvent(t_ns=t_ns, node="first", kind="k", text="")])
-    source = Fake("plant", Grid(20 * MS), (), lambda t_ns, _: [truth(t_ns)])
+    def event(t_ns: int, _: Inbox) -> list[Message]:
+        return [RunEvent(t_ns=t_ns, node="first", kind="k", text="")]
+
+    first = Fake("first", Grid(10 * MS), (), event, (RunEvent,))
+    source = Fake("plant", Grid(20 * MS), (), lambda t_ns, _: [truth(t_ns)], (Truth,))
     reader = Fake("reader", OnMessage((Truth,)), (Truth, RunEvent))
-    lockstep.run([first, source, reader], start_ns=0, end_ns=20 * MS)
+    run([first, source, reader], start_ns=0, end_ns=20 * MS)
     assert [kinds for _, kinds in reader.seen] == [
         [(RunEvent, 0, 0), (Truth, 0, 0)],
         [(RunEvent, 1, 10 * MS), (RunEvent, 2, 20 * MS), (Truth, 1, 20 * MS)],
@@ -145,7 +175,7 @@ def test_what_causes_no_step_waits_in_the_inbox_and_comes_before_the_message_tha
 
 def test_without_delay_a_plan_made_at_t_is_in_the_plants_next_step() -> None:
     node = plant()
-    lockstep.run([node, controller()], start_ns=0, end_ns=20 * MS)
+    run([node, controller()], start_ns=0, end_ns=20 * MS)
     assert [kinds for _, kinds in node.seen] == [[], [(Plan, 0, 0)], []]
 
 
@@ -157,20 +187,20 @@ def test_a_cycle_starts_at_its_period_or_when_the_last_one_ends_if_that_is_later
     delay_ms: int, cycles_ms: list[int]
 ) -> None:
     node = controller()
-    lockstep.run([node], start_ns=0, end_ns=1000 * MS, compute_delay_ns=delay_ms * MS)
+    run([node], start_ns=0, end_ns=1000 * MS, compute_delay_ns=delay_ms * MS)
     assert node.times_ms == cycles_ms
 
 
 def test_a_plan_arrives_exactly_one_delay_after_its_cycle_began_and_before_the_steps_of_that_instant() -> None:
     node = plant()
-    lockstep.run([node, controller()], start_ns=0, end_ns=730 * MS, compute_delay_ns=710 * MS)
+    run([node, controller()], start_ns=0, end_ns=730 * MS, compute_delay_ns=710 * MS)
     got = {t_ns // MS: kinds for t_ns, kinds in node.seen if kinds}
     assert got == {710: [(Plan, 0, 710 * MS)]}
 
 
 def test_the_next_cycle_hears_what_the_last_one_took_even_if_it_starts_the_instant_that_one_ends() -> None:
     node = controller()
-    lockstep.run([node], start_ns=0, end_ns=710 * MS, compute_delay_ns=710 * MS)
+    run([node], start_ns=0, end_ns=710 * MS, compute_delay_ns=710 * MS)
     assert node.seen == [(0, []), (710 * MS, [(CycleTiming, 0, 710 * MS)])]
 
 
@@ -182,15 +212,15 @@ def test_a_cycles_timing_is_the_set_delay_exactly_with_nothing_measured() -> Non
             if isinstance(message.signal, CycleTiming):
                 told.append(message.signal)
 
-    source = Fake("estimator", Grid(350 * MS), (), lambda t_ns, _: [estimate(t_ns)])
-    lockstep.run([source, controller()], start_ns=0, end_ns=1000 * MS, compute_delay_ns=400 * MS, observe=Ear())
+    source = Fake("estimator", Grid(350 * MS), (), estimates, (Estimate,))
+    run([source, controller()], start_ns=0, end_ns=1000 * MS, compute_delay_ns=400 * MS, observe=Ear())
     assert [(t.t_ns // MS, t.estimate_age_ns // MS) for t in told] == [(0, 0), (400, 50)]
     assert {(t.compute_ns // MS, t.compute_wall_ns, len(t.stage_us)) for t in told} == {(400, 0, 0)}
 
 
 def test_a_cycle_that_makes_no_plan_takes_no_time_and_tells_no_timing() -> None:
     node = Fake("controller", Cycle(300 * MS), (CycleTiming,))
-    lockstep.run([node], start_ns=-100 * MS, end_ns=700 * MS, compute_delay_ns=500 * MS)
+    run([node], start_ns=-100 * MS, end_ns=700 * MS, compute_delay_ns=500 * MS)
     assert node.seen == [(0, []), (300 * MS, []), (600 * MS, [])]
 
 
@@ -200,9 +230,10 @@ def test_of_estimates_a_cycle_is_handed_the_newest_and_of_everything_else_each()
         Grid(100 * MS),
         (),
         lambda t_ns, _: [estimate(t_ns), RunEvent(t_ns=t_ns, node="estimator", kind="k", text="")],
+        (Estimate, RunEvent),
     )
     node = Fake("controller", Cycle(300 * MS), (Estimate, RunEvent))
-    lockstep.run([source, node], start_ns=0, end_ns=300 * MS)
+    run([source, node], start_ns=0, end_ns=300 * MS)
     at_300 = node.seen[1][1]
     assert at_300 == [
         (RunEvent, 1, 100 * MS),
@@ -213,12 +244,14 @@ def test_of_estimates_a_cycle_is_handed_the_newest_and_of_everything_else_each()
 
 
 def test_an_inadmissible_signal_reaches_no_node_and_its_reader_is_told() -> None:
-    source = Fake("sensors", Grid(10 * MS), (), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=float("nan"))])
+    source = Fake(
+        "sensors", Grid(10 * MS), (), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=float("nan"))], (PressureDepth,)
+    )
     reader = Fake("estimator", Grid(10 * MS), (PressureDepth, Rejected))
     deaf = Fake("deaf", Grid(10 * MS), (PressureDepth,))
     other = Fake("controller", Grid(10 * MS), (Rejected,))
     log = Log()
-    lockstep.run([source, reader, deaf, other], start_ns=0, end_ns=0, observe=log)
+    run([source, reader, deaf, other], start_ns=0, end_ns=0, observe=log)
     assert reader.seen == [(0, [(Rejected, 0, 0)])]
     assert deaf.seen == other.seen == [(0, [])]
     told = [line[2] for line in log.lines if line[0] == "out" and line[3] is Rejected]
@@ -228,9 +261,30 @@ def test_an_inadmissible_signal_reaches_no_node_and_its_reader_is_told() -> None
 def test_advancing_in_pieces_is_the_same_as_at_once() -> None:
     def lines(pieces_ms: list[int]) -> list[tuple[Any, ...]]:
         log = Log()
-        run = lockstep.LockStep([plant(), controller(30)], start_ns=0, compute_delay_ns=45 * MS, observe=log)
+        nodes = [plant(), controller(30)]
+        run = LockStep(nodes, start_ns=0, compute_delay_ns=45 * MS, observe=log, stepped=log.stepped)
         for piece_ms in pieces_ms:
             run.advance(piece_ms * MS)
         return log.lines
 
     assert lines([1, 45, 46, 50, 200]) == lines([200])
+
+
+def test_a_message_of_a_type_that_a_node_does_not_declare_is_an_error() -> None:
+    """Which nodes may do many steps at once is known by what they declare."""
+    node = Fake("plant", Grid(10 * MS), (), lambda t_ns, _: [truth(t_ns)])
+    with pytest.raises(ValueError, match="plant publishes Truth, which is not among its writes"):
+        run([node], start_ns=0, end_ns=0)
+
+
+def test_what_happened_before_a_step_that_raises_is_told_and_that_step_too() -> None:
+    def fails(t_ns: int, _: Inbox) -> list[Message]:
+        if t_ns == 20 * MS:
+            raise ZeroDivisionError
+        return []
+
+    log = Log()
+    with pytest.raises(ZeroDivisionError):
+        run([plant(), Fake("sensors", OnMessage((Truth,)), (Truth,), fails)], start_ns=0, end_ns=20 * MS, observe=log)
+    assert [line[1:3] for line in log.lines if line[0] == "step"][-2:] == [(20, "plant"), (20, "sensors")]
+    assert [line[1] for line in log.lines if line[0] == "out"] == [0, 10, 20]

@@ -1,0 +1,26 @@
+"""Nodes one step at a time, for tests that give a node its inbox by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ltv_mpc.messages import Message
+from ltv_mpc.node import Due, Inbox, Node
+
+
+def step(node: Node, t_ns: int, inbox: Inbox) -> list[Message]:
+    """Do one step of the node."""
+    (outputs,) = node.steps([(t_ns, inbox)])
+    return outputs
+
+
+class OneByOne:
+    """A node whose class says what one step does."""
+
+    def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
+        """Return what one step publishes."""
+        raise NotImplementedError
+
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """Do these steps in turn."""
+        return [list(self.step(t_ns, inbox)) for t_ns, inbox in due]
