@@ -162,6 +162,6 @@ def _bus_of(folder: Path) -> BusOptions | None:
     """How the run in ``folder`` is reached, once its plant has been started."""
     try:
         config: plant.Config = read_config(folder / "logs" / "plant.json", plant.Config)
-    except (OSError, msgspec.MsgspecError):  # not there yet, or not all of it
+    except (OSError, msgspec.DecodeError):  # not there yet, or not all of it
         return None
     return msgspec.structs.replace(config.bus, role=DISPLAY)

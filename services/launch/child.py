@@ -30,7 +30,7 @@ def write_config(path: Path, config: msgspec.Struct) -> None:
 
 
 def read_config(path: Path, kind: type[Any]) -> Any:
-    """Read the config of a process. Raises ``OSError``, ``msgspec.MsgspecError``."""
+    """Read the config of a process. Raises ``OSError``, ``msgspec.DecodeError``."""
     return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=lambda wanted, text: wanted(text))
 
 
@@ -52,7 +52,7 @@ def run(parent: str, module: str, config: str, pulse: str = "") -> int:
     node = importlib.import_module(module)
     try:
         code: int = node.main(read_config(Path(config), node.Config))
-    except ConfigError as error:
+    except (ConfigError, msgspec.ValidationError) as error:
         sys.stderr.write(f"ltv-mpc: {error}\n")
         return BAD_INPUT
     return code
