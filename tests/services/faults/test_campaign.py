@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from msgspec import structs
 
 from ltv_mpc.messages import Harm, Injection
 from services.bus.session import BusOptions
@@ -62,7 +63,8 @@ def test_the_injector_is_told_what_the_campaign_has_drawn(tmp_path):
     )
     told = inject.Config(node="controller", injections=(bench.injection(fault),), at_a=BusOptions(), at_b=BusOptions())
     write_config(tmp_path / "inject.json", told)
-    assert read_config(tmp_path / "inject.json", inject.Config).injections == (drawn,)
+    (read,) = read_config(tmp_path / "inject.json", inject.Config).injections
+    assert structs.asdict(read) == structs.asdict(drawn)  # messages compare by identity
 
 
 def test_every_class_of_processes_is_one_that_can_be_done_to_them():
