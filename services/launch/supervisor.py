@@ -7,6 +7,7 @@ Ctrl-C ends everything within two seconds. The recorder is stopped last, so that
 
 from __future__ import annotations
 
+import importlib
 import secrets
 import time
 from collections.abc import Callable, Sequence
@@ -201,6 +202,8 @@ class Supervisor:
 
     def _load(self) -> None:
         self._crew.load()
+        for row in table.processes(self._situation.scenario):
+            importlib.import_module(row.module)  # for its config, while the fork server loads the same
         if (forks := self._crew.forks) is None:
             return
         while not forks.is_loaded():

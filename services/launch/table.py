@@ -51,7 +51,7 @@ def processes(scenario: Scenario) -> tuple[Process, ...]:
 
 def config_of(name: str, situation: Situation, place: RunPlace) -> msgspec.Struct:
     """The config of a process of this run, which reads its settings from the run's own folder."""
-    # Only the launcher builds configs, while the fork server loads: it does not wait for these imports.
+    # Only who starts processes needs these, and not for the list of them.
     from services.nodes import controller, estimator, plant, recorder, router, sensors
 
     scenario, folder = situation.scenario, RunFolder(place.folder.path.absolute())
