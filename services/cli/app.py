@@ -102,7 +102,7 @@ def _overview() -> str:
 
 @cache
 def _tree() -> Callable[..., object]:
-    """All commands, built once: a process that is forked finds them built."""
+    """All commands, built once."""
     command = get_command(app)
     _left_out_of_help(command.params)
     return command

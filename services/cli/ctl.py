@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Certs, Connect, Listen, Mode, Namespace, ZenohConfig, bus
+from services.cli.bus import with_bus
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
 
 
+@with_bus("operator")
 def ctl(
     action: Annotated[
         str, typer.Argument(metavar="ACTION", help="arm, disarm, stop, manual, release, follow or hold.")
@@ -16,12 +20,8 @@ def ctl(
     file: Annotated[
         str | None, typer.Argument(metavar="[NAME|FILE]", help="Of follow: a shipped reference or a TOML file.")
     ] = None,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """Arm, disarm, stop, manual, release, follow FILE, or hold.
 
@@ -45,7 +45,6 @@ def ctl(
         problem = "must be followed by a reference, NAME or FILE" if file is None else "takes no file: follow does"
         raise ConfigError("argument ACTION", "", problem, value=action)
     toml = "" if file is None else to_toml(references.load(file))
-    options = bus(connect, listen, mode, config, namespace, certs, role="operator")
     from services.nodes import operator as node
 
-    return node.main(wanted, toml, options)
+    return node.main(wanted, toml, bus)

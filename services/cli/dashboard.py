@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ipaddress
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Certs, Connect, Listen, Mode, Namespace, ZenohConfig, bus
+from services.cli.bus import with_bus
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
 
 
+@with_bus("operator")
 def dashboard(
     port: Annotated[
         int, typer.Option("--port", metavar="P", help="Where the page is; 0: any free one.", min=0, max=65535)
@@ -22,19 +26,14 @@ def dashboard(
     vehicle: Annotated[
         str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Whose thrust limits are shown. Default: none.")
     ] = None,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """Watch any run, or your own vehicle, in a browser.
 
     Prints the page's address, with the token that its buttons need; without it the page is read-only.
     """
     from ltv_mpc.errors import ConfigError
-    from ltv_mpc.vehicle.parameters import Vehicle
 
     try:
         address = ipaddress.ip_address(host)
@@ -42,24 +41,16 @@ def dashboard(
         raise ConfigError("option --host", "", "must be an address, as 127.0.0.1", value=host) from None
     if address.is_unspecified:
         raise ConfigError("option --host", "", "must be one address, by which the page is then called", value=host)
-    thrusters = None if vehicle is None else Vehicle.load(vehicle).thrusters[:2]
-    options = bus(connect, listen, mode, config, namespace, certs, role="operator")
     try:
         from services.dashboard import serve
+        from services.dashboard.config import Config
     except ModuleNotFoundError as missing:
         typer.echo(f"dashboard: {missing.name} is not installed: the extra viz brings it", err=True)
         return 1
     from services.views.static_files import NoPlotly
 
     try:
-        return serve.main(
-            options,
-            host=host,
-            port=port,
-            thrusters=thrusters,
-            open_browser=open_,
-            name=namespace or ", ".join(options.connects_to),
-        )
+        return serve.main(Config(bus=bus, host=host, port=port, vehicle=vehicle, open_browser=open_))
     except NoPlotly as missing:
         typer.echo(f"dashboard: {missing}: the extra viz brings it", err=True)
         return 1

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Certs, Connect, Namespace, ZenohConfig, bus
+from services.cli.bus import check_endpoint, with_bus
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
 
 
+@with_bus("inject", without=["listen", "mode"])
 def inject(
     node: Annotated[str, typer.Argument(metavar="NODE", help="The node under test, which is alone at router B.")],
     b: Annotated[str, typer.Option("--to", metavar="ENDPOINT", help="Router B. Router A is the one of --connect.")],
@@ -20,10 +24,8 @@ def inject(
         list[str] | None,
         typer.Option("--fault", metavar="HARM,KEY,START,END[,SIZE[,SEED]]", help="One more; repeatable."),
     ] = None,
-    connect: Connect = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """Faults on the bus, injected between two routers.
 
@@ -32,6 +34,8 @@ def inject(
     come from --schedule, from --fault and from the topic `inject`, while it runs. Times are vehicle times. With neither
     it copies everything, byte for byte.
     """
+    from msgspec import structs
+
     from ltv_mpc.errors import ConfigError
     from services.bus.roles import ROLES
     from services.faults import schedule as schedules
@@ -39,8 +43,9 @@ def inject(
     if node not in ROLES:
         raise ConfigError("argument NODE", "", f"must be of {', '.join(ROLES)}", value=node)
     injections = [*([] if schedule is None else schedules.load(schedule)), *schedules.parse(fault or ())]
-    at_a = bus(connect, None, "client", config, namespace, certs, role="inject")
-    at_b = bus([b], None, "client", config, namespace, certs, role="inject")
-    from services.nodes import inject as injector
+    check_endpoint("--to", b, bus.certs)
+    from services.nodes import inject as process
 
-    return injector.main(node, injections, at_a, at_b)
+    at_a = structs.replace(bus, mode="client")
+    at_b = structs.replace(at_a, connect=(b,))
+    return process.main(process.Config(node=node, injections=tuple(injections), at_a=at_a, at_b=at_b))

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from services.cli.bus import with_bus
 from services.cli.inject import inject
-from services.cli.options import (
-    Certs,
-    Connect,
-    Force,
-    Listen,
-    Mode,
-    Namespace,
-    Out,
-    ScenarioName,
-    SensorsFile,
-    VehicleFile,
-    ZenohConfig,
-    bus,
-)
+from services.cli.options import Force, Out, ScenarioName, SensorsFile, VehicleFile
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
 
 
 def register(app: typer.Typer, panel: str) -> None:
@@ -30,104 +21,79 @@ def register(app: typer.Typer, panel: str) -> None:
         app.command(rich_help_panel=panel)(command)
 
 
+@with_bus("router")
 def router(
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """The router that all others connect to.
 
     Without --listen it listens at tcp/127.0.0.1:7447.
     """
-    options = bus(connect, listen, mode, config, namespace, certs, role="router")
-    from services.nodes import router as node
+    from services.nodes import router as process
 
-    return node.main(options)
+    return process.main(process.Config(bus=bus))
 
 
+@with_bus("plant")
 def plant(
     scenario: ScenarioName = "descent",
     expect: Annotated[
         list[str] | None,
         typer.Option("--expect", metavar="NODE", help="Also wait for this one to be ready, as recorder; repeatable."),
     ] = None,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """The simulated vehicle, which keeps vehicle time.
 
     Reads plan; writes world/truth, applied and clock. Starts when sensors, estimator and controller are ready.
     """
-    from services.run.situation import resolve
+    from services.nodes import plant as process
 
-    situation = resolve(scenario)
-    options = bus(connect, listen, mode, config, namespace, certs, role="plant")
-    from services.nodes import plant as node
-
-    return node.main(situation, options, expects=tuple(expect or ()))
+    return process.main(process.Config(bus=bus, scenario=scenario, expects=tuple(expect or ())))
 
 
+@with_bus("sensors")
 def sensors(
     scenario: ScenarioName = "descent",
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """The simulated sensors.
 
     Reads world/truth; writes sensor/*.
     """
-    from services.run.situation import resolve
+    from services.nodes import sensors as process
 
-    situation = resolve(scenario)
-    options = bus(connect, listen, mode, config, namespace, certs, role="sensors")
-    from services.nodes import sensors as node
-
-    return node.main(situation, options)
+    return process.main(process.Config(bus=bus, scenario=scenario))
 
 
+@with_bus("estimator")
 def estimator(
     vehicle: VehicleFile = "paper",
     sensors: SensorsFile = "paper",
     settings: Annotated[
         Path | None, typer.Option("--settings", metavar="FILE", help="The [estimator] table alone, as TOML.")
     ] = None,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """The localisation filter.
 
     Reads sensor/*; writes estimate.
     """
     from ltv_mpc.localisation.config import EstimatorConfig
-    from ltv_mpc.localisation.suite import Suite
     from ltv_mpc.vehicle.parameters import Vehicle
-    from services.run.water import beside, told
+    from services.nodes import estimator as process
+    from services.run.water import beside
 
     Vehicle.load(vehicle)
-    suite = Suite.load(sensors)
     table = EstimatorConfig() if settings is None else beside(settings.parent, EstimatorConfig.load(str(settings)))
-    prior = told(table)
-    options = bus(connect, listen, mode, config, namespace, certs, role="estimator")
-    from services.nodes import estimator as node
-
-    return node.main(suite, table, options, prior=prior)
+    return process.main(process.Config(bus=bus, sensors=sensors, settings=table))
 
 
+@with_bus("recorder")
 def recorder(
     scenario: ScenarioName = "descent",
     out: Out = None,
@@ -135,12 +101,8 @@ def recorder(
     goes_on: Annotated[
         bool, typer.Option("--continue", help="Go on in --out of this scenario, with the next segment: run.2.mcap.")
     ] = False,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """Records every message into one folder.
 
@@ -150,12 +112,11 @@ def recorder(
     from services.run.situation import resolve
 
     situation = resolve(scenario)
-    options = bus(connect, listen, mode, config, namespace, certs, role="recorder")
     run_folder = None if out is None else folder.made_for(Path(scenario), out, goes_on=goes_on)
     if run_folder is None:
         run_folder = folder.make(situation.name, situation.files, out=out, force=force)
-    from services.nodes import recorder as node
+    from services.nodes import recorder as process
 
-    scenario_ = situation.scenario
-    metadata = {"mode": "services", "seed": str(scenario_.run.seed), **situation.files}
-    return node.main(run_folder.path, options, start_ns=scenario_.start_ns, metadata=metadata)
+    metadata = process.metadata(situation.scenario.run.seed, situation.files)
+    config = process.Config(bus=bus, folder=run_folder.path, start_ns=situation.scenario.start_ns, metadata=metadata)
+    return process.main(config)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Connect, Listen, Mode, Namespace, ZenohConfig, bus
+from services.cli.bus import check_namespace, with_bus
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
 
 
+@with_bus(without=["certs"])
 def ros2(
     odometry: Annotated[
         str, typer.Option("--odometry", metavar="TOPIC", help="nav_msgs/Odometry, ENU and FLU.")
@@ -21,11 +25,8 @@ def ros2(
         str, typer.Option("--ros-namespace", metavar="NAME", help="The bridge's own, before its keys.")
     ] = "",
     rate_hz: Annotated[float, typer.Option("--rate-hz", metavar="R", help="Of the forces.", min=1.0, max=200.0)] = 20.0,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
+    *,
+    bus: BusOptions,
 ) -> int:
     """The edge to ROS 2: odometry in, thrusts out.
 
@@ -43,8 +44,7 @@ def ros2(
     for option, name in (("--odometry", odometry), *(("--thrusts", name) for name in names)):
         if not re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", name):
             raise ConfigError(f"option {option}", "", "must be a topic's full name, as /auv/odometry", value=name)
-    options = bus(connect, listen, mode, config, namespace)
-    bus(None, None, None, None, ros_namespace)
+    check_namespace(ros_namespace, "--ros-namespace")
     try:
         from services.nodes import ros2 as node
     except ModuleNotFoundError as error:
@@ -54,4 +54,4 @@ def ros2(
         raise ConfigError("ltv-mpc ros2", "", problem) from None
     port, starboard, vertical = names
     topics = node.Topics(odometry=odometry, thrusts=(port, starboard, vertical))
-    return node.main(topics, options, ros_namespace=ros_namespace, rate_hz=rate_hz)
+    return node.main(topics, bus, ros_namespace=ros_namespace, rate_hz=rate_hz)

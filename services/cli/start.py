@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Certs, Force, Json, Out, ScenarioName, short
+from services.cli.bus import Certs
+from services.cli.options import Force, Json, Out, ScenarioName, short
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from services.cli.bus import with_bus
 from services.cli.localise import localise
-from services.cli.options import Certs, Connect, Listen, Mode, Namespace, ReferenceFile, VehicleFile, ZenohConfig, bus
+from services.cli.options import ReferenceFile, VehicleFile
 from services.cli.topics import topics
 from services.cli.vehicle_file import vehicle as vehicle_file
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
 
 
 def register(app: typer.Typer, panel: str) -> None:
@@ -21,6 +25,7 @@ def register(app: typer.Typer, panel: str) -> None:
     app.command(rich_help_panel=panel)(topics)
 
 
+@with_bus("controller")
 def controller(
     vehicle: VehicleFile = "paper",
     reference: ReferenceFile = "descent",
@@ -62,12 +67,8 @@ def controller(
         Path | None,
         typer.Option("--failed-qps", metavar="DIR", help="Keep QPs that were not solved here, for `ltv-mpc qp show`."),
     ] = None,
-    connect: Connect = None,
-    listen: Listen = None,
-    mode: Mode = None,
-    config: ZenohConfig = None,
-    namespace: Namespace = "",
-    certs: Certs = None,
+    *,
+    bus: BusOptions,
 ) -> int:
     """The controller alone, against your publishers.
 
@@ -81,24 +82,27 @@ def controller(
     from ltv_mpc.control.proposal import proposed_horizon_s
     from ltv_mpc.vehicle.parameters import Vehicle
 
-    loaded = Vehicle.load(vehicle), references.load(reference)
+    parameters = Vehicle.load(vehicle)
+    references.load(reference)
     control = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     if rate_hz is not None:
         control = replace(control, period_s=1.0 / rate_hz)
     if horizon_s is None and settings is None:
-        horizon_s = proposed_horizon_s(loaded[0])
+        horizon_s = proposed_horizon_s(parameters)
     if horizon_s is not None:
         control = replace(control, horizon_s=horizon_s)
     control = checked(control, source="options --rate-hz, --horizon-s")
-    options = bus(connect, listen, mode, config, namespace, certs, role="controller")
-    from services.nodes import controller as node
+    from services.nodes import controller as process
 
-    return node.main(
-        *loaded,
-        control,
-        options,
-        compute_delay_s=compute_delay_s,
-        input_delay_s=input_delay_s,
-        metrics_port=metrics,
-        failed_qps=failed_qps,
+    return process.main(
+        process.Config(
+            bus=bus,
+            vehicle=vehicle,
+            reference=reference,
+            settings=control,
+            compute_delay_s=compute_delay_s,
+            input_delay_s=input_delay_s,
+            metrics_port=metrics,
+            failed_qps=failed_qps,
+        )
     )

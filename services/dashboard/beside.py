@@ -9,7 +9,13 @@ import threading
 from importlib.util import find_spec
 from pathlib import Path
 
+import msgspec
+
 from services.bus.session import BusOptions
+from services.bus.topics import OPERATOR
+from services.dashboard.config import SERVER, Config
+from services.launch import child
+from services.launch.child import write_config
 from services.process.stopping import Say
 
 NEEDS = ("plotly", "starlette", "uvicorn", "websockets")
@@ -22,6 +28,7 @@ class Beside:
     def __init__(self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool) -> None:
         self._say = say
         self._log = folder / "logs" / "dashboard.log"
+        self._config = folder / "logs" / "dashboard.json"
         self._vehicle = vehicle
         self._open_browser = open_browser
         self._process: subprocess.Popen[str] | None = None
@@ -32,10 +39,18 @@ class Beside:
         if missing is not None:
             self._say(f"no live page: {missing} is not installed, the extra viz brings it")
             return
-        options = [*_bus(bus), "--vehicle", str(self._vehicle), *(["--open"] if self._open_browser else [])]
+        write_config(
+            self._config,
+            Config(
+                bus=msgspec.structs.replace(bus, role=OPERATOR),
+                vehicle=str(self._vehicle),
+                open_browser=self._open_browser,
+                gives_way=True,
+            ),
+        )
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "services.dashboard.child", str(os.getpid()), *options],
+                [sys.executable, "-P", "-m", child.__name__, str(os.getpid()), SERVER, str(self._config)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -64,10 +79,3 @@ class Beside:
                 self._say(f"live page: {url}")
             for _ in output:  # a browser's own words, so that its pipe does not fill
                 pass
-
-
-def _bus(bus: BusOptions) -> list[str]:
-    """The options by which another process reaches it."""
-    words = [word for endpoint in bus.connect for word in ("--connect", endpoint)]
-    words += ["--namespace", bus.namespace]
-    return [*words, "--certs", str(bus.certs.absolute())] if bus.certs is not None else words

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import sys
 import webbrowser
+from contextlib import suppress
+from pathlib import Path
 
 import uvicorn
 from starlette.applications import Starlette
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.vehicle.parameters import Thruster
-from services.bus.session import BusError, BusOptions, Stopped, open_session
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.session import open_session
 from services.dashboard import page
+from services.dashboard.config import Config
 from services.dashboard.ears import Ears
 from services.dashboard.guard import LOOPBACK, Token, hosts
-from services.process.stopping import DONE, FAILED, INTERRUPTED, sayer, stop_on_signals
+from services.process.serve import until_stopped
+from services.process.stopping import Say, StopRequest
 
 GRACE_S = 1
+
+NICE = 10
+AUTOGROUP = Path("/proc/self/autogroup")
+"""Where Linux shares the processor out by sessions, of which each process of a run is one, first."""
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -34,36 +43,38 @@ def listen(host: str, port: int) -> socket.socket:
     return made
 
 
-def main(
-    bus: BusOptions,
-    *,
-    host: str,
-    port: int,
-    thrusters: tuple[Thruster, Thruster] | None,
-    open_browser: bool,
-    name: str,
-) -> int:
-    """Until it is told to stop."""
-    say = sayer("dashboard")
+def main(config: Config) -> int:
+    """Serve until told to stop."""
+    if config.gives_way:
+        _give_way()
+    bus, host = config.bus, config.host
+    thrusters = None if config.vehicle is None else Vehicle.load(config.vehicle).thrusters[:2]
     token = Token()
-    with stop_on_signals() as request, listen(host, port) as place:
-        port = place.getsockname()[1]
-        named = f"[{host}]" if ":" in host else host
-        try:
-            with open_session(bus, stop=request, say=say) as session:
-                ears = Ears(session, thrusters)
-                allowed = hosts({*LOOPBACK, named}, port)
-                app = page.make(ears, token, allowed=allowed, name=name, command=page.commander(bus))
-                place.listen()  # who comes before the server runs waits for it
-                _tell(f"http://{named}:{port}/#{token.text}", open_browser=open_browser)
-                # a signal ends it, and is then handed on to the handlers that were there before
-                uvicorn.Server(configuration(app)).run(sockets=[place])
-        except Stopped:
-            pass
-        except BusError as error:
-            say(str(error))
-            return FAILED
-    return INTERRUPTED if request.interrupted else DONE
+
+    def work(request: StopRequest, say: Say) -> None:
+        with listen(host, config.port) as place, open_session(bus, stop=request, say=say) as session:
+            port = place.getsockname()[1]
+            named = f"[{host}]" if ":" in host else host
+            name = bus.namespace or ", ".join(bus.connects_to)
+            app = page.make(
+                Ears(session, thrusters),
+                token,
+                allowed=hosts({*LOOPBACK, named}, port),
+                name=name,
+                command=page.commander(bus),
+            )
+            place.listen()  # who comes before the server runs waits for it
+            _tell(f"http://{named}:{port}/#{token.text}", open_browser=config.open_browser)
+            # a signal ends it, and is then handed on to the handlers that were there before
+            uvicorn.Server(configuration(app)).run(sockets=[place])
+
+    return until_stopped("dashboard", work)
+
+
+def _give_way() -> None:
+    os.nice(NICE)
+    with suppress(OSError):  # there is none where it is shared out by processes alone
+        AUTOGROUP.write_text(str(NICE))
 
 
 def _tell(url: str, *, open_browser: bool) -> None:

@@ -57,11 +57,6 @@ def pid_of(node: str, parent: int) -> int:
     raise NotFound(f"no process of {node} is at work")
 
 
-def command_of(pid: int) -> list[str]:
-    """Its command line."""
-    return (PROC / str(pid) / "cmdline").read_bytes().decode(errors="replace").split("\0")
-
-
 def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
     """Do it to ``pid``, and come back when it is over: at once, or when ``lasts`` says no."""
     match fault.kind:

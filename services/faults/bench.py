@@ -9,6 +9,7 @@ was harmed on its way to B.
 from __future__ import annotations
 
 import json
+import os
 import secrets
 import subprocess
 import time
@@ -20,10 +21,12 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc.messages import Harm, Injection
+from services.bus.session import BusOptions
 from services.faults.draw import Run
 from services.faults.fault import Fault
 from services.faults.started import Process, Started, end
-from services.launch import loopback, table
+from services.launch import child, loopback, table
+from services.nodes import inject
 from services.run import folder as run_folder
 from services.run.situation import Override, Situation, resolve
 
@@ -55,12 +58,6 @@ def injection(fault: Fault) -> Injection:
     )
 
 
-def words(of: Injection) -> str:
-    """The same for its command line."""
-    numbers = (of.start_t_ns * 1e-9, of.end_t_ns * 1e-9, of.size, of.seed)
-    return ",".join((of.harm.value, of.key, *map(repr, numbers)))
-
-
 def situation(run: Run, *, speed: float) -> Situation:
     """What such a run is made of."""
     settings = (
@@ -77,24 +74,36 @@ def run(of: Situation, faults: Sequence[Fault], folder: Path, *, patience_s: flo
     made = run_folder.make("hover", of.files, out=folder, force=False)
     logs = made.path / "logs"
     logs.mkdir()
-    place_a, place_b = (f"tcp/127.0.0.1:{loopback.free_port()}" for _ in range(2))
     namespace = f"auv/{secrets.token_hex(4)}"
-    places = {"namespace": namespace, "run": str(made.path), "compute_delay_s": "0.0"}
-    rows = {row.name: row for row in table.processes(of.scenario)}
+    a, b = (
+        table.RunPlace(folder=made, router=f"tcp/127.0.0.1:{loopback.free_port()}", namespace=namespace)
+        for _ in range(2)
+    )
+    modules = {row.name: row.module for row in table.processes(of.scenario)}
     running: dict[str, Process] = {}
     with Started() as started:
 
-        def start(name: str, command: Sequence[str]) -> None:
-            running[name] = started.start(command, logs / f"{name}.log", results=True)
+        def start(name: str, module: str, config: msgspec.Struct) -> None:
+            file = logs / f"{name}.json"
+            child.write_config(file, config)
+            words = [child.__name__, str(os.getpid()), module, str(file)]
+            running[name] = started.start(words, logs / f"{name}.log", results=True)
 
-        for name, place in (("router", place_a), ("router-b", place_b)):
-            start(name, ["router", "--listen", place, "--namespace", namespace])
-            _await(place)
-        asked = [word for fault in faults for word in ("--fault", words(injection(fault)))]
-        start("inject", ["inject", UNDER_TEST, "--to", place_b, "--connect", place_a, "--namespace", namespace, *asked])
+        for name, place in (("router", a), ("router-b", b)):
+            start(name, modules["router"], table.config_of("router", of, place))
+            _await(place.router)
+        at_a, at_b = (
+            BusOptions(connect=(place.router,), mode="client", namespace=namespace, role=inject.NAME)
+            for place in (a, b)
+        )
+        asked = tuple(injection(fault) for fault in faults)
+        start(
+            "inject",
+            inject.__name__,
+            inject.Config(node=UNDER_TEST, injections=asked, at_a=at_a, at_b=at_b),
+        )
         for name in ("recorder", "plant", "sensors", "estimator", UNDER_TEST):
-            place = place_b if name == UNDER_TEST else place_a
-            start(name, table.command(rows[name], {**places, "router": place}))
+            start(name, modules[name], table.config_of(name, of, b if name == UNDER_TEST else a))
         with suppress(subprocess.TimeoutExpired):
             running["plant"].wait(patience_s)
         codes = {name: end(running[name], STOP_S) for name in IN_ORDER}

@@ -12,6 +12,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
 from ltv_mpc.messages import Clock, ClockState
 from services.bus.roles import DISPLAY
 from services.bus.session import BusOptions, open_session
@@ -22,6 +24,8 @@ from services.faults.draw import Run
 from services.faults.fault import Fault
 from services.faults.inside import SCENARIO
 from services.faults.started import Process, Started
+from services.launch.child import read_config
+from services.nodes import plant
 from services.process.clock import ClockError, VehicleClock, monotonic_us
 
 SPEED = 2.0
@@ -80,8 +84,9 @@ class _Time:
 
 
 def arguments(run: Run, folder: Path) -> list[str]:
-    """The command line of its simulation."""
+    """The command line of its simulation, as a person types it."""
     return [
+        "services.cli",
         *("sim", SCENARIO, "--out", str(folder), "--json"),
         *("--speed", repr(SPEED), "--duration-s", repr(run.duration_s), "--surface-time-s", repr(run.afloat_s)),
         *("--set", f"run.seed={run.seed}"),
@@ -93,7 +98,7 @@ def supervised(run: Run, folder: Path) -> Ended:
     log = folder.with_suffix(".log")
     with Started() as started:
         process = started.start(arguments(run, folder), log, results=False)
-        injected = _attack(run.faults, process)
+        injected = _attack(run.faults, process, folder)
         code = _end_of(process, run)
     return Ended(folder, code, _words(log), injected)
 
@@ -115,10 +120,10 @@ def _end_of(process: Process, run: Run) -> int | None:
     return None
 
 
-def _attack(faults: Sequence[Fault], process: Process) -> list[Injected]:
+def _attack(faults: Sequence[Fault], process: Process, folder: Path) -> list[Injected]:
     injected: list[Injected] = []
     with ExitStack() as sessions:
-        if (clock := _clock_of(process, sessions)) is None:
+        if (clock := _clock_of(process, folder, sessions)) is None:
             return injected
         for fault in faults:
             start_ns, end_ns = round(fault.start_s * 1e9), round(fault.end_s * 1e9)
@@ -138,12 +143,12 @@ def _attack(faults: Sequence[Fault], process: Process) -> list[Injected]:
     return injected
 
 
-def _clock_of(process: Process, sessions: ExitStack) -> _Time | None:
-    """The clock of a run, by the place of its router as its processes' command lines have it; None: it never began."""
+def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | None:
+    """The clock of a run, by the place of its router as its own config has it; None: it never began."""
     until = time.monotonic() + START_S
     clock, connected = _Time(), False
     while process.poll() is None and time.monotonic() < until:
-        if not connected and (options := _bus_of(process.pid)) is not None:
+        if not connected and (options := _bus_of(folder)) is not None:
             session = sessions.enter_context(open_session(options, stop=lambda: False, say=lambda _: None))
             session.subscribe(BY_SIGNAL[Clock].key, BY_SIGNAL[Clock], clock)
             connected = True
@@ -153,10 +158,10 @@ def _clock_of(process: Process, sessions: ExitStack) -> _Time | None:
     return None
 
 
-def _bus_of(supervisor: int) -> BusOptions | None:
-    for pid, name in attacks.children(supervisor):
-        words = attacks.command_of(pid)
-        if name.startswith("ltv-") and "--connect" in words:
-            place, namespace = words[words.index("--connect") + 1], words[words.index("--namespace") + 1]
-            return BusOptions(connect=(place,), namespace=namespace, role=DISPLAY)
-    return None
+def _bus_of(folder: Path) -> BusOptions | None:
+    """How the run in ``folder`` is reached, once its plant has been started."""
+    try:
+        config: plant.Config = read_config(folder / "logs" / "plant.json", plant.Config)
+    except (OSError, msgspec.DecodeError):  # not there yet, or not all of it
+        return None
+    return msgspec.structs.replace(config.bus, role=DISPLAY)

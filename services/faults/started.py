@@ -31,11 +31,11 @@ class Started:
             self._guard.release(process.pid)
         self._guard.close()
 
-    def start(self, command: Sequence[str], log: Path, *, results: bool) -> Process:
-        """``ltv-mpc COMMAND``, its words in ``log``; ``results``: what it says on standard output too."""
+    def start(self, words: Sequence[str], log: Path, *, results: bool) -> Process:
+        """Start ``python -m WORDS``, its stderr in ``log``; ``results``: what it writes on standard output too."""
         with log.open("wb") as output:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "services.cli", *command],
+                [sys.executable, "-P", "-m", *words],
                 stdin=subprocess.DEVNULL,
                 stdout=output if results else subprocess.DEVNULL,
                 stderr=subprocess.STDOUT if results else output,

@@ -1,62 +1,69 @@
-"""How the supervisor's children begin: ``python -P -m services.launch.child PARENT COMMAND... PULSE``, or forked.
+"""Entry point of every process of a run: ``python -P -m services.launch.child PARENT MODULE CONFIG [PULSE]``.
 
-They bind themselves to their parent's life, and are then the command that a person would type. PULSE is ``pulse=FD``,
-the pipe for their pulse; on their standard input stands the state to go on from.
+MODULE has a struct ``Config`` and a function ``main(config) -> exit code``. CONFIG is a file that holds the config as
+JSON; the process is named after it. The process ends with its PARENT (a pid). PULSE is a descriptor, given by a
+supervisor: the pipe for the pulse. The supervisor also writes the state to go on from to the standard input.
+A process that is forked instead calls ``run`` with the same arguments.
 """
 
 from __future__ import annotations
 
 import ctypes
+import importlib
+import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from services.launch.orphans import die_with_parent, stop_at_end_of_input
 
 PR_SET_NAME = 15
-PULSE = "pulse="
 RECORDER = "recorder"
+BAD_INPUT = 2
 
 
-def run(words: Sequence[str]) -> None:
-    """The parent's pid, a command line of ``ltv-mpc``, then what is between parent and child alone. To the end of it.
+def write_config(path: Path, config: msgspec.Struct) -> None:
+    """Write the file that ``run`` reads."""
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(config, enc_hook=os.fspath)))
+
+
+def read_config(path: Path, kind: type[Any]) -> Any:
+    """Read the config of a process. Raises ``OSError``, ``msgspec.DecodeError``."""
+    return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=lambda wanted, text: wanted(text))
+
+
+def run(parent: str, module: str, config: str, pulse: str = "") -> int:
+    """Become the process and return its exit code: that of ``main``, or 2 where a setting is refused.
 
     The recorder does not die with its parent: it finishes its file.
     """
-    parent, *command, pulse = words
-    node = command[0]
-    if node != RECORDER:
+    name = Path(config).stem
+    if name != RECORDER:
         die_with_parent(int(parent))
-    call_oneself(f"ltv-{node}")
+    name_process(f"ltv-{name}")
 
+    from ltv_mpc.errors import ConfigError
     from services.process.supervised import SUPERVISED
 
-    SUPERVISED.by(int(pulse.removeprefix(PULSE)), restored=stop_at_end_of_input if node == RECORDER else None)
-    from services.cli.app import main as command_line
+    if pulse:
+        SUPERVISED.by(int(pulse), restored=stop_at_end_of_input if name == RECORDER else None)
+    node = importlib.import_module(module)
+    try:
+        code: int = node.main(read_config(Path(config), node.Config))
+    except (ConfigError, msgspec.ValidationError) as error:
+        sys.stderr.write(f"ltv-mpc: {error}\n")
+        return BAD_INPUT
+    return code
 
-    command_line(command)
 
-
-def call_oneself(name: str) -> None:
-    """What ``ps`` and ``top`` show; at most 15 characters."""
+def name_process(name: str) -> None:
+    """Set the name that ``ps`` and ``top`` show; at most 15 characters."""
     libc = ctypes.CDLL(None)
     if hasattr(libc, "prctl"):
         libc.prctl(PR_SET_NAME, name.encode())
 
 
-class Room:
-    """The memory that holds this process's command line, of which ``/proc/PID/cmdline`` is a window."""
-
-    def __init__(self) -> None:
-        numbers = Path("/proc/self/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
-        self._first, self._last = (int(numbers[field - 3]) for field in (48, 49))  # arg_start, arg_end of proc(5)
-
-    def write(self, words: Sequence[str]) -> None:
-        """Be known by another one; what does not fit is left out."""
-        size = self._last - self._first
-        text = b"".join(word.encode() + b"\0" for word in words)[: size - 1]
-        ctypes.memmove(self._first, text.ljust(size, b"\0"), size)
-
-
 if __name__ == "__main__":
-    run(sys.argv[1:])
+    sys.exit(run(*sys.argv[1:]))

@@ -7,12 +7,12 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
 from services.launch import child
-from services.launch.forks import ForkServer
+from services.launch.forkserver import ForkServer
 from services.launch.heartbeat import HUNG_S, Heartbeat
 from services.launch.orphans import Guard
 from services.process.supervised import FORMAT, LAST, LENGTH
@@ -38,14 +38,15 @@ class Process(Protocol):
 class Child:
     """Start it from the main thread only: a child dies with the thread that spawned it, or has adopted it.
 
-    ``state`` is the state to go on from, as it travels, or nothing. It is forked where ``forks`` can, and else
-    spawned, which takes some two seconds longer.
+    ``config`` is the file of its config, ``state`` the state to go on from, as it travels, or nothing. It is forked
+    where ``forks`` can, and else spawned, which takes longer (``forkserver.py`` has the figures).
     """
 
     def __init__(
         self,
         name: str,
-        command: list[str],
+        module: str,
+        config: Path,
         *,
         log: Path,
         guard: Guard,
@@ -64,9 +65,9 @@ class Child:
         """To be watched: it can be read when the child beats, and when it is no more."""
         process: Process | None = None
         if forks is not None:
-            process = self._start(lambda stdin, beats: forks.fork(command, log, stdin, beats))
+            process = self._start(lambda stdin, beats: forks.fork(module, config, log, stdin, beats))
         if process is None:
-            process = self._start(lambda stdin, beats: _spawn(command, log, stdin, beats))
+            process = self._start(lambda stdin, beats: _spawn(module, config, log, stdin, beats))
         assert process is not None
         self._process = process
         guard.watch(self.pid)
@@ -163,11 +164,10 @@ class Child:
         return last_lines(self._log)
 
 
-def _spawn(command: Sequence[str], log: Path, stdin: int, beats: int) -> Process:
-    words = [str(os.getpid()), *command, f"{child.PULSE}{beats}"]
+def _spawn(module: str, config: Path, log: Path, stdin: int, beats: int) -> Process:
     with log.open("wb") as output:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", child.__name__, *words],
+            [sys.executable, "-P", "-m", child.__name__, str(os.getpid()), module, str(config), str(beats)],
             stdin=stdin,
             stdout=output,
             stderr=subprocess.STDOUT,

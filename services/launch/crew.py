@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import select
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from services.launch import forks, table
+import msgspec
+
+from services.launch import forkserver, table
+from services.launch.child import write_config
 from services.launch.children import Child
-from services.launch.forks import ForkServer
+from services.launch.forkserver import ForkServer
 from services.launch.heartbeat import HUNG_S
 from services.launch.orphans import Guard
 
@@ -28,12 +31,11 @@ class Crew:
         self._logs = logs
         self._guard = guard
         self._rows: dict[str, table.Process] = {}
-        self._commands: dict[str, list[str]] = {}
         self._starts: dict[str, int] = {}
 
     def load(self) -> None:
         """Begin to load what everyone needs."""
-        if forks.possible():
+        if forkserver.possible():
             self.forks = ForkServer(self._scenario, self._log("forkserver"), self._guard)
 
     def keep_loaded(self) -> None:
@@ -42,10 +44,10 @@ class Crew:
             self.forks.close()
             self.load()
 
-    def start(self, row: table.Process, places: Mapping[str, str]) -> None:
+    def start(self, row: table.Process, config: msgspec.Struct) -> None:
         """The first of its name."""
         self._rows[row.name] = row
-        self._commands[row.name] = table.command(row, places)
+        write_config(self._config(row.name), config)
         self.children[row.name] = self._begin(row.name, b"")
 
     def restart(self, name: str, state: bytes) -> None:
@@ -79,13 +81,17 @@ class Crew:
     def _begin(self, name: str, state: bytes) -> Child:
         return Child(
             name,
-            self._commands[name],
+            self._rows[name].module,
+            self._config(name),
             log=self._log(name),
             guard=self._guard,
             forks=self.forks,
             state=state,
             patience_s=HUNG_S if self._rows[name].restartable else WORLD_PATIENCE_S,
         )
+
+    def _config(self, name: str) -> Path:
+        return self._logs / f"{name}.json"
 
     def _log(self, name: str) -> Path:
         count = self._starts[name] = self._starts.get(name, 0) + 1

@@ -7,6 +7,7 @@ Ctrl-C ends everything within two seconds. The recorder is stopped last, so that
 
 from __future__ import annotations
 
+import importlib
 import secrets
 import time
 from collections.abc import Callable, Sequence
@@ -201,6 +202,8 @@ class Supervisor:
 
     def _load(self) -> None:
         self._crew.load()
+        for row in table.processes(self._situation.scenario):
+            importlib.import_module(row.module)  # for its config, while the fork server loads the same
         if (forks := self._crew.forks) is None:
             return
         while not forks.is_loaded():
@@ -211,17 +214,12 @@ class Supervisor:
     def _start(self, sessions: ExitStack) -> None:
         endpoint = f"{SECURE if self._certs else 'tcp'}/127.0.0.1:{loopback.free_port()}"
         namespace = f"auv/{secrets.token_hex(4)}"
-        places = {
-            "router": endpoint,
-            "namespace": namespace,
-            "run": str(self._folder.path.absolute()),
-            "compute_delay_s": repr(self._situation.scenario.run.compute_delay_s),
-        }
-        if self._certs is not None:
-            places["certs"] = str(self._certs.absolute())
+        certs = None if self._certs is None else self._certs.absolute()
+        place = table.RunPlace(folder=self._folder, router=endpoint, namespace=namespace, certs=certs)
         rows = table.processes(self._situation.scenario)
+        configs = {row.name: table.config_of(row.name, self._situation, place) for row in rows}
         for row in (row for row in rows if not row.needs):
-            self._crew.start(row, places)
+            self._crew.start(row, configs[row.name])
         self._await(lambda: loopback.answers(endpoint), "router", "does not answer")
         options = BusOptions(connect=(endpoint,), namespace=namespace, certs=self._certs, role=LAUNCHER)
         if self._on_bus is not None:
@@ -232,7 +230,7 @@ class Supervisor:
         for row in (row for row in rows if row.needs):
             for name in row.needs:
                 self._await(lambda name=name: watch.newest(NodeStatus, name) is not None, name, "never got ready")  # type: ignore[misc]
-            self._crew.start(row, places)
+            self._crew.start(row, configs[row.name])
         for row in rows:
             if row.name != "router":
                 self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "never got ready")  # type: ignore[misc]

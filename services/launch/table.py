@@ -1,55 +1,47 @@
-"""Which processes a run is made of, in the order of their start: the only place where that is said."""
+"""Process table: which processes a run is made of, in the order of their start, and the config of each."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from pathlib import Path
 
 import msgspec
 
+from services.bus.session import BusOptions
+from services.run.folder import RunFolder
+from services.run.situation import PRIOR, Situation
 from sim.scenario import Scenario
 
 
 class Process(msgspec.Struct, frozen=True):
-    """One row. The command is what a person would type after ``ltv-mpc``, with the names of ``places`` in braces.
+    """One row. ``module`` has the process's ``Config`` and ``main``.
 
     ``restartable``: its death need not end a run; of the others' the run dies. ``needs`` must be ready before it
     starts: the recorder comes first, so that nothing is said before it listens.
     """
 
     name: str
-    command: tuple[str, ...]
+    module: str
     restartable: bool
     needs: tuple[str, ...]
 
 
-BUS = ("--connect", "{router}", "--namespace", "{namespace}")
-SCENARIO = "{run}/scenario.toml"
-
 PROCESSES = (
-    Process("router", ("--listen", "{router}", "--namespace", "{namespace}"), True, ()),
-    Process("recorder", (SCENARIO, "--out", "{run}", "--continue", *BUS), True, ()),
-    Process("plant", (SCENARIO, "--expect", "recorder", *BUS), False, ("recorder",)),
-    Process("sensors", (SCENARIO, *BUS), False, ("recorder",)),
-    Process(
-        "estimator",
-        (
-            *("--vehicle", "{run}/config/vehicle.toml", "--sensors", "{run}/config/sensors.toml"),
-            *("--settings", "{run}/config/estimator.toml", *BUS),
-        ),
-        True,
-        ("recorder",),
-    ),
-    Process(
-        "controller",
-        (
-            *("--vehicle", "{run}/config/vehicle.toml", "--reference", "{run}/config/reference.toml"),
-            *("--settings", "{run}/config/controller.toml", "--compute-delay-s", "{compute_delay_s}"),
-            *("--failed-qps", "{run}/failed-qps", *BUS),
-        ),
-        True,
-        ("recorder",),
-    ),
+    Process("router", "services.nodes.router", True, ()),
+    Process("recorder", "services.nodes.recorder", True, ()),
+    Process("plant", "services.nodes.plant", False, ("recorder",)),
+    Process("sensors", "services.nodes.sensors", False, ("recorder",)),
+    Process("estimator", "services.nodes.estimator", True, ("recorder",)),
+    Process("controller", "services.nodes.controller", True, ("recorder",)),
 )
+
+
+class RunPlace(msgspec.Struct, frozen=True, kw_only=True):
+    """What the processes of one run share: its folder and its bus."""
+
+    folder: RunFolder
+    router: str  # endpoint
+    namespace: str
+    certs: Path | None = None
 
 
 def processes(scenario: Scenario) -> tuple[Process, ...]:
@@ -57,7 +49,35 @@ def processes(scenario: Scenario) -> tuple[Process, ...]:
     return tuple(row for row in PROCESSES if not (row.name == "estimator" and scenario.run.perfect_state))
 
 
-def command(row: Process, places: Mapping[str, str]) -> list[str]:
-    """The command line of a row, its places filled in; with certificates where ``places`` has a folder of them."""
-    secured = ("--certs", "{certs}") if "certs" in places else ()
-    return [row.name, *(word.format_map(places) for word in (*row.command, *secured))]
+def config_of(name: str, situation: Situation, place: RunPlace) -> msgspec.Struct:
+    """The config of a process of this run, which reads its settings from the run's own folder."""
+    # Only who starts processes needs these, and not for the list of them.
+    from services.nodes import controller, estimator, plant, recorder, router, sensors
+
+    scenario, folder = situation.scenario, RunFolder(place.folder.path.absolute())
+    bus = BusOptions(connect=(place.router,), namespace=place.namespace, certs=place.certs, role=name)
+    match name:
+        case "router":
+            return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(place.router,)))
+        case "recorder":
+            metadata = recorder.metadata(scenario.run.seed, situation.files)
+            return recorder.Config(bus=bus, folder=folder.path, start_ns=scenario.start_ns, metadata=metadata)
+        case "plant":
+            return plant.Config(bus=bus, scenario=str(folder.scenario), expects=("recorder",))
+        case "sensors":
+            return sensors.Config(bus=bus, scenario=str(folder.scenario))
+        case "estimator":
+            settings = scenario.estimator
+            if settings.water_prior:
+                settings = msgspec.structs.replace(settings, water_prior=str(folder.path / "config" / PRIOR))
+            return estimator.Config(bus=bus, sensors=str(folder.config("sensors")), settings=settings)
+        case "controller":
+            return controller.Config(
+                bus=bus,
+                vehicle=str(folder.config("vehicle")),
+                reference=str(folder.config("reference")),
+                settings=scenario.controller,
+                compute_delay_s=scenario.run.compute_delay_s,
+                failed_qps=folder.path / "failed-qps",
+            )
+    raise ValueError(f"no process {name}")

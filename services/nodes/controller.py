@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from ltv_mpc import references
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon import Linearisation
@@ -46,48 +47,51 @@ from services.process.stopping import FAILED, Say, StopRequest, sayer
 from services.process.stopwatch import StageTimer
 
 
-def main(
-    vehicle: Vehicle,
-    reference: Reference,
-    config: ControllerConfig,
-    bus: BusOptions,
-    *,
-    compute_delay_s: float = 0.0,
-    input_delay_s: float = 0.0,
-    metrics_port: int | None = None,
-    failed_qps: Path | None = None,
-) -> int:
-    """A plan each cycle. ``input_delay_s``: the smallest delay of an estimate, which an exchange would measure;
-    ``metrics_port``: where on loopback the state is served; ``failed_qps``: where QPs that were not solved are kept.
-    """
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the controller process needs to start."""
+
+    bus: BusOptions
+    vehicle: str = "paper"  # NAME or FILE
+    reference: str = "descent"  # NAME or FILE
+    settings: ControllerConfig = ControllerConfig()
+    compute_delay_s: float = 0.0  # added between a plan and its publication
+    input_delay_s: float = 0.0  # the smallest delay of an estimate, which an exchange would measure
+    metrics_port: int | None = None  # where on loopback the state is served
+    failed_qps: Path | None = None  # where QPs that were not solved are kept
+
+
+def main(config: Config) -> int:
+    """Publish a plan each cycle."""
+    vehicle, reference = Vehicle.load(config.vehicle), references.load(config.reference)
+    settings, bus = config.settings, config.bus
     metrics = prometheus.Metrics()
     with contextlib.ExitStack() as stack:
-        if metrics_port is not None:
+        if config.metrics_port is not None:
             try:
-                stack.enter_context(prometheus.serving(metrics, metrics_port))
+                stack.enter_context(prometheus.serving(metrics, config.metrics_port))
             except OSError as error:
-                sayer(ControllerNode.name)(f"--metrics {metrics_port}: {error.strerror}")
+                sayer(ControllerNode.name)(f"--metrics {config.metrics_port}: {error.strerror}")
                 return FAILED
-        rehearse(vehicle, reference, config)
+        rehearse(vehicle, reference, settings)
         node_stages = StageTimer()
-        node = ControllerNode(vehicle, reference, config, stopwatch=node_stages)
+        node = ControllerNode(vehicle, reference, settings, stopwatch=node_stages)
         line = StatusLine(node.name, key_in(bus, BY_SIGNAL[Estimate]), sys.stderr)
         stack.callback(line.close)
 
         def make(request: StopRequest, say: Say) -> Runner:
             say = line.saying(say)
-            for text in (*announcement(bus, config), *reference.notes(vehicle)):
+            for text in (*announcement(bus, settings), *reference.notes(vehicle)):
                 say(text)
             shown: list[Shown] = [line.show, metrics.show]
-            if failed_qps is not None:
-                shown.append(FailedQps(node.controller, failed_qps, say).show)
+            if config.failed_qps is not None:
+                shown.append(FailedQps(node.controller, config.failed_qps, say).show)
             return Runner(
                 node,
                 stop=request,
                 say=say,
                 foreign=True,
-                input_delay_ns=round(input_delay_s * 1e9),
-                compute_delay_ns=round(compute_delay_s * 1e9),
+                input_delay_ns=round(config.input_delay_s * 1e9),
+                compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
                 report=ControllerReport(node, shown),
             )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
-from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.correction import update
@@ -30,19 +30,30 @@ from services.bus.session import BusOptions
 from services.process.clock import monotonic_us
 from services.process.runner import Runner
 from services.process.serve import serve
+from services.process.stopping import Say, StopRequest
 from services.process.supervised import SUPERVISED
+from services.run.water import told
 
 
-def main(suite: Suite, config: EstimatorConfig, bus: BusOptions, *, prior: WaterPrior | None = None) -> int:
-    """An estimate each period, from whatever measures. ``prior``: what is known of the water before."""
-    rehearse(suite, config)
-    return serve(
-        Estimator.name,
-        bus,
-        lambda request, say: Runner(
-            Estimator(suite, config, prior, progress=lambda: SUPERVISED.beat(monotonic_us())), stop=request, say=say
-        ),
-    )
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the estimator process needs to start."""
+
+    bus: BusOptions
+    sensors: str = "paper"  # NAME or FILE
+    settings: EstimatorConfig = EstimatorConfig()
+
+
+def main(config: Config) -> int:
+    """Publish an estimate each period, from whatever measures."""
+    suite, settings = Suite.load(config.sensors), config.settings
+    prior = told(settings)
+    rehearse(suite, settings)
+
+    def make(request: StopRequest, say: Say) -> Runner:
+        node = Estimator(suite, settings, prior, progress=lambda: SUPERVISED.beat(monotonic_us()))
+        return Runner(node, stop=request, say=say)
+
+    return serve(Estimator.name, config.bus, make)
 
 
 def rehearse(suite: Suite, config: EstimatorConfig) -> None:

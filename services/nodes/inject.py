@@ -23,12 +23,13 @@ from ltv_mpc.node import Arrival
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusError, BusOptions, Publisher, Session, Stopped, open_session
+from services.bus.session import BusOptions, Publisher, Session, Stopped, open_session
 from services.bus.topics import BY_SIGNAL, TOPICS, Topic, topic_at
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.faults.schedule import problem
 from services.process.clock import ClockError, VehicleClock, monotonic_us
-from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.process.serve import until_stopped
+from services.process.stopping import Say, StopRequest
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed, Transit
 from sim.scheduler import Delivery
@@ -276,17 +277,22 @@ def _read_by(node: str) -> dict[str, Topic]:
     return {key: topic for key, topic in heard.items() if key not in own}
 
 
-def main(node: str, injections: Sequence[Injection], a: BusOptions, b: BusOptions) -> int:
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the injector process needs to start."""
+
+    node: str  # under test
+    injections: tuple[Injection, ...]
+    at_a: BusOptions  # where everyone else is
+    at_b: BusOptions  # where the node under test is
+
+
+def main(config: Config) -> int:
     """Inject until told to stop; the account of what was harmed is the last line on stdout, as JSON."""
-    say = sayer(NAME)
-    with stop_on_signals() as request:
-        injector = Injector(node, injections, stop=request, say=say)
-        try:
-            injector.serve(a, b)
-        except Stopped:
-            pass
-        except BusError as error:
-            say(str(error))
-            return FAILED
+
+    def work(request: StopRequest, say: Say) -> None:
+        injector = Injector(config.node, config.injections, stop=request, say=say)
+        with contextlib.suppress(Stopped):
+            injector.serve(config.at_a, config.at_b)
         sys.stdout.write(json.dumps(injector.account) + "\n")
-        return request.exit_code
+
+    return until_stopped(NAME, work)

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from services.bus.session import BusOptions
 from services.process.runner import Runner
 from services.process.serve import serve
 from services.process.timekeeping import KeepsTime
-from services.run.situation import Situation
+from services.run.situation import Situation, resolve
 from sim.plant import Plant
 
 
-def main(situation: Situation, bus: BusOptions, *, expects: tuple[str, ...] = ()) -> int:
-    """Start the clock once all are ready, run to the scenario's end. ``expects`` are nodes besides the usual ones."""
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the plant process needs to start."""
+
+    bus: BusOptions
+    scenario: str  # NAME or FILE
+    expects: tuple[str, ...] = ()  # nodes that the clock waits for besides the usual ones
+
+
+def main(config: Config) -> int:
+    """Start the clock once all are ready, run to the scenario's end."""
+    situation = resolve(config.scenario)
     scenario = situation.scenario
     estimator = () if scenario.run.perfect_state else ("estimator",)
     keeps_time = KeepsTime(
         start_ns=scenario.start_ns,
         end_ns=scenario.end_ns,
         speed=scenario.run.speed,
-        expects=("sensors", *estimator, "controller", *expects),
+        expects=("sensors", *estimator, "controller", *config.expects),
     )
     rehearse(situation)
     return serve(
         Plant.name,
-        bus,
+        config.bus,
         lambda request, say: Runner(_make(situation), stop=request, say=say, keeps_time=keeps_time),
     )
 

@@ -5,24 +5,37 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from services.bus.session import BusError, BusOptions, Stopped
+import msgspec
+
+from services.bus.session import BusError, BusOptions
 from services.process.recording import NAME, RecordingLoop
-from services.process.stopping import FAILED, sayer, stop_on_signals
+from services.process.serve import until_stopped
+from services.process.stopping import Say, StopRequest
 from services.process.supervised import SUPERVISED
 from services.recording.segments import SegmentWriter
 
 
-def main(folder: Path, bus: BusOptions, *, start_ns: int, metadata: Mapping[str, str]) -> int:
-    """Record into ``folder`` until told to stop. ``start_ns`` is where the run's time begins, log time 0."""
-    say = sayer(NAME)
-    with stop_on_signals() as request:
-        try:
-            SUPERVISED.state()
-            with SegmentWriter(folder / "run.mcap", start_ns=start_ns, metadata=metadata) as writer:
-                RecordingLoop(writer, start_ns=start_ns, stop=request, say=say).serve(bus)
-        except Stopped:
-            pass
-        except (BusError, OSError) as error:
-            say(str(error))
-            return FAILED
-        return request.exit_code
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the recorder process needs to start."""
+
+    bus: BusOptions
+    folder: Path  # of the run
+    start_ns: int  # where the run's time begins, log time 0
+    metadata: dict[str, str]  # kept in the recording
+
+
+def metadata(seed: int, files: Mapping[str, str]) -> dict[str, str]:
+    """What a recording of processes keeps of its run: the seed, and the settings files by their path."""
+    return {"mode": "services", "seed": str(seed), **files}
+
+
+def main(config: Config) -> int:
+    """Record until told to stop."""
+
+    def work(request: StopRequest, say: Say) -> None:
+        SUPERVISED.state()
+        recording = config.folder / "run.mcap"
+        with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
+            RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)
+
+    return until_stopped(NAME, work, failures=(BusError, OSError))

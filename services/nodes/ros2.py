@@ -10,11 +10,12 @@ from ltv_mpc.messages import Estimate, NodeStatus, Plan
 from services.bus.door import Door
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusError, BusOptions, Publisher, Stopped, open_session
+from services.bus.session import BusOptions, Publisher, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import WireError
 from services.process.clock import monotonic_us
-from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.process.serve import until_stopped
+from services.process.stopping import Say, StopRequest
 from services.ros2 import cdr
 from services.ros2.edge import Edge
 
@@ -31,16 +32,8 @@ class Topics(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(topics: Topics, bus: BusOptions, *, ros_namespace: str, rate_hz: float) -> int:
     """Translate until told to stop. ``ros_namespace`` is the bridge's, before each of its keys."""
-    say = sayer(NAME)
-    with stop_on_signals() as request:
-        try:
-            _run(topics, bus, ros_namespace, round(1e6 / rate_hz), request, say)
-        except Stopped:
-            pass
-        except BusError as error:
-            say(str(error))
-            return FAILED
-        return request.exit_code
+    period_us = round(1e6 / rate_hz)
+    return until_stopped(NAME, lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say))
 
 
 def _run(topics: Topics, bus: BusOptions, ros_namespace: str, period_us: int, request: StopRequest, say: Say) -> None:

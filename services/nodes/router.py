@@ -16,11 +16,12 @@ from ltv_mpc.messages import Clock, NodeStatus, RunEvent
 from services.bus.denials import LOG_FILTER, Denials
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER
-from services.bus.session import BusError, BusOptions, Session, Stopped, log_to_stdout, open_session
+from services.bus.session import BusOptions, Session, log_to_stdout, open_session
 from services.bus.topics import BY_SIGNAL, Topic
 from services.bus.wire import WireError, decode
 from services.process.clock import ClockError, VehicleClock, monotonic_us
-from services.process.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.process.serve import until_stopped
+from services.process.stopping import Say, StopRequest
 from services.process.supervised import PULSE_US, SUPERVISED
 
 STATUS_US = 500_000
@@ -33,29 +34,31 @@ LOG_BYTES = 1 << 20
 """Of the pipe between: what Zenoh logs while nobody looks. Once full it would hold up the messages."""
 
 
-def main(bus: BusOptions) -> int:
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the router process needs to start."""
+
+    bus: BusOptions
+
+
+def main(config: Config) -> int:
     """Route until told to stop; by default at the place where the others look."""
-    say = sayer(ROUTER)
+    bus = config.bus
     endpoints = bus.listen or (bus.usual_endpoint,)
     secure = bus.certs is not None
     namespace = bus.namespace if secure else ""  # in which the rights hold, and where it says what it has denied
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
-    with stop_on_signals() as request:
-        try:
-            SUPERVISED.state()
-            if secure:
-                _guard(options, request, say)
-            else:
-                with open_session(options, stop=request, say=say):
-                    say(f"ready at {', '.join(endpoints)}")
-                    while not request.wait(PULSE_S):
-                        SUPERVISED.beat(monotonic_us())
-        except Stopped:
-            pass
-        except BusError as error:
-            say(str(error))
-            return FAILED
-        return request.exit_code
+
+    def work(request: StopRequest, say: Say) -> None:
+        SUPERVISED.state()
+        if secure:
+            _guard(options, request, say)
+            return
+        with open_session(options, stop=request, say=say):
+            say(f"ready at {', '.join(endpoints)}")
+            while not request.wait(PULSE_S):
+                SUPERVISED.beat(monotonic_us())
+
+    return until_stopped(ROUTER, work)
 
 
 def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from ltv_mpc.messages import Truth
 from ltv_mpc.node import Arrival
 from services.bus.session import BusOptions
 from services.process.runner import Runner
 from services.process.serve import serve
-from services.run.situation import Situation
+from services.run.situation import Situation, resolve
 from sim.plant import PERIOD_NS
 from sim.sensors.node import Sensors
 
 
-def main(situation: Situation, bus: BusOptions) -> int:
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the sensors process needs to start."""
+
+    bus: BusOptions
+    scenario: str  # NAME or FILE
+
+
+def main(config: Config) -> int:
     """Answer each true state with what is measured at its time."""
+    situation = resolve(config.scenario)
     rehearse(situation)
     return serve(
         Sensors.name,
-        bus,
+        config.bus,
         lambda request, say: Runner(_make(situation), stop=request, say=say, speed=situation.scenario.run.speed),
     )
 

@@ -211,8 +211,8 @@ def test_the_recorder_takes_a_folder_that_was_made_for_it_and_no_other_that_is_n
     monkeypatch.chdir(tmp_path)
     taken: list[Path] = []
 
-    def main(folder: Path, *_: object, **__: object) -> int:
-        taken.append(folder)
+    def main(config: recorder.Config) -> int:
+        taken.append(config.folder)
         return 0
 
     monkeypatch.setattr(recorder, "main", main)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import socket
-from typing import Any
 
 import pytest
 
-from ltv_mpc import ControllerConfig, Vehicle, references
+from ltv_mpc import ControllerConfig, Vehicle
 from ltv_mpc.control.proposal import proposed_horizon_s
 from services.bus.session import BusOptions
 from services.cli.app import run
@@ -15,11 +14,11 @@ from services.nodes import controller
 
 
 @pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch) -> list[tuple[tuple[Any, ...], dict[str, Any]]]:
-    calls: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+def started(monkeypatch: pytest.MonkeyPatch) -> list[controller.Config]:
+    calls: list[controller.Config] = []
 
-    def main(*args: Any, **options: Any) -> int:
-        calls.append((args, options))
+    def main(config: controller.Config) -> int:
+        calls.append(config)
         return 0
 
     monkeypatch.setattr(controller, "main", main)
@@ -42,18 +41,18 @@ def test_rate_and_horizon_are_those_of_the_options_and_the_rest_of_the_file(tmp_
     ]
     assert run(words) == 0
     assert run([*words, "--horizon-s", "6"]) == 0
-    ((_, _, first, _), options), ((_, _, second, _), _) = started
+    first, second = (config.settings for config in started)
     assert (first.period_ns, first.horizon_s, first.max_iterations) == (200_000_000, 3.0, 77)
     assert (second.period_ns, second.horizon_s, second.max_iterations) == (200_000_000, 6.0, 77)
-    assert (options["metrics_port"], options["input_delay_s"]) == (9464, 0.05)
+    assert (started[0].metrics_port, started[0].input_delay_s) == (9464, 0.05)
 
 
 def test_without_a_horizon_and_settings_it_is_the_vehicle_s_own(
-    started: list[tuple[tuple[Any, ...], dict[str, Any]]],
+    started: list[controller.Config],
 ) -> None:
     for name in ("paper", "low-yaw"):
         assert run(["controller", "--vehicle", name]) == 0
-    ((_, _, paper, _), _), ((_, _, slow, _), _) = started
+    paper, slow = (config.settings for config in started)
     assert paper.horizon_s == proposed_horizon_s(Vehicle.load("paper")) == 13.8
     assert slow.horizon_s == proposed_horizon_s(Vehicle.load("low-yaw")) > paper.horizon_s
     assert paper.stages == slow.stages == 34
@@ -83,8 +82,7 @@ def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch
     monkeypatch.setattr(controller, "rehearse", lambda *_: pytest.fail("started"))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        parts = Vehicle.load("paper"), references.load("hover"), ControllerConfig()
-        assert controller.main(*parts, BusOptions(), metrics_port=port) == 1
+        assert controller.main(controller.Config(bus=BusOptions(), metrics_port=port)) == 1
     assert f"--metrics {port}: Address already in use" in capsys.readouterr().err
 
 

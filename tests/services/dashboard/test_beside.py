@@ -13,7 +13,7 @@ import pytest
 from services.bus.session import BusOptions, open_session
 from services.dashboard import beside
 from services.dashboard.beside import Beside
-from services.dashboard.child import NICE
+from services.dashboard.serve import NICE
 from services.views.plots.recorded import VEHICLE as VEHICLE_FILE
 from tests.services.dashboard.made_up_vehicle import until
 from tests.services.views import made_up

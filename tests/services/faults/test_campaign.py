@@ -9,11 +9,16 @@ from __future__ import annotations
 import json
 
 import pytest
+from msgspec import structs
 
+from ltv_mpc.messages import Harm, Injection
+from services.bus.session import BusOptions
 from services.cli.app import run as command
 from services.faults import attacks, bench, campaign, inside, kinds
 from services.faults.draw import Run
 from services.faults.fault import Fault, Place
+from services.launch.child import read_config, write_config
+from services.nodes import inject
 from services.replay import replay
 
 
@@ -51,9 +56,15 @@ def test_faults_move_nothing_before_they_begin():
     assert not runs[0].rejected
 
 
-def test_the_injector_is_told_what_the_campaign_has_drawn():
+def test_the_injector_is_told_what_the_campaign_has_drawn(tmp_path):
     fault = Fault(kind="message_delay", target="plan", start_s=3.25, end_s=4.5, size=0.125, seed=77)
-    assert bench.words(bench.injection(fault)) == "delay,plan,3.25,4.5,0.125,77"
+    drawn = Injection(
+        key="plan", harm=Harm.DELAY, start_t_ns=3_250_000_000, end_t_ns=4_500_000_000, size=0.125, seed=77
+    )
+    told = inject.Config(node="controller", injections=(bench.injection(fault),), at_a=BusOptions(), at_b=BusOptions())
+    write_config(tmp_path / "inject.json", told)
+    (read,) = read_config(tmp_path / "inject.json", inject.Config).injections
+    assert structs.asdict(read) == structs.asdict(drawn)  # messages compare by identity
 
 
 def test_every_class_of_processes_is_one_that_can_be_done_to_them():

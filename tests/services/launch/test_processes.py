@@ -9,9 +9,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 
 from ltv_mpc.currents import read_prior
 from ltv_mpc.messages import ControllerState, EstimatorState, NodeStatus, Plan, RunEvent, StepRecord, Truth
@@ -299,8 +301,9 @@ def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_comp
 
 def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
     s = situation(3.0)
+    wrong = structs.replace(s.scenario.controller, horizon_s=-1.0)
+    s = replace(s, scenario=structs.replace(s.scenario, controller=wrong))
     run = folder.make("test", s.files, out=tmp_path / "run")
-    run.config("controller").write_text("horizon_s = -1.0\n")
     outcome = supervisor.run(s, run, Screen())
     assert outcome.exit_code == 1
     assert "controller ended with exit code 2" in outcome.why

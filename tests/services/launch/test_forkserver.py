@@ -10,30 +10,39 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
-from services.launch import forks, guard
+from services.bus.session import BusOptions
+from services.launch import forkserver, guard
+from services.launch.child import write_config
 from services.launch.children import Child
 from services.launch.crew import Crew
-from services.launch.forks import ForkServer
+from services.launch.forkserver import ForkServer
 from services.launch.orphans import Guard
 from services.launch.table import Process
+from services.nodes import plant
 
 PATIENCE_S = 60.0
 
 QUICK = """
 import os, re, signal, sys, time, types
+import msgspec
 from services.launch import forkserver
 from services.process.supervised import SUPERVISED
 
-def main(command):
-    '''In the place of the command line: what its second word asks for.'''
-    print(*command, flush=True)
+class Config(msgspec.Struct):
+    task: str
+    code: int
+
+def main(config):
+    '''In the place of a node: what its config asks for.'''
+    print(config.task, flush=True)
     SUPERVISED.state()
     SUPERVISED.beat(time.monotonic_ns() // 1000)
-    match command[1]:
+    match config.task:
         case "exits":
-            sys.exit(int(command[2]))
+            return config.code
         case "raises":
             raise RuntimeError("as it was told to")
         case "sleeps":
@@ -41,16 +50,23 @@ def main(command):
         case "holds the GIL":
             re.match("(a+)+$", "a" * 60 + "b")
 
-sys.modules["services.cli.app"] = types.SimpleNamespace(main=main)
+sys.modules["quick"] = types.SimpleNamespace(Config=Config, main=main)
 forkserver.load = lambda scenario: None
 forkserver.main()
 """
 """A fork server whose children do little, loaded at once."""
 
 
+class Quick(msgspec.Struct):
+    """As the fork server's children have it."""
+
+    task: str
+    code: int = 0
+
+
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(forks, "PROGRAM", ("-c", QUICK))
+    monkeypatch.setattr(forkserver, "PROGRAM", ("-c", QUICK))
 
 
 @pytest.fixture
@@ -75,8 +91,10 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def forked(server: ForkServer, log: Path, watch: Guard, *command: str) -> Child:
-    return Child(command[0], list(command), log=log, guard=watch, forks=server)
+def forked(server: ForkServer, log: Path, watch: Guard, name: str, task: str, code: int = 0) -> Child:
+    config = log.with_name(f"{name}.json")
+    write_config(config, Quick(task, code))
+    return Child(name, "quick", config, log=log, guard=watch, forks=server)
 
 
 def stat(pid: int) -> list[str]:
@@ -84,41 +102,46 @@ def stat(pid: int) -> list[str]:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
 
 
-@pytest.mark.parametrize(("words", "code"), [(("exits", "0"), 0), (("exits", "7"), 7), (("raises",), 1)])
+@pytest.mark.parametrize(("task", "code"), [("exits", 0), ("exits", 7), ("raises", 1)])
 def test_its_exit_code_and_its_words_are_its_own(
-    server: ForkServer, watch: Guard, tmp_path: Path, words: tuple[str, ...], code: int
+    server: ForkServer, watch: Guard, tmp_path: Path, task: str, code: int
 ) -> None:
-    child = forked(server, tmp_path / "log", watch, "plant", *words)
+    child = forked(server, tmp_path / "log", watch, "plant", task, code)
     assert child.end(PATIENCE_S)
     child.close()
     assert child.exit_code() == code
     said = child.last_lines()
-    assert said[0] == f"plant {' '.join(words)}"
-    assert (said[-1] == "RuntimeError: as it was told to") == (words == ("raises",))
+    assert said[0] == task
+    assert (said[-1] == "RuntimeError: as it was told to") == (task == "raises")
 
 
 def test_it_is_a_child_of_the_supervisor_in_a_session_of_its_own_and_says_so(
     server: ForkServer, watch: Guard, tmp_path: Path
 ) -> None:
-    child = forked(server, tmp_path / "log", watch, "plant", "sleeps", "--listen", "here")
+    child = forked(server, tmp_path / "log", watch, "plant", "sleeps")
     until(lambda: bool(child.last_lines()))
     _, parent, _, session, *_ = stat(child.pid)
     assert (int(parent), int(session)) == (os.getpid(), child.pid)
     assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
-    words = Path(f"/proc/{child.pid}/cmdline").read_bytes().decode().rstrip("\0").split("\0")
-    expected = [sys.executable, "-P", "-m", "services.launch.child", str(os.getpid()), "plant", "sleeps", "--listen"]
-    assert words[: len(expected)] == expected
     child.kill()
     child.close()
     assert child.exit_code() == -signal.SIGKILL
 
 
-def test_where_nobody_forks_it_is_spawned_and_is_the_same_command(watch: Guard, tmp_path: Path) -> None:
-    child = Child("topics", ["topics", "plan"], log=tmp_path / "log", guard=watch, forks=None)
+def refused(tmp_path: Path) -> tuple[str, Path]:
+    """A module and a config that end in one line, in whatever process."""
+    config = tmp_path / "plant.json"
+    write_config(config, plant.Config(bus=BusOptions(), scenario="hoover"))
+    return plant.__name__, config
+
+
+def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: Guard, tmp_path: Path) -> None:
+    child = Child("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=None)
     assert child.end(PATIENCE_S)
     child.close()
-    assert child.exit_code() == 0
-    assert "thrust_N" in (tmp_path / "log").read_text()
+    assert child.exit_code() == 2
+    (line,) = (tmp_path / "log").read_text().splitlines()
+    assert line.startswith('ltv-mpc: scenario "hoover": no shipped name')
 
 
 def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
@@ -128,11 +151,10 @@ def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
     until(server.is_loaded)
     monkeypatch.setattr(server, "_answers", lambda _within_s: False)
     before = set(own_children())
-    child = forked(server, tmp_path / "log", watch, "topics", "plan")
+    child = Child("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=server)
     assert child.end(PATIENCE_S)
     child.close()
-    assert child.exit_code() == 0
-    assert "thrust_N" in (tmp_path / "log").read_text()
+    assert child.exit_code() == 2
     until(lambda: set(own_children()) - before <= {child.pid})
 
 
@@ -148,7 +170,7 @@ def own_children() -> Iterator[int]:
 
 
 def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: Guard, tmp_path: Path) -> None:
-    child = forked(server, tmp_path / "log", watch, "plant", "exits", "0")
+    child = forked(server, tmp_path / "log", watch, "plant", "exits")
 
     def ended() -> bool:
         child.listen()
@@ -185,11 +207,13 @@ def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(cre
     assert first is not None
     until(first.is_loaded)
     for name in ("plant", "sensors"):
-        crew.start(Process(name, ("sleeps",), True, ()), {})
+        crew.start(Process(name, "quick", True, ()), Quick("sleeps"))
     until(lambda: all(child.last_lines() for child in crew.children.values()))
     os.kill(first.pid, signal.SIGKILL)
     until(lambda: first.exit_code() is not None)
-    assert first.fork(["plant", "sleeps"], tmp_path / "log", 0, 1) is None  # whoever is to begin now is spawned
+    assert (
+        first.fork("quick", tmp_path / "plant.json", tmp_path / "log", 0, 1) is None
+    )  # whoever is to begin now is spawned
     crew.keep_loaded()
     second = crew.forks
     assert second is not None
@@ -205,17 +229,20 @@ def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(cre
 SUPERVISOR = f"""
 import sys, time
 from pathlib import Path
-from services.launch import forks
+import msgspec
+from services.launch import forkserver
 from services.launch.children import Child
 from services.launch.orphans import Guard
-forks.PROGRAM = ("-c", {QUICK!r})
+forkserver.PROGRAM = ("-c", {QUICK!r})
 folder, guard = Path(sys.argv[1]), Guard()
-server = forks.ForkServer(folder / "scenario.toml", folder / "forkserver.log", guard)
+server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", guard)
 while not server.is_loaded():
     time.sleep(0.01)
 print(server.pid, flush=True)
 for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
-    child = Child(name, [name, task], log=folder / f"{{k}}.log", guard=guard, forks=server)
+    config = folder / f"{{name}}.json"
+    config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
+    child = Child(name, "quick", config, log=folder / f"{{k}}.log", guard=guard, forks=server)
     while not child.last_lines() or child.heartbeat.last_s is None:
         child.listen()
     print(child.pid, flush=True)

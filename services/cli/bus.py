@@ -1,0 +1,140 @@
+"""The bus options -e, -l, -m, -c, --namespace and --certs: one block, which ``with_bus`` adds to a command."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
+
+import typer
+
+if TYPE_CHECKING:
+    from services.bus.session import BusOptions
+
+PANEL = "Bus options, as Zenoh's"
+
+Certs: TypeAlias = Annotated[
+    Path | None,
+    typer.Option(
+        "--certs",
+        metavar="DIR",
+        help="mTLS with the certificates in this folder, which `ltv-mpc certs new DIR` makes.",
+        rich_help_panel=PANEL,
+    ),
+]
+
+
+def _block(
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--connect",
+            "-e",
+            metavar="ENDPOINT",
+            help="Connect to this endpoint; repeatable. Default tcp/127.0.0.1:7447.",
+            rich_help_panel=PANEL,
+        ),
+    ] = None,
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--listen",
+            "-l",
+            metavar="ENDPOINT",
+            help="Listen on this endpoint and be the router; repeatable.",
+            rich_help_panel=PANEL,
+        ),
+    ] = None,
+    mode: Annotated[
+        str | None, typer.Option("--mode", "-m", metavar="MODE", help="client, peer or router.", rich_help_panel=PANEL)
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config",
+            "-c",
+            metavar="FILE",
+            help="A Zenoh configuration (JSON5). Default: $ZENOH_CONFIG where it is set.",
+            rich_help_panel=PANEL,
+        ),
+    ] = None,
+    namespace: Annotated[
+        str,
+        typer.Option(
+            "--namespace", metavar="NAME", help="Put before every key: one per vehicle.", rich_help_panel=PANEL
+        ),
+    ] = "",
+    certs: Certs = None,
+    *,
+    role: str = "",
+) -> BusOptions:
+    """The bus options as one, checked. ``role`` is whose certificate is shown with --certs. Raises ``ConfigError``."""
+    from msgspec import structs
+
+    from ltv_mpc.config import parse, read_text
+    from services.bus.session import BusOptions, configuration
+
+    for name, endpoints in (("--connect", connect), ("--listen", listen)):
+        for endpoint in endpoints or ():
+            check_endpoint(name, endpoint, certs)
+    if config is not None:
+        read_text(config, what="Zenoh configuration")
+    check_namespace(namespace)
+    table = {"connect": connect or (), "listen": listen or (), "mode": mode, "namespace": namespace}
+    parsed = parse(table, BusOptions, source="option --mode")
+    options = structs.replace(parsed, config=config, certs=certs, role=role)
+    configuration(options)  # Zenoh's own word, before anything is made or started
+    return options
+
+
+def with_bus(role: str = "", *, without: Iterable[str] = ()) -> Callable[[Callable[..., int]], Callable[..., int]]:
+    """Give a command the bus options, and its parameter ``bus`` what they say.
+
+    ``role`` is whose certificate the command shows with --certs; ``without`` names the options that it does not have.
+    """
+
+    def decorate(function: Callable[..., int]) -> Callable[..., int]:
+        block = [option for option in _parameters(_block) if option.name not in ("role", *without)]
+
+        def command(**given: Any) -> int:
+            bus = _block(**{option.name: given.pop(option.name) for option in block}, role=role)
+            return function(**given, bus=bus)
+
+        parameters = [*(own for own in _parameters(function) if own.name != "bus"), *block]
+        command.__name__, command.__doc__ = function.__name__, function.__doc__
+        command.__module__ = function.__module__
+        command.__annotations__ = {option.name: option.annotation for option in parameters} | {"return": int}
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        return command
+
+    return decorate
+
+
+def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
+    """Raise ``ConfigError`` unless Zenoh can take it, and with certificates unless it is secure."""
+    from ltv_mpc.errors import ConfigError
+    from services.bus.session import SECURE, fault_of
+
+    if problem := fault_of(endpoint):
+        raise ConfigError(f"option {option}", "", problem, value=endpoint)
+    if certs is not None and not endpoint.startswith(f"{SECURE}/"):
+        raise ConfigError(f"option {option}", "", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)
+
+
+def check_namespace(namespace: str, option: str = "--namespace") -> None:
+    """Raise ``ConfigError`` unless it can stand before a key."""
+    from ltv_mpc.errors import ConfigError
+
+    if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
+        problem = "must be names joined by /, without * $ # ? or spaces"
+        raise ConfigError(f"option {option}", "", problem, value=namespace)
+
+
+def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """The parameters with their types in place of the types' names; ``BusOptions`` is not imported for that."""
+    types = get_type_hints(function, localns={"BusOptions": Any}, include_extras=True)
+    return [
+        one.replace(annotation=types[one.name], kind=inspect.Parameter.KEYWORD_ONLY)
+        for one in inspect.signature(function).parameters.values()
+    ]
