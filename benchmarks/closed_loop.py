@@ -34,7 +34,7 @@ from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.messages import Array
-from services.measure.batch import each
+from services.batch.executor import each
 from services.run.situation import Situation
 
 FIRST_SEED = 500

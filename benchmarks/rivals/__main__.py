@@ -24,8 +24,8 @@ from rich.progress import Progress
 from benchmarks.loop import Outcome, situation
 from benchmarks.rivals import law, lqr, mpc, pid
 from benchmarks.rivals.search import Span, search
+from services.batch.executor import each
 from services.campaign.ranking import interval
-from services.measure.batch import each
 
 TUNED_ON, TUNED_S = range(300, 304), 60.0
 FIRST_SEED = 400

@@ -15,7 +15,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Array
-from services.measure.batch import Job, each
+from services.batch.executor import each
+from services.batch.job import Job
 from services.measure.localisation_probe import Record, Squares, descend
 from sim.grading.consistency import Consistency, band, consistency
 

@@ -1,4 +1,4 @@
-"""The check's figures, from made-up records and from a short run of the full loop; and the engine for many runs."""
+"""The check's figures, from made-up records and from a short run of the full loop."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import CompassHeading
 from ltv_mpc.node import Arrival
+from services.batch.job import Job
 from services.cli.localisation_check import localisation_check
 from services.measure import localisation_check as check
-from services.measure.batch import Job, each
 from services.measure.localisation_probe import Probe, Record, Squares, descend
 from services.run import locked
 from sim.grading.consistency import band
@@ -188,17 +188,3 @@ def test_bad_input_is_refused_before_a_run_or_a_folder_is_begun(
     with pytest.raises(ConfigError, match=problem):
         app(["--out", str(tmp_path / "out"), *settings], standalone_mode=False)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_each_job_comes_back_with_its_place(workers: int) -> None:
-    assert sorted(each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
-
-
-def test_what_a_job_raises_reaches_the_reader() -> None:
-    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        list(each(math.sqrt, [4.0, -1.0], workers=2))
-
-
-def test_no_jobs_are_no_processes() -> None:
-    assert list(each(math.sqrt, [])) == []
