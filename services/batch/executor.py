@@ -45,7 +45,7 @@ class WorkerLost(RuntimeError):
     """A job has ended its worker each time."""
 
 
-def cores() -> int:
+def core_count() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -77,7 +77,7 @@ def each(
     lost
         Result of a job that is given up; without it ``WorkerLost`` is raised.
     """
-    count = min(len(jobs), workers or cores())
+    count = min(len(jobs), workers or core_count())
     if not jobs:
         return
     if cluster is None and count == 1 and lost is None:

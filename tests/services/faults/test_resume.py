@@ -40,7 +40,7 @@ def made(monkeypatch):
         made.append(-run.seed)
         return NOTHING
 
-    monkeypatch.setattr(executor, "cores", lambda: 1)
+    monkeypatch.setattr(executor, "core_count", lambda: 1)
     monkeypatch.setattr(campaign, "judged", judged)
     monkeypatch.setattr(campaign, "undisturbed", undisturbed)
     return made

@@ -15,6 +15,7 @@ from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import CompassHeading
 from ltv_mpc.node import Arrival
 from services.batch.job import Job
+from services.batch.results_store import NAME
 from services.cli.localisation_check import localisation_check
 from services.measure import localisation_check as check
 from services.measure.localisation_probe import Probe, Record, Squares, descend
@@ -172,8 +173,16 @@ def test_the_command_says_the_same_in_words_json_and_files(
     assert (said["runs"], said["first_seed"], said["scenario"]) == (2, 7, "short")
     assert json.loads((tmp_path / "out" / "localisation-check.json").read_text()) == said
     assert (tmp_path / "out" / "localisation-check.png").stat().st_size > 10_000
-    with pytest.raises(ConfigError, match="not empty"):
-        app(arguments, standalone_mode=False)
+    rows = (tmp_path / "out" / NAME).read_text().splitlines(keepends=True)
+    (tmp_path / "out" / NAME).write_text("".join(rows[:2]))  # as if it had been interrupted
+    app(arguments, standalone_mode=False)
+    again = json.loads(capsys.readouterr().out)
+    assert again | {"wall_s": 0.0} == said | {"wall_s": 0.0}
+    after = (tmp_path / "out" / NAME).read_text().splitlines(keepends=True)
+    assert after[:2] == rows[:2]
+    assert sorted(after) == sorted(rows)
+    with pytest.raises(ConfigError, match="holds another campaign"):
+        app([*arguments, "--sensors", "realistic"], standalone_mode=False)
 
 
 @pytest.mark.parametrize(
