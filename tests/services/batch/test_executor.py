@@ -24,6 +24,7 @@ def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
     (marks / f"{job}-{began}").touch()
     if began < deadly.get(job, 0):
         os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.1)  # so long that it is lost with a deadly job beside it
     return -job
 
 
