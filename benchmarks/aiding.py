@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.measure.batch import Job, each
+from services.batch.executor import each
+from services.batch.job import Job
 from services.run import locked
 from sim.scheduler import LockStep
 

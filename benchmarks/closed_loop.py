@@ -1,6 +1,6 @@
 """One QP a cycle, or a few, against the converged optimum in closed loop: what is lost by not iterating.
 
-    PYTHON -m benchmarks.closed_loop --out FILE.json [--seeds N] [--duration-s T] [--workers N]
+    PYTHON -m benchmarks.closed_loop --out DIR [--seeds N] [--duration-s T] [--workers N]
 
 PYTHON has casadi beside what the project needs. The paper's descent, state known, 5 s of horizon. Each seed is flown
 by the controller with one QP a cycle, two and three, and by one that differs in this alone: its commands are those to
@@ -11,14 +11,13 @@ there is. The cost of a flight is the controller's own, summed over what really 
 
 The figure is the ratio of summed costs over all seeds, with its 95 % interval (bootstrap over pairs). Single seeds may
 fall below 1: the two go to other local optima, and none of them knows what lies beyond its horizon.
-Flights that FILE has already are not flown again.
+Flights that DIR has already are not flown again.
 """
 
 from __future__ import annotations
 
 import argparse
 import functools
-import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,7 +33,10 @@ from ltv_mpc.control.limits import HorizonLimits
 from ltv_mpc.control.scales import settled
 from ltv_mpc.control.solvers.solver import Answer, Solver
 from ltv_mpc.messages import Array
-from services.measure.batch import each
+from services.batch.executor import each
+from services.batch.results_store import open_store
+from services.campaign.trial import version_of
+from services.run.made_by import made_by
 from services.run.situation import Situation
 
 FIRST_SEED = 500
@@ -122,11 +124,11 @@ def ratio(pairs: Array) -> tuple[float, float, float]:
 
 
 class Job(NamedTuple):
-    """The flights of one seed that are not known yet, by name."""
+    """The flight of one seed with one of ``NAMES``."""
 
     seed: int
+    name: str
     duration_s: float
-    names: tuple[str, ...]
 
 
 @functools.cache
@@ -136,15 +138,12 @@ def _optimum() -> Optimum:
     return Optimum(here.vehicle, here.scenario.controller)
 
 
-def flights(job: Job) -> dict[str, Flight]:
-    """Each of them."""
-    settings = (f"run.seed={job.seed}", f"run.duration_s={job.duration_s}")
-    return {
-        name: fly(situation(*settings, "controller.sqp_iterations=1"), _optimum())
-        if name == OPTIMUM
-        else fly(situation(*settings, f"controller.sqp_iterations={name}"), None)
-        for name in job.names
-    }
+def flight(job: Job) -> Flight:
+    """Fly it."""
+    best = job.name == OPTIMUM
+    iterations = f"controller.sqp_iterations={1 if best else job.name}"
+    of = situation(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}", iterations)
+    return fly(of, _optimum() if best else None)
 
 
 def main() -> None:
@@ -155,21 +154,24 @@ def main() -> None:
     parser.add_argument("--workers", type=int)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    kept: dict[str, dict[str, Any]] = json.loads(options.out.read_text()) if options.out.exists() else {}
     seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
-    missing = {seed: tuple(name for name in NAMES if name not in kept.get(str(seed), {})) for seed in seeds}
-    jobs = [Job(seed, options.duration_s, names) for seed, names in missing.items() if names]
-    with Progress(console=Console(stderr=True)) as progress:
-        task = progress.add_task("seeds", total=options.seeds, completed=options.seeds - len(jobs))
-        for place, flown in each(flights, jobs, workers=options.workers):
-            row = kept.setdefault(str(jobs[place].seed), {})
-            row.update({name: flight._asdict() for name, flight in flown.items()})
-            options.out.write_text(json.dumps(kept, indent=1) + "\n")
+    jobs = [Job(seed, name, options.duration_s) for seed in seeds for name in NAMES]
+    settings = {"duration_s": options.duration_s, "version": version_of(made_by())}
+    with open_store(options.out, settings) as store, Progress(console=Console(stderr=True)) as progress:
+        missing = [job for job in jobs if _key(job) not in store.keys]
+        task = progress.add_task("flights", total=len(jobs), completed=len(jobs) - len(missing))
+        for place, flown in each(flight, missing, workers=options.workers):
+            store.append(_key(missing[place]), flown._asdict())
             progress.advance(task)
-    print(table(kept))
+        found = dict(store.results())
+    print(table({seed: {name: found[_key(Job(seed, name, 0.0))] for name in NAMES} for seed in seeds}))
 
 
-def table(kept: dict[str, dict[str, Any]]) -> str:
+def _key(job: Job) -> str:
+    return f"seed {job.seed}, {job.name}"
+
+
+def table(kept: dict[int, dict[str, Any]]) -> str:
     """Ratios to the optimum, paired by seed."""
     columns = "ratio of summed costs (95 %) | by seed: least, quartiles, most | distance (m) | abs F (N)"
     lines = [f"| mean of {len(kept)} seeds | {columns} |", "|---|---|---|---|---|"]

@@ -16,7 +16,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from services.measure.batch import Job, run
+from services.batch.executor import each
+from services.batch.job import Job
 from sim.grading.summary import Summary
 
 KNOWN = ("run.perfect_state=true",)
@@ -93,7 +94,7 @@ def main() -> None:
 def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[tuple[int, Summary]]:
     """All results in the order of the jobs, the bar moving as they come."""
     results = []
-    for result in run(jobs):
+    for result in each(Job.summary, jobs):
         results.append(result)
         progress.advance(task)  # type: ignore[arg-type]
     return sorted(results, key=lambda result: result[0])

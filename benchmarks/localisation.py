@@ -32,7 +32,7 @@ from ltv_mpc.localisation.filter import Aiding, Filter
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
-from services.measure.batch import Job
+from services.batch.job import Job
 from services.run import locked
 from sim.scheduler import LockStep, Step
 

@@ -31,7 +31,7 @@ from ltv_mpc.localisation.state import VELOCITY, Belief
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
 from ltv_mpc.node import Arrival, Due
-from services.measure.batch import Job
+from services.batch.job import Job
 from services.run import locked
 from sim.scenario import Feature as Shape
 from sim.scenario import Water

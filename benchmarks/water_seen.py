@@ -31,7 +31,8 @@ from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, 
 from ltv_mpc.localisation.state import VELOCITY
 from ltv_mpc.messages import Array, Estimate, FilterStatus, LocalisationReport
 from ltv_mpc.node import Arrival
-from services.measure import batch
+from services.batch.executor import each
+from services.batch.job import Job
 from services.measure.localisation_probe import LOOK_NS, Probe
 from services.run.situation import Situation
 
@@ -52,11 +53,11 @@ class Case(NamedTuple):
         water = self.change.water
         return 0.0 if self.settings or (water is not None and water.kind != "front") else BEGINS_S
 
-    def job(self, sensors: str, seed: int) -> batch.Job:
+    def job(self, sensors: str, seed: int) -> Job:
         """Its descent."""
         feature = {} if self.change.water is None else msgspec.to_builtins(self.change.water)
         water = [f"water.feature.{key}={json.dumps(value)}" for key, value in feature.items()]
-        return batch.Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *water, *self.settings))
+        return Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *water, *self.settings))
 
 
 CHANGES = (
@@ -117,7 +118,7 @@ class Watch(Probe):
             self._to_fail_radps = 0.0
 
 
-def descend(job: tuple[batch.Job, float]) -> Run:
+def descend(job: tuple[Job, float]) -> Run:
     """Run it, watched, with a fault of the gyro (rad/s)."""
     situation = job[0].situation()
     watch = Watch(situation, job[1])
@@ -192,7 +193,7 @@ def main() -> None:
         jobs = [
             (case.job(sensors, options.seed + n), case.change.gyro_radps) for case in cases for n in range(options.runs)
         ]
-        runs = dict(batch.each(descend, jobs))
+        runs = dict(each(descend, jobs))
         result[sensors] = {
             case.change.name: figures(case, [runs[i * options.runs + n] for n in range(options.runs)])
             for i, case in enumerate(cases)

@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from ltv_mpc.control.scales import scales_of
 from ltv_mpc.messages import Array
-from services.campaign.campaign import BASE, Plan, reopened
-from services.campaign.design import points
+from services.campaign.campaign import reopened
 from services.campaign.trial import situation
 
 HORIZON = "controller.horizon_s"
@@ -52,15 +50,12 @@ class Place(NamedTuple):
 
 def places(folder: Path) -> list[Place]:
     """Those of a campaign's folder of which every horizon and seed is there."""
-    campaign = reopened(folder)
-    files = [path for path in (folder / BASE).rglob("*") if path.is_file()]
-    base = tuple(sorted((str(path.relative_to(folder / BASE)), path.read_text()) for path in files))
-    made = Plan(campaign, base, points(campaign), {})
+    made, rows = reopened(folder)
+    campaign, base = made.campaign, made.base
     errors: dict[int, list[float]] = {}
-    for path in sorted((folder / "parts").glob("*.parquet")):
-        for row in pq.read_table(path, columns=["point", FIGURE]).to_pylist():
-            if row[FIGURE] is not None:
-                errors.setdefault(row["point"], []).append(row[FIGURE])
+    for row in rows:
+        if row[FIGURE] is not None:
+            errors.setdefault(row["point"], []).append(row[FIGURE])
     horizons = np.array(campaign.cross[HORIZON], dtype=np.float64)
     found = []
     for first in range(0, len(made.points), len(horizons)):

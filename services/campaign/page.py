@@ -18,7 +18,6 @@ import numpy as np
 from services.campaign.campaign import reopened
 from services.campaign.file import Campaign, Range
 from services.campaign.ranking import Interval, Scores, Standing, interval, ranked, scores
-from services.campaign.table import Parts
 from services.campaign.text import difference, failures, span
 from services.views import static_files
 from services.views.plots import palette
@@ -29,10 +28,8 @@ MOST_POINTS, MOST_LINES = 40, 8
 
 def write(folder: Path) -> Path:
     """The page of a campaign's folder, finished or not. Raises ``NoPlotly``, ``ConfigError``, ``OSError``."""
-    campaign = reopened(folder)
-    rows = list(
-        Parts(folder / "parts", campaign).rows(["point", "seed", "failed", campaign.minimise, *campaign.varied])
-    )
+    made, found = reopened(folder)
+    campaign, rows = made.campaign, list(found)
     of = scores(rows, campaign.minimise, campaign.varied)
     best = ranked(of, MOST_POINTS)
     failed = [row for row in rows if row["failed"] is not None]

@@ -37,9 +37,9 @@ class Progress:
         self._began_s = self._said_s = time.monotonic()
         self._first = len(rows)
 
-    def hear(self, rows: Sequence[Row]) -> None:
-        """Some more have come."""
-        self.rows += rows
+    def hear(self, row: Row) -> None:
+        """One more has come."""
+        self.rows.append(row)
         self._bar.update(self._task, completed=len(self.rows))
         now_s = time.monotonic()
         if now_s - self._said_s < (TABLE_S if self._console.is_terminal else PLAIN_S):

@@ -51,32 +51,42 @@ TIMING = ("host", "ended", "wall_s")
 
 
 class Trial(NamedTuple):
-    """One point of the design with one seed. ``place`` is its own among all of a campaign's."""
+    """One point of the design with one seed."""
 
-    place: int
     point: int
     seed: int
     settings: Point  # fields with another value than the base's
     factors: Mapping[str, float]  # by what fields are multiplied then
     varied: Point  # in what the design's points differ: columns of the row
 
+    @property
+    def key(self) -> str:
+        """Its name among all of a campaign's."""
+        return f"point {self.point}, seed {self.seed}"
 
-def run_all(base: Base, version: str, trials: tuple[Trial, ...]) -> list[Row]:
-    """Each trial's row: that of a run which could not be made says why, in ``failed``."""
+
+def run(base: Base, version: str, trial: Trial) -> Row:
+    """Make the trial's row: that of a run which could not be made says why, in ``failed``."""
     ours = version_of(made_by())
     if ours != version:
         raise RuntimeError(f"this worker has version {ours}, the campaign {version}")
     if not services.ONE_BLAS_THREAD:
         names = "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1"
         raise RuntimeError(f"this worker's BLAS may have several threads, other bits: start it with {names}")
-    return [_row(base, version, trial) for trial in trials]
+    started = time.perf_counter()
+    try:
+        result = flat(locked.run(situation(base, trial.settings, trial.factors, trial.seed)))
+    except Exception as error:  # of this run alone: the campaign goes on, and says so
+        problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+        return row_of(trial, version, one_line(problem)[:500])
+    return row_of(trial, version) | result | {"wall_s": time.perf_counter() - started}
 
 
 def row_of(trial: Trial, version: str, failed: str = "") -> Row:
     """A row without figures."""
     nothing = dict.fromkeys([*figures(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
     timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
-    who = {"place": trial.place, "point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
+    who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
     return {**who, **trial.varied, **nothing, **timing}
 
 
@@ -120,16 +130,6 @@ def flat(summary: Summary) -> Row:
     for table, names in COUNTS.items():
         row |= {f"{table}.{name}": plain[table].get(name, 0) for name in names}
     return row
-
-
-def _row(base: Base, version: str, trial: Trial) -> Row:
-    started = time.perf_counter()
-    try:
-        result = flat(locked.run(situation(base, trial.settings, trial.factors, trial.seed)))
-    except Exception as error:  # of this run alone: the campaign goes on, and says so
-        problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
-        return row_of(trial, version, one_line(problem)[:500])
-    return row_of(trial, version) | result | {"wall_s": time.perf_counter() - started}
 
 
 def _toml(value: Value) -> str:

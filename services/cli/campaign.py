@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Json
+from services.cli.options import Force, Json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,6 +26,7 @@ def campaign(
         int | None, typer.Option("--workers", metavar="N", help="Processes here. Default: one a core.", min=1, max=1024)
     ] = None,
     as_json: Json = False,
+    force: Force = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Its folder; one of the same campaign is gone on with."),
@@ -49,9 +50,8 @@ def campaign(
         raise ConfigError("campaign", "", "needs pyarrow: install the extra campaign")
     if cluster is not None and workers is not None:
         raise ConfigError("option --workers", "", "cannot act together with --cluster, which has its own workers")
-    from services.campaign import engine as engines
     from services.campaign import file as files
-    from services.campaign import page, text
+    from services.campaign import page, table, text
     from services.campaign.campaign import opened, plan, run
     from services.campaign.progress import Progress
     from services.campaign.ranking import ranked, scores
@@ -60,22 +60,12 @@ def campaign(
     wanted = files.load(file)
     made = plan(wanted, f"campaign {file}")
     place = out or folder.fresh(file.stem)
-    columns = ["point", "seed", "failed", wanted.minimise, *wanted.varied]
-    with opened(place, made) as parts, stop_on_signals() as request:
-        there = list(parts.rows(columns))
-        missing = made.runs - len(there)
-        engine: engines.Engine | None = None
-        if missing:
-            engine = engines.Cluster(cluster) if cluster else engines.Local(min(workers or cores(), missing))
+    with opened(place, made, force=force) as store, stop_on_signals() as request:
+        there = [row for _, row in store.results()]
         with Progress(wanted, there, made.runs, quiet=as_json) as progress:
-            try:
-                if engine is not None:
-                    run(made, parts, engine, hear=progress.hear, stop=request)
-            finally:
-                if engine is not None:
-                    engine.close()
+            run(made, store, workers=workers, cluster=cluster, hear=progress.hear, stop=request)
         rows: Sequence[Row] = progress.rows
-        parts.assemble(place, {"made_by": msgspec.json.encode(made.made_by).decode()})
+        table.write(place, wanted, rows, {"made_by": msgspec.json.encode(made.made_by).decode()})
     try:
         page.write(place)
     except NoPlotly as missing:
@@ -103,10 +93,3 @@ def campaign(
         )
         return INTERRUPTED if request.interrupted else FAILED
     return FAILED if len(failed) == len(rows) else DONE
-
-
-def cores() -> int:
-    """Of this machine."""
-    import os
-
-    return os.cpu_count() or 1

@@ -49,17 +49,21 @@ def faults(
     from rich.console import Console
     from rich.progress import Progress
 
-    from services.faults import campaign, judge, kept, result
+    from services.batch.results_store import open_store
+    from services.faults import campaign, judge, result
     from services.views import faults_text
 
     asked = campaign.plan(classes, where, n or (QUICK if quick else FULL), quick=quick)
     started = time.monotonic()
     temporary = tempfile.TemporaryDirectory(prefix="ltv-mpc-faults-") if out is None else nullcontext(out)
-    with temporary as place, Progress(console=Console(stderr=True)) as progress:
-        found = kept.opened(Path(place), asked.asked(seed=seed, quick=quick), force=force)
+    with (
+        temporary as place,
+        open_store(Path(place), asked.settings(seed=seed, quick=quick), force=force) as store,
+        Progress(console=Console(stderr=True)) as progress,
+    ):
         task = progress.add_task(f"{asked.total} faults", total=asked.total)
-        seen = campaign.run(asked, found, seed=seed, quick=quick, progress=lambda count: progress.advance(task, count))
-        window_chance = judge.chance(found.all_errors())
+        seen = campaign.run(asked, store, seed=seed, quick=quick, progress=lambda count: progress.advance(task, count))
+        window_chance = judge.chance(list(campaign.without_faults(store).values()))
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
     wall_s = time.monotonic() - started
     of = result.campaign(seen, seed=seed, quick=quick, wall_s=wall_s, load=load, window_chance=window_chance)

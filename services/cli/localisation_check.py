@@ -23,7 +23,10 @@ def localisation_check(
     as_json: Json = False,
     force: Force = False,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Also write localisation-check.json and .png here.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", help="Also write localisation-check.json and .png here; runs that are there stay."
+        ),
     ] = None,
 ) -> int:
     """Drift against the bound of theory, errors against sigma.
@@ -32,30 +35,37 @@ def localisation_check(
     Full-loop runs in lock step on all cores. Exit code 1: a figure is not as it should be, which few runs may show of a
     good filter too.
     """
+    import tempfile
     import time
+    from contextlib import nullcontext
 
     import msgspec
     from rich.console import Console
     from rich.progress import Progress
 
+    from services.batch.results_store import open_store
     from services.measure import localisation_check as check
-    from services.run import folder
 
     settings = (f"sensors={sensors}", f"run.surface_time_s={surface_time_s}")
     jobs = check.jobs(scenario, settings, first_seed=seed, runs=runs)
-    written = None if out is None else folder.make("localisation-check", {}, out=out, force=force)
+    made_of = dict(jobs[0].situation().files)
     started = time.monotonic()
-    with Progress(console=Console(stderr=True)) as progress:
+    temporary = tempfile.TemporaryDirectory(prefix="ltv-mpc-localisation-") if out is None else nullcontext(out)
+    with (
+        temporary as place,
+        open_store(Path(place), made_of, force=force) as store,
+        Progress(console=Console(stderr=True)) as progress,
+    ):
         task = progress.add_task(f"{runs} runs of {scenario}, sensors {sensors}", total=runs)
-        records = check.measure(jobs, progress=lambda: progress.advance(task))
+        records = check.measure(jobs, store, progress=lambda count: progress.advance(task, count))
     result = check.result(records, jobs, wall_s=time.monotonic() - started)
     plain = msgspec.json.format(msgspec.json.encode(result), indent=2).decode()
     problems = check.failed(result)
     typer.echo(plain if as_json else check.table(result))
     for problem in problems:
         typer.echo(f"not held: {problem}", err=as_json)
-    if written is not None:
-        (written.path / "localisation-check.json").write_text(plain + "\n", encoding="utf-8")
+    if out is not None:
+        (out / "localisation-check.json").write_text(plain + "\n", encoding="utf-8")
         try:
             from services.measure import localisation_picture
         except ImportError:
@@ -63,6 +73,6 @@ def localisation_check(
         else:
             nees = check.over_runs([record.nees for record in records])
             title = f"{result.runs} runs, sensors {result.sensors}, {result.surface_time_s:g} s afloat"
-            localisation_picture.draw(nees, title, written.path / "localisation-check.png")
-        typer.echo(str(written.path), err=as_json)
+            localisation_picture.draw(nees, title, out / "localisation-check.png")
+        typer.echo(str(out), err=as_json)
     return 1 if problems else 0

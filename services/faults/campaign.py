@@ -1,6 +1,11 @@
 """The whole campaign: faults drawn, runs made in lock step on all cores and in processes side by side, each judged.
 
-What has been found of a run is written down as it ends (``kept.py``); a campaign that goes on makes what is missing.
+What has been found of a run is appended to a results store as it ends; a campaign that goes on makes what is missing.
+
+DIR/
+    results.jsonl     a line a run: what was seen of its faults; of a seed without faults (without-*), its errors
+    bus-*, node-*     runs of processes, as long as they last; those stay in which a promise was not kept
+    faults.json       the whole, at the end
 """
 
 from __future__ import annotations
@@ -11,13 +16,15 @@ import resource
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 
 from ltv_mpc.errors import ConfigError
+from services.batch.executor import each
+from services.batch.results_store import ResultsStore, decode
 from services.campaign.trial import version_of
 from services.faults import bench, draw, inside, outside, recorded
 from services.faults.attacks import ATTACKS
@@ -26,10 +33,8 @@ from services.faults.fault import Place, Seen
 from services.faults.judge import Errors, errors, judge
 from services.faults.judge_outside import OfProcesses
 from services.faults.judge_outside import judge as judge_processes
-from services.faults.kept import Asked, Kept
 from services.faults.kinds import KINDS, NAMES, Kind
 from services.faults.result import problems
-from services.measure.batch import each
 from services.run.made_by import made_by
 
 SEVERAL, SEVERAL_QUICK = 8, 10
@@ -79,17 +84,16 @@ class Plan(NamedTuple):
         """All of them."""
         return self.n_inside + self.n_outside
 
-    def asked(self, *, seed: int, quick: bool) -> Asked:
-        """What decides which faults these are."""
-        names = tuple(f"{kind.name} in {kind.place}" for kind in (*self.inside, *self.outside))
-        return Asked(
-            classes=names,
-            in_lockstep=self.n_inside,
-            in_processes=self.n_outside,
-            seed=seed,
-            quick=quick,
-            version=version_of(made_by()),
-        )
+    def settings(self, *, seed: int, quick: bool) -> dict[str, Any]:
+        """What decides which faults these are, and the version of what injects them and is injected into."""
+        return {
+            "classes": [f"{kind.name} in {kind.place}" for kind in (*self.inside, *self.outside)],
+            "in_lockstep": self.n_inside,
+            "in_processes": self.n_outside,
+            "seed": seed,
+            "quick": quick,
+            "version": version_of(made_by()),
+        }
 
 
 def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
@@ -111,14 +115,21 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
     return Plan(here, there, n - in_processes, in_processes)
 
 
-def run(asked: Plan, kept: Kept, *, seed: int, quick: bool, progress: Tell = lambda _: None) -> list[Seen]:
-    """All of it that ``kept`` does not know yet; what was seen of all faults. ``progress`` is told of faults done."""
-    seen: list[Seen] = []
+def run(asked: Plan, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None) -> list[Seen]:
+    """Make all runs that ``store`` lacks; what was seen of all faults. ``progress`` is told of faults done."""
+    names: list[str] = []
     if asked.n_inside:
-        seen += in_lockstep(asked.inside, asked.n_inside, kept, seed=seed, quick=quick, progress=progress)
+        names += in_lockstep(asked.inside, asked.n_inside, store, seed=seed, quick=quick, progress=progress)
     if asked.n_outside:
-        seen += in_processes(asked.outside, asked.n_outside, kept, seed=seed, quick=quick, progress=progress)
-    return seen
+        names += in_processes(asked.outside, asked.n_outside, store, seed=seed, quick=quick, progress=progress)
+    found = dict(store.results())
+    return [one for name in names for one in decode(found[name], list[Seen])]
+
+
+def without_faults(store: ResultsStore) -> dict[str, Errors]:
+    """The errors of all runs without faults, by their names."""
+    found = {key: decode(result, Errors) for key, result in store.results() if key.startswith(WITHOUT)}
+    return {key: found[key]._replace(true_m=found[key].true_m.reshape(-1, 2)) for key in sorted(found)}
 
 
 # --- in lock step ----------------------------------------------------------------------------------------------------
@@ -142,36 +153,35 @@ def undisturbed(run: Run) -> Errors:
 
 
 def in_lockstep(
-    kinds: Sequence[Kind], n: int, kept: Kept, *, seed: int, quick: bool = False, progress: Tell = lambda _: None
-) -> list[Seen]:
+    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+) -> list[str]:
     """``n`` faults of these classes, in lock step on all cores that this process may use; a few quick ones in itself,
-    sooner than other processes would have started.
+    sooner than other processes would have started. The names of the runs.
     """
-    pace, workers = (QUICK, 1) if quick else (PACE, _cores())
+    pace, workers = (QUICK, 1) if quick else (PACE, None)
     several = SEVERAL_QUICK if quick else SEVERAL
     runs = draw.runs(kinds, n, seed=seed, several=several, seeds=max(1, n // A_SEED), pace=pace)
     names = [f"lockstep-{i:03d}" for i in range(len(runs))]
-    missing = [i for i, name in enumerate(names) if kept.seen(name) is None]
+    missing = [i for i, name in enumerate(names) if name not in store.keys]
     progress(sum(len(run.faults) for i, run in enumerate(runs) if i not in missing))
     if missing and not quick:
-        alone = [run for run in _alone(runs) if kept.errors(_without("lockstep", run.seed)) is None]
+        alone = [run for run in _alone(runs) if _without("lockstep", run.seed) not in store.keys]
         for place, result in each(undisturbed, alone, workers=workers):
-            kept.add_errors(_without("lockstep", alone[place].seed), result)
-    jobs = [Job(runs[i], None if quick else kept.errors(_without("lockstep", runs[i].seed))) for i in missing]
+            store.append(_without("lockstep", alone[place].seed), result)
+    baselines = {} if quick else without_faults(store)
+    jobs = [Job(runs[i], baselines.get(_without("lockstep", runs[i].seed))) for i in missing]
     for place, seen in each(judged, jobs, workers=workers):
-        kept.add(names[missing[place]], seen)
+        store.append(names[missing[place]], seen)
         progress(len(jobs[place].run.faults))
-    return [one for name in names for one in kept.seen(name) or ()]
+    return names
 
 
-def _cores() -> int:
-    """That this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+WITHOUT = "without-"
 
 
 def _without(way: str, seed: int) -> str:
     """The name of the run of a seed without faults."""
-    return f"without-{way}-{seed}"
+    return f"{WITHOUT}{way}-{seed}"
 
 
 def _alone(runs: Sequence[Run]) -> list[Run]:
@@ -196,11 +206,14 @@ class Task(NamedTuple):
 
 
 def in_processes(
-    kinds: Sequence[Kind], n: int, kept: Kept, *, seed: int, quick: bool = False, progress: Tell = lambda _: None
-) -> list[Seen]:
-    """``n`` faults of these classes in real processes, each run in a folder of its own beside what is kept."""
+    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+) -> list[str]:
+    """``n`` faults of these classes in real processes, each run in a folder of its own beside the store. The names of
+    the runs.
+    """
+    folder = store.path.parent
     tasks = [task for way in WAYS for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
-    missing = [task for task in tasks if kept.seen(task.name) is None]
+    missing = [task for task in tasks if task.name not in store.keys]
     progress(sum(len(task.run.faults) for task in tasks if task not in missing))
     vehicle = inside.situation(tasks[0].run).vehicle
     cores = CORES_A_RUN if quick else None
@@ -209,27 +222,27 @@ def in_processes(
             Task(name, way, run)
             for way in WAYS
             for run in _alone([task.run for task in tasks if task.way == way])
-            if kept.errors(name := _without(way, run.seed)) is None
+            if (name := _without(way, run.seed)) not in store.keys
         ]
 
         def keep_errors(task: Task, ended: OfProcesses) -> None:
             if not (recording := ended.folder / "run.mcap").exists():
                 raise Unmeasured(f"{ended.folder}: the run without faults has no recording ({ended.uncontrolled})")
-            kept.add_errors(task.name, errors(recorded.read(recording, vehicle).log))
+            store.append(task.name, errors(recorded.read(recording, vehicle).log))
             remove(ended.folder)
 
-        cores = _side_by_side(alone, kept.path, keep_errors, cores)
+        cores = _side_by_side(alone, folder, keep_errors, cores)
+    baselines = {} if quick else without_faults(store)
 
     def keep(task: Task, ended: OfProcesses) -> None:
-        baseline = None if quick else kept.errors(_without(task.way, task.run.seed))
-        seen = judge_processes(ended, vehicle, baseline)
-        kept.add(task.name, seen)
+        seen = judge_processes(ended, vehicle, baselines.get(_without(task.way, task.run.seed)))
+        store.append(task.name, seen)
         progress(len(task.run.faults))
         if not any(map(problems, seen)):
             remove(ended.folder)
 
-    _side_by_side(missing, kept.path, keep, cores)
-    return [one for task in tasks for one in kept.seen(task.name) or ()]
+    _side_by_side(missing, folder, keep, cores)
+    return [task.name for task in tasks]
 
 
 def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -> list[Task]:
@@ -258,17 +271,13 @@ def _side_by_side(
     if cores is None and len(tasks) > 1:
         first, *tasks = tasks
         before = _work_s(), time.monotonic()
-        ended(first, _make(first, folder))
+        ended(first, _make(folder, first))
         cores = (_work_s() - before[0]) / (time.monotonic() - before[1])
     if not tasks:
         return cores
-    with ThreadPoolExecutor(at_a_time(cores or CORES_A_RUN)) as pool:
-        made = {pool.submit(_make, task, folder): task for task in tasks}
-        try:
-            for future in as_completed(made):
-                ended(made[future], future.result())
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    workers = at_a_time(cores or CORES_A_RUN)
+    for place, result in each(partial(_make, folder), tasks, workers=workers, threads=True):
+        ended(tasks[place], result)
     return cores
 
 
@@ -277,7 +286,7 @@ def at_a_time(cores_a_run: float) -> int:
     return max(1, math.floor(LOAD * (os.cpu_count() or 1) / max(cores_a_run, 0.01) + 1e-9))
 
 
-def _make(task: Task, folder: Path) -> OfProcesses:
+def _make(folder: Path, task: Task) -> OfProcesses:
     return WAYS[task.way](task.run, _empty(folder / task.name))
 
 

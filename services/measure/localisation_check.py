@@ -15,7 +15,9 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Array
-from services.measure.batch import Job, each
+from services.batch.executor import each
+from services.batch.job import Job
+from services.batch.results_store import ResultsStore, decode
 from services.measure.localisation_probe import Record, Squares, descend
 from sim.grading.consistency import Consistency, band, consistency
 
@@ -72,15 +74,20 @@ def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) 
     return made
 
 
-def measure(
-    work: Sequence[Job], *, workers: int | None = None, progress: Callable[[], None] = lambda: None
-) -> list[Record]:
-    """Every run's record, in the order of the jobs; ``progress`` is told of each that ends."""
-    records: dict[int, Record] = {}
-    for place, record in each(descend, work, workers=workers):
-        records[place] = record
-        progress()
-    return [records[place] for place in sorted(records)]
+def measure(work: Sequence[Job], store: ResultsStore, *, progress: Callable[[int], None]) -> list[Record]:
+    """Every run's record, in the order of the jobs; ``progress`` is told how many more are there."""
+    missing = [job for job in work if _seed(job) not in store.keys]
+    progress(len(work) - len(missing))
+    for place, record in each(descend, missing):
+        store.append(_seed(missing[place]), record)
+        progress(1)
+    found = dict(store.results())
+    return [decode(found[_seed(job)], Record) for job in work]
+
+
+def _seed(job: Job) -> str:
+    """In what runs differ."""
+    return job.settings[-1]
 
 
 def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:

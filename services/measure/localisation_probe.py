@@ -20,7 +20,7 @@ from ltv_mpc.localisation.filter import Filter, Verdict
 from ltv_mpc.localisation.state import VELOCITY, Belief, grid
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Arrival, Due, Node
-from services.measure.batch import Job
+from services.batch.job import Job
 from services.run import locked
 from services.run.situation import Situation
 from sim.grading.bound import Trajectory, bound

@@ -21,6 +21,7 @@ import msgspec
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
+from services.batch.executor import core_count
 from services.recording.reader import Recording
 from services.recording.recover import segments
 from services.replay import nodes
@@ -120,7 +121,7 @@ class _Done(msgspec.Struct, frozen=True):
 def _apart(run: Run, names: Sequence[str]) -> list[tuple[str, ...]]:
     """Nodes that are better done by other processes at the same time."""
     size = sum(part.stat().st_size for part in run.parts)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = core_count()
     if cores < min(TOGETHER) or size <= WORTH_A_PROCESS_BYTES:
         return []
     groups = [tuple(name for name in group if name in names) for group in TOGETHER[min(cores, max(TOGETHER))]]

@@ -69,9 +69,9 @@ def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> 
     assert first.time_s != second.time_s != scales_of(Vehicle.load("paper")).time_s
     assert first.groups[1] == pytest.approx(8.0 / (0.2 * first.time_s))
     assert 0.1 <= first.groups[3] * first.time_s <= 0.2
-    (part, *_) = sorted((out / "parts").glob("*.parquet"))
-    part.unlink()
-    assert len(places(out)) < 2
+    rows = (out / "results.jsonl").read_text().splitlines(keepends=True)
+    (out / "results.jsonl").write_text("".join(rows[:-1]))
+    assert len(places(out)) == 1
 
 
 def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:

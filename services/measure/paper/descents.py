@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from services.measure import batch
+from services.batch.executor import each
+from services.batch.job import Job
 from services.measure.paper.settings import AVERAGED, KNOWN, RECORDED, SCENARIO, Setting
 from services.run import folder, locked
 from services.run.situation import Override, Situation, resolve
@@ -54,7 +55,7 @@ def recorded(
     """Each recorded setting as it is drawn, and what it came to, by its key."""
     flights = [Flight(setting, runs / setting.key, duration_s, surface_s) for setting in RECORDED]
     summaries: dict[str, Summary] = {}
-    for place, summary in batch.each(fly, flights, workers=workers):
+    for place, summary in each(fly, flights, workers=workers):
         summaries[flights[place].setting.key] = summary
         progress()
     return {
@@ -77,12 +78,12 @@ def averaged(
     """The summaries of seeds 0 to ``seeds`` - 1 of each averaged setting, in the order of the seeds, by its key."""
     length = f"run.duration_s={duration_s!r}"
     jobs = [
-        (setting.key, batch.Job(SCENARIO, (f"run.seed={seed}", length, *KNOWN, *setting.keys)))
+        (setting.key, Job(SCENARIO, (f"run.seed={seed}", length, *KNOWN, *setting.keys)))
         for setting in AVERAGED
         for seed in range(seeds)
     ]
     found: list[Summary | None] = [None] * len(jobs)
-    for place, summary in batch.run([job for _, job in jobs], workers=workers):
+    for place, summary in each(Job.summary, [job for _, job in jobs], workers=workers):
         found[place] = summary
         progress()
     of: dict[str, list[Summary]] = {setting.key: [] for setting in AVERAGED}

@@ -1,4 +1,4 @@
-"""Campaigns of short runs: interrupted and gone on with, by any engine the same bytes."""
+"""Campaigns of short runs: interrupted and gone on with, by any executor the same bytes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from ltv_mpc.errors import ConfigError
-from services.campaign.engine import Cluster
 from services.cli.app import run
 from services.run import locked
 from services.run.situation import Override, resolve
@@ -62,6 +60,11 @@ def results(folder: Path) -> bytes:
     return (folder / "results.parquet").read_bytes()
 
 
+def lines(folder: Path) -> list[str]:
+    """Of the store: the settings, and a row a run."""
+    return (folder / "results.jsonl").read_text().splitlines(keepends=True)
+
+
 def test_each_row_is_the_run_that_its_settings_make(finished: Path) -> None:
     table = pq.read_table(finished / "results.parquet")
     rows = table.to_pylist()
@@ -92,16 +95,53 @@ def test_interrupted_and_gone_on_with_by_more_workers_it_gives_the_same_bytes(
     out = file.parent / "again"
     shutil.copytree(finished, out)
     (out / "results.parquet").unlink()
-    lost = sorted((out / "parts").iterdir())[1::2]
-    for part in lost:
-        part.unlink()
-    before = {part.name: part.stat().st_mtime_ns for part in (out / "parts").iterdir()}
-    (out / "parts" / "part-00000001.draft").write_bytes(b"cut off")
+    settings, *rows = lines(out)
+    (out / "results.jsonl").write_text("".join([settings, *rows[1::2], rows[0][:40]]))  # cut off as it was written
     said = told(capsys, file, "--out", out, "--workers", 2)
     assert (said["runs"], said["done"], said["failed"]) == (8, 8, 0)
     assert results(out) == results(finished)
-    assert {name: (out / "parts" / name).stat().st_mtime_ns for name in before} == before  # not done again
-    assert not list((out / "parts").glob("*.draft"))
+    assert lines(out)[:5] == [settings, *rows[1::2]]  # not done again
+    assert len(lines(out)) == 9
+
+
+def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen[bytes]:
+    """A campaign of its own, as soon as it has rows."""
+    command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), "--out", str(out), *options]
+    before = len(lines(out)) if out.exists() else 1
+    with log.open("wb") as said:
+        campaign = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+    until = time.monotonic() + PATIENCE_S
+    while not (out / "results.jsonl").exists() or len(lines(out)) <= before:
+        assert campaign.poll() is None, log.read_text()
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    return campaign
+
+
+@pytest.mark.timeout(700)
+def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(tmp_path: Path) -> None:
+    """For real, by SIGKILL and SIGINT; 40 runs, so that some are left each time."""
+    file, out, whole = tmp_path / "c.toml", tmp_path / "out", tmp_path / "whole"
+    file.write_text(FILE.replace("seeds.count = 2", "seeds.count = 10"))
+    first = started(file, out, tmp_path / "first.log", "--workers", "1")
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    killed = lines(out)
+    second = started(file, out, tmp_path / "second.log", "--workers", "2")
+    second.send_signal(signal.SIGINT)
+    assert second.wait(PATIENCE_S) == 130, (tmp_path / "second.log").read_text()
+    said = (tmp_path / "second.log").read_text()
+    assert "of 40 runs left: the same command with --out" in said
+    assert "Traceback" not in said
+    interrupted = lines(out)
+    whole_lines = [line for line in killed if line.endswith("\n")]
+    assert interrupted[: len(whole_lines)] == whole_lines
+    assert 2 <= len(whole_lines) < len(interrupted) < 41
+    assert run(["campaign", str(file), "--out", str(out), "--json"]) == 0
+    assert lines(out)[: len(interrupted)] == interrupted
+    assert len(lines(out)) == 41
+    assert run(["campaign", str(file), "--out", str(whole), "--json"]) == 0
+    assert results(out) == results(whole)
 
 
 def test_the_best_point_is_the_one_with_the_least_mean_and_the_others_are_paired_with_it(
@@ -158,7 +198,7 @@ def test_a_folder_of_another_campaign_or_of_something_else_is_refused(
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "x.txt").write_text("mine")
     assert run(["campaign", str(other), "--out", str(tmp_path / "notes")]) == 2
-    assert "holds something else" in capsys.readouterr().err
+    assert "not empty" in capsys.readouterr().err
 
 
 # --- a cluster --------------------------------------------------------------------------------------------------------
@@ -200,23 +240,8 @@ def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
 ) -> None:
     address, (_, first, _) = cluster
     out = tmp_path / "out"
-    options = ["--cluster", address, "--out", str(out)]
-    command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), *options]
-    with (tmp_path / "campaign.log").open("wb") as log:
-        campaign = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
-        until = time.monotonic() + PATIENCE_S
-        while not list((out / "parts").glob("*.parquet")):
-            assert campaign.poll() is None, (tmp_path / "campaign.log").read_text()
-            assert time.monotonic() < until, (tmp_path / "cluster.log").read_text()
-            time.sleep(0.02)
-        first.send_signal(signal.SIGKILL)
-        assert campaign.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
-    places = [place for part in (out / "parts").iterdir() for place in pq.read_table(part)["place"].to_pylist()]
-    assert sorted(places) == list(range(8))
+    campaign = started(file, out, tmp_path / "campaign.log", "--cluster", address)
+    first.send_signal(signal.SIGKILL)
+    assert campaign.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
+    assert len({json.loads(line)["key"] for line in lines(out)[1:]}) == len(lines(out)) - 1 == 8
     assert results(out) == results(finished)
-
-
-def test_a_scheduler_that_is_not_there_is_bad_input(free_port: int) -> None:
-    pytest.importorskip("distributed")
-    with pytest.raises(ConfigError, match="option --cluster"):
-        Cluster(f"tcp://127.0.0.1:{free_port}", patience_s=1.0)

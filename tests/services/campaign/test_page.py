@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
 
 from services.campaign import page
+from services.campaign.campaign import opened, plan
 from services.campaign.design import points
 from services.campaign.file import load
 from services.campaign.ranking import interval, ranked, scores
-from services.campaign.table import Parts
 from services.campaign.trial import Row, Trial, row_of
 from services.cli.app import run
 from services.views import static_files
@@ -37,23 +36,13 @@ def made_up(folder: Path) -> list[Row]:
     rows = []
     for number, point in enumerate(points(campaign)):
         for seed in range(5):
-            row = row_of(Trial(number * 5 + seed, number, seed, point, {}, point), "v")
+            row = row_of(Trial(number, seed, point, {}, point), "v")
             value = point["controller.horizon_s"] / 10 + (point["sensors"] == "realistic") + hard[seed]
             rows.append(row | {"true_error_m.mean": value})
     rows[7] |= {"true_error_m.mean": None, "failed": "no <such> thing"}  # point 1, seed 2
-    (folder / "campaign.toml").write_text(
-        tomli_w.dumps(
-            {
-                "title": campaign.title,
-                "seeds": {"count": 5},
-                "vary": {key: list(over) for key, over in campaign.vary.items()},
-                "made_by": {"x": "y"},
-            }
-        )
-    )
-    parts = Parts(folder / "parts", campaign)
-    parts.write(rows[:9])
-    parts.write(rows[9:])
+    with opened(folder / "out", plan(campaign, "c.toml")) as store:
+        for row in rows:
+            store.append(f"point {row['point']}, seed {row['seed']}", row)
     return rows
 
 
@@ -81,8 +70,8 @@ def test_an_interval_holds_the_mean_of_what_it_was_drawn_from_in_95_of_100() -> 
 def test_the_page_has_a_panel_for_each_field_with_the_means_and_shows_what_failed(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     made_up(tmp_path)
-    assert run(["report", str(tmp_path)]) == 0
-    text = (tmp_path / page.NAME).read_text()
+    assert run(["report", str(tmp_path / "out")]) == 0
+    text = (tmp_path / "out" / page.NAME).read_text()
     assert "&lt;b&gt;made up" in text
     assert "<b>made up" not in text
     assert "1 failed: no &lt;such&gt; thing (point 1, seed 2)" in text

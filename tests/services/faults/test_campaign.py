@@ -13,6 +13,7 @@ from msgspec import structs
 
 from ltv_mpc.messages import Harm, Injection
 from services.bus.session import BusOptions
+from services.batch.results_store import NAME, read
 from services.cli.app import run as command
 from services.faults import attacks, bench, campaign, inside, kinds
 from services.faults.draw import Run
@@ -32,7 +33,7 @@ def test_a_quick_campaign_ends_in_no_bad_thrust_no_uncounted_loss_and_no_late_re
     broken = {name: of[name] for name in ("uncontrolled_exits", "bad_thrusts", "uncounted_losses", "late_reactions")}
     assert broken == dict.fromkeys(broken, 0), of["not_kept"]
     assert code == 0
-    seen = [one for line in (tmp_path / "seen.jsonl").read_text().splitlines() for one in json.loads(line)["seen"]]
+    seen = [one for _, result in read(tmp_path / NAME)[1] for one in result]
     harmed = {one["fault"]["kind"]: one["harmed"] for one in seen if one["place"] == "processes"}
     assert len(harmed) == 5
     assert all(harmed.values())  # else this shows nothing

@@ -1,4 +1,4 @@
-"""The check's figures, from made-up records and from a short run of the full loop; and the engine for many runs."""
+"""The check's figures, from made-up records and from a short run of the full loop."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import CompassHeading
 from ltv_mpc.node import Arrival
+from services.batch.job import Job
+from services.batch.results_store import NAME
 from services.cli.localisation_check import localisation_check
 from services.measure import localisation_check as check
-from services.measure.batch import Job, each
 from services.measure.localisation_probe import Probe, Record, Squares, descend
 from services.run import locked
 from sim.grading.consistency import band
@@ -172,8 +173,16 @@ def test_the_command_says_the_same_in_words_json_and_files(
     assert (said["runs"], said["first_seed"], said["scenario"]) == (2, 7, "short")
     assert json.loads((tmp_path / "out" / "localisation-check.json").read_text()) == said
     assert (tmp_path / "out" / "localisation-check.png").stat().st_size > 10_000
-    with pytest.raises(ConfigError, match="not empty"):
-        app(arguments, standalone_mode=False)
+    rows = (tmp_path / "out" / NAME).read_text().splitlines(keepends=True)
+    (tmp_path / "out" / NAME).write_text("".join(rows[:2]))  # as if it had been interrupted
+    app(arguments, standalone_mode=False)
+    again = json.loads(capsys.readouterr().out)
+    assert again | {"wall_s": 0.0} == said | {"wall_s": 0.0}
+    after = (tmp_path / "out" / NAME).read_text().splitlines(keepends=True)
+    assert after[:2] == rows[:2]
+    assert sorted(after) == sorted(rows)
+    with pytest.raises(ConfigError, match="holds another campaign"):
+        app([*arguments, "--sensors", "realistic"], standalone_mode=False)
 
 
 @pytest.mark.parametrize(
@@ -188,17 +197,3 @@ def test_bad_input_is_refused_before_a_run_or_a_folder_is_begun(
     with pytest.raises(ConfigError, match=problem):
         app(["--out", str(tmp_path / "out"), *settings], standalone_mode=False)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("workers", [1, 2])
-def test_each_job_comes_back_with_its_place(workers: int) -> None:
-    assert sorted(each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
-
-
-def test_what_a_job_raises_reaches_the_reader() -> None:
-    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        list(each(math.sqrt, [4.0, -1.0], workers=2))
-
-
-def test_no_jobs_are_no_processes() -> None:
-    assert list(each(math.sqrt, [])) == []

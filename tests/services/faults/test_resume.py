@@ -9,14 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ltv_mpc.errors import ConfigError
-from services.faults import campaign, kept
+from services.batch import executor
+from services.batch.results_store import NAME, open_store
+from services.faults import campaign
 from services.faults.fault import Fault, Place, Seen
 from services.faults.judge import Errors
 from services.faults.judge_outside import OfProcesses
 
-ASKED = campaign.plan("external_force", "lockstep", 40).asked(seed=3, quick=False)
-NOTHING = Errors(np.arange(3), np.ones(3), np.zeros((3, 2)), np.zeros(3, dtype=bool))
+NOTHING = Errors(np.arange(3.0), np.ones(3), np.zeros((3, 2)), np.zeros(3, dtype=bool))
 
 
 def seen(fault: Fault, **changes) -> Seen:
@@ -40,15 +40,19 @@ def made(monkeypatch):
         made.append(-run.seed)
         return NOTHING
 
-    monkeypatch.setattr(campaign, "_cores", lambda: 1)
+    monkeypatch.setattr(executor, "core_count", lambda: 1)
     monkeypatch.setattr(campaign, "judged", judged)
     monkeypatch.setattr(campaign, "undisturbed", undisturbed)
     return made
 
 
 def go(folder) -> list[Seen]:
-    plan = campaign.plan("external_force", "lockstep", 40)
-    return campaign.run(plan, kept.opened(folder, ASKED, force=False), seed=3, quick=False)
+    return made_of(campaign.plan("external_force", "lockstep", 40), folder)
+
+
+def made_of(plan, folder, *, force=False) -> list[Seen]:
+    with open_store(folder, plan.settings(seed=3, quick=False), force=force) as store:
+        return campaign.run(plan, store, seed=3, quick=False)
 
 
 def test_what_an_interrupted_campaign_has_found_is_not_made_again(made, tmp_path):
@@ -56,8 +60,8 @@ def test_what_an_interrupted_campaign_has_found_is_not_made_again(made, tmp_path
         go(tmp_path)
     assert made[0] == -3000
     first = made[1]
-    with (tmp_path / kept.SEEN).open("a") as file:
-        file.write('{"name":"lockstep-001","se')  # cut off as it was written
+    with (tmp_path / NAME).open("a") as file:
+        file.write('{"key":"lockstep-001","re')  # cut off as it was written
     made.clear()
     with pytest.raises(KeyboardInterrupt):
         go(tmp_path)
@@ -86,8 +90,7 @@ def test_runs_of_processes_are_made_once_and_stay_only_if_something_was_not_as_p
     monkeypatch.setattr(campaign.recorded, "read", lambda *_: SimpleNamespace(log=None))
     monkeypatch.setattr(campaign, "errors", lambda _: NOTHING)
     plan = campaign.plan("process_crash,message_loss", "processes", 12)
-    asked = plan.asked(seed=3, quick=False)
-    found = campaign.run(plan, kept.opened(tmp_path, asked, force=False), seed=3, quick=False)
+    found = made_of(plan, tmp_path)
     assert sorted(made) == [
         *("bus-000", "bus-001", "node-000", "node-001"),
         *(f"without-{way}-{seed}" for way in ("bus", "node") for seed in (3000, 3001)),
@@ -95,16 +98,16 @@ def test_runs_of_processes_are_made_once_and_stay_only_if_something_was_not_as_p
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == ["node-001"]
     made.clear()
     (tmp_path / "node-001" / "run.mcap").write_text("of the first time")
-    lines = (tmp_path / kept.SEEN).read_text().splitlines()
-    (tmp_path / kept.SEEN).write_text("".join(f"{line}\n" for line in lines if "node-001" not in line))
-    again = campaign.run(plan, kept.opened(tmp_path, asked, force=False), seed=3, quick=False)
+    lines = (tmp_path / NAME).read_text().splitlines()
+    (tmp_path / NAME).write_text("".join(f"{line}\n" for line in lines if "node-001" not in line))
+    again = made_of(plan, tmp_path)
     assert made == ["node-001"]
     assert not (tmp_path / "node-001" / "run.mcap").exists()
     assert again == found
     assert len(found) == 12
     recorded = False
     with pytest.raises(campaign.Unmeasured, match=r"without-\w+-300\d: the run"):
-        campaign.run(plan, kept.opened(tmp_path, asked, force=True), seed=3, quick=False)
+        made_of(plan, tmp_path, force=True)
 
 
 @pytest.mark.parametrize(("busy", "most"), [(True, 1), (False, 4)])
@@ -139,27 +142,17 @@ def test_the_first_run_of_processes_is_alone_and_what_it_takes_says_how_many_go_
     assert campaign.at_a_time(campaign.CORES_A_RUN) == 7
 
 
-def test_all_that_was_seen_comes_back_as_it_was(tmp_path):
-    """An infinite ratio too: there was no estimate left to measure."""
+def test_errors_without_faults_come_back_as_they_were_and_alone(tmp_path):
+    """Those of a run too, of which no estimate was left."""
+    empty = Errors(np.empty(0), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=bool))
     fault = Fault(kind="external_force", target="vehicle", start_s=1.0, end_s=2.0, size=3.0, seed=4)
-    found = [seen(fault), seen(fault, ratio=math.inf, window_ratio=None, late="never back")]
-    one = kept.opened(tmp_path, ASKED, force=False)
-    one.add("lockstep-000", found)
-    one.add_errors("without-lockstep-3000", NOTHING)
-    again = kept.opened(tmp_path, ASKED, force=False)
-    assert again.seen("lockstep-000") == found
-    assert again.seen("lockstep-001") is None
-    (errors,) = again.all_errors()
-    for a, b in zip(errors, NOTHING, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert kept.opened(tmp_path, ASKED, force=True).seen("lockstep-000") is None
-
-
-def test_the_folder_of_other_faults_is_refused(tmp_path):
-    kept.opened(tmp_path / "one", ASKED, force=False)
-    other = campaign.plan("external_force", "lockstep", 41).asked(seed=4, quick=False)
-    with pytest.raises(ConfigError, match=r"another campaign \(in_lockstep, seed\)"):
-        kept.opened(tmp_path / "one", other, force=False)
-    (tmp_path / "something").write_text("else")
-    with pytest.raises(ConfigError, match="not empty"):
-        kept.opened(tmp_path, ASKED, force=False)
+    with open_store(tmp_path, {}) as store:
+        store.append("without-lockstep-3001", empty)
+        store.append("lockstep-000", [seen(fault, ratio=math.inf)])
+        store.append("without-lockstep-3000", NOTHING)
+        found = campaign.without_faults(store)
+    assert list(found) == ["without-lockstep-3000", "without-lockstep-3001"]
+    for here, there in zip(found.values(), (NOTHING, empty), strict=True):
+        for a, b in zip(here, there, strict=True):
+            np.testing.assert_array_equal(a, b)
+            assert (a.shape, a.dtype) == (b.shape, b.dtype)

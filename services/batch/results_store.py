@@ -1,0 +1,147 @@
+"""Results store of a batch: JSON lines in one file of its folder, from which an interrupted batch continues.
+
+DIR/results.jsonl
+    {"settings": {...}}               what decides the results, the version too; others are refused
+    {"key": "...", "result": ...}     one line a run, appended as it ends
+
+A process that is killed while it writes leaves at most a last line that is cut: it is removed, and that run made again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar, get_args
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.errors import ConfigError
+from services.run import folder as run_folder
+
+R = TypeVar("R")
+
+NAME = "results.jsonl"
+MAX_DIFFERENCES = 3
+"""Settings that a refusal names."""
+
+
+class ResultsStore:
+    """Results by key, on disk."""
+
+    def __init__(self, path: Path, file: BinaryIO, keys: set[str]) -> None:
+        self.path, self.keys = path, keys
+        self._file = file
+
+    def append(self, key: str, result: Any) -> None:
+        """Write a result: a struct, tuple, table or array, or several in each other."""
+        self._file.write(_line({"key": key, "result": msgspec.to_builtins(result, enc_hook=_to_list)}))
+        self._file.flush()
+        self.keys.add(key)
+
+    def results(self) -> Iterator[tuple[str, Any]]:
+        """Read all results so far, as plain values (``decode`` makes more of them), in the order of their ends."""
+        return read(self.path)[1]
+
+
+@contextmanager
+def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False) -> Iterator[ResultsStore]:
+    """Open the store in ``folder``, a new one or one of the same settings, for this process alone.
+
+    ``force`` begins again, whatever is there. Raises ``ConfigError``.
+    """
+    path = folder / NAME
+    if force or not path.exists():
+        run_folder.opened(folder, force=force)
+    try:
+        file = path.open("a+b")
+    except OSError as error:
+        raise _refusal(folder, f"a folder that can be written is needed ({error.strerror})") from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _refusal(folder, "another process is at this campaign") from None
+        if force:
+            file.truncate(0)
+        file.seek(0)
+        whole = 0
+        for line in file:
+            if line.endswith(b"\n"):
+                whole += len(line)
+        file.truncate(whole)
+        here = json.loads(_line({"settings": msgspec.to_builtins(settings)}))["settings"]
+        if whole == 0:
+            file.write(_line({"settings": here}))
+            file.flush()
+        there, results = read(path)
+        if differences := _differences(_flat(there), _flat(here)):
+            problem = f"holds another campaign, or one of another version ({'; '.join(differences)})"
+            raise _refusal(folder, f"{problem}: name another folder, or add --force")
+        yield ResultsStore(path, file, {key for key, _ in results})
+
+
+def read(path: Path) -> tuple[dict[str, Any], Iterator[tuple[str, Any]]]:
+    """Read a store's settings and its results, also while another process writes it. Raises ``ConfigError``."""
+    try:
+        with path.open("rb") as file:
+            settings: dict[str, Any] = json.loads(file.readline())["settings"]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ConfigError(f"results {path}", "", f"cannot be read: {error}") from None
+    return settings, _results(path)
+
+
+def decode(plain: Any, kind: type[R]) -> R:
+    """Make a value of type ``kind`` of what ``ResultsStore.results`` has read."""
+    return msgspec.convert(plain, kind, dec_hook=_to_array)
+
+
+def _results(path: Path) -> Iterator[tuple[str, Any]]:
+    with path.open("rb") as file:
+        for number, line in enumerate(islice(file, 1, None), 2):
+            if not line.endswith(b"\n"):  # cut, or being written
+                return
+            try:
+                one = json.loads(line)
+                yield one["key"], one["result"]
+            except (ValueError, TypeError, KeyError) as error:
+                raise ConfigError(f"results {path}", f"line {number}", f"is damaged: {error}") from None
+
+
+def _line(value: object) -> bytes:
+    # json, not msgspec, which writes numbers that are not finite as null
+    return json.dumps(value, separators=(",", ":")).encode() + b"\n"
+
+
+def _to_list(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise NotImplementedError(f"a {type(value).__name__} is no result")
+
+
+def _to_array(kind: Any, value: Any) -> Any:
+    return np.array(value, dtype=get_args(get_args(kind)[1])[0])
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat
+
+
+def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """Settings in which two stores differ, in words; a file's whole text is named only."""
+    found = []
+    for key in (key for key in {**there, **here} if there.get(key) != here.get(key)):
+        old, new = (json.dumps(values.get(key)) for values in (there, here))
+        found.append(f"{key} = {old} there, {new} here" if len(old) + len(new) < 200 else key)
+    return found[:MAX_DIFFERENCES]
+
+
+def _refusal(folder: Path, problem: str) -> ConfigError:
+    return ConfigError("option --out", "", problem, value=str(folder))
