@@ -12,8 +12,8 @@ import pytest
 from msgspec import structs
 
 from ltv_mpc.messages import Harm, Injection
-from services.bus.session import BusOptions
 from services.batch.results_store import NAME, read
+from services.bus.session import BusOptions
 from services.cli.app import run as command
 from services.faults import attacks, bench, campaign, inside, kinds
 from services.faults.draw import Run
