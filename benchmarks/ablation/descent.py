@@ -107,7 +107,7 @@ class Timed:
     def __init__(self, make: Callable[[], Estimator], restart_ns: float) -> None:
         self._make, self._restart_ns = make, restart_ns
         self._node = make()
-        self._newest: dict[type[Message], Any] = {}
+        self.newest: dict[type[Message], Any] = {}
         self.name, self.schedule = self._node.name, self._node.schedule
         self.reads, self.writes = self._node.reads, self._node.writes
         self.seconds = 0.0
@@ -120,12 +120,12 @@ class Timed:
         began = time.thread_time()
         out = self._node.step(t_ns, inbox)
         self.seconds += time.thread_time() - began
-        self._newest.update({type(message): message for message in out})
+        self.newest.update({type(message): message for message in out})
         return out
 
     def restore(self, t_ns: int) -> Restore:
         """Return what a supervisor hands to the new process."""
-        checkpoint, estimate = self._newest.get(EstimatorCheckpoint), self._newest.get(Estimate)
+        checkpoint, estimate = self.newest.get(EstimatorCheckpoint), self.newest.get(Estimate)
         return Restore(t_ns=t_ns, node=self.name, estimate=estimate, estimator=checkpoint)
 
 

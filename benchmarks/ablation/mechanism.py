@@ -19,7 +19,7 @@ class Event(NamedTuple):
 
 
 class Mechanism(NamedTuple):
-    """One row of the study."""
+    """One row of the study. A mechanism with several events has a row for each."""
 
     name: str
     event: Event

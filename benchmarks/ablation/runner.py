@@ -42,6 +42,7 @@ class Job(NamedTuple):
     """Runs that are made one after the other in one process."""
 
     mechanism: str
+    event: str
     keys: tuple[Key, ...]
 
 
@@ -59,9 +60,9 @@ class Effect(NamedTuple):
     detectable: float  # smallest difference that this number of runs can detect
 
 
-def named(name: str) -> Mechanism:
-    """Return the mechanism of this name. Raises KeyError."""
-    return {mechanism.name: mechanism for mechanism in MECHANISMS}[name]
+def named(name: str, event: str) -> Mechanism:
+    """Return the row of this mechanism and event. Raises KeyError."""
+    return {(mechanism.name, mechanism.event.name): mechanism for mechanism in MECHANISMS}[name, event]
 
 
 def version() -> str:
@@ -86,7 +87,7 @@ def jobs(mechanisms: Sequence[Mechanism], seeds: Sequence[int], known: set[Key])
                 groups = [] if set(pair) <= planned else [pair]
             else:
                 groups = [(key,) for key in (on, off) if key not in planned]
-            todo += [Job(mechanism.name, group) for group in groups]
+            todo += [Job(mechanism.name, mechanism.event.name, group) for group in groups]
             planned.update(key for group in groups for key in group)
     return todo
 
@@ -100,7 +101,7 @@ def keys(mechanism: Mechanism, seed: int) -> tuple[Key, Key]:
 
 def make(job: Job) -> list[tuple[Key, Measures]]:
     """Make the runs of a job in this process."""
-    mechanism = named(job.mechanism)
+    mechanism = named(job.mechanism, job.event)
     if mechanism.timed:
         mechanism.event.run(job.keys[0].seed)  # compile, fill caches
     done = []
