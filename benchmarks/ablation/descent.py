@@ -34,9 +34,9 @@ from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
 
 S = 1_000_000_000
-BEGINS_S = 40.0
-"""When events begin: 8 m deep, with water seen and errors settled."""
-DURATION_S = 110.0
+BEGINS_S = 30.0
+"""When events begin: 6 m deep, with water seen and errors settled."""
+DURATION_S = 80.0
 THREE_SIGMA = 11.83
 """Chi-square of two degrees of freedom that 0.27 % exceed."""
 SEEN_SD_MPS = 0.03
@@ -61,6 +61,7 @@ class Descent:
     harmed: tuple[Harmed, ...] = ()
     gyro_radps: float = 0.0  # a fault of the gyro about the body's x axis, from ``BEGINS_S`` on
     restarted: bool = False  # the estimator's process is replaced at ``BEGINS_S``
+    twice: tuple[type[Message], ...] = ()  # types that the sensors publish twice
     gnss_velocity_mps: float = 0.0  # error of the last satellite fix's velocity, north
     duration_s: float = DURATION_S
     surface_s: float = 10.0
@@ -80,8 +81,8 @@ class Descent:
 
         timed = Timed(estimator, BEGINS_S * S if self.restarted else math.inf)
         watch = Watch(sensors, self.gyro_radps, situation.water)
-        if self.gnss_velocity_mps:
-            sensors = WrongFix(sensors, self.gnss_velocity_mps)
+        if self.gnss_velocity_mps or self.twice:
+            sensors = Changed(sensors, self.twice, self.gnss_velocity_mps)
         if self.broken:
             sensors = FailingSensors(sensors, self.broken)
         lockstep = LockStep(
@@ -129,17 +130,18 @@ class Timed:
         return Restore(t_ns=t_ns, node=self.name, estimate=estimate, estimator=checkpoint)
 
 
-class WrongFix:
-    """The sensors, whose satellite fix at -1 s has a wrong velocity."""
+class Changed:
+    """The sensors, of which some publish everything twice, and whose satellite fix at -1 s has a wrong velocity."""
 
-    def __init__(self, sensors: Node, error_mps: float) -> None:
-        self._sensors, self._error_mps = sensors, error_mps
+    def __init__(self, sensors: Node, twice: tuple[type[Message], ...], error_mps: float) -> None:
+        self._sensors, self._twice, self._error_mps = sensors, twice, error_mps
         self.name, self.schedule = sensors.name, sensors.schedule
         self.reads, self.writes = sensors.reads, sensors.writes
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """Step the sensors."""
-        return [self._wrong(message) for message in self._sensors.step(t_ns, inbox)]
+        messages = [self._wrong(message) for message in self._sensors.step(t_ns, inbox)]
+        return [again for message in messages for again in [message] * (2 if isinstance(message, self._twice) else 1)]
 
     def _wrong(self, message: Message) -> Message:
         if isinstance(message, GnssFix) and message.t_ns == -S:
