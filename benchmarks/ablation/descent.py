@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
     Restore,
     Truth,
 )
-from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.node import Arrival, Due, Inbox, Node
 from services.faults import inside
 from services.run import locked
 from services.run.situation import Override, resolve
@@ -32,6 +32,7 @@ from sim.faults.transit import Harmed
 from sim.lockstep import LockStep
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
+from sim.stretches import Stretches
 
 S = 1_000_000_000
 BEGINS_S = 30.0
@@ -85,14 +86,13 @@ class Descent:
             sensors = Changed(sensors, self.twice, self.gnss_velocity_mps)
         if self.broken:
             sensors = FailingSensors(sensors, self.broken)
-        lockstep = LockStep(
-            [plant, sensors, timed, controller],
-            start_ns=scenario.start_ns,
-            observe=watch,
-            latest=locked.LATEST,
-            refused=locked.refused,
-            between=inside.Bus(self.harmed) if self.harmed else None,
-        )
+        nodes = [plant, sensors, timed, controller]
+        common = {"start_ns": scenario.start_ns, "observe": watch, "latest": locked.LATEST, "refused": locked.refused}
+        lockstep: LockStep | Stretches
+        if self.harmed:
+            lockstep = LockStep(nodes, between=inside.Bus(self.harmed), **common)
+        else:
+            lockstep = Stretches(nodes, heard=watch.heard, **common)
         crashed = 0.0
         try:
             lockstep.advance(scenario.end_ns)
@@ -118,10 +118,19 @@ class Timed:
         if t_ns >= self._restart_ns:
             self._restart_ns, self._node = math.inf, self._make()
             inbox = [Arrival(self.restore(t_ns), 1, 0, t_ns), *inbox]
+        return self._taken([(t_ns, inbox)])[0]
+
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """Step the estimator for each."""
+        before = [step for step in due if step[0] < self._restart_ns]
+        out = self._taken(before) if before else []
+        return [*out, *(self.step(t_ns, inbox) for t_ns, inbox in due[len(before) :])]
+
+    def _taken(self, due: Sequence[Due]) -> list[list[Message]]:
         began = time.thread_time()
-        out = self._node.step(t_ns, inbox)
+        out = self._node.steps(due)
         self.seconds += time.thread_time() - began
-        self.newest.update({type(message): message for message in out})
+        self.newest.update({type(message): message for messages in out for message in messages})
         return out
 
     def restore(self, t_ns: int) -> Restore:
@@ -160,6 +169,8 @@ class Watch:
     restarts: int = 0
     truth: dict[int, Truth] = field(default_factory=dict)
     estimate: dict[int, Estimate] = field(default_factory=dict)
+
+    heard = frozenset({Truth, Estimate, LocalisationReport})
 
     def stepped(self, *_: object) -> None:
         """Which node is stepped when does not matter here."""
