@@ -381,7 +381,7 @@ class FilterStatus(enum.StrEnum):
     """How far the localisation filter can be believed."""
 
     NOMINAL = "nominal"
-    UNFORESEEN = "unforeseen"  # water that nothing foretold: cells may be worse than said, or have been granted a walk
+    UNFORESEEN = "unforeseen"  # water that nothing foretold: it has been granted a walk
     INCONSISTENT = "inconsistent"  # its innovations are larger or smaller than it says
     RESTARTED = "restarted"  # begun anew from its last good position, less than the grace time ago
 

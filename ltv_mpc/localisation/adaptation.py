@@ -25,15 +25,6 @@ Old     What ``onsets.py`` finds to have begun before that which ``BACK_NS`` rea
 Back    A front is seen three to ten seconds after it came; until then the filter has taken it for a tilt and a
         velocity of the vehicle, and is sure of them. So it is granted from ``BACK_NS`` before it was seen: the filter
         goes back and does these seconds again (``late.py``).
-Restless, and only said: corrections that keep moving cells one way. The corrections of one state are white, with the
-        variance (W^T W)_kk by which they reduce its own; of each over its deviation the sums m, and a of as many ones,
-        that forget with tau = 15 s, give
-            z = m^2 / a ~ chi-square(1)
-        whose mean over both axes of the nodes that a ping sees, averaged over 40 s, is 1 in water as foretold. It rises
-        where each cell changes by itself, or with more shear than the prior has. (Sums of the corrections themselves
-        forget nothing: what comes late in a cell's life is small, and so is its variance; one chance of the first
-        pings then stood for as long as the cell was in sight.) To grant it by itself, to single nodes or to all, made
-        positions worse and cells hardly better.
 Cost    Nothing is granted while nothing is seen: known water is filtered to the bit as without any of this.
 Blind   What no detector can see (``benchmarks/water_detectability.py``): a front of 10 cm/s in 30 s or more, with
         realistic sensors internal waves of 5 cm/s. Say ``current_change_mps_per_rts`` where that is to be expected.
@@ -67,12 +58,6 @@ _CUT = 2.0
 """Deviations to which each row is cut before it is fitted, so that an outlier counts as two."""
 _WORST = 100.0
 """Condition of a fit, of columns of one length, up to which beams are held to point in enough directions."""
-
-_NODES_S, _AVERAGED_S = 15.0, 40.0
-_RESTLESS = 1.6
-"""Forty descents through water as foretold: 1.27 at most with the paper's sensors, 1.45 with realistic ones."""
-_Z_MOST = 20.0
-"""To which z is cut: one node that is wrong by a lot must not speak for all."""
 
 _LIMIT_1, _LIMIT_2 = innovations.limit(1), innovations.limit(2)
 _LIMIT_FAST = innovations.limit(2, 1e-7)
@@ -108,15 +93,13 @@ _GYRO_SD_RADPS, _TILT_SD_RAD, _VELOCITY_SD_MPS = 5e-4, 0.01, 0.3
 class Adaptation:
     """Of one filter; part of what it goes back to."""
 
-    def __init__(self, nodes: int, cell_m: float, from_ns: int) -> None:
-        """``nodes`` of the whole grid; before ``from_ns`` nothing is granted."""
+    def __init__(self, cell_m: float, from_ns: int) -> None:
+        """Before ``from_ns`` nothing is granted."""
         self._cell_m = cell_m
-        self._nodes = nodes
         self._from_ns = from_ns
         self._until_ns: dict[Change, int] = {}
         self._held_ns: dict[Change, int] = {}
         self._to_open = False  # the inertial unit's doubt, when time goes on
-        self._t_ns: int | None = None  # of the last corrections
         self._onsets = Onsets()
         self._drift: Drift | None = None  # while FAST is granted
         self._tilts = False  # it is the unit's
@@ -140,8 +123,6 @@ class Adaptation:
     def _clear(self) -> None:
         self._means, self._downward, self._slopes = Mean(_MEANS_S, 2), Mean(_MEANS_S, 1), Mean(_SLOPES_S, 2)
         self._beyond_ns: int | None = None
-        self._moved, self._allowed = np.zeros((2, self._nodes)), np.zeros((2, self._nodes))  # m, a
-        self._average = 1.0  # of z
 
     def change(self, t_ns: int) -> Change:
         """Granted at ``t_ns``."""
@@ -150,11 +131,6 @@ class Adaptation:
     def walk_mps_per_rts(self, t_ns: int) -> float:
         """What is granted, q."""
         return WALK_MPS_PER_RTS[self.change(t_ns)]
-
-    @property
-    def restless(self) -> bool:
-        """Cells of the water have been moved by more than is foretold: their errors may be larger than said."""
-        return self._average > _RESTLESS
 
     def beyond(self, t_ns: int) -> bool:
         """Means have just called for what no water does: more than fast, or up and down."""
@@ -224,22 +200,10 @@ class Adaptation:
             hold_ns = min(2 * last_ns, _LONGEST_NS)
         return now_ns + hold_ns
 
-    def moved(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array, told: Array) -> None:
-        """One ping's corrections (n,), and by how much it has reduced each variance (n,).
-
-        ``upper`` are the nodes of the grid below which its cells lie.
-        """
-        layout = belief.layout
-        dt = 0.0 if self._t_ns is None else (belief.t_ns - self._t_ns) * 1e-9
-        self._t_ns = belief.t_ns
-        keep = math.exp(-dt / _NODES_S)
-        states = layout.north.start, layout.east.start
-        self._moved, self._allowed, z = _moved(
-            self._moved, self._allowed, keep, error, told, *states, belief.column.first, upper
-        )
-        self._average += -math.expm1(-dt / _AVERAGED_S) * (z - self._average)
+    def moved(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array) -> None:
+        """Take note of one ping's corrections (n,). Its cells lie below the nodes ``upper`` of the grid."""
         if self.change(belief.t_ns) is Change.FAST:
-            slots = upper - belief.column.first
+            layout, slots = belief.layout, upper - belief.column.first
             self._follow(belief, np.array([error[layout.north][slots].mean(), error[layout.east][slots].mean()]))
         else:
             self._drift = None
@@ -286,41 +250,6 @@ def _doubt(belief: Belief) -> None:
     for axis, nodes in enumerate((layout.north, layout.east)):
         j = np.r_[VELOCITY.start + axis, layout.mean.start + axis, nodes]
         P[np.ix_(j, j)] += _VELOCITY_SD_MPS**2
-
-
-@kernel
-def _moved(
-    moved: Array,
-    allowed: Array,
-    keep: float,
-    error: Array,
-    told: Array,
-    north: int,
-    east: int,
-    first: int,
-    upper: npt.NDArray[np.int64],
-) -> tuple[Array, Array, float]:
-    """m and a, (2, nodes), with one ping more, ``keep`` for exp(-dt / tau); the mean of z over all nodes that it sees.
-
-    The states of the nodes from ``first`` on begin at ``north`` and ``east``.
-    """
-    m, a = keep * moved, keep * keep * allowed
-    for axis, start in enumerate((north, east)):
-        for k in range(east - north):
-            if told[start + k] > 0.0:
-                m[axis, first + k] += error[start + k] / math.sqrt(told[start + k])
-                a[axis, first + k] += 1.0
-    seen = np.zeros(moved.shape[1], dtype=np.bool_)
-    for k in upper:
-        seen[k] = seen[k + 1] = True
-    total, count = 0.0, 0
-    for axis in range(2):
-        for k in range(moved.shape[1]):
-            if seen[k]:
-                count += 1
-                if a[axis, k] > 0.0:
-                    total += min(m[axis, k] ** 2 / a[axis, k], _Z_MOST)
-    return m, a, total / count
 
 
 class _Contrast(NamedTuple):

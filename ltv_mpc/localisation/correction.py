@@ -50,7 +50,6 @@ class Correction(NamedTuple):
     S: Array  # (m, m), of all rows
     definite: bool  # S was positive definite; if not, nothing has been touched, and P must not be trusted
     error: Array  # (n,), of the estimate: what is to be added to it; zero if no row passed
-    told: Array  # (n,), diagonal of W^T W: by how much the variances become less
     doubted: int  # rows that were used though they are not accepted
 
 
@@ -111,16 +110,15 @@ def _doubted(S: Array, z: Array, nis: Array, gate: float, limit: float) -> tuple
 
 
 @kernel
-def _tell(W: Array, residual: Array) -> tuple[Array, Array]:
-    """The error W^T L^-1 residual, (n,), with ``residual`` = L^-1 residual, and the diagonal of W^T W, (n,)."""
+def _tell(W: Array, residual: Array) -> Array:
+    """The error W^T L^-1 residual, (n,), with ``residual`` = L^-1 residual."""
     m, n = W.shape
-    error, told = np.zeros(n), np.zeros(n)
+    error = np.zeros(n)
     for i in range(m):
         w, c = W[i], residual[i]
         for j in range(n):
             error[j] += c * w[j]
-            told[j] += w[j] * w[j]
-    return error, told
+    return error
 
 
 @kernel
@@ -163,7 +161,7 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 @kernel
 def _weigh_few(
     P: Array, E: Array, rows: Rows, gate: float, limit: float
-) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, int, Array, Array, Array]:
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int, Array, Array, Array]:
     """The fields of a ``Correction``, and W, Y and y, of few rows: without a library's calls."""
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
     H = entries(rows.state, rows.partial)
@@ -175,7 +173,7 @@ def _weigh_few(
     W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     Y = np.empty((passed, E.shape[1]))
     if passed == 0:
-        return accepted, nis, S, True, np.zeros(n), np.zeros(n), 0, W, Y, residual
+        return accepted, nis, S, True, np.zeros(n), 0, W, Y, residual
     a = 0
     for i in range(m):
         if accepted[i] or more[i] > 0.0:
@@ -190,9 +188,9 @@ def _weigh_few(
             of_passed[a, a] += more[i]
             a += 1
     if not _fold(W, Y, of_passed, residual):
-        return np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), 0, W[:0], Y[:0], residual[:0]
-    error, told = _tell(W, residual)
-    return accepted, nis, S, True, error, told, doubted, W, Y, residual
+        return np.zeros_like(accepted), nis, S, False, np.zeros(n), 0, W[:0], Y[:0], residual[:0]
+    error = _tell(W, residual)
+    return accepted, nis, S, True, error, doubted, W, Y, residual
 
 
 class White(NamedTuple):
@@ -209,15 +207,15 @@ def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, Whit
     ``P`` (n, n), symmetric, and ``E`` (n, K), both C-contiguous, are only read.
     """
     if len(rows.residual) <= _FEW:
-        accepted, nis, S, definite, error, told, _, W, Y, y = _weigh_few(P, E, rows, gate, gate)
-        return Correction(accepted, nis, S, definite, error, told, 0), White(W, Y, y)
+        accepted, nis, S, definite, error, _, W, Y, y = _weigh_few(P, E, rows, gate, gate)
+        return Correction(accepted, nis, S, definite, error, 0), White(W, Y, y)
     places, local = touched(rows.state, rows.partial, len(P))
     S = innovation(P, places, local, rows.partial, rows.variance)
     z, n = rows.residual, len(P)
     nothing = White(np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0))
     accepted, nis, passed = _gated(S, z, gate)
     if passed == 0:
-        return Correction(accepted, nis, S, True, np.zeros(n), np.zeros(n), 0), nothing
+        return Correction(accepted, nis, S, True, np.zeros(n), 0), nothing
     if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
         H, HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
     elif passed == len(z):
@@ -229,13 +227,13 @@ def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, Whit
     # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
     L, info = dpotrf(of_passed.T, lower=1, clean=0)
     if info != 0:
-        return Correction(np.zeros_like(accepted), nis, S, False, np.zeros(n), np.zeros(n), 0), nothing
+        return Correction(np.zeros_like(accepted), nis, S, False, np.zeros(n), 0), nothing
     W = dtrsm(1.0, L, HP.T, side=1, lower=1, trans_a=1, overwrite_b=1).T  # W^T = (H P)^T L^-T
     y = dtrsv(L, z, lower=1)
     Y = nothing.Y
     if E.shape[1]:
         Y = dtrsm(1.0, L, project(H, E).T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    return Correction(accepted, nis, S, True, *_tell(W, y), 0), White(W, Y, y)
+    return Correction(accepted, nis, S, True, _tell(W, y), 0), White(W, Y, y)
 
 
 @kernel
@@ -276,9 +274,9 @@ def _correct_few(
     mean: int,
     north: int,
     east: int,
-) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, Array, int]:
+) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int]:
     """``correct`` by few rows but for the mounting: the fields of a ``Correction``. Places as in ``turning.turned``."""
-    accepted, nis, S, definite, error, told, doubted, W, Y, y = _weigh_few(P, E, rows, gate, limit)
+    accepted, nis, S, definite, error, doubted, W, Y, y = _weigh_few(P, E, rows, gate, limit)
     if W.shape[0]:
         shift(x, R, error)
         a = turned(error, mean, north, east)
@@ -286,7 +284,7 @@ def _correct_few(
         if E.shape[1]:
             corrected(E, score, information, W, Y, y)
             _swing_too(E, a)
-    return accepted, nis, S, definite, error, told, doubted
+    return accepted, nis, S, definite, error, doubted
 
 
 def reduce(P: Array, W: Array, a: Array | None = None) -> None:

@@ -441,8 +441,6 @@ class Estimator:
             status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
             if filter_.water.change(t_ns) is Change.UNIT:
                 why = "water that changes for longer than a front, or a gyro's fault: both are allowed for"
-        elif status is FilterStatus.NOMINAL and filter_.water.restless:
-            status, why = FilterStatus.UNFORESEEN, "cells of the water change, or differ, by more than is foretold"
         return LocalisationReport(
             t_ns=t_ns,
             status=status,

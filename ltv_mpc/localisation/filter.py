@@ -103,9 +103,7 @@ class Filter:
         self._Phi = np.eye(CORE)
         self._Q = np.zeros((CORE, CORE))
         self._pending_ns = 0
-        self.water = Adaptation(
-            belief.layout.nodes, config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns
-        )
+        self.water = Adaptation(config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns)
         if config.adapts_to_water:
             belief.astray = Signatures.of(belief.layout.size, COLUMNS)
         self._coasted_ns = 0  # over the gap that it is in
@@ -259,7 +257,7 @@ class Filter:
                     if self._config.adapts_to_water and correction.definite:
                         r, S = ping.rows.residual, correction.S
                         self.water.hear(self.belief.t_ns, ping.beams, ping.places % cells, r, S)
-                        self.water.moved(self.belief, ping.nodes, correction.error, correction.told)
+                        self.water.moved(self.belief, ping.nodes, correction.error)
             case PressureDepth():
                 self._use("pressure", pressure.rows(self.belief, message, suite.pressure))
             case CompassHeading():

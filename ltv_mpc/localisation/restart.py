@@ -10,9 +10,9 @@ Anew    as afloat, by ``Alignment``, with a fix made of what is known in place o
 Water   and what is known of the profiler as they were known at or before the good instant, with their covariance
         (``graft``): the first pings then tell the velocity over ground as well as it was ever told, where water that is
         unknown would leave 0.1 m/s of it open for the rest of the dive.
-Again   What made the first filter diverge may go on, or be the water: where the last restart is not long ago, the
-        water is as at the start, and the inertial unit's biases are let ten times as wide again, up to a hundred times.
-        It begins at the time of the last heading that 0.2 s of samples have followed, a second ago at most, and is
+Again   What made the first filter diverge may be the water: where the last restart is not long ago, the water is as
+        at the start.
+Time    It begins at the time of the last heading that 0.2 s of samples have followed, a second ago at most, and is
         brought up to now by what has been measured since: estimates go on without a gap. Where no heading has come
         lately the old filter goes on until one does, and with it pressure and samples.
 """
@@ -44,8 +44,6 @@ SOON_NS = 120_000_000_000
 """A second restart within this time is of the same cause."""
 VELOCITY_SD_MPS = 0.3
 ACCELERATION_SD_MPS2 = 0.1
-WIDER, WIDEST = 10.0, 100.0
-"""Beyond a hundred times 1 mg the tilt that levelling leaves open is no small angle: such filters diverged for good."""
 _KEPT = 60
 BELIEF_NS = 5_000_000_000
 """Between two beliefs that are kept whole."""
@@ -69,7 +67,6 @@ class Memory(NamedTuple):
     places: tuple[Place, ...]
     beliefs: tuple[Belief, ...]
     last_ns: int | None
-    wider: float
 
 
 def finite(belief: Belief) -> bool:
@@ -92,7 +89,6 @@ class Restarts:
         self._places: deque[Place] = deque(maxlen=_KEPT)
         self._bad_since_ns: int | None = None
         self._last_ns: int | None = None
-        self._wider = 1.0
         self._beliefs: deque[Belief] = deque(maxlen=_KEPT * 1_000_000_000 // BELIEF_NS)
         self._known: Belief | None = None  # of which the next filter has its water
 
@@ -141,7 +137,6 @@ class Restarts:
         t_ns = _start(now_ns, recent)
         good = self._good(now_ns)
         soon = self._last_ns is not None and now_ns - self._last_ns < SOON_NS
-        self._wider = min(self._wider * WIDER, WIDEST) if soon else 1.0
         before = [belief for belief in self._beliefs if belief.t_ns <= good.t_ns]
         self._known = before[-1] if before and not soon else None
         self._beliefs.clear()
@@ -152,13 +147,8 @@ class Restarts:
         replace, suite = msgspec.structs.replace, self._suite
         sd_m = math.hypot(math.sqrt(good.variance_m2), VELOCITY_SD_MPS * gone_s)
         gnss = replace(suite.gnss, position_sd_m=sd_m, velocity_sd_mps=VELOCITY_SD_MPS, lever_arm_m=(0.0, 0.0, 0.0))
-        imu = replace(
-            suite.imu,
-            gyro_bias_sd_radps=suite.imu.gyro_bias_sd_radps * self._wider,
-            accelerometer_bias_sd_mps2=suite.imu.accelerometer_bias_sd_mps2 * self._wider,
-        )
         config = replace(self._config, afloat_acceleration_sd_mps2=ACCELERATION_SD_MPS2)
-        alignment = Alignment(replace(suite, gnss=gnss, imu=imu), config, self._prior)
+        alignment = Alignment(replace(suite, gnss=gnss), config, self._prior)
         north, east = (good.position_m + good.velocity_mps * gone_s).tolist()
         v_north, v_east = good.velocity_mps.tolist()
         alignment.take(
@@ -173,13 +163,13 @@ class Restarts:
 
     def memory(self) -> Memory:
         """Before a filter begins anew."""
-        return Memory(tuple(self._places), tuple(self._beliefs), self._last_ns, self._wider)
+        return Memory(tuple(self._places), tuple(self._beliefs), self._last_ns)
 
     def recall(self, memory: Memory) -> None:
         """That filter is believed again."""
         self._places = deque(memory.places, maxlen=_KEPT)
         self._beliefs = deque(memory.beliefs, maxlen=self._beliefs.maxlen)
-        self._last_ns, self._wider, self._bad_since_ns = memory.last_ns, memory.wider, None
+        self._last_ns, self._bad_since_ns = memory.last_ns, None
 
     def graft(self, belief: Belief) -> bool:
         """Give ``belief``, which a new filter begins with, the water and the profiler of the last good one, as unsure

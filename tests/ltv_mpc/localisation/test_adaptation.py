@@ -9,11 +9,9 @@ import pytest
 
 from ltv_mpc.localisation.adaptation import BACK_NS, Adaptation, Change
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.correction import update
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter import Filter
 from ltv_mpc.localisation.measurements.adcp import beam_directions
-from ltv_mpc.localisation.measurements.rows import Rows
 from ltv_mpc.localisation.onsets import Found
 from ltv_mpc.localisation.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.suite import Suite
@@ -223,7 +221,7 @@ def test_a_second_grant_that_goes_back_beyond_the_first_keeps_it(dives, run, mon
 
 
 def test_after_a_while_nothing_is_granted_any_more_and_longer_the_next_time():
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     assert water.hold(Change.FAST, 50 * SECOND) == 60 * SECOND
     water.grant(Change.FAST, 60 * SECOND, 50 * SECOND)
     assert water.change(60 * SECOND - 1) is Change.FAST
@@ -259,21 +257,21 @@ def hear(water, rng, pings, r, first=0):
 )
 def test_a_velocity_calls_for_much_a_shear_for_little_and_what_moves_up_for_nothing(r, change, beyond):
     """Water does not move up and down: that is the unit or the profiler, and is said."""
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     assert hear(water, np.random.default_rng(3), 40, r) is change
     assert water.beyond(13 * SECOND) is beyond
 
 
 def test_outliers_on_every_tenth_row_call_for_nothing():
     """All of one sign along two beams that look opposite ways: as a velocity they would be 15 cm/s."""
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     r = np.where((CELL == 3) & (np.arange(40) < 20), np.sign(U[:, 0]) * 0.5, 0.0)
     assert hear(water, np.random.default_rng(8), 12, r) is Change.NONE
 
 
 @pytest.mark.parametrize("change", [Change.FAST, Change.UNIT])
 def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water(change):
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     rng, r = np.random.default_rng(4), U @ [0.02, -0.01, 0.0]
     assert hear(water, rng, 40, r) is Change.FAST
     assert not water.beyond(13 * SECOND)
@@ -285,7 +283,7 @@ def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_w
 
 def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and_long_after_is_a_front():
     for again_s, change in ((15, Change.UNIT), (19.5, Change.UNIT), (21, Change.FAST)):
-        water = Adaptation(CELLS, 1.0, 0)
+        water = Adaptation(1.0, 0)
         water.grant(Change.FAST, 10 * SECOND, 0)
         r, first = U @ [0.04, -0.01, 0.0], round(3 * again_s)
         assert hear(water, np.random.default_rng(11), 1, 0.0 * CELL, first=first - 1) is Change.NONE
@@ -294,14 +292,14 @@ def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and
 
 def test_what_shows_over_ten_seconds_alone_may_be_the_unit():
     """Of 30 pings, 0.3 of one's deviation each; of 9 in 3 s it is not seen."""
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     calls = [hear(water, np.random.default_rng(k), 1, U @ [0.0038, 0.0, 0.0], first=k) for k in range(120)]
     assert next(call for call in calls if call is not Change.NONE) is Change.UNIT
 
 
 def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
     belief = belief_of_water()
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     water.grant(Change.UNIT, 20 * SECOND, 0)
     before = belief.P.copy()
     water.grow(belief, 1.0)
@@ -327,12 +325,12 @@ def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
 
 def test_a_filter_that_has_just_begun_anew_takes_nothing_for_a_front():
     rng, r = np.random.default_rng(5), U @ [0.02, -0.01, 0.0]
-    assert hear(Adaptation(CELLS, 1.0, 20 * SECOND), rng, 40, r) is Change.NONE
-    assert hear(Adaptation(CELLS, 1.0, 13 * SECOND), rng, 40, r) is Change.FAST
+    assert hear(Adaptation(1.0, 20 * SECOND), rng, 40, r) is Change.NONE
+    assert hear(Adaptation(1.0, 13 * SECOND), rng, 40, r) is Change.FAST
 
 
 def test_beams_of_one_plane_alone_are_not_asked():
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     two = slice(0, 20)
     for k in range(40):
         water.hear(k * SECOND // 3, U[two], CELL[two], np.full(20, 0.1), S[two, two])
@@ -346,69 +344,6 @@ def belief_of_water():
     return belief
 
 
-def moved(water, belief, rng, pings, shift):
-    """Corrections as white as they should be, of sd 1 mm/s, and ``shift`` (m/s) of nodes 3 to 9 besides."""
-    upper, cells = np.arange(3, 9), np.arange(3, 10)
-    for _ in range(pings):
-        belief.t_ns += SECOND // 3
-        error = 1e-3 * rng.standard_normal(belief.layout.size)
-        for axis in (belief.layout.north, belief.layout.east):
-            error[axis.start + cells] += shift
-        water.moved(belief, upper, error, np.full(belief.layout.size, 1e-6))
-
-
-def test_cells_that_corrections_keep_moving_are_restless_and_others_are_not():
-    """A shift of 0.15 of the deviation: 14 times it in 15 s, in sums of 4.7 deviations."""
-    belief, rng = belief_of_water(), np.random.default_rng(6)
-    water = Adaptation(CELLS, 1.0, 0)
-    for _ in range(10):
-        moved(water, belief, rng, 60, 0.0)
-        assert not water.restless
-    moved(water, belief, rng, 180, 0.25e-3)
-    assert water.restless
-    moved(water, belief, rng, 600, 0.0)
-    assert not water.restless
-
-
-def test_one_cell_that_is_far_off_does_not_make_the_others_restless():
-    belief, rng = belief_of_water(), np.random.default_rng(7)
-    water = Adaptation(CELLS, 1.0, 0)
-    for _ in range(300):
-        belief.t_ns += SECOND // 3
-        error = 1e-3 * rng.standard_normal(belief.layout.size)
-        error[belief.layout.north.start + 7] += 0.1
-        water.moved(belief, np.arange(1, 18), error, np.full(belief.layout.size, 1e-6))
-    assert not water.restless
-
-
-def test_what_corrections_tell_is_by_how_much_they_reduce_each_variance():
-    rng = np.random.default_rng(8)
-    root = rng.standard_normal((30, 30))
-    P = root @ root.T
-    before = np.diagonal(P).copy()
-    for m in (2, 12):  # either way of reckoning
-        rows = Rows(
-            state=rng.integers(0, 30, (m, 3)),
-            partial=rng.standard_normal((m, 3)),
-            residual=rng.standard_normal(m),
-            variance=np.full(m, 0.5),
-        )
-        told = update(P, rows, np.inf).told
-        np.testing.assert_allclose(told, before - np.diagonal(P), atol=1e-12)
-        before = np.diagonal(P).copy()
-
-
-def test_cells_that_walk_each_by_itself_are_restless_and_water_as_foretold_is_not(dives, run):
-    dive = dives[0]
-    walk = np.cumsum(0.006 * np.random.default_rng(9).standard_normal((int(END_S) + 2, 75)), axis=0)
-
-    def each(t_s, depth_m):
-        return np.interp(depth_m, np.arange(75), walk[max(int(t_s), 0)])
-
-    assert not run(dive.messages).water.restless
-    assert run(with_water(dive, each)).water.restless
-
-
 def test_a_step_between_two_cells_is_noticed(dives, run, granted):
     def step(_, depth_m):
         return 0.3 * np.clip(depth_m - 24.5, 0.0, 1.0)
@@ -417,20 +352,9 @@ def test_a_step_between_two_cells_is_noticed(dives, run, granted):
     assert Change.SLOW in {one.change for one in granted}
 
 
-def test_a_chance_of_a_cells_first_pings_is_forgotten_though_it_told_most_of_what_is_known_of_it():
-    belief, rng = belief_of_water(), np.random.default_rng(10)
-    water, upper = Adaptation(CELLS, 1.0, 0), np.arange(1, 18)
-    for k in range(400):
-        belief.t_ns += SECOND // 3
-        sd = 1e-2 if k < 5 else 1e-4
-        error = np.full(belief.layout.size, 2.5 * sd) if k < 5 else sd * rng.standard_normal(belief.layout.size)
-        water.moved(belief, upper, error, np.full(belief.layout.size, sd**2))
-    assert not water.restless
-
-
 def test_what_is_granted_to_all_is_smooth_over_depth_and_leaves_the_covariance_definite():
     belief = belief_of_water()
-    water = Adaptation(CELLS, 1.0, 0)
+    water = Adaptation(1.0, 0)
     before = belief.P.copy()
     water.grow(belief, 4.0)
     np.testing.assert_array_equal(belief.P, before)

@@ -1,6 +1,5 @@
 """Where a filter that has diverged begins anew, and how sure of itself."""
 
-import itertools
 import math
 
 import msgspec
@@ -15,9 +14,7 @@ from ltv_mpc.localisation.restart import (
     ACCELERATION_SD_MPS2,
     GRACE_NS,
     PATIENCE_NS,
-    SOON_NS,
     VELOCITY_SD_MPS,
-    WIDEST,
     Restarts,
 )
 from ltv_mpc.localisation.state import Belief, Layout
@@ -137,23 +134,6 @@ def test_without_a_heading_lately_it_waits_for_one():
         alignment.take(message)
     assert alignment.waiting_for == ""
     assert alignment.belief()[0].t_ns == at_s * SECOND
-
-
-def test_where_one_restart_follows_another_the_units_biases_are_wider_each_time_up_to_a_limit():
-    restarts, sd = Restarts(SUITE, CONFIG, None), []
-    for k in range(5):
-        restarts.watch(belief_at(40.0 + 12 * k), GOOD)
-        belief, _ = restarts.begin(round((40 + 12 * k) * SECOND), recent(40 + 12 * k)).belief()
-        sd.append(np.sqrt(np.diagonal(belief.P)[9:15]))
-    times = [round(after[0] / before[0], 6) for before, after in itertools.pairwise(sd)]
-    assert times == [10, 10, 1, 1]
-    assert sd[-1][5] == pytest.approx(WIDEST * SUITE.imu.accelerometer_bias_sd_mps2)
-    assert restarts.count == 5
-
-    later_s = 40 + 48 + SOON_NS // SECOND + 1
-    restarts.watch(belief_at(later_s), GOOD)
-    belief, _ = restarts.begin(later_s * SECOND, recent(later_s)).belief()
-    np.testing.assert_allclose(np.sqrt(np.diagonal(belief.P)[9:15]), sd[0])
 
 
 def test_it_is_said_for_half_a_minute():

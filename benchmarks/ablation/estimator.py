@@ -1,0 +1,430 @@
+"""Mechanisms of the estimator, each with the event that it exists for and the way it is switched off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from benchmarks.ablation import descent
+from benchmarks.ablation.descent import BEGINS_S, Descent, S, Timed
+from benchmarks.ablation.mechanism import Event, Mechanism, replaced
+from ltv_mpc.localisation import correction, estimator, filter, gap, late
+from ltv_mpc.localisation.adaptation import Adaptation, Change
+from ltv_mpc.localisation.door import Door
+from ltv_mpc.localisation.restart import Restarts
+from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.messages import (
+    AdcpPing,
+    CompassHeading,
+    Estimate,
+    EstimatorCheckpoint,
+    GnssFix,
+    Harm,
+    ImuSample,
+    PressureDepth,
+    Restore,
+    TdcpFix,
+)
+from sim.faults.instruments import Broken, Failure
+from sim.faults.spell import Spell
+from sim.faults.transit import Harmed
+
+BASE, TESTS = "ltv_mpc/localisation", "tests/ltv_mpc/localisation"
+SENSORS = (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix)
+
+Off = Callable[[], AbstractContextManager[Any]]
+
+
+def spell(seconds: float, begins_s: float = BEGINS_S) -> Spell:
+    """Return the time from ``begins_s`` on."""
+    return Spell(round(begins_s * S), round((begins_s + seconds) * S))
+
+
+def broken(kind: type, failure: Failure, seconds: float, size: float = 1.0) -> Descent:
+    """Return a descent in which an instrument fails for so long."""
+    return Descent(broken=(Broken(kind, failure, spell(seconds), size, seed=1),))
+
+
+def harmed(kinds: tuple[type, ...], harm: Harm, seconds: float, size: float) -> Descent:
+    """Return a descent in which messages are harmed on their way for so long."""
+    return Descent(harmed=(Harmed(kinds, harm, spell(seconds), size, seed=1),))
+
+
+def front(step_mps: float, width_s: float, sensors: str = "realistic") -> Descent:
+    """Return a descent through a front that begins at ``BEGINS_S``."""
+    return Descent(
+        settings=(
+            'water.feature.kind="front"', f"water.feature.step_mps={step_mps}", f"water.feature.width_s={width_s}",
+            f"water.feature.at_s={BEGINS_S + 0.5 * width_s}",
+        ),
+        sensors=sensors,
+    )  # fmt: skip
+
+
+def gyro(deg_per_h: float) -> Descent:
+    """Return a descent in which a gyro's bias jumps."""
+    return Descent(gyro_radps=math.radians(deg_per_h) / 3600.0)
+
+
+FORETOLD = Event("foretold", "water as foretold, nothing fails", Descent())
+FORETOLD_PAPER = Event("foretold, paper", "water as foretold, paper sensors", Descent(sensors="paper"))
+FAST_FRONT = Event("fast front", "front 20 cm/s in 5 s", front(0.2, 5.0))
+MEDIUM_FRONT = Event("medium front", "front 10 cm/s in 10 s", front(0.1, 10.0))
+SLOW_FRONT = Event("slow front", "front 10 cm/s in 15 s, paper sensors", front(0.1, 15.0, "paper"))
+SLOWER_FRONT = Event("slower front", "front 20 cm/s in 30 s, paper sensors", front(0.2, 30.0, "paper"))
+WAVES = Event(
+    "waves",
+    "internal waves 5 cm/s, 300 s, paper sensors",
+    Descent(
+        sensors="paper",
+        settings=(
+            'water.feature.kind="waves"', "water.feature.amplitude_mps=0.05", "water.feature.period_s=300",
+        ),
+        duration_s=110.0,
+    ),
+)  # fmt: skip
+STEP = Event(
+    "step",
+    "step of the water, 30 cm/s over 1 m at 25 m",
+    Descent(
+        settings=('water.feature.kind="step"', "water.feature.step_mps=0.3", "water.feature.at_m=25"), duration_s=110.0
+    ),
+)
+GYRO = Event("gyro 30", "gyro bias jumps by 30 deg/h", gyro(30.0))
+GYRO_FAST = Event("gyro 100", "gyro bias jumps by 100 deg/h", gyro(100.0))
+PROFILER_WRONG = Event("profiler wrong", "profiler 0.2 m/s off for 10 s", broken(AdcpPing, Failure.WRONG, 10.0))
+PROFILER_GARBAGE = Event(
+    "profiler garbage", "profiler says anything (+-1.5 m/s) for 10 s", broken(AdcpPing, Failure.GARBAGE, 10.0, 0.5)
+)
+PRESSURE_WRONG = Event("pressure wrong", "pressure gauge 3 m off for 8 s", broken(PressureDepth, Failure.WRONG, 8.0))
+IMU_WRONG = Event(
+    "imu wrong", "inertial unit 0.1 m/s2, 0.02 rad/s off for 10 s", broken(ImuSample, Failure.WRONG, 10.0)
+)
+IMU_WORSE = Event(
+    "imu worse", "inertial unit 0.3 m/s2, 0.06 rad/s off for 12 s", broken(ImuSample, Failure.WRONG, 12.0, 3.0)
+)
+IMU_LASTING = Event(
+    "imu lasting", "inertial unit 0.1 m/s2, 0.02 rad/s off from then on", broken(ImuSample, Failure.WRONG, 200.0)
+)
+IMU_OFF = Event("imu off", "inertial unit says nothing for 8 s", broken(ImuSample, Failure.OFF, 8.0))
+IMU_OFF_SHORT = Event("imu off, 2 s", "inertial unit says nothing for 2 s", broken(ImuSample, Failure.OFF, 2.0))
+SILENCE = Event(
+    "silence",
+    "no sensor says anything for 9 s",
+    Descent(broken=tuple(Broken(kind, Failure.OFF, spell(9.0), 1.0, seed=1) for kind in SENSORS)),
+)
+IMU_LOSS = Event("imu loss", "half of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.5))
+IMU_GARBAGE = Event("imu garbage", "inertial unit says anything for 5 s", broken(ImuSample, Failure.GARBAGE, 5.0, 0.5))
+IMU_STUCK = Event("imu stuck", "inertial unit repeats itself for 8 s", broken(ImuSample, Failure.STUCK, 8.0))
+PROFILER_STUCK = Event("profiler stuck", "profiler repeats itself for 20 s", broken(AdcpPing, Failure.STUCK, 20.0))
+FIX_STUCK = Event(
+    "fix stuck",
+    "satellite receiver repeats itself for the last 20 s afloat",
+    Descent(
+        broken=tuple(Broken(kind, Failure.STUCK, spell(20.5, -20.0), 1.0, seed=1) for kind in (GnssFix, TdcpFix)),
+        surface_s=30.0,
+    ),
+)
+CLOCK_AHEAD = Event("clock ahead", "sensors' clock 60 s ahead for 8 s", harmed(SENSORS, Harm.CLOCK_JUMP, 8.0, 60.0))
+CLOCK_BACK = Event("clock back", "sensors' clock 1 s back for 8 s", harmed(SENSORS, Harm.CLOCK_JUMP, 8.0, -1.0))
+PINGS_LATE = Event("pings late", "pings come 0.5 s late for 40 s", broken(AdcpPing, Failure.DELAYED, 40.0, 0.5))
+PINGS_TWICE = Event("pings twice", "the profiler's driver publishes every ping twice", Descent(twice=(AdcpPing,)))
+RESTARTED = Event("restart", "the estimator's process is replaced under water", Descent(restarted=True))
+WRONG_FIX = Event(
+    "wrong fix",
+    "velocity of the one satellite fix before it 0.1 m/s (5 sigma) off",
+    Descent(gnss_velocity_mps=0.1, surface_s=1.0),
+)
+ONE_FIX = Event("one fix", "one satellite fix before the descent, nothing wrong", Descent(surface_s=1.0))
+DEEP_GRID = Event(
+    "deep grid", "water kept over a grid of 500 m", Descent(settings=("estimator.deepest_m=500",), duration_s=60.0)
+)
+
+
+class NoShadow:
+    """A shadow filter that is forgotten at once."""
+
+    expired = True
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def advance(self, *_: object) -> None:
+        """Stand still."""
+
+    def use(self, *_: object) -> None:
+        """Use nothing."""
+
+
+def no_shadow() -> AbstractContextManager[None]:
+    """Switch the shadow filter off."""
+    return replaced((estimator, "Former", NoShadow))
+
+
+def no_reinitialisation() -> AbstractContextManager[None]:
+    """Switch reinitialisation off: the filter goes on whatever becomes of it."""
+    watch = Restarts.watch
+
+    def watched(self: Restarts, *args: Any, **kwargs: Any) -> bool:
+        watch(self, *args, **kwargs)
+        return False
+
+    return replaced((Restarts, "watch", watched), (Restarts, "knows_a_place", property(lambda _: False)))
+
+
+def no_slow_fronts() -> AbstractContextManager[None]:
+    """Carry no hypotheses of slow fronts."""
+    return replaced((filter, "COLUMNS", 0))
+
+
+def no_follow() -> AbstractContextManager[None]:
+    """Never prolong a walk because the water drifts on, and never tell a tilt from a front by it."""
+    return replaced((Adaptation, "_follow", lambda *_: None))
+
+
+def no_making_up() -> AbstractContextManager[None]:
+    """Treat a front that began before what the filter can go back to as one that began within it."""
+    began = Adaptation.began
+
+    def lately(self: Adaptation, *args: Any) -> Any:
+        found = began(self, *args)
+        return None if found is None else found._replace(old=False)
+
+    return replaced((Adaptation, "began", lately))
+
+
+def no_adaptation() -> AbstractContextManager[None]:
+    """Grant the water nothing."""
+    return replaced(
+        (Adaptation, "seen", lambda *_: Change.NONE),
+        (Adaptation, "began", lambda *_: None),
+        (filter, "COLUMNS", 0),
+    )
+
+
+def seen_as(change: Callable[[Change], Change]) -> AbstractContextManager[None]:
+    """Grant something else than what is seen."""
+    seen = Adaptation.seen
+
+    def other(self: Adaptation, *args: Any) -> Change:
+        return change(seen(self, *args))
+
+    return replaced((Adaptation, "seen", other))
+
+
+def no_unit() -> AbstractContextManager[None]:
+    """Never doubt the inertial unit."""
+    return seen_as(lambda change: min(change, Change.FAST))
+
+
+def no_slow_walk() -> AbstractContextManager[None]:
+    """Grant nothing after a shear."""
+    return seen_as(lambda change: Change.NONE if change is Change.SLOW else change)
+
+
+def no_screening(*reasons: str) -> Off:
+    """Let in what would be refused for one of these reasons."""
+
+    def off() -> AbstractContextManager[None]:
+        refusal = Door.refusal
+
+        def lenient(self: Door, *args: Any) -> str | None:
+            why = refusal(self, *args)
+            return None if why in reasons else why
+
+        return replaced((Door, "refusal", lenient), (Door, "lets_through", lambda *_: False))
+
+    return off
+
+
+def given(**tables: dict[str, float]) -> Off:
+    """Give the estimator a sensors file with other values than the true ones."""
+
+    def other(suite: Suite) -> Suite:
+        changed = {name: msgspec.structs.replace(getattr(suite, name), **values) for name, values in tables.items()}
+        return msgspec.structs.replace(suite, **changed)
+
+    return lambda: replaced((descent, "as_given", other))
+
+
+def restored(*, checkpoint: bool, estimate: bool) -> Off:
+    """Hand less than everything to the new process."""
+
+    def restore(self: Timed, t_ns: int) -> Restore:
+        return Restore(
+            t_ns=t_ns,
+            node=self.name,
+            estimate=self.newest.get(Estimate) if estimate else None,
+            estimator=self.newest.get(EstimatorCheckpoint) if checkpoint else None,
+        )
+
+    return lambda: replaced((Timed, "restore", restore))
+
+
+def together(*offs: Off) -> Off:
+    """Switch several mechanisms off at once."""
+
+    @contextmanager
+    def off() -> Iterator[None]:
+        with ExitStack() as stack:
+            for each in offs:
+                stack.enter_context(each())
+            yield
+
+    return off
+
+
+def uncoupled(*args: Any) -> Any:
+    """Correct by few rows as ``correction._correct_few`` does, without the coupling of velocity and heading."""
+    x, R, P, E, score, information, rows, gate, limit, *_ = args
+    accepted, nis, S_, definite, error, doubted, W, Y, y = correction._weigh_few(P, E, rows, gate, limit)
+    if W.shape[0]:
+        correction.shift(x, R, error)
+        zero = np.zeros(len(P))
+        correction._subtract(P, W, zero, zero)
+        if E.shape[1]:
+            correction.corrected(E, score, information, W, Y, y)
+    return accepted, nis, S_, definite, error, doubted
+
+
+def of(
+    name: str, off: Off, events: tuple[Event, ...], measures: tuple[str, ...], code: tuple[str, ...] = (),
+    tests: tuple[str, ...] = (), *, timed: bool = False,
+) -> tuple[Mechanism, ...]:  # fmt: skip
+    """Return one row for each event of a mechanism."""
+    code, tests = tuple(f"{BASE}/{place}" for place in code), tuple(f"{TESTS}/{place}" for place in tests)
+    return tuple(Mechanism(name, event, off, measures, code, tests, timed) for event in events)
+
+
+ERRORS = ("true rms m", "true 95 % m", "drift end m", "velocity rms m/s", "silent")
+SEEN = (*ERRORS, "missed", "delay s", "alarms before")
+SHADOW = (
+    "former.py", "filter.py:Filter.twin", "estimator.py:Estimator._look_back", "restart.py:Memory",
+    "restart.py:Restarts.memory", "restart.py:Restarts.recall",
+)  # fmt: skip
+SLOW_FRONTS = (
+    "onsets.py", "signatures.py", "correction.py:_swing_too", "adaptation.py:Adaptation.began",
+)  # fmt: skip
+ADAPTATION = ("adaptation.py", "innovations.py", "drift.py", "onsets.py", "signatures.py", "late.py:History.adapt")
+ALL_ADAPTATION_TESTS = ("test_adaptation.py", "test_innovations.py", "test_drift.py", "test_onsets.py",
+                        "test_signatures.py")  # fmt: skip
+
+MECHANISMS: tuple[Mechanism, ...] = (
+    *of(
+        "shadow filter", no_shadow, (PROFILER_WRONG, PROFILER_GARBAGE, PRESSURE_WRONG, IMU_WRONG),
+        (*ERRORS, "reinitialised"), SHADOW, ("test_former.py",),
+    ),
+    *of(
+        "reinitialisation", no_reinitialisation, (IMU_WORSE, IMU_WRONG, PROFILER_WRONG, IMU_LASTING),
+        (*ERRORS, "crashed", "reinitialised"), ("restart.py", "estimator.py:Estimator._replace"), ("test_restart.py",),
+    ),
+    *of(
+        "shadow filter and reinitialisation", together(no_shadow, no_reinitialisation),
+        (PROFILER_WRONG, IMU_WRONG, PRESSURE_WRONG), ERRORS, (*SHADOW, "restart.py"),
+        ("test_former.py", "test_restart.py"),
+    ),
+    *of(
+        "water carried over a reinitialisation", lambda: replaced((Restarts, "graft", lambda *_: False)),
+        (IMU_WORSE, IMU_WRONG), ERRORS,
+        ("restart.py:Restarts.graft", "restart.py:Restarts.keep", "restart.py:Restarts.is_belief_due"),
+    ),
+    *of(
+        "slow-front detector", no_slow_fronts, (SLOW_FRONT, SLOWER_FRONT, MEDIUM_FRONT, GYRO, FORETOLD), SEEN,
+        SLOW_FRONTS, ("test_onsets.py", "test_signatures.py"),
+    ),
+    *of(
+        "slow-front detector: time", no_slow_fronts, (Event("foretold, timed", FORETOLD.description, Descent()),),
+        ("estimator ms per s",), SLOW_FRONTS, ("test_onsets.py", "test_signatures.py"), timed=True,
+    ),
+    *of(
+        "walk prolonged while water drifts", no_follow, (SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST), SEEN,
+        ("drift.py", "adaptation.py:Adaptation._follow"), ("test_drift.py",),
+    ),
+    *of(
+        "front made up for afterwards", no_making_up, (SLOW_FRONT, SLOWER_FRONT), SEEN,
+        ("onsets.py:Found",),
+    ),
+    *of(
+        "slow fronts, all of it", together(no_slow_fronts, no_follow), (SLOW_FRONT, SLOWER_FRONT, GYRO), SEEN,
+        (*SLOW_FRONTS, "drift.py", "adaptation.py:Adaptation._follow"),
+        ("test_onsets.py", "test_signatures.py", "test_drift.py"),
+    ),
+    *of(
+        "going back 10 s before a walk is granted", lambda: replaced((late, "BACK_NS", late.REACH_NS)),
+        (FAST_FRONT, MEDIUM_FRONT), SEEN,
+    ),
+    *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
+    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptation.py:_doubt",)),
+    *of(
+        "adaptation to water, all of it", no_adaptation,
+        (FAST_FRONT, MEDIUM_FRONT, SLOW_FRONT, SLOWER_FRONT, WAVES, STEP, GYRO, GYRO_FAST, FORETOLD),
+        (*SEEN, "cells silent"), ADAPTATION, ALL_ADAPTATION_TESTS,
+    ),
+    *of(
+        "means that call for what no water does", lambda: replaced((Adaptation, "beyond", lambda *_: False)),
+        (IMU_WRONG, PROFILER_WRONG, IMU_WORSE), SEEN, ("adaptation.py:Adaptation.beyond",),
+    ),
+    *of(
+        "de-weighted satellite rows", lambda: replaced((filter, "_DOUBTFUL", 0.0)), (WRONG_FIX, ONE_FIX), ERRORS,
+        ("correction.py:_doubted",),
+    ),
+    *of(
+        "IMU dropout: coasting", lambda: replaced((gap, "BRIDGED_NS", 2**62)), (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
+        ERRORS, ("gap.py:coast", "gap.py:level", "filter.py:Filter._cross"), ("test_gap.py",),
+    ),
+    *of(
+        "IMU dropout: levelling after it", lambda: replaced((gap, "LEVELLED_NS", 2**62)), (IMU_OFF, SILENCE),
+        (*ERRORS, "reinitialised"), ("gap.py:level",),
+    ),
+    *of(
+        "IMU dropout: noise over bridged samples", lambda: replaced((gap, "doubt", lambda *_: None)), (IMU_LOSS,),
+        ERRORS, ("gap.py:doubt",),
+    ),
+    *of(
+        "warm restart", restored(checkpoint=False, estimate=True), (RESTARTED,), (*ERRORS, "no estimate"),
+        ("resume.py", "checkpoint.py"), ("test_resume.py",),
+    ),
+    *of(
+        "warm restart: last estimate beside the checkpoint", restored(checkpoint=True, estimate=False), (RESTARTED,),
+        ERRORS,
+    ),
+    *of(
+        "out-of-sequence buffer", lambda: replaced((late.History, "reaches", lambda *_: False)), (PINGS_LATE,), ERRORS,
+        ("late.py",), ("test_late.py",),
+    ),
+    *of("refusal of repeated messages", lambda: replaced((late.History, "knows", lambda *_: False)), (PINGS_TWICE,),
+        ERRORS, ("late.py:same", "late.py:History.knows")),
+    *of(
+        "measurement compression", lambda: replaced((correction, "_MUCH_LESS", 0.0)),
+        (Event("foretold, timed", FORETOLD.description, Descent()),), ("estimator ms per s", "drift end m"),
+        ("sufficient.py:sufficient", "sufficient.py:_root"), ("test_sufficient.py",), timed=True,
+    ),
+    *of(
+        "invariant correction",
+        lambda: replaced(
+            (correction, "swing", lambda error, _: np.zeros(len(error))), (correction, "_correct_few", uncoupled)
+        ),
+        (FORETOLD, ONE_FIX), (*ERRORS, "heading rms deg"),
+        ("turning.py", "correction.py:_turn", "correction.py:_swing_too"), ("test_turning.py",),
+    ),
+    *of("screening: stuck", no_screening("stuck"), (PROFILER_STUCK, FIX_STUCK, IMU_STUCK), ERRORS, ("door.py",),
+        ("test_door.py",)),
+    *of("screening: wild", no_screening("wild"), (IMU_GARBAGE,), (*ERRORS, "crashed", "reinitialised"),
+        ("door.py:Door._is_wild",)),
+    *of("screening: ahead", no_screening("ahead"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
+    *of("screening: stale", no_screening("stale"), (CLOCK_BACK,), (*ERRORS, "no estimate"),
+        ("door.py:Door._went_back",)),
+    *of(
+        "window of depths", lambda: replaced((descent, "settings", ("estimator.kept_m=2000",))), (DEEP_GRID,),
+        ("estimator ms per s", "drift end m"), ("window.py",), ("test_window.py",), timed=True,
+    ),
+    *of("ADCP bias by beam as states", given(adcp={"beam_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
+    *of("ADCP bias of near cells as states", given(adcp={"near_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
+    *of("ADCP mounting as states", given(adcp={"mounting_known_to_rad": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
+    *of("compass bias as a state", given(compass={"bias_sd_rad": 0.0}), (FORETOLD,), (*ERRORS, "heading rms deg")),
+)  # fmt: skip
