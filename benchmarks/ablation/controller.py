@@ -132,11 +132,6 @@ def public(*arguments: Any) -> osqp_raw.PublicWorkspace:
 # --- ladder ---
 
 
-def let_go(self: Controller, start: Any, why: str, solve: Any = controller.NOT_RUN) -> Any:
-    """Ramp to zero instead of damping."""
-    return self._released(start, why, None)._replace(solve=solve)
-
-
 def nothing(*_: Any, **__: Any) -> None:
     """Do nothing."""
 
@@ -260,7 +255,9 @@ BALLAST = Event("ballast", "ballast 3 to 8 N off; down to 8 m and stay", E.balla
 SQUARE = Event("square", "square at 1 m/s in 0.3 m/s, start 6 m off", E.square(0.3, 6.0))
 CALM_SQUARE = Event("calm square", "square at 1 m/s, 0.05 m/s, start on it", E.square(0.05, 0.0))
 SILENT_SQUARE = Event("silent square", "square at 1 m/s, no estimate for 6 s", E.square(0.05, 0.0, silent_s=6.0))
-FAILS_SQUARE = Event("solver fails on square", "square at 1 m/s, the solver fails for 12 s", E.square(0.05, 0.0, fails_s=12.0))
+FAILS_SQUARE = Event(
+    "solver fails on square", "square at 1 m/s, the solver fails for 12 s", E.square(0.05, 0.0, fails_s=12.0)
+)
 LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, Harm.LOSS, 0.5))
 ABEAM = Event("abeam", "start at rest 1 to 5 m abeam, still water", E.abeam)
 REPLACED = Event("replaced", "a controller that does not know the plan in force takes over", E.replaced_controller)
@@ -268,7 +265,9 @@ FIRST = Event("first solves", "cycles take 5 ms until the descent, 80 to 120 ms 
 DELAY = Event("delay", "0.71 s of computing each cycle", E.constant_delay)
 SCATTER = Event("scattered delay", "computing 0.1 s at the median, 0.3 s at 99 %", E.scattered_delay)
 OVERRUN = Event("overrun", "computing takes 0.5 to 1.5 s for 6 s", E.overrun)
-CORRUPT_ESTIMATE = Event("corrupt estimate", "bits of each estimate turned, 10 s", E.harmed(Estimate, Harm.CORRUPTION, 1.0))
+CORRUPT_ESTIMATE = Event(
+    "corrupt estimate", "bits of each estimate turned, 10 s", E.harmed(Estimate, Harm.CORRUPTION, 1.0)
+)
 REORDER = Event("reorder", "four estimates in ten after their successor, 10 s", E.harmed(Estimate, Harm.REORDER, 0.4))
 JUMP = Event("clock jump", "stamps of estimates an hour ahead, 10 s", E.harmed(Estimate, Harm.CLOCK_JUMP, 3600.0))
 JUMP_BACK = Event("clock back", "stamps of estimates 5 s back, 10 s", E.harmed(Estimate, Harm.CLOCK_JUMP, -5.0))
@@ -346,19 +345,27 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("shifted duals", CYCLES_TIGHT, without((SparseOsqp, "shift", forget)), TIME, timed=True),
     row("raw OSQP extension", CYCLES, without((sparse_osqp, "workspace", public)), TIME, timed=True),
     row("growing stages", CYCLES_20, equal_stages, TIME, timed=True),
-    row("stability of the proposed horizon", LIGHT, without((proposal, "is_stable", unstable_allowed)),
-        ("largest distance, last 40 s (m)", "sway, rms (m)", "change of thrust, rms", "horizon (s)")),
-    row("weights from the vehicle", DRAWN, without((scales, "weights_of", paper_weights)),
-        (*HELD, "sway, rms (m)", "change of thrust, rms", "iterations, largest", "cycles not solved")),
-    row("damping", SILENT, without((Controller, "_damped", let_go)), EVENT),
-    row("damping", FAILS_LONG, without((Controller, "_damped", let_go)), EVENT),
-    row("damping", SILENT_SQUARE, without((Controller, "_damped", let_go)), EXCURSION),
-    row("damping", FAILS_SQUARE, without((Controller, "_damped", let_go)), EXCURSION),
+    row(
+        "stability of the proposed horizon",
+        LIGHT,
+        without((proposal, "is_stable", unstable_allowed)),
+        ("largest distance, last 40 s (m)", "sway, rms (m)", "change of thrust, rms", "horizon (s)"),
+    ),
+    row(
+        "weights from the vehicle",
+        DRAWN,
+        without((scales, "weights_of", paper_weights)),
+        (*HELD, "sway, rms (m)", "change of thrust, rms", "iterations, largest", "cycles not solved"),
+    ),
     row("shifted plan", FAILS_SQUARE, without((Controller, "_shifted", nothing)), EXCURSION),
     row("shifted plan", FAILS, without((Controller, "_shifted", nothing)), EVENT),
     row("use of solves that ended early", TIGHT, without((controller, "_of_use", lambda *_: False)), EVENT),
-    row("depth integral", BALLAST, without((Controller, "_integrate", nothing)),
-        ("depth error, rms (m)", "depth error, last 30 s, mean size (m)")),
+    row(
+        "depth integral",
+        BALLAST,
+        without((Controller, "_integrate", nothing)),
+        ("depth error, rms (m)", "depth error, last 30 s, mean size (m)"),
+    ),
     row("delay prediction", DELAY, without((Delay, "expected_ns", no_delay)), LOCKED),
     row("delay quantile, against the median", SCATTER, without((Delay, "_learn", median)), LOCKED),
     row("delay quantile, against the largest", SCATTER, without((Delay, "_learn", largest)), LOCKED),
@@ -375,15 +382,32 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("input monitor: order", REORDER, without((Input, "hear", hear_all)), LOCKED),
     row("input monitor: clock", JUMP, without((Input, "hear", hear_all)), LOCKED),
     row("input monitor: clock", JUMP_BACK, without((Input, "hear", hear_all)), LOCKED),
-    row("ages in periods", SLOW, without((health, "patience_ns", seconds_alone), (controller, "patience_ns", seconds_alone)), EVENT),
+    row(
+        "ages in periods",
+        SLOW,
+        without((health, "patience_ns", seconds_alone), (controller, "patience_ns", seconds_alone)),
+        EVENT,
+    ),
     row("plan gate", CORRUPT_PLAN, without((Gate, "_judge", accept)), LOCKED),
     row("plan gate", INTRUDED, without((Gate, "_judge", accept)), LOCKED),
-    row("thrust-loss detector", LOSS, without((model_check, "weigh", no_evidence)),
-        ("losses detected (%)", "delay, median (s)")),
-    row("what was learned before", LOSS, without((model_check, "learn", nothing)),
-        ("losses detected (%)", "delay, median (s)")),
-    row("what was learned before", MISMATCH, without((model_check, "learn", nothing)),
-        ("false alarms", "largest evidence (nats)")),
+    row(
+        "thrust-loss detector",
+        LOSS,
+        without((model_check, "weigh", no_evidence)),
+        ("losses detected (%)", "delay, median (s)"),
+    ),
+    row(
+        "what was learned before",
+        LOSS,
+        without((model_check, "learn", nothing)),
+        ("losses detected (%)", "delay, median (s)"),
+    ),
+    row(
+        "what was learned before",
+        MISMATCH,
+        without((model_check, "learn", nothing)),
+        ("false alarms", "largest evidence (nats)"),
+    ),
     row("leash and current", SQUARE, without((follower, "go_on", unleashed)), PATH),
     row("current in the schedule", SQUARE, without((follower, "go_on", without_against)), PATH),
     row("current in the schedule", CALM_SQUARE, without((follower, "go_on", without_against)), PATH),

@@ -126,8 +126,6 @@ def drawn_vehicle(seed: int) -> Measures:
     }
 
 
-
-
 def light_vehicle(seed: int) -> Measures:
     """Hold a point with a vehicle that is light to the side, whose proposed horizon is lengthened to be stable."""
     vehicle = light_to_the_side(seed)
@@ -567,5 +565,3 @@ def mismatched(seed: int) -> Measures:
     settings = (f"run.seed={5100 + seed}", "run.duration_s=100.0", "run.perfect_state=true")
     seen = model_alarm.fly((*settings, *model_alarm.mismatch(seed)), None)
     return {"false alarms": float(len(seen.alarms)), "largest evidence (nats)": seen.evidence}
-
-

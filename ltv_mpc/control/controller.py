@@ -6,9 +6,9 @@
 Where the QP gives no commands the same cycle takes the next rung of the ladder, named in the plan with its reason:
 
     solved     the QP's plan
-    shifted    the rest of the plan solved last, to its end, and damping from there on
-    damping    the law that stops the vehicle (``damping.py``): no plan is left, or the estimate is too old for one
-    zero       lateral thrusts to zero, the vertical one to the vehicle's ``failsafe_vertical_N``, at the slew limit
+    shifted    the rest of the plan solved last, to its end, and thrusts to zero from there on
+    zero       lateral thrusts to zero at the slew limit: no plan is left, or the estimate is too old for one. While a
+               depth is known it is kept; else the vertical thrust goes to the vehicle's ``failsafe_vertical_N``
 
 Figures: Medagoda & Williams 2012, Fig 5 (dead time), section V (horizon); beyond it: analytic sensitivities, thruster
 lag and slew in the model, one convex QP a cycle.
@@ -29,7 +29,6 @@ from ltv_mpc.control import trajectory
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.constants import pack
-from ltv_mpc.control.damping import Damping
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon import Linearisation
@@ -133,7 +132,6 @@ class Controller:
         self._integral_N = 0.0
         self._integrated_ns: int | None = None
         self._shifts_ns = min(int(self._ahead_ns[-1]), LONGEST_SHIFT_NS)
-        self._damping = Damping(vehicle, config.knots, STAGE_S)
         self._doubtful = False  # the solver has not given what it should
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._period = Period()  # of the estimates believed
@@ -236,12 +234,10 @@ class Controller:
         if idle:
             lateral = self._released(start, idle, goal)
         elif stops:
-            lateral = self._damped(start, f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old")
+            lateral = self._released(start, f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old", None)
         else:
             self._follower.fill(knots, self._target)
             lateral = self._solve(start)
-            if lateral.origin is PlanOrigin.ZERO:  # the ladder's end
-                vertical = self._rested(start, knots)
         progress = self._follower.progress if begun else NO_PROGRESS
         thrust = np.empty((len(knots), 3))
         thrust[:, :2], thrust[:, 2] = lateral.U, vertical.thrust_N
@@ -296,7 +292,6 @@ class Controller:
         self._lin.C[...] = 0.0
         self._memory = _Memory(start.t_ns - STAGE_NS // 2, self._nothing, start.t_ns + self._shifts_ns)
         self._shifted(start, NOT_RUN)
-        self._damped(start, "")
         self._released(start, "", self._nothing)
         self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
 
@@ -482,11 +477,11 @@ class Controller:
         """The rungs below the solved plan. The solver is made anew before it is asked again."""
         self._doubtful = True
         np.nan_to_num(self._lin.C, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
-        return self._shifted(start, solve) or self._damped(start, solve.why, solve)
+        return self._shifted(start, solve) or self._released(start, solve.why, None)._replace(solve=solve)
 
     def _shifted(self, start: Start, solve: Solve) -> _Lateral | None:
-        """What is left of the plan solved last, on the new knots, inside box and slew, and damping beyond its end;
-        None where nothing is left.
+        """What is left of the plan solved last, on the new knots, inside box and slew, and thrusts to zero beyond its
+        end; None where nothing is left.
         """
         old, (X, U) = self._memory, self._room()
         if old is None or start.t_ns >= old.until_ns:
@@ -494,22 +489,13 @@ class Controller:
         trajectory.shifted(
             self._numbers, start.lateral, old.U, (start.t_ns - old.start_ns) / STAGE_NS, self._lin.C, X, U
         )
-        until = int(np.searchsorted(start.t_ns + self._ahead_ns, old.until_ns, side="right")) - 1
-        self._damping.fill(X, U, self._lin.C, until)
+        goal = U.copy()
+        goal[start.t_ns + self._ahead_ns > old.until_ns] = 0.0
+        trajectory.release(self._numbers, start.lateral, goal, self._lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         self._memory = _Memory(start.t_ns, U, old.until_ns)
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
-
-    def _damped(self, start: Start, why: str, solve: Solve = NOT_RUN) -> _Lateral:
-        """The law that stops the vehicle; where its state is not known, the thrusters are let go."""
-        X, U = self._room()
-        X[0], U[0] = start.lateral[:STATES], start.lateral[STATES:]
-        self._damping.fill(X, U, self._lin.C, 0)
-        self._memory = None
-        if not (np.isfinite(X).all() and np.isfinite(U).all()):
-            return self._released(start, why, None)._replace(solve=solve)
-        return _Lateral(X, U, PlanOrigin.DAMPING, solve, why)
 
     def _let_go(self, now: int, override: Override | None, why: str) -> Plan:
         """The ladder's end where the cycle itself broke: from the command in force to rest, by nothing else."""
