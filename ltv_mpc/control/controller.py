@@ -63,9 +63,6 @@ from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
 
-COLD_PASSES = 6
-"""Linearisations of the first cycle, whose guess is crude."""
-
 LONGEST_INTEGRATION_S = 2.0
 """After a longer silence the depth error was not this all the time."""
 
@@ -122,7 +119,6 @@ class Controller:
         self._ahead_ns = np.round(self._knots * STAGE_NS).astype(np.int64)
         self._target = np.zeros((config.stages + 1, 2))
         self._nothing = np.zeros((config.stages + 1, 2))
-        self._passes = COLD_PASSES
         self._commands = SentCommands(vehicle)
         self._prediction = Prediction(vehicle)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
@@ -277,7 +273,7 @@ class Controller:
         start stays: so several controllers can be held against each other on the same problems.
         """
         self._follower = other._follower.copy()
-        self._memory, self._passes = other._memory, other._passes
+        self._memory = other._memory
         self._integral_N, self._integrated_ns = other._integral_N, other._integrated_ns
         self._commands = copy.deepcopy(other._commands)
         self._prediction = copy.deepcopy(other._prediction)
@@ -307,7 +303,6 @@ class Controller:
             if followed and np.array_equal(plan.t_ns - plan.t_ns[0], self._ahead_ns):
                 start_ns = int(plan.t_ns[0])
                 self._memory = _Memory(start_ns, plan.thrust_N[:, :2].copy(), start_ns + self._shifts_ns)
-                self._passes = self.config.sqp_iterations
         if checkpoint is None:
             return
         self._integral_N = checkpoint.depth_integral_N
@@ -423,13 +418,13 @@ class Controller:
         return self._fallback(start, solve) if lateral is None else lateral
 
     def _solved(self, start: Start) -> tuple[_Lateral | None, Solve]:
-        """A QP along the previous plan, and more of them, each along what the one before came to, as many as the
-        settings say, or where there is no plan yet; None where that gives no plan.
+        """QPs, as many as the settings say: one along the previous plan, each other along what the one before came to;
+        None where that gives no plan.
         """
         lin, target, numbers = self._lin, self._target, self._numbers
         self._linearise(start)
         X, U = self._room()
-        for left in range(self._passes, 0, -1):
+        for left in range(self.config.sqp_iterations, 0, -1):
             self._lap("linearise")
             self._solver.build(lin, target)
             self._lap("build")
@@ -450,7 +445,6 @@ class Controller:
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
                 trajectory.again(numbers, lin.flat, self.config.stages, X, U)
-        self._passes = self.config.sqp_iterations
         self._memory = _Memory(start.t_ns, U, start.t_ns + self._shifts_ns)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
@@ -463,7 +457,6 @@ class Controller:
         """Along the previous plan on the new knots, or a steered one if that is better; the solver is told which."""
         old = self._memory
         if old is None:
-            self._passes = COLD_PASSES
             stages, commands = math.nan, self._nothing
         else:
             stages, commands = (start.t_ns - old.start_ns) / STAGE_NS, old.U
@@ -499,7 +492,7 @@ class Controller:
 
     def _let_go(self, now: int, override: Override | None, why: str) -> Plan:
         """The ladder's end where the cycle itself broke: from the command in force to rest, by nothing else."""
-        self._memory, self._passes, self._doubtful = None, COLD_PASSES, True
+        self._memory, self._doubtful = None, True
         delay_ns = self._delay.expected_ns()
         knots = now + delay_ns + self._ahead_ns
         command = np.zeros(3)
