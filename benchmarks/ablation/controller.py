@@ -8,15 +8,11 @@ from functools import partial
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from benchmarks.ablation import controller_events as events
 from benchmarks.ablation import variants
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from benchmarks.hard import descent as hard_descent
-from ltv_mpc.control import controller, delay, disturbance, trajectory, vertical
-from ltv_mpc.control import config as control_config
-from ltv_mpc.control import grid, proposal, scales
+from ltv_mpc.control import controller, proposal, scales, trajectory
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import ControllerConfig, Weights
 from ltv_mpc.control.controller import Controller

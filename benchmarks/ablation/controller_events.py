@@ -303,7 +303,7 @@ def tight_limits(seed: int) -> Measures:
 
 
 def cycle_time(s: Situation) -> Measures:
-    """Fly a situation twice, the first time to have everything compiled, and return the processor time of its cycles."""
+    """Fly twice, the first time to have everything compiled, and return the processor time of the cycles."""
     for _ in range(2):
         controller = controller_of(s)
         timed = Timed(controller)
@@ -492,7 +492,7 @@ def intruded(seed: int) -> Measures:
 
 
 class Replaced:
-    """A controller node that another one replaces, armed and along the same reference, but without the plan in force."""
+    """A controller node that another one replaces: armed, along the same reference, without the plan in force."""
 
     def __init__(self, make: Callable[[], Node], at_ns: int) -> None:
         self._make, self._at_ns = make, at_ns
