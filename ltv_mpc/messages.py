@@ -430,7 +430,6 @@ class PlanOrigin(enum.StrEnum):
 
     SOLVED = "solved"  # by the QP
     SHIFTED = "shifted"  # the previous plan, brought to the new grid
-    DAMPING = "damping"  # stops the vehicle
     ZERO = "zero"  # lateral thrusts to zero at the slew limit
     MANUAL = "manual"  # by hand: what the pilot's messages ask for, met at the slew limit
 

@@ -1,7 +1,406 @@
-"""Mechanisms of the controller."""
+"""Mechanisms of controller, solvers, safety and references."""
 
 from __future__ import annotations
 
-from benchmarks.ablation.mechanism import Mechanism
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from typing import Any
 
-MECHANISMS: tuple[Mechanism, ...] = ()
+import msgspec
+
+from benchmarks.ablation import controller_events as events
+from benchmarks.ablation import variants
+from benchmarks.ablation.mechanism import Event, Mechanism, replaced
+from ltv_mpc.control import controller, proposal, scales, trajectory
+from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control.config import ControllerConfig, Weights
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.delay import Delay
+from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.solvers import osqp_raw, sparse_osqp
+from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
+from ltv_mpc.messages import Estimate, Harm, Plan
+from ltv_mpc.references import follower
+from ltv_mpc.safety import health, model_check
+from ltv_mpc.safety.ages import Input
+from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.safety.guards import Guard
+
+Switch = Callable[[], AbstractContextManager[Any]]
+
+
+def without(*changes: tuple[object, str, object]) -> Switch:
+    """Return a switch that sets these attributes."""
+    return lambda: replaced(*changes)
+
+
+# --- trajectories ---
+
+
+def kernels(*, steers: bool = True, looks: bool = True, searches: bool = True) -> Switch:
+    """Return a switch that takes parts out of the choice of trajectories."""
+
+    def begin(*arguments: Any) -> int:
+        return variants.begin(*arguments, steers, looks)
+
+    def step(*arguments: Any) -> float:
+        return variants.step(*arguments, searches, looks)
+
+    return without((trajectory, "begin", begin), (trajectory, "step", step))
+
+
+def one_qp() -> AbstractContextManager[Any]:
+    """One QP a cycle."""
+    return passes(1)
+
+
+@contextmanager
+def passes(count: int) -> Iterator[None]:
+    """Set the QPs a cycle."""
+    made = Controller.__init__
+
+    def init(self: Controller, vehicle: Any, reference: Any, config: Any = None, **others: Any) -> None:
+        config = msgspec.structs.replace(config or ControllerConfig(), sqp_iterations=count)
+        made(self, vehicle, reference, config, **others)
+
+    with replaced((Controller, "__init__", init)):
+        yield
+
+
+@contextmanager
+def disturbance_sd(sd_mps: float | None) -> Iterator[None]:
+    """Set the prior standard deviation of the current's bias: 0 never, None where no profile is told."""
+    made = Controller.__init__
+
+    def init(self: Controller, vehicle: Any, reference: Any, config: Any = None, **others: Any) -> None:
+        config = config or ControllerConfig()
+        settings = msgspec.structs.replace(config.disturbance, sd_mps=sd_mps)
+        made(self, vehicle, reference, msgspec.structs.replace(config, disturbance=settings), **others)
+
+    with replaced((Controller, "__init__", init)):
+        yield
+
+
+@contextmanager
+def equal_stages() -> Iterator[None]:
+    """Every stage has 0.3 s."""
+    made = Controller.__init__
+
+    def init(self: Controller, vehicle: Any, reference: Any, config: Any = None, **others: Any) -> None:
+        made(self, vehicle, reference, msgspec.structs.replace(config or ControllerConfig(), most_stages=400), **others)
+
+    with replaced((Controller, "__init__", init)):
+        yield
+
+
+# --- solver ---
+
+
+def solver(*, guesses: bool = True, scaled: int = variants.OWN, turns: bool = True) -> Switch:
+    """Return a switch that takes parts out of OSQP's guess and scaling."""
+
+    def prepare(*arguments: Any) -> float:
+        return variants.prepare(*arguments, guesses, scaled)
+
+    def rescale(*arguments: Any) -> int:
+        return variants.rescale(*arguments, scaled)
+
+    changes: list[tuple[object, str, object]] = [(sparse_osqp, "prepare", prepare), (sparse_osqp, "rescale", rescale)]
+    if scaled == variants.NONE:
+        own = {"scaling": 10, "adaptive_rho": 1, "rho": 0.1, "rho_is_vec": 1, "sigma": 1e-6}
+        changes += [(sparse_osqp, "PLAIN", {**osqp_raw.PLAIN, **own}), (sparse_osqp, "TURN", 4000)]
+    if not turns:
+        changes.append((sparse_osqp, "TURN", 4000))
+    return without(*changes)
+
+
+def forget(self: SparseOsqp, _stages: float) -> None:
+    """Forget the duals instead of shifting them."""
+    self.forget()
+
+
+def public(*arguments: Any) -> osqp_raw.PublicWorkspace:
+    """Make OSQP's public wrapper."""
+    return osqp_raw.PublicWorkspace(*arguments)
+
+
+# --- ladder ---
+
+
+def nothing(*_: Any, **__: Any) -> None:
+    """Do nothing."""
+
+
+# --- delay, commands, prediction ---
+
+
+def largest(self: Delay) -> None:
+    """Expect the largest delay measured lately."""
+    measured = self._receipts or self._computing
+    self._expected_ns = max(*measured, self._least_ns, 0) if measured else self._first_ns
+
+
+def median(self: Delay) -> None:
+    """Expect the median delay."""
+    measured = sorted(self._receipts or self._computing)
+    self._expected_ns = measured[len(measured) // 2] if measured else self._first_ns
+
+
+def no_delay(self: Delay) -> int:
+    """Expect none."""
+    del self
+    return 0
+
+
+# --- safety ---
+
+
+def believe(self: Guard, estimate: Estimate) -> str:
+    """Believe every estimate."""
+    self.believed = estimate
+    return ""
+
+
+def accept(*_: Any) -> Verdict:
+    """Accept every plan."""
+    return Verdict.ACCEPTED
+
+
+def hear_all(self: Input, *, epoch: int, sequence: int, stamp_ns: int, heard_ns: int) -> bool:
+    """Take every message for news."""
+    if self._stamp_ns is None or stamp_ns != self._stamp_ns:
+        self.period.stamped(stamp_ns)
+    self._epoch, self._sequence, self._stamp_ns, self._heard_ns = epoch, sequence, stamp_ns, heard_ns
+    return True
+
+
+def seconds_alone(_periods: float, _period_ns: int, least_s: float) -> int:
+    """Allow the seconds of the settings, whatever the period."""
+    return round(least_s * 1e9)
+
+
+def no_evidence(*_: Any) -> tuple[float, float, float]:
+    """Find no evidence of a loss."""
+    return 0.0, 0.0, 0.0
+
+
+_weigh = model_check.weigh
+
+
+def not_white(rows: Any, known: Any) -> tuple[float, float, float]:
+    """Weigh evidence as if the yaw rate's noise were white in its change."""
+    rows = rows.copy()
+    rows[:, 4, 1] = 0.0
+    return _weigh(rows, known)
+
+
+# --- references ---
+
+_go_on = follower.go_on
+
+
+def unleashed(table: Any, tau: float, t_ns: Any, lateral: Any, *others: Any) -> Any:
+    """Let the target go on whatever the distance and the current."""
+    _, *rest = _go_on(table, tau, t_ns, lateral, *others)
+    return (1.0, *rest)
+
+
+def without_against(table: Any, tau: float, t_ns: Any, lateral: Any, north: float, east: float, *others: Any) -> Any:
+    """Let the target go on as if there were no current."""
+    del north, east
+    return _go_on(table, tau, t_ns, lateral, 0.0, 0.0, *others)
+
+
+def unstable_allowed(*_: Any) -> bool:
+    """Take every loop for stable."""
+    return True
+
+
+def paper_weights(_vehicle: Any) -> Weights:
+    """Return the weights of the paper's vehicle."""
+    return Weights()
+
+
+# --- events ---
+
+E = events
+NOMINAL = Event("descent", "descent, 5.1 s of horizon", E.descent())
+SHORT = Event("short horizon", "descent, 2.5 s of horizon", E.descent("controller.horizon_s=2.5"))
+FAR_OFF = Event("far off", "start 5 m off the line, any heading", E.far_off)
+TURNED = Event("turned", "start 1 m off, bow where the stern should be", E.turned)
+STUCK = Event("stuck", "weak-reverse vehicle holds a point in half its top speed", E.stuck)
+DRAWN = Event("drawn 2", "randomly drawn vehicle holds a point in 0.35 of its top speed", E.drawn_vehicle)
+LIGHT = Event("light", "drawn vehicle, light to the side, holds a point", E.light_vehicle)
+UNTOLD = Event("untold", "estimates without a profile, 4 cm/s at all depths", E.untold("constant"))
+UNTOLD_PROFILE = Event("untold profile", "estimates without a profile, Gauss-Markov current", E.untold("profile"))
+MISTOLD = Event("mistold", "profile told lacks 4 cm/s at all depths", E.mistold)
+HALF = Event("half thrust", "port delivers half of what it reports", E.half_thrust)
+WAVES = Event("waves", "internal waves of 5 cm/s, told", E.waves)
+FAILS = Event("solver fails", "the solver fails for 3 s", E.solver_fails(20.0, 3.0))
+FAILS_LONG = Event("solver fails long", "the solver fails for 15 s", E.solver_fails(20.0, 15.0))
+SILENT = Event("silent", "no estimate for 4 s", E.no_estimates(4.0))
+SLOW = Event("slow estimates", "an estimate each 2 s", E.slow_estimates)
+NONSENSE = Event("nonsense 2", "one estimate in ten is of another place, covariance 0.1 m", E.nonsense)
+TIGHT = Event("tight limits", "yaw rate <= 0.1 rad/s, surge <= 0.1 m/s", E.tight_limits)
+CYCLES = Event("cycles", "descent", E.nominal_cycles())
+CYCLES_20 = Event("cycles 20 s", "descent, 20.1 s of horizon", E.nominal_cycles("controller.horizon_s=20.1"))
+CYCLES_HARD = Event("hard cycles", "start 5 m off the line, any heading", E.hard_cycles)
+CYCLES_TIGHT = Event("tight cycles", "yaw rate <= 0.1 rad/s, surge <= 0.1 m/s", E.nominal_cycles(*E.LIMITS))
+BALLAST = Event("ballast", "ballast 3 to 8 N off; down to 8 m and stay", E.ballast)
+SQUARE = Event("square", "square at 1 m/s in 0.3 m/s, start 6 m off", E.square(0.3, 6.0))
+CALM_SQUARE = Event("calm square", "square at 1 m/s, 0.05 m/s, start on it", E.square(0.05, 0.0))
+SILENT_SQUARE = Event("silent square", "square at 1 m/s, no estimate for 6 s", E.square(0.05, 0.0, silent_s=6.0))
+FAILS_SQUARE = Event(
+    "solver fails on square", "square at 1 m/s, the solver fails for 12 s", E.square(0.05, 0.0, fails_s=12.0)
+)
+LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, Harm.LOSS, 0.5))
+ABEAM = Event("abeam", "start at rest 1 to 5 m abeam, still water", E.abeam)
+REPLACED = Event("replaced", "a controller that does not know the plan in force takes over", E.replaced_controller)
+FIRST = Event("first solves", "cycles take 5 ms until the descent, 80 to 120 ms from then on", E.first_solves)
+DELAY = Event("delay", "0.71 s of computing each cycle", E.constant_delay)
+SCATTER = Event("scattered delay", "computing 0.1 s at the median, 0.3 s at 99 %", E.scattered_delay)
+OVERRUN = Event("overrun", "computing takes 0.5 to 1.5 s for 6 s", E.overrun)
+CORRUPT_ESTIMATE = Event(
+    "corrupt estimate", "bits of each estimate turned, 10 s", E.harmed(Estimate, Harm.CORRUPTION, 1.0)
+)
+REORDER = Event("reorder", "four estimates in ten after their successor, 10 s", E.harmed(Estimate, Harm.REORDER, 0.4))
+JUMP = Event("clock jump", "stamps of estimates an hour ahead, 10 s", E.harmed(Estimate, Harm.CLOCK_JUMP, 3600.0))
+JUMP_BACK = Event("clock back", "stamps of estimates 5 s back, 10 s", E.harmed(Estimate, Harm.CLOCK_JUMP, -5.0))
+CORRUPT_PLAN = Event("corrupt plan", "bits of each plan turned, 10 s", E.harmed(Plan, Harm.CORRUPTION, 1.0))
+INTRUDED = Event("intruded 2", "a second commander, full ahead, for 4 s", E.intruded)
+LOSS = Event("thrust lost", "30 % of thrust lost for 8 s, every 30 s", E.thrust_lost)
+MISMATCH = Event("mismatch", "mass, drag, thrust off by 10 %", E.mismatched)
+
+TRUE = "true error, rms (m)"
+ERROR = (TRUE, "true error, 95 % (m)", "mean thrust (N)", "saturated (%)")
+EVENT = (TRUE, "true error, largest (m)", "recovery (s)", "cycles solved (%)")
+TIME = ("cycle, median (us)", "cycle, 99 % (us)", "iterations, mean", TRUE, "cycles solved (%)")
+LOCKED = (TRUE, "true error, largest (m)", "recovery (s)", "late plans (%)", "bad thrusts (%)")
+HELD = ("largest distance, last 40 s (m)", "settled after (s)")
+EXCURSION = ("cross-track error, largest after 30 s (m)", "cross-track error, rms (m)", "path done after (s)")
+PATH = ("cross-track error, rms (m)", "cross-track error, 95 % (m)", "path done after (s)")
+
+C, T = "ltv_mpc/control/", "tests/ltv_mpc/"
+OUTLOOK = (C + "outlook.py",), (T + "control/test_outlook.py",)
+GUESS = (C + "guess.py",), ()
+BIAS = (C + "disturbance.py",), (T + "control/test_disturbance.py",)
+
+
+def row(
+    name: str,
+    event: Event,
+    off: Switch,
+    measures: tuple[str, ...],
+    lines: tuple[tuple[str, ...], tuple[str, ...]] = ((), ()),
+    *,
+    timed: bool = False,
+) -> Mechanism:
+    """Return a mechanism; its name is followed by that of its event, so that it is unique."""
+    return Mechanism(f"{name} [{event.name}]", event, off, measures, *lines, timed=timed)
+
+
+MECHANISMS: tuple[Mechanism, ...] = (
+    row("terminal check", STUCK, kernels(looks=False), HELD, OUTLOOK),
+    row("terminal check", FAR_OFF, kernels(looks=False), EVENT, OUTLOOK),
+    row("steering guesses", FAR_OFF, kernels(steers=False, looks=False), EVENT, GUESS),
+    row("steering guesses", TURNED, kernels(steers=False, looks=False), EVENT, GUESS),
+    row("steering guesses", STUCK, kernels(steers=False, looks=False), HELD, GUESS),
+    row("steering guesses", ABEAM, kernels(steers=False, looks=False), EVENT, GUESS),
+    row("line search", ABEAM, kernels(searches=False), EVENT),
+    row("line search", SHORT, kernels(searches=False), ERROR),
+    row("line search", TIGHT, kernels(searches=False), EVENT),
+    row("line search", STUCK, kernels(searches=False), HELD),
+    row("commands reported", REPLACED, without((SentCommands, "reported", nothing)), LOCKED),
+    row("delay of cycles that solve", FIRST, without((Delay, "solves_from", nothing)), LOCKED),
+    row("second QP", NOMINAL, one_qp, ERROR),
+    row("second QP", SHORT, one_qp, ERROR),
+    row("second QP", FAR_OFF, one_qp, EVENT),
+    row("second QP", CYCLES, one_qp, TIME, timed=True),
+    row("current bias", UNTOLD, partial(disturbance_sd, 0.0), ERROR, BIAS),
+    row("current bias", UNTOLD_PROFILE, partial(disturbance_sd, 0.0), ERROR, BIAS),
+    row("current bias always on", MISTOLD, partial(disturbance_sd, None), ERROR),
+    row("current bias always on", HALF, partial(disturbance_sd, None), ERROR),
+    row("current bias always on", WAVES, partial(disturbance_sd, None), ERROR),
+    row("line search", NOMINAL, kernels(searches=False), ERROR),
+    row("line search", FAR_OFF, kernels(searches=False), EVENT),
+    row("line search", TURNED, kernels(searches=False), EVENT),
+    row("line search", DRAWN, kernels(searches=False), HELD),
+    row("Riccati first guess", CYCLES, solver(guesses=False), TIME, timed=True),
+    row("Riccati first guess", CYCLES_HARD, solver(guesses=False), TIME, timed=True),
+    row("row scaling", CYCLES_TIGHT, solver(scaled=variants.NONE), TIME, timed=True),
+    row("row scaling by active set", CYCLES_TIGHT, solver(scaled=variants.FIXED), TIME, timed=True),
+    row("rescaling between turns", CYCLES_TIGHT, solver(turns=False), TIME, timed=True),
+    row("rescaling between turns", CYCLES_HARD, solver(turns=False), TIME, timed=True),
+    row("shifted duals", CYCLES, without((SparseOsqp, "shift", forget)), TIME, timed=True),
+    row("shifted duals", CYCLES_HARD, without((SparseOsqp, "shift", forget)), TIME, timed=True),
+    row("shifted duals", CYCLES_TIGHT, without((SparseOsqp, "shift", forget)), TIME, timed=True),
+    row("raw OSQP extension", CYCLES, without((sparse_osqp, "workspace", public)), TIME, timed=True),
+    row("growing stages", CYCLES_20, equal_stages, TIME, timed=True),
+    row(
+        "stability of the proposed horizon",
+        LIGHT,
+        without((proposal, "is_stable", unstable_allowed)),
+        ("largest distance, last 40 s (m)", "sway, rms (m)", "change of thrust, rms", "horizon (s)"),
+    ),
+    row(
+        "weights from the vehicle",
+        DRAWN,
+        without((scales, "weights_of", paper_weights)),
+        (*HELD, "sway, rms (m)", "change of thrust, rms", "iterations, largest", "cycles not solved"),
+    ),
+    row("shifted plan", FAILS_SQUARE, without((Controller, "_shifted", nothing)), EXCURSION),
+    row("shifted plan", FAILS, without((Controller, "_shifted", nothing)), EVENT),
+    row("use of solves that ended early", TIGHT, without((controller, "_of_use", lambda *_: False)), EVENT),
+    row(
+        "depth integral",
+        BALLAST,
+        without((Controller, "_integrate", nothing)),
+        ("depth error, rms (m)", "depth error, last 30 s, mean size (m)"),
+    ),
+    row("delay prediction", DELAY, without((Delay, "expected_ns", no_delay)), LOCKED),
+    row("delay quantile, against the median", SCATTER, without((Delay, "_learn", median)), LOCKED),
+    row("delay quantile, against the largest", SCATTER, without((Delay, "_learn", largest)), LOCKED),
+    row("delay quantile, against the largest", OVERRUN, without((Delay, "_learn", largest)), LOCKED),
+    row("delay of cycles that solve", OVERRUN, without((Delay, "solves_from", nothing)), LOCKED),
+    row("commands reported", OVERRUN, without((SentCommands, "reported", nothing)), LOCKED),
+    row("commands reported", INTRUDED, without((SentCommands, "reported", nothing)), LOCKED),
+    row("commands reported", LOST_PLANS, without((SentCommands, "reported", nothing)), LOCKED),
+    row("thrust reported", NOMINAL, without((Prediction, "report", nothing)), ERROR),
+    row("thrust reported", OVERRUN, without((Prediction, "report", nothing)), LOCKED),
+    row("thrust reported", HALF, without((Prediction, "report", nothing)), ERROR),
+    row("estimate gate", NONSENSE, without((Guard, "admit", believe)), EVENT),
+    row("estimate gate", CORRUPT_ESTIMATE, without((Guard, "admit", believe)), LOCKED),
+    row("input monitor: order", REORDER, without((Input, "hear", hear_all)), LOCKED),
+    row("input monitor: clock", JUMP, without((Input, "hear", hear_all)), LOCKED),
+    row("input monitor: clock", JUMP_BACK, without((Input, "hear", hear_all)), LOCKED),
+    row(
+        "ages in periods",
+        SLOW,
+        without((health, "patience_ns", seconds_alone), (controller, "patience_ns", seconds_alone)),
+        EVENT,
+    ),
+    row("plan gate", CORRUPT_PLAN, without((Gate, "_judge", accept)), LOCKED),
+    row("plan gate", INTRUDED, without((Gate, "_judge", accept)), LOCKED),
+    row(
+        "thrust-loss detector",
+        LOSS,
+        without((model_check, "weigh", no_evidence)),
+        ("losses detected (%)", "delay, median (s)"),
+    ),
+    row(
+        "what was learned before",
+        LOSS,
+        without((model_check, "learn", nothing)),
+        ("losses detected (%)", "delay, median (s)"),
+    ),
+    row(
+        "what was learned before",
+        MISMATCH,
+        without((model_check, "learn", nothing)),
+        ("false alarms", "largest evidence (nats)"),
+    ),
+    row("leash and current", SQUARE, without((follower, "go_on", unleashed)), PATH),
+    row("current in the schedule", SQUARE, without((follower, "go_on", without_against)), PATH),
+    row("current in the schedule", CALM_SQUARE, without((follower, "go_on", without_against)), PATH),
+)

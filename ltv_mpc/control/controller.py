@@ -6,9 +6,9 @@
 Where the QP gives no commands the same cycle takes the next rung of the ladder, named in the plan with its reason:
 
     solved     the QP's plan
-    shifted    the rest of the plan solved last, to its end, and damping from there on
-    damping    the law that stops the vehicle (``damping.py``): no plan is left, or the estimate is too old for one
-    zero       lateral thrusts to zero, the vertical one to the vehicle's ``failsafe_vertical_N``, at the slew limit
+    shifted    the rest of the plan solved last, to its end, and thrusts to zero from there on
+    zero       lateral thrusts to zero at the slew limit: no plan is left, or the estimate is too old for one. While a
+               depth is known it is kept; else the vertical thrust goes to the vehicle's ``failsafe_vertical_N``
 
 Figures: Medagoda & Williams 2012, Fig 5 (dead time), section V (horizon); beyond it: analytic sensitivities, thruster
 lag and slew in the model, one convex QP a cycle.
@@ -29,7 +29,6 @@ from ltv_mpc.control import trajectory
 from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.constants import pack
-from ltv_mpc.control.damping import Damping
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon import Linearisation
@@ -65,9 +64,6 @@ from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
-
-COLD_PASSES = 6
-"""Linearisations of the first cycle, whose guess is crude."""
 
 LONGEST_INTEGRATION_S = 2.0
 """After a longer silence the depth error was not this all the time."""
@@ -130,7 +126,6 @@ class Controller:
         self._integral_N = 0.0
         self._integrated_ns: int | None = None
         self._shifts_ns = min(int(self._ahead_ns[-1]), LONGEST_SHIFT_NS)
-        self._damping = Damping(vehicle, config.knots, STAGE_S)
         self._doubtful = False  # the solver has not given what it should
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._period = Period()  # of the estimates believed
@@ -233,12 +228,10 @@ class Controller:
         if idle:
             lateral = self._released(start, idle, goal)
         elif stops:
-            lateral = self._damped(start, f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old")
+            lateral = self._released(start, f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old", None)
         else:
             self._follower.fill(knots, self._target)
             lateral = self._solve(start)
-            if lateral.origin is PlanOrigin.ZERO:  # the ladder's end
-                vertical = self._rested(start, knots)
         progress = self._follower.progress if begun else NO_PROGRESS
         thrust = np.empty((len(knots), 3))
         thrust[:, :2], thrust[:, 2] = lateral.U, vertical.thrust_N
@@ -282,7 +275,6 @@ class Controller:
         self._lin.C[...] = 0.0
         thrust = np.zeros((len(self._ahead_ns), 3))
         self._shifted(start, start.t_ns - STAGE_NS // 2, thrust, NOT_RUN)
-        self._damped(start, "")
         self._released(start, "", self._nothing)
         self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
         self._keep(NOT_RUN)
@@ -427,13 +419,13 @@ class Controller:
         return self._fallback(start, solve) if lateral is None else lateral
 
     def _solved(self, start: Start) -> tuple[_Lateral | None, Solve]:
-        """A QP along the previous plan, and more of them, each along what the one before came to, as many as the
-        settings say, or where there is no plan yet; None where that gives no plan.
+        """QPs, as many as the settings say: one along the previous plan, each other along what the one before came to;
+        None where that gives no plan.
         """
         lin, target, numbers = self._lin, self._target, self._numbers
-        passes = self._linearise(start)
+        self._linearise(start)
         X, U = self._room()
-        for left in range(passes, 0, -1):
+        for left in range(self.config.sqp_iterations, 0, -1):
             self._lap("linearise")
             self._solver.build(lin, target)
             self._lap("build")
@@ -481,23 +473,22 @@ class Controller:
             return None
         return last if np.array_equal(last.t_ns - last.t_ns[0], self._ahead_ns) else None
 
-    def _linearise(self, start: Start) -> int:
+    def _linearise(self, start: Start) -> None:
         """Linearise along the previous plan on the new knots, or along a steered one if that is better.
 
-        Tell the solver which, and return how many passes the cycle takes.
+        Tell the solver which.
         """
         old = self._followed()
         if old is None:
-            passes, stages, commands = COLD_PASSES, math.nan, self._nothing
+            stages, commands = math.nan, self._nothing
         else:
-            passes, stages = self.config.sqp_iterations, (start.t_ns - int(old.t_ns[0])) / STAGE_NS
+            stages = (start.t_ns - int(old.t_ns[0])) / STAGE_NS
             commands = np.ascontiguousarray(old.thrust_N[:, :2])
         kind = trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
         if kind == trajectory.CARRIED:
             self._solver.shift(stages)
         else:
             self._solver.forget()
-        return passes
 
     def _fallback(self, start: Start, solve: Solve) -> _Lateral:
         """The rungs below the solved plan. The solver is made anew before it is asked again."""
@@ -507,30 +498,22 @@ class Controller:
         shifted = None
         if old is not None and start.t_ns < self._solved_until_ns:
             shifted = self._shifted(start, int(old.t_ns[0]), old.thrust_N, solve)
-        return shifted or self._damped(start, solve.why, solve)
+        return shifted or self._released(start, solve.why, None)._replace(solve=solve)
 
     def _shifted(self, start: Start, began_ns: int, thrust_N: Array, solve: Solve) -> _Lateral | None:
-        """Return the rest of the plan solved last, on the new knots, inside box and slew, and damping beyond its end.
+        """Return the rest of the plan solved last, on the new knots, inside box and slew, and zero beyond its end.
 
         ``thrust_N`` (N+1, 3) is of that plan, which began at ``began_ns``. None where the motion is not finite.
         """
         X, U = self._room()
         commands, stages = np.ascontiguousarray(thrust_N[:, :2]), (start.t_ns - began_ns) / STAGE_NS
         trajectory.shifted(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
-        until = int(np.searchsorted(start.t_ns + self._ahead_ns, self._solved_until_ns, side="right")) - 1
-        self._damping.fill(X, U, self._lin.C, until)
+        goal = U.copy()
+        goal[start.t_ns + self._ahead_ns > self._solved_until_ns] = 0.0
+        trajectory.release(self._numbers, start.lateral, goal, self._lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
-
-    def _damped(self, start: Start, why: str, solve: Solve = NOT_RUN) -> _Lateral:
-        """The law that stops the vehicle; where its state is not known, the thrusters are let go."""
-        X, U = self._room()
-        X[0], U[0] = start.lateral[:STATES], start.lateral[STATES:]
-        self._damping.fill(X, U, self._lin.C, 0)
-        if not (np.isfinite(X).all() and np.isfinite(U).all()):
-            return self._released(start, why, None)._replace(solve=solve)
-        return _Lateral(X, U, PlanOrigin.DAMPING, solve, why)
 
     def _let_go(self, now: int, override: Override | None, why: str) -> Plan:
         """The ladder's end where the cycle itself broke: from the command in force to rest, by nothing else."""

@@ -3,7 +3,7 @@
 Of the controller, by the age of the newest estimate that it believes and the period T at which estimates come:
 
     degraded   age > max(3 T, 0.5 s), or there is none yet     what is done stays the same, and is said
-    hold       age > max(4 T, 1.5 s)                           the vehicle is stopped, its depth kept: origin "damping"
+    hold       age > max(4 T, 1.5 s)                           lateral thrusts to zero, the depth kept: origin "zero"
     failsafe   age > max(6 T, 3.0 s)                           lateral thrusts to zero, the vertical one to the
                                                                vehicle's ``failsafe_vertical_N``: origin "zero"
 

@@ -158,7 +158,7 @@ class _Bench(ControllerNode):
         ]
         plan = driver.plan(estimate, t_ns=t_ns)
         if plan.solve.status is not SolveStatus.NOT_RUN:
-            if self._begun:  # the first cycle linearises more than once, from a crude guess
+            if self._begun:  # the first cycle starts from a crude guess
                 for candidate, its in plans:
                     candidate.keep(its, self._exact)
                 self.measured += 1

@@ -178,7 +178,7 @@ def test_when_the_first_solve_fails_there_is_no_plan_to_go_by_and_a_vehicle_at_r
     controller._solver = fails = FailsFrom(controller._solver)
     fails.failing = True
     plan = controller.plan(Estimate.at_rest(north_m=1.0))
-    assert plan.origin is PlanOrigin.DAMPING
+    assert plan.origin is PlanOrigin.ZERO
     assert plan.why == "as asked"
     assert not plan.thrust_N.any()
 

@@ -19,7 +19,7 @@ SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-1
 POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)
 PERIOD_NS = 300_000_000
 S = 1_000_000_000
-SOLVED, SHIFTED, DAMPING, ZERO = PlanOrigin.SOLVED, PlanOrigin.SHIFTED, PlanOrigin.DAMPING, PlanOrigin.ZERO
+SOLVED, SHIFTED, ZERO = PlanOrigin.SOLVED, PlanOrigin.SHIFTED, PlanOrigin.ZERO
 HALF = np.array(62.5)
 """Largest thrust."""
 
@@ -91,7 +91,7 @@ def broken(monkeypatch, controller: Controller, way: str) -> None:
         ("infeasible", "as asked"),
     ],
 )
-def test_solved_then_shifted_to_the_plan_s_end_then_damping_then_solved_again(monkeypatch, way, why):
+def test_solved_then_shifted_to_the_plan_s_end_then_thrusts_of_zero_then_solved_again(monkeypatch, way, why):
     controller = Controller(SURFACES, POINT)
     estimate, good = fly(controller, moving(), 5)
     assert good.origin is SOLVED
@@ -109,16 +109,15 @@ def test_solved_then_shifted_to_the_plan_s_end_then_damping_then_solved_again(mo
                 np.testing.assert_allclose(thrust[:2], good.thrust_at(int(t))[:2], atol=1e-6)
         estimate, before = advance(SURFACES, estimate, plan, duration_s=0.3), plan
     # 17 stages, of which the plan solved last has 16 before it when the next one begins
-    assert origins == [SHIFTED] * 16 + [DAMPING] * 8
-    assert np.hypot(*plan.states[-1, 2:4]) < 0.1
-    assert np.abs(plan.thrust_N[-1, :2]).max() < 1.0
+    assert origins == [SHIFTED] * 16 + [ZERO] * 8
+    np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
     monkeypatch.setattr(module, "make", real)
     recovered = controller.plan(estimate)
     assert recovered.origin is SOLVED
     check(recovered, before)
 
 
-def test_beyond_the_end_of_the_solved_plan_a_shifted_one_stops_the_vehicle(monkeypatch):
+def test_beyond_the_end_of_the_solved_plan_a_shifted_one_takes_the_thrusts_to_zero(monkeypatch):
     controller = Controller(SURFACES, POINT)
     estimate, _ = fly(controller, moving(), 5)
     broken(monkeypatch, controller, "infeasible")
@@ -126,9 +125,7 @@ def test_beyond_the_end_of_the_solved_plan_a_shifted_one_stops_the_vehicle(monke
         plan = controller.plan(estimate)
         estimate = advance(SURFACES, estimate, plan, duration_s=0.3)
     assert plan.origin is SHIFTED
-    surge, turn = np.abs(plan.states[:, 2]), np.abs(plan.states[:, 5])
-    assert surge[-1] < 0.05
-    assert turn[-1] < 0.05
+    np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
 
 
 def test_a_long_plan_is_not_followed_blindly_for_longer_than_ten_seconds(monkeypatch):
@@ -141,20 +138,21 @@ def test_a_long_plan_is_not_followed_blindly_for_longer_than_ten_seconds(monkeyp
         origins.append(plan.origin)
         estimate = advance(SURFACES, estimate, plan, duration_s=0.3)
     assert origins.count(SHIFTED) == 33  # 10 s in cycles of 0.3 s
-    assert origins[-1] is DAMPING
+    assert origins[-1] is ZERO
 
 
-def test_damping_goes_on_from_a_motion_that_nobody_can_foresee_to_thrusts_of_zero(monkeypatch):
-    """The ladder's end: lateral thrusts to zero, the vertical one to the vehicle's failsafe, at the slew limit."""
+def test_a_motion_that_nobody_can_foresee_ends_in_thrusts_of_zero(monkeypatch):
+    """A shifted plan that is not finite is left for the next rung; the vertical thruster's law goes on."""
     controller = Controller(SURFACES, POINT)
     estimate, before = fly(controller, moving(), 20)
     broken(monkeypatch, controller, "infeasible")
-    controller._memory = None
-    monkeypatch.setattr(controller._damping, "fill", lambda X, *_: X.fill(math.nan))
+    monkeypatch.setattr(
+        module.trajectory, "shifted", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
+    )
     plan = controller.plan(estimate)
     check(plan, before)
     assert (plan.origin, plan.why) == (ZERO, "as asked")
-    np.testing.assert_allclose(plan.thrust_N[-1], [0.0, 0.0, -12.5])
+    np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
 
 
 # --- whatever raises -------------------------------------------------------------------------------------------------
@@ -165,7 +163,6 @@ STAGES = (
     ("_follower", "advance"),
     ("_follower", "fill"),
     ("_delay", "solves_from"),
-    ("_damping", "fill"),
     ("_commands", "sent"),
     ("_commands", "at"),
     ("guard", "admit"),
@@ -184,7 +181,7 @@ def test_whatever_raises_the_same_cycle_has_a_plan_and_the_next_good_one_is_solv
         raise MemoryError("as asked")
 
     with pytest.MonkeyPatch.context() as patch:
-        if (part, method) in (("_damping", "fill"), ("_solver", "problem")):  # asked for after a failure only
+        if (part, method) == ("_solver", "problem"):  # asked for after a failure only
             broken(patch, controller, "infeasible")
         patch.setattr(getattr(controller, part), method, raises)
         plan = controller.plan(estimate)
@@ -308,8 +305,8 @@ def test_who_has_never_said_anything_sound_is_not_driven_on():
         (500, "nominal", SOLVED),
         (501, "degraded", SOLVED),
         (1500, "degraded", SOLVED),
-        (1501, "hold", DAMPING),
-        (3000, "hold", DAMPING),
+        (1501, "hold", ZERO),
+        (3000, "hold", ZERO),
         (3001, "failsafe", ZERO),
         (3_600_000, "failsafe", ZERO),
     ],
@@ -323,9 +320,8 @@ def test_what_is_done_on_an_estimate_by_its_age(age_ms, health, origin):
     check(plan)
     assert (plan.health, plan.origin) == (health, origin)
     if origin is ZERO:
-        np.testing.assert_allclose(plan.thrust_N[-1], [0.0, 0.0, -12.5])
-    if origin is DAMPING:
-        assert np.abs(plan.states[-1, [2, 5]]).max() < 0.05
+        np.testing.assert_array_equal(plan.thrust_N[-1, :2], [0.0, 0.0])
+        assert bool(plan.thrust_N[-1, 2] == -12.5) is (health == "failsafe")
         assert plan.why == f"the newest estimate is {age_ms / 1000:.1f} s old"
     assert before.origin is SOLVED
 
@@ -337,7 +333,7 @@ def test_in_hold_the_depth_is_kept_as_far_as_it_is_known():
     there = advance(SURFACES, estimate, before, duration_s=1.6)
     while there.t_ns <= estimate.t_ns + 2_800_000_000:
         plan = controller.plan(estimate, t_ns=there.t_ns)
-        assert plan.origin is DAMPING
+        assert plan.origin is ZERO
         there = advance(SURFACES, there, plan, duration_s=0.3)
     # 0.2 m/s for 1.6 s takes it 0.3 m down; from there the law takes it back.
     end = advance(SURFACES, there, plan, duration_s=4.5)
@@ -352,7 +348,7 @@ def test_a_slow_publisher_is_given_multiples_of_its_own_period():
         controller.plan(estimate)
     ages = {age_s: controller.plan(estimate, t_ns=estimate.t_ns + round(age_s * S)) for age_s in (3.0, 4.0, 6.0, 6.1)}
     assert [(p.health, p.origin) for p in ages.values()] == [
-        ("nominal", SOLVED), ("degraded", SOLVED), ("hold", DAMPING), ("failsafe", ZERO)
+        ("nominal", SOLVED), ("degraded", SOLVED), ("hold", ZERO), ("failsafe", ZERO)
     ]  # fmt: skip
 
 
@@ -368,7 +364,7 @@ def test_the_caller_s_own_inputs_can_make_it_worse_but_not_better():
     controller = Controller(SURFACES, POINT)
     estimate = moving()
     assert controller.plan(estimate, health=Health.DEGRADED).health == "degraded"
-    assert controller.plan(estimate, health=Health.HOLD).origin is DAMPING
+    assert controller.plan(estimate, health=Health.HOLD).origin is ZERO
     assert controller.plan(estimate, t_ns=2 * S, health=Health.NOMINAL).health == "hold"
 
 

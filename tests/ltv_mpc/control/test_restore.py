@@ -267,4 +267,4 @@ def test_health_follows_the_age_of_the_estimate_and_reports_that_fall_silent():
     said = [step(node, t + k * PERIOD_NS, [])[0] for k in range(1, 12)]
     # 10 estimates at 0.3 s: 0.9, 1.5, 3 s
     assert [p.health for p in said] == ["nominal"] * 3 + ["degraded"] * 2 + ["hold"] * 5 + ["failsafe"]
-    assert [p.origin for p in said] == [PlanOrigin.SOLVED] * 5 + [PlanOrigin.DAMPING] * 5 + [PlanOrigin.ZERO]
+    assert [p.origin for p in said] == [PlanOrigin.SOLVED] * 5 + [PlanOrigin.ZERO] * 6

@@ -1,0 +1,567 @@
+"""Runs that contain the events which mechanisms of controller, solvers, safety and references exist for.
+
+The state is known to the controller in all of them: localisation would add its own noise to every pair.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from benchmarks import hard, model_alarm, unknown_current, vehicles
+from benchmarks.ablation.mechanism import Measures
+from benchmarks.loop import Loop, Outcome, situation
+from benchmarks.preview import without_preview
+from ltv_mpc import references
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.proposal import proposed_horizon_s
+from ltv_mpc.messages import ControllerCheckpoint, Estimate, Harm, Message, Plan, Restore
+from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.faults.inside import Bus, Log
+from services.run import locked
+from services.run.situation import Situation
+from sim.faults import world
+from sim.faults.solver import Now, Trouble, Troubled, TroubledSolver
+from sim.faults.spell import Spell
+from sim.faults.transit import Harmed
+from sim.lockstep import LockStep
+
+S = 1_000_000_000
+SAMPLES_PER_S = 100
+NEAR_M = 0.2
+"""A vehicle that stays within this distance has recovered."""
+
+BEGINS_S, ENDS_S = 20.0, 28.0
+"""When an event begins and ends, if nothing else is said."""
+
+
+def distances(distance_m: np.ndarray, ended_s: float) -> dict[str, float]:
+    """Return figures of the true distance (K,) from the reference, sampled each 10 ms."""
+    after = distance_m[round(ended_s * SAMPLES_PER_S) :]
+    outside = np.flatnonzero(after > NEAR_M)
+    return {
+        "true error, rms (m)": float(np.sqrt(np.mean(distance_m**2))),
+        "true error, 95 % (m)": float(np.quantile(distance_m, 0.95)),
+        "true error, largest (m)": float(distance_m.max()),
+        "recovery (s)": (outside[-1] + 1) / SAMPLES_PER_S if len(outside) else 0.0,
+    }
+
+
+def of(outcome: Outcome, ended_s: float = 0.0) -> dict[str, float]:
+    """Return the figures of one flight; ``ended_s`` is the time at which the event was over."""
+    plans = sum(outcome.origins.values())
+    return {
+        **distances(outcome.distance_m, ended_s),
+        "mean thrust (N)": outcome.mean_abs_N,
+        "saturated (%)": 100.0 * outcome.saturated,
+        "cycles solved (%)": 100.0 * outcome.origins.get("solved", 0) / max(plans, 1),
+    }
+
+
+def controller_of(s: Situation) -> Controller:
+    """Make the controller of a situation."""
+    return Controller(s.vehicle, s.reference, s.scenario.controller)
+
+
+def fly(s: Situation, ended_s: float = 0.0, **loop: Any) -> Measures:
+    """Fly one situation; ``loop`` are further arguments of ``Loop``."""
+    return of(Loop(situation=s, controller=controller_of(s), **loop).fly(), ended_s)
+
+
+# --- plain descents and starts ---
+
+
+def descent(*settings: str) -> Callable[[int], Measures]:
+    """Return a run of the paper's descent, the first 100 s."""
+    return lambda seed: fly(situation(f"run.seed={seed}", "run.duration_s=100.0", *settings))
+
+
+def far_off(seed: int) -> Measures:
+    """Start 5 m off the line with a heading that differs from seed to seed."""
+    return fly(hard.far_off((), seed))
+
+
+def turned(seed: int) -> Measures:
+    """Start 1 m off the line, the stern where the current wants the bow."""
+    return fly(hard.turned((), seed))
+
+
+def abeam(seed: int) -> Measures:
+    """Start at rest in still water, 1 to 5 m off the point and exactly abeam of it."""
+    rng = np.random.default_rng(seed)
+    off_m, heading = rng.uniform(1.0, 5.0), rng.uniform(-math.pi, math.pi)
+    side = heading + (-1.0) ** seed * 0.5 * math.pi
+    place = f"plant.north_m={off_m * math.cos(side)}", f"plant.east_m={off_m * math.sin(side)}"
+    s = situation(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
+    depth = s.water.depth_m
+    return fly(replace(s, reference=hard.line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
+
+
+def stuck(seed: int) -> Measures:
+    """Hold a point with a vehicle that is weak astern, in a current of half its top speed."""
+    vehicle = Vehicle.load("weak-reverse")
+    held = vehicles.hold(vehicle, 0.5, seed, ControllerConfig(horizon_s=proposed_horizon_s(vehicle)))
+    return {"largest distance, last 40 s (m)": held.off_m, "settled after (s)": held.settled_s}
+
+
+def drawn_vehicle(seed: int) -> Measures:
+    """Hold a point with a vehicle that was drawn at random, in a current of 0.35 of its top speed."""
+    vehicle = vehicles.drawn(seed)
+    held = vehicles.hold(vehicle, 0.35, seed, ControllerConfig(horizon_s=proposed_horizon_s(vehicle)))
+    return {
+        "largest distance, last 40 s (m)": held.off_m,
+        "settled after (s)": held.settled_s,
+        "sway, rms (m)": held.sway_m,
+        "change of thrust, rms": held.thrust_change,
+        "iterations, largest": float(held.worst_iterations),
+        "cycles not solved": float(held.failed),
+    }
+
+
+def light_vehicle(seed: int) -> Measures:
+    """Hold a point with a vehicle that is light to the side, whose proposed horizon is lengthened to be stable."""
+    vehicle = light_to_the_side(seed)
+    horizon_s = proposed_horizon_s(vehicle)
+    held = vehicles.hold(vehicle, 0.35, seed, ControllerConfig(horizon_s=horizon_s))
+    return {
+        "largest distance, last 40 s (m)": held.off_m,
+        "sway, rms (m)": held.sway_m,
+        "change of thrust, rms": held.thrust_change,
+        "horizon (s)": horizon_s,
+    }
+
+
+def light_to_the_side(seed: int) -> Vehicle:
+    """Return a drawn vehicle whose added mass and drag to the side are small."""
+    vehicle = vehicles.drawn(seed)
+    p = vehicle.sway
+    sway = msgspec.structs.replace(
+        p, mass_kg=1.1 * vehicle.dry_mass_kg, quadratic_damping_kgpm=0.15 * p.quadratic_damping_kgpm
+    )
+    return msgspec.structs.replace(vehicle, sway=sway)
+
+
+# --- what the controller is told ---
+
+
+def untold(water: str) -> Callable[[int], Measures]:
+    """Return a descent whose estimates carry no profile of the current: constant, or Gauss-Markov."""
+
+    def run(seed: int) -> Measures:
+        s = situation(f"run.seed={seed}", "run.duration_s=100.0")
+        if water == "constant":
+            s = replace(s, water=unknown_current.constant(s.water.depth_m, seed))
+        return fly(s, told=unknown_current.nothing)
+
+    return run
+
+
+ALWAYS = "controller.disturbance.sd_mps=0.1"
+
+
+def mistold(seed: int) -> Measures:
+    """Descend with a profile that lacks 4 cm/s at all depths."""
+    missing = 0.04 * np.array([math.cos(2.4 * seed), math.sin(2.4 * seed)])
+
+    def told(estimate: Estimate) -> Estimate:
+        known = estimate.current
+        assert known is not None
+        current = msgspec.structs.replace(
+            known, north_mps=known.north_mps - missing[0], east_mps=known.east_mps - missing[1]
+        )
+        return msgspec.structs.replace(estimate, current=current)
+
+    return fly(situation(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS), told=told)
+
+
+def half_thrust(seed: int) -> Measures:
+    """Descend with a port thruster that delivers half of what it reports."""
+    s = situation(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS)
+    return fly(s, share=np.array([0.5, 1.0, 1.0]))
+
+
+def waves(seed: int) -> Measures:
+    """Descend through internal waves of 5 cm/s, all of which the profile has."""
+    feature = "water.feature.kind=waves", "water.feature.period_s=60"
+    return fly(situation(f"run.seed={seed}", "run.duration_s=100.0", *feature, ALWAYS))
+
+
+def without_the_profile_below(seed: int) -> Measures:
+    """Descend without preview: told the current here only."""
+    return fly(situation(f"run.seed={seed}", "run.duration_s=100.0"), told=without_preview)
+
+
+@dataclass
+class Stale:
+    """Estimates that do not come while an event lasts, or come at a period of their own."""
+
+    begins_s: float = BEGINS_S
+    ends_s: float = ENDS_S
+    period_s: float = 0.0
+    _last: Estimate | None = None
+
+    def __call__(self, estimate: Estimate) -> Estimate:
+        """Return the newest estimate that has come."""
+        t_s = estimate.t_ns * 1e-9
+        last = self._last
+        late = last is not None and t_s - last.t_ns * 1e-9 < self.period_s - 1e-6
+        if last is not None and (late or self.begins_s <= t_s < self.ends_s):
+            return last
+        self._last = estimate
+        return estimate
+
+
+@dataclass
+class Nonsense:
+    """One estimate in ten is of another place and heading."""
+
+    rng: np.random.Generator
+    _n: int = 0
+
+    def __call__(self, estimate: Estimate) -> Estimate:
+        """Return the estimate, or nonsense."""
+        if estimate.t_ns < 5 * S or self.rng.random() > 0.1:
+            return estimate
+        north, east = self.rng.uniform(-50.0, 50.0, 2)
+        return msgspec.structs.replace(
+            estimate, north_m=float(north), east_m=float(east), heading_rad=float(self.rng.uniform(-3.0, 3.0))
+        )
+
+
+def with_covariance(told: Callable[[Estimate], Estimate]) -> Callable[[Estimate], Estimate]:
+    """Give every estimate a covariance, as a filter does: 0.1 m, 1 cm/s, 10 mrad, 1 mrad/s."""
+    covariance = np.diag(np.array([0.1, 0.1, 0.01, 0.01, 0.01, 0.001]) ** 2)
+    return lambda estimate: msgspec.structs.replace(told(estimate), covariance=covariance)
+
+
+def no_estimates(lasts_s: float) -> Callable[[int], Measures]:
+    """Return a descent in which no estimate comes for so long."""
+
+    def run(seed: int) -> Measures:
+        ends_s = BEGINS_S + lasts_s
+        s = situation(f"run.seed={seed}", "run.duration_s=70.0")
+        return fly(s, ends_s, told=Stale(ends_s=ends_s))
+
+    return run
+
+
+def slow_estimates(seed: int) -> Measures:
+    """Descend with an estimate each 2 s."""
+    return fly(situation(f"run.seed={seed}", "run.duration_s=70.0"), told=Stale(0.0, 0.0, period_s=2.0))
+
+
+def nonsense(seed: int) -> Measures:
+    """Descend while one estimate in ten is of another place."""
+    told = with_covariance(Nonsense(np.random.default_rng(seed)))
+    # The gate knows an estimate again by its identity.
+    return fly(situation(f"run.seed={seed}", "run.duration_s=60.0"), told=told)
+
+
+# --- solvers ---
+
+
+def solver_fails(begins_s: float, lasts_s: float, *settings: str) -> Callable[[int], Measures]:
+    """Return a descent in which the solver fails for so long."""
+
+    def run(seed: int) -> Measures:
+        s = situation(f"run.seed={seed}", "run.duration_s=70.0", *settings)
+        now = Now()
+        ends_s = begins_s + lasts_s
+        trouble = Troubled(Trouble.FAILS, Spell(round(begins_s * S), round(ends_s * S)))
+        controller = controller_of(s)
+        controller.solve_with(lambda own: TroubledSolver(own, [trouble], now))
+
+        def told(estimate: Estimate) -> Estimate:
+            now.t_ns = estimate.t_ns
+            return estimate
+
+        return of(Loop(situation=s, controller=controller, told=told).fly(), ends_s)
+
+    return run
+
+
+LIMITS = "controller.limits.yaw_rate_radps=0.1", "controller.limits.surge_mps=0.1"
+
+
+def tight_limits(seed: int) -> Measures:
+    """Descend with two tight limits of the motion."""
+    s = situation(f"run.seed={seed}", "run.duration_s=60.0", *LIMITS)
+    solved: list[bool] = []
+    controller = controller_of(s)
+    loop = Loop(situation=s, controller=controller, seen=lambda _e, p: solved.append(p.solve.status.value == "solved"))
+    measures = dict(of(loop.fly()))
+    measures["QPs solved to tolerance (%)"] = 100.0 * float(np.mean(solved))
+    return measures
+
+
+def cycle_time(s: Situation) -> Measures:
+    """Fly twice, the first time to have everything compiled, and return the processor time of the cycles."""
+    for _ in range(2):
+        controller = controller_of(s)
+        timed = Timed(controller)
+        outcome = Loop(situation=s, controller=timed).fly()  # type: ignore[arg-type]
+    us = 1e6 * np.array(timed.seconds[1:])
+    return {
+        "cycle, median (us)": float(np.median(us)),
+        "cycle, 99 % (us)": float(np.quantile(us, 0.99)),
+        "iterations, mean": float(np.mean(timed.iterations)),
+        **of(outcome),
+    }
+
+
+class Timed:
+    """A controller whose solved cycles are timed."""
+
+    def __init__(self, controller: Controller) -> None:
+        self._controller = controller
+        self.seconds: list[float] = []
+        self.iterations: list[int] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._controller, name)
+
+    def plan(self, estimate: Estimate, *, t_ns: int) -> Plan:
+        """Plan, and note how long that took."""
+        begun = time.thread_time()
+        plan = self._controller.plan(estimate, t_ns=t_ns)
+        if plan.solve.status.value != "not_run":
+            self.seconds.append(time.thread_time() - begun)
+            self.iterations.append(plan.solve.iterations)
+        return plan
+
+
+def nominal_cycles(*settings: str) -> Callable[[int], Measures]:
+    """Return a timed descent."""
+    return lambda seed: cycle_time(situation(f"run.seed={seed}", "run.duration_s=60.0", *settings))
+
+
+def hard_cycles(seed: int) -> Measures:
+    """Return a timed start 5 m off the line."""
+    return cycle_time(hard.far_off(("run.duration_s=60.0",), seed))
+
+
+# --- vertical ---
+
+
+def ballast(seed: int) -> Measures:
+    """Go down to 8 m and stay, with a ballast that is up to 8 N off what the vehicle's file says."""
+    s = situation(f"run.seed={seed}", "run.duration_s=120.0")
+    off_N = float(np.random.default_rng(seed).uniform(3.0, 8.0)) * (-1.0) ** seed
+    s = replace(s, reference=references.Point(north_m=0.0, east_m=0.0, depth_m=8.0, start_s=0.0))
+    believed = msgspec.structs.replace(s.vehicle, net_buoyancy_N=s.vehicle.net_buoyancy_N + off_N)
+    controller = Controller(believed, s.reference, s.scenario.controller)
+    errors: list[tuple[float, float]] = []
+
+    def seen(estimate: Estimate, _plan: Plan) -> None:
+        wanted = controller.follower.depths(np.array([estimate.t_ns]))
+        if wanted is not None and estimate.depth_m is not None:
+            errors.append((estimate.t_ns * 1e-9, estimate.depth_m - float(wanted[0][0])))
+
+    Loop(situation=s, controller=controller, seen=seen).fly()
+    t, e = np.array(errors).T
+    return {
+        "depth error, rms (m)": float(np.sqrt(np.mean(e**2))),
+        "depth error, last 30 s, mean size (m)": float(np.abs(e[t > 90.0]).mean()),
+    }
+
+
+# --- references ---
+
+
+def square(
+    current_mps: float, off_m: float, *, silent_s: float = 0.0, fails_s: float = 0.0
+) -> Callable[[int], Measures]:
+    """Return a run along a square of 20 m in a current, from a start that is off its first point.
+
+    At 30 s no estimate comes for ``silent_s``, or the solver fails for ``fails_s``.
+    """
+
+    def run(seed: int) -> Measures:
+        rng = np.random.default_rng(seed)
+        heading, towards, side = rng.uniform(-math.pi, math.pi, 3)
+        s = situation(
+            f"run.seed={seed}",
+            "run.duration_s=200.0",
+            f"plant.heading_rad={heading}",
+            f"plant.north_m={off_m * math.cos(side)}",
+            f"plant.east_m={off_m * math.sin(side)}",
+        )
+        s = replace(s, reference=references.load("square"))
+        depth = s.water.depth_m
+        added = np.tile(current_mps * np.array([math.cos(towards), math.sin(towards)]), (len(depth), 1))
+        s = replace(s, water=type(s.water)(depth, added))
+        cross: list[float] = []
+        done: list[float] = []
+
+        def seen(_estimate: Estimate, plan: Plan) -> None:
+            if plan.cross_track_m is not None:
+                cross.append(plan.cross_track_m)
+            done.append(plan.progress or 0.0)
+
+        controller = controller_of(s)
+        now, stale = Now(), Stale(30.0, 30.0 + silent_s)
+        if fails_s > 0.0:
+            trouble = Troubled(Trouble.FAILS, Spell(30 * S, round((30.0 + fails_s) * S)))
+            controller.solve_with(lambda own: TroubledSolver(own, [trouble], now))
+
+        def told(estimate: Estimate) -> Estimate:
+            now.t_ns = estimate.t_ns
+            return stale(estimate)
+
+        Loop(situation=s, controller=controller, told=told, seen=seen).fly()
+        e = np.abs(np.array(cross))
+        finished = np.flatnonzero(np.array(done) >= 0.999)
+        return {
+            "cross-track error, rms (m)": float(np.sqrt(np.mean(e**2))),
+            "cross-track error, 95 % (m)": float(np.quantile(e, 0.95)),
+            "cross-track error, largest after 30 s (m)": float(e[100:].max()),
+            "path done after (s)": 0.3 * float(finished[0]) if len(finished) else 200.0,
+        }
+
+    return run
+
+
+# --- lock step with messages ---
+
+
+@dataclass(kw_only=True)
+class Locked:
+    """A descent in lock step, state known, with the messages harmed or the computing delay varied."""
+
+    seed: int
+    harms: Sequence[Harmed] = ()
+    delay_ns: int | Callable[[int], int] = 0
+    others: Sequence[Node] = ()
+    around: Callable[[list[Node]], list[Node]] = list
+    duration_s: float = 60.0
+    settings: tuple[str, ...] = ()
+
+    def run(self, ended_s: float = 0.0) -> dict[str, float]:
+        """Make the run."""
+        s = situation(f"run.seed={self.seed}", f"run.duration_s={self.duration_s}", *self.settings)
+        log = Log(s.vehicle)
+        bus = Bus(list(self.harms))
+        lockstep = LockStep(
+            [*self.others, *self.around(locked.nodes(s))],
+            start_ns=s.scenario.start_ns,
+            compute_delay_ns=self.delay_ns,
+            observe=log,
+            latest=locked.LATEST,
+            refused=locked.refused,
+            between=bus if self.harms or self.others else None,
+        )
+        lockstep.advance(s.scenario.end_ns)
+        truth = np.array([row[:3] for row in log.truth])
+        truth = truth[truth[:, 0] >= 0]
+        t = np.arange(0.0, self.duration_s, 1.0 / SAMPLES_PER_S)
+        n, e = (np.interp(t, 1e-9 * truth[:, 0], truth[:, i]) for i in (1, 2))
+        plans = [p for p in log.plans if p.cycle_ns >= 0]
+        return {
+            **distances(np.hypot(n, e), ended_s),
+            "mean thrust (N)": float(np.mean(np.abs(np.array(log.asked)[:, 1:]))),
+            "cycles solved (%)": 100.0 * float(np.mean([p.origin.value == "solved" for p in plans])),
+            "late plans (%)": 100.0 * log.applied[-1][4] / len(plans),
+            "bad thrusts (%)": 100.0 * float(np.mean([bad for _, bad, *_ in log.applied])),
+            "damaged messages let in": float(len(bus.doors.let_in)),
+        }
+
+
+def harmed(kind: type[Message], harm: Harm, size: float) -> Callable[[int], Measures]:
+    """Return a descent in which messages of this type are harmed for 10 s."""
+
+    def run(seed: int) -> Measures:
+        fault = Harmed((kind,), harm, Spell(20 * S, 30 * S), size, seed)
+        return Locked(seed=seed, harms=[fault]).run(30.0)
+
+    return run
+
+
+def intruded(seed: int) -> Measures:
+    """Descend while a second commander sends plans for 4 s."""
+    vehicle = situation().vehicle
+    intrusion = world.Intrusion(Spell(20 * S, 24 * S), world.within(vehicle, (0.8, 0.8, 0.0)))
+    return Locked(seed=seed, others=[world.Intruder([intrusion])]).run(24.0)
+
+
+class Replaced:
+    """A controller node that another one replaces: armed, along the same reference, without the plan in force."""
+
+    def __init__(self, make: Callable[[], Node], at_ns: int) -> None:
+        self._make, self._at_ns = make, at_ns
+        self._node = make()
+        self._replaced = False
+        self.name, self.schedule = self._node.name, self._node.schedule
+        self.reads, self.writes = self._node.reads, self._node.writes
+        self._checkpoint: ControllerCheckpoint | None = None
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        """Step the node, or the other one."""
+        if not self._replaced and t_ns >= self._at_ns:
+            self._replaced, self._node = True, self._make()
+            restore = Restore(t_ns=t_ns, node=self.name, controller=self._checkpoint)
+            inbox = [Arrival(restore, 1, 0, t_ns), *inbox]
+        out = self._node.step(t_ns, inbox)
+        self._checkpoint = next((m for m in out if isinstance(m, ControllerCheckpoint)), self._checkpoint)
+        return out
+
+
+def replaced_controller(seed: int) -> Measures:
+    """Descend; at 20 s another controller takes over that does not know the plan in force."""
+
+    def around(nodes: list[Node]) -> list[Node]:
+        *others, _ = nodes
+        s = situation(f"run.seed={seed}", "run.duration_s=60.0")
+        return [*others, Replaced(lambda: locked.nodes(s)[-1], 20 * S)]
+
+    return Locked(seed=seed, around=around).run(20.0)
+
+
+def first_solves(seed: int) -> Measures:
+    """Descend; cycles take 5 ms before the descent and 80 to 120 ms from then on."""
+    rng = np.random.default_rng(seed)
+    delay_ns = lambda t: 5_000_000 if t < 0 else round(1e6 * rng.uniform(80.0, 120.0))  # noqa: E731
+    return Locked(seed=seed, delay_ns=delay_ns, settings=("run.surface_time_s=20",)).run()
+
+
+def constant_delay(seed: int) -> Measures:
+    """Descend with 0.71 s of computing each cycle."""
+    return Locked(seed=seed, delay_ns=710_000_000).run()
+
+
+def scattered_delay(seed: int) -> Measures:
+    """Descend with computing times drawn from a log-normal distribution, median 0.1 s, 99 % at 0.3 s."""
+    rng = np.random.default_rng(seed)
+    return Locked(seed=seed, delay_ns=lambda _t: round(1e8 * math.exp(0.47 * rng.standard_normal()))).run()
+
+
+def overrun(seed: int) -> Measures:
+    """Descend while computing takes 0.5 to 1.5 s for 6 s, and 20 ms else."""
+    slow_ns = round(S * float(np.random.default_rng(seed).uniform(0.5, 1.5)))
+    return Locked(seed=seed, delay_ns=lambda t: slow_ns if 20 * S <= t < 26 * S else 20_000_000).run(26.0)
+
+
+def thrust_lost(seed: int) -> Measures:
+    """Descend with losses of 30 % of thrust every 30 s, for 8 s each."""
+    breaker = model_alarm.Breaker(seed)
+    seen = model_alarm.fly((f"run.seed={5100 + seed}", "run.duration_s=100.0", "run.perfect_state=true"), breaker)
+    found = list(model_alarm.of_run("known", breaker, seen, 300_000_000))
+    delays = [loss.delay_s for loss in found if loss.delay_s is not None]
+    return {
+        "losses detected (%)": 100.0 * len(delays) / len(found),
+        "delay, median (s)": float(np.median(delays)) if delays else math.nan,
+    }
+
+
+def mismatched(seed: int) -> Measures:
+    """Descend with mass, drag and thrust off by 10 %, and nothing lost."""
+    settings = (f"run.seed={5100 + seed}", "run.duration_s=100.0", "run.perfect_state=true")
+    seen = model_alarm.fly((*settings, *model_alarm.mismatch(seed)), None)
+    return {"false alarms": float(len(seen.alarms)), "largest evidence (nats)": seen.evidence}

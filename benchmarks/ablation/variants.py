@@ -1,0 +1,198 @@
+"""Kernels of the controller with one part switched off, for ``controller.py``.
+
+Each has the arguments of the kernel that it stands in for, and flags after them. With all flags set it returns the
+same bits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.compiled import assign, kernel
+from ltv_mpc.control.constants import constants, length, limited_states, objective, state_scale
+from ltv_mpc.control.cost import cost
+from ltv_mpc.control.guess import steer
+from ltv_mpc.control.horizon import linearise_ahead, roll, transposed_times, velocity_over_ground, views
+from ltv_mpc.control.limits import LIMITED, bring_in
+from ltv_mpc.control.outlook import Outlook, outlook
+from ltv_mpc.control.qp.sparse import WIDTH, Places, fill, map_of
+from ltv_mpc.control.solvers.sparse_osqp import (
+    ACTIVE,
+    EQUALITY_ROW,
+    EXCESS_ROW,
+    LARGEST_LIMIT_ROW,
+    LIMIT_ROW,
+    MOTION_ACTIVE,
+    MOTION_ROW,
+    NOT_ACTIVE,
+    _close,
+    _guess_commands,
+    _guess_excesses,
+    _shift_limits,
+    growth,
+    room,
+)
+from ltv_mpc.control.trajectory import AHEAD, ASTERN, CARRIED, STEPS, _carry_in, _set_out
+from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.flow import STATES
+
+OWN, FIXED, NONE = range(3)
+"""Scales of OSQP's rows: as they are; without the active limits; all 1."""
+
+
+@kernel
+def begin(
+    numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, steers: bool, looks: bool
+) -> int:
+    """``trajectory.begin``; ``steers``: with steered guesses, ``looks``: with the terminal check."""
+    c, lin = constants(numbers), views(flat, len(target) - 1)
+    o = c.objective
+    X, U = lin.X, lin.U
+    _set_out(start, X, U)
+    kind, least = AHEAD, np.inf
+    end = Outlook(False, 0.0)
+    if not np.isnan(stages):
+        _carry_in(old, stages, o, U)
+        linearise_ahead(lin, o.t, c.stage_s, c.p)
+        kind, least = CARRIED, cost(X, U, lin.C, target, o)
+        if looks:
+            end = outlook(X, lin.C, target, c)
+    if not steers:
+        if kind != CARRIED:
+            for k in range(1, U.shape[0]):
+                U[k, 0] = U[k, 1] = 0.0
+            bring_in(U, o.t, o.low, o.high, o.change)
+            linearise_ahead(lin, o.t, c.stage_s, c.p)
+        return kind
+    other_X, other_U = np.empty_like(X), np.empty_like(U)
+    _set_out(start, other_X, other_U)
+    for astern in (False, True):
+        other = steer(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
+        if np.isinf(other) and not np.isinf(least):
+            continue
+        other_end = Outlook(False, 0.0)
+        if looks:
+            other_end = outlook(other_X, lin.C, target, c)
+        counts = 1.0 if end.stuck or other_end.stuck else 0.0
+        if other + counts * other_end.beyond < least + counts * end.beyond or np.isinf(least):
+            assign(X, other_X)
+            assign(U, other_U)
+            kind, least, end = ASTERN if astern else AHEAD, other, other_end
+    if kind != CARRIED:
+        linearise_ahead(lin, o.t, c.stage_s, c.p)
+    return kind
+
+
+@kernel
+def step(
+    numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
+) -> float:
+    """``trajectory.step``; ``searches``: with the line search, else the whole step; ``looks`` as in ``begin``."""
+    c, lin = constants(numbers), views(flat, len(target) - 1)
+    o = c.objective
+    before = cost(lin.X, lin.U, lin.C, target, o)
+    assign(X[0], lin.X[0])
+    for part in STEPS:
+        for k in range(U.shape[0]):
+            for i in range(2):
+                U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
+        bring_in(U, o.t, o.low, o.high, o.change)
+        roll(X, U, lin.C, o.t, c.stage_s, c.p)
+        if not searches:
+            return part
+        if cost(X, U, lin.C, target, o) <= before:
+            if looks and outlook(X, lin.C, target, c).stuck and not outlook(lin.X, lin.C, target, c).stuck:
+                break
+            return part
+    assign(X, lin.X)
+    assign(U, lin.U)
+    return 0.0
+
+
+@kernel
+def prepare(
+    numbers: Array,
+    flat: Array,
+    target: Array,
+    places: Places,
+    factor: Array,
+    shift: float,
+    solve: Array,
+    guesses: bool,
+    scales: int,
+) -> float:
+    """``sparse_osqp.prepare``; ``guesses``: with the Riccati sweeps, ``scales``: how rows are scaled."""
+    N, states = len(target) - 1, limited_states(objective(numbers))
+    at = room(solve, N, states)
+    fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
+    c, lin = objective(numbers), views(flat, N)
+    E = N * STATES + 2
+    x, y, q = at.x, at.y, at.q
+    _shift_limits(y, E, c.t, shift)
+    velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
+    dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
+    if guesses and not kept[4 * N :].any():
+        _guess_commands(c, lin, target, dU, y[E:])
+    if not _close(c, lin, dU, x):
+        dU[:, :] = 0.0
+        y[E:] = kept
+        _close(c, lin, dU, x)
+    _guess_excesses(c, lin, q, np.isnan(shift), x, y)
+    costate = np.zeros(STATES)
+    for i in range(2):
+        w = velocity[i] - target[N, i]
+        for j in range(3):
+            w += V[i, j] * x[(N - 1) * WIDTH + 2 + j] * c.state_scale[2 + j]
+        x[N * WIDTH + i] = w
+        y[N * STATES + i] = c.terminal_velocity * w
+        for j in range(3):
+            costate[2 + j] += V[i, j] * c.terminal_velocity * w
+    before = np.zeros(STATES)
+    for k in range(N - 1, -1, -1):
+        weight = c.position * length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
+        for i in range(2):
+            scale = c.state_scale[i]
+            costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
+        row = E + 4 * N + 3 * k * limited_states(c)
+        for j in range(2):
+            if np.isfinite(c.most[j]):
+                costate[LIMITED[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED[j]]
+                row += 3
+        for i in range(STATES):
+            y[k * STATES + i] = costate[i] * state_scale(i, c)
+        transposed_times(lin.A, k, costate, before)
+        assign(costate, before)
+    if rescale(places, solve, N, states, scales) < 0:
+        return -1.0
+    return growth(at.q, N)
+
+
+@kernel
+def rescale(places: Places, solve: Array, N: int, limited: int, scales: int) -> int:
+    """``sparse_osqp.rescale``; ``scales`` as in ``prepare``."""
+    at = room(solve, N, limited)
+    row_of = map_of(places, len(at.A)).row_of
+    E = N * STATES + 2
+    size = growth(at.q, N)
+    free = min(LIMIT_ROW * size, LARGEST_LIMIT_ROW)
+    changed, total = 0, size
+    for i in range(len(at.rows)):
+        active = scales == OWN and abs(at.y[i]) > NOT_ACTIVE
+        if scales == NONE:
+            s = 1.0
+        elif i < E:
+            s = EQUALITY_ROW
+        elif i < E + 4 * N:
+            s = free * ACTIVE if active else free
+        elif not active:
+            s = MOTION_ROW * size
+        else:
+            s = (EXCESS_ROW if (i - E - 4 * N) % 3 == 2 else MOTION_ACTIVE) * size
+        if s != at.rows[i]:
+            changed, at.rows[i] = 1, s
+        at.ls[i], at.us[i], at.ys[i] = at.l[i] * s, at.u[i] * s, at.y[i] / s
+        total += at.l[i] + at.u[i] + at.y[i]
+    for i in range(len(at.A)):
+        at.As[i] = at.A[i] * at.rows[row_of[i]]
+        total += at.As[i]
+    return changed if np.isfinite(total) else -1
