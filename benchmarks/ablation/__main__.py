@@ -1,12 +1,12 @@
 """Switch every optional mechanism off alone, on paired seeds, in runs with the event it exists for.
 
-    .venv/bin/python -m benchmarks.ablation [--only PART ...] [--runs N] [--seed FIRST] [--results FILE.jsonl]
+    .venv/bin/python -m benchmarks.ablation [--only PART ...] [--runs N] [--seed FIRST] [--out DIR]
                                             [--workers N] [--list] [--markdown]
 
 For each measure the table has the mean (and the largest value) with and without the mechanism, the mean paired
 difference "without - with" with its 95 % interval, and the smallest difference that this number of runs can detect
 (2.8 standard errors of the paired difference). Lines of code are counted without blank lines, comments and docstrings.
-Results are kept in the file, so that an interrupted study resumes.
+Results are kept in the folder, so that an interrupted study resumes.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from pathlib import Path
 
 from benchmarks.ablation.lines import count
 from benchmarks.ablation.mechanism import Mechanism
-from benchmarks.ablation.runner import MECHANISMS, Effect, effects, jobs, load, run
+from benchmarks.ablation.runner import MECHANISMS, Effect, effects, jobs, load, run, version
+from services.batch.results_store import open_store
 
 HEADER = (
     "mechanism", "event", "runs", "measure", "with (worst)", "without (worst)", "difference (95 %)",
@@ -59,7 +60,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", default=[""], help="mechanisms whose name holds one of these")
     parser.add_argument("--runs", type=int, default=12, help="number of paired seeds")
     parser.add_argument("--seed", type=int, default=0, help="first seed")
-    parser.add_argument("--results", type=Path, default=Path("ablation.jsonl"), help="file of the results")
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation"), help="folder of the results")
     parser.add_argument("--workers", type=int, help="processes; as many as there are cores if not given")
     parser.add_argument("--list", action="store_true", help="list the mechanisms, run nothing")
     parser.add_argument("--markdown", action="store_true")
@@ -70,10 +71,11 @@ def main() -> int:
             print(f"{m.name}: {m.event.description}; {count(m.code)} lines of code, {count(m.tests)} of tests")
         return 0
     seeds = range(options.seed, options.seed + options.runs)
-    todo = jobs(chosen, seeds, set(load(options.results)))
-    for done in run(todo, options.results, options.workers):
-        print(f"\r{done} of {len(todo)}", end="", file=sys.stderr, flush=True)
-    found = load(options.results)
+    with open_store(options.out, {"sources": version()}) as store:
+        todo = jobs(chosen, seeds, set(load(store)))
+        for done in run(todo, store, options.workers):
+            print(f"\r{done} of {len(todo)}", end="", file=sys.stderr, flush=True)
+        found = load(store)
     table = [row for m in chosen for row in rows(m, effects(m, seeds, found))]
     print(printed(table, markdown=options.markdown))
     return 0

@@ -22,8 +22,8 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.proposal import proposed_horizon_s
-from ltv_mpc.messages import ControllerCheckpoint, Estimate, Harm, Message, Plan, Restore
-from ltv_mpc.node import Arrival, Inbox, Node
+from ltv_mpc.messages import ControllerState, Estimate, Harm, Message, Plan
+from ltv_mpc.node import Arrival, Due, Inbox, Node
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.faults.inside import Bus, Log
 from services.run import locked
@@ -32,7 +32,7 @@ from sim.faults import world
 from sim.faults.solver import Now, Trouble, Troubled, TroubledSolver
 from sim.faults.spell import Spell
 from sim.faults.transit import Harmed
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
 
 S = 1_000_000_000
 SAMPLES_PER_S = 100
@@ -500,16 +500,20 @@ class Replaced:
         self._replaced = False
         self.name, self.schedule = self._node.name, self._node.schedule
         self.reads, self.writes = self._node.reads, self._node.writes
-        self._checkpoint: ControllerCheckpoint | None = None
+        self._state: ControllerState | None = None
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Step the node, or the other one."""
+        return [self._step(t_ns, inbox) for t_ns, inbox in due]
+
+    def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         if not self._replaced and t_ns >= self._at_ns:
             self._replaced, self._node = True, self._make()
-            restore = Restore(t_ns=t_ns, node=self.name, controller=self._checkpoint)
-            inbox = [Arrival(restore, 1, 0, t_ns), *inbox]
-        out = self._node.step(t_ns, inbox)
-        self._checkpoint = next((m for m in out if isinstance(m, ControllerCheckpoint)), self._checkpoint)
+            if self._state is not None:
+                state = msgspec.structs.replace(self._state, plan=None)
+                inbox = [Arrival(state, 1, 0, t_ns), *inbox]
+        (out,) = self._node.steps([(t_ns, inbox)])
+        self._state = next((m for m in out if isinstance(m, ControllerState)), self._state)
         return out
 
 

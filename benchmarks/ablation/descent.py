@@ -15,24 +15,22 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.suite import Suite
 from ltv_mpc.messages import (
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     FilterStatus,
     GnssFix,
     LocalisationReport,
     Message,
-    Restore,
     Truth,
 )
-from ltv_mpc.node import Arrival, Due, Inbox, Node
+from ltv_mpc.node import Arrival, Due, Node
 from services.faults import inside
 from services.run import locked
 from services.run.situation import Override, resolve
 from sim.faults.instruments import Broken, FailingSensors
 from sim.faults.transit import Harmed
-from sim.lockstep import LockStep
+from sim.scheduler import LockStep
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
-from sim.stretches import Stretches
 
 S = 1_000_000_000
 BEGINS_S = 30.0
@@ -87,12 +85,15 @@ class Descent:
         if self.broken:
             sensors = FailingSensors(sensors, self.broken)
         nodes = [plant, sensors, timed, controller]
-        common = {"start_ns": scenario.start_ns, "observe": watch, "latest": locked.LATEST, "refused": locked.refused}
-        lockstep: LockStep | Stretches
-        if self.harmed:
-            lockstep = LockStep(nodes, between=inside.Bus(self.harmed), **common)
-        else:
-            lockstep = Stretches(nodes, heard=watch.heard, **common)
+        lockstep = LockStep(
+            nodes,
+            start_ns=scenario.start_ns,
+            observe=watch,
+            heard=watch.heard,
+            latest=locked.LATEST,
+            refused=locked.refused,
+            between=inside.Bus(self.harmed) if self.harmed else None,
+        )
         crashed = 0.0
         try:
             lockstep.advance(scenario.end_ns)
@@ -113,18 +114,16 @@ class Timed:
         self.reads, self.writes = self._node.reads, self._node.writes
         self.seconds = 0.0
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        """Step the estimator."""
-        if t_ns >= self._restart_ns:
-            self._restart_ns, self._node = math.inf, self._make()
-            inbox = [Arrival(self.restore(t_ns), 1, 0, t_ns), *inbox]
-        return self._taken([(t_ns, inbox)])[0]
-
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Step the estimator for each."""
+        """Step the estimator; from the time of the restart on, a new one."""
         before = [step for step in due if step[0] < self._restart_ns]
         out = self._taken(before) if before else []
-        return [*out, *(self.step(t_ns, inbox) for t_ns, inbox in due[len(before) :])]
+        after = list(due[len(before) :])
+        if after and math.isfinite(self._restart_ns):
+            self._restart_ns, self._node = math.inf, self._make()
+            t_ns, inbox = after[0]
+            after[0] = (t_ns, [*(Arrival(state, 1, 0, t_ns) for state in self.states()), *inbox])
+        return [*out, *(self._taken(after) if after else [])]
 
     def _taken(self, due: Sequence[Due]) -> list[list[Message]]:
         began = time.thread_time()
@@ -133,10 +132,10 @@ class Timed:
         self.newest.update({type(message): message for messages in out for message in messages})
         return out
 
-    def restore(self, t_ns: int) -> Restore:
-        """Return what a supervisor hands to the new process."""
-        checkpoint, estimate = self.newest.get(EstimatorCheckpoint), self.newest.get(Estimate)
-        return Restore(t_ns=t_ns, node=self.name, estimate=estimate, estimator=checkpoint)
+    def states(self) -> list[EstimatorState]:
+        """Return the state that a supervisor hands to the new process, or nothing."""
+        state = self.newest.get(EstimatorState)
+        return [] if state is None else [msgspec.structs.replace(state, estimate=self.newest.get(Estimate))]
 
 
 class Changed:
@@ -147,10 +146,13 @@ class Changed:
         self.name, self.schedule = sensors.name, sensors.schedule
         self.reads, self.writes = sensors.reads, sensors.writes
 
-    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """Step the sensors."""
-        messages = [self._wrong(message) for message in self._sensors.step(t_ns, inbox)]
-        return [again for message in messages for again in [message] * (2 if isinstance(message, self._twice) else 1)]
+        return [self._changed(messages) for messages in self._sensors.steps(due)]
+
+    def _changed(self, messages: Sequence[Message]) -> list[Message]:
+        wrong = [self._wrong(message) for message in messages]
+        return [again for message in wrong for again in [message] * (2 if isinstance(message, self._twice) else 1)]
 
     def _wrong(self, message: Message) -> Message:
         if isinstance(message, GnssFix) and message.t_ns == -S:
@@ -171,9 +173,6 @@ class Watch:
     estimate: dict[int, Estimate] = field(default_factory=dict)
 
     heard = frozenset({Truth, Estimate, LocalisationReport})
-
-    def stepped(self, *_: object) -> None:
-        """Which node is stepped when does not matter here."""
 
     def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002  (the type says who)
         """Keep what is of a whole second."""

@@ -22,12 +22,11 @@ from ltv_mpc.messages import (
     AdcpPing,
     CompassHeading,
     Estimate,
-    EstimatorCheckpoint,
+    EstimatorState,
     GnssFix,
     Harm,
     ImuSample,
     PressureDepth,
-    Restore,
     TdcpFix,
 )
 from sim.faults.instruments import Broken, Failure
@@ -255,15 +254,12 @@ def given(**tables: dict[str, float]) -> Off:
 def restored(*, checkpoint: bool, estimate: bool) -> Off:
     """Hand less than everything to the new process."""
 
-    def restore(self: Timed, t_ns: int) -> Restore:
-        return Restore(
-            t_ns=t_ns,
-            node=self.name,
-            estimate=self.newest.get(Estimate) if estimate else None,
-            estimator=self.newest.get(EstimatorCheckpoint) if checkpoint else None,
-        )
+    def states(self: Timed) -> list[EstimatorState]:
+        state = self.newest.get(EstimatorState) if checkpoint else None
+        newest = self.newest.get(Estimate) if estimate else None
+        return [] if state is None else [msgspec.structs.replace(state, estimate=newest)]
 
-    return lambda: replaced((Timed, "restore", restore))
+    return lambda: replaced((Timed, "states", states))
 
 
 def together(*offs: Off) -> Off:

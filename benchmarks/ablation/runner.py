@@ -1,7 +1,7 @@
-"""Make the runs of the study on paired seeds, on all cores, and keep each result as a line of JSON.
+"""Make the runs of the study on paired seeds, on all cores, and keep each result.
 
-A result belongs to a version of the sources (``version``): a study that is started again with the same file makes only
-the runs that are missing.
+A study that is started again in the same folder, by the same sources (``version``), makes only the runs that are
+missing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,8 @@ from benchmarks.ablation.controller import MECHANISMS as OF_CONTROLLER
 from benchmarks.ablation.estimator import MECHANISMS as OF_ESTIMATOR
 from benchmarks.ablation.lines import ROOT
 from benchmarks.ablation.mechanism import Measures, Mechanism
-from services.measure import batch
+from services.batch.executor import each
+from services.batch.results_store import ResultsStore
 
 MECHANISMS: tuple[Mechanism, ...] = (*OF_ESTIMATOR, *OF_CONTROLLER)
 
@@ -111,29 +111,17 @@ def make(job: Job) -> list[tuple[Key, Measures]]:
     return done
 
 
-def run(todo: Sequence[Job], results: Path, workers: int | None) -> Iterator[int]:
-    """Make all jobs, append each result to the file, and yield how many jobs are done."""
-    of = version()
-    with results.open("a") as file:
-        for count, (_, done) in enumerate(batch.each(make, todo, workers=workers), 1):
-            for key, measures in done:
-                values = {name: None if math.isnan(value) else value for name, value in measures.items()}
-                file.write(json.dumps({"version": of, **key._asdict(), "measures": values}) + "\n")
-            file.flush()
-            yield count
+def run(todo: Sequence[Job], store: ResultsStore, workers: int | None) -> Iterator[int]:
+    """Make all jobs, keep each result, and yield how many jobs are done."""
+    for count, (_, done) in enumerate(each(make, todo, workers=workers), 1):
+        for key, measures in done:
+            store.append(json.dumps(key), measures)
+        yield count
 
 
-def load(results: Path) -> dict[Key, Measures]:
-    """Read the results of this version of the sources."""
-    if not results.exists():
-        return {}
-    of, found = version(), {}
-    for line in results.read_text().splitlines():
-        row = json.loads(line)
-        if row.pop("version") == of:
-            measures = row.pop("measures")
-            found[Key(**row)] = {name: math.nan if value is None else value for name, value in measures.items()}
-    return found
+def load(store: ResultsStore) -> dict[Key, Measures]:
+    """Read the results so far."""
+    return {Key(*json.loads(key)): measures for key, measures in store.results()}
 
 
 def effects(mechanism: Mechanism, seeds: Sequence[int], found: dict[Key, Measures]) -> list[Effect]:
