@@ -64,8 +64,6 @@ Moment: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N m"}
 Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"})]
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
-# At least real time, though a command may ask for less (SpeedOfTime): such a clock is refused.
-AskedSpeed: TypeAlias = Annotated[float, Meta(ge=1.0, le=float(MAX_EXACT_INTEGER), extra={"unit": "vehicle s per s"})]
 HarmSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
 # Finite also where a solve failed.
 Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "dimensionless"})]
@@ -741,7 +739,7 @@ class Clock(Message, frozen=True, kw_only=True, eq=False):
     speed_num: Annotated[PositiveInteger, Meta(description="speed in force, numerator")]
     speed_den: Annotated[PositiveInteger, Meta(description="speed in force, denominator")]
     asked_speed: Annotated[
-        AskedSpeed, Meta(description="requested vehicle seconds per wall second; a slow machine is given fewer")
+        SpeedOfTime, Meta(description="requested vehicle seconds per wall second; a slow machine is given fewer")
     ]
     state: Annotated[ClockState, Meta(description="what vehicle time does from then on")]
 

@@ -14,6 +14,7 @@ from msgspec import Meta
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
+    Clock,
     ControllerState,
     ControllerStatus,
     Estimate,
@@ -193,3 +194,9 @@ def test_a_number_without_bounds_or_unit_is_refused_with_its_type() -> None:
     for kind in (Unbounded, Unitless):
         with pytest.raises(TypeError, match=f"{kind.__name__}.depth_m: a number needs"):
             validator(kind)
+
+
+def test_a_clock_may_be_slower_than_real_time():
+    clock = next(m for m in EXAMPLES if isinstance(m, Clock))
+    assert refusal(msgspec.structs.replace(clock, asked_speed=0.5, speed_num=1, speed_den=2)) is None
+    assert refusal(msgspec.structs.replace(clock, asked_speed=0.0)) is not None

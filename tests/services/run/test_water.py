@@ -23,7 +23,7 @@ from services.run import folder, locked
 from services.run.folder import RunFolder
 from services.run.situation import Override, Situation, resolve
 from services.run.summary import of_recording
-from services.run.water import Learned
+from services.run.water import Learned, told
 
 DURATION = "run.duration_s=30"
 BELOW_FIRST_PING = slice(30, 34)
@@ -208,7 +208,7 @@ def test_the_folder_holds_the_prior_and_runs_again_without_the_file_it_came_from
 
 
 def test_the_process_reads_the_prior_beside_its_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As the launcher starts it: from another folder, with the settings of the run's own."""
+    """The prior that a settings file names stands beside that file, whatever the working directory."""
     one = np.ones(1)
     known = WaterPrior(depth_m=one, north_mps=one / 3, east_mps=one, sd_mps=one, sd_common_mps=0.25)
     write_profile(tmp_path / "known.csv", known)
@@ -216,8 +216,8 @@ def test_the_process_reads_the_prior_beside_its_settings(tmp_path: Path, monkeyp
     (tmp_path / "none.toml").write_text("cell_m = 2.0\n")
     given: list[WaterPrior | None] = []
 
-    def main(*_: object, prior: WaterPrior | None) -> int:
-        given.append(prior)
+    def main(config: process.Config) -> int:
+        given.append(told(config.settings))
         return 0
 
     monkeypatch.setattr(process, "main", main)
