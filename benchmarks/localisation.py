@@ -4,7 +4,7 @@
 
 One simulated descent is heard again and again by filters that differ in their cells alone. Measured are
     filter  its own computing: inertial samples, corrections, the window, what it grants changing water
-    node    the whole estimator through ``step``: besides, the history for late messages, the watch over every sensor
+    node    the whole estimator through ``steps``: besides, the history for late messages, the watch over every sensor
             and ten estimates a second
 Processor time, not wall time. Settings take turns, N times (9): the machine may be shared, so the least is the cost,
 and the median says how much of it the others took.

@@ -1,7 +1,7 @@
 """A closed loop without messages, sensors or recording: the true vehicle, the controller, and the figures of both.
 
 The instants of a run in lock step with ``run.perfect_state``: a cycle each 0.3 s on the truth of that instant, the
-plant in steps of 10 ms. Its figures are those of ``ltv-mpc run --lockstep`` to 1e-3 m, in a fraction of the time, and
+plant in steps of 10 ms. Its figures are those of ``ltv-mpc sim --lockstep`` to 1e-3 m, in a fraction of the time, and
 a study can put its hands in: what the controller is told of the water, a thruster that is weaker than it says, another
 controller.
 """

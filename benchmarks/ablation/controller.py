@@ -185,16 +185,6 @@ def no_evidence(*_: Any) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-_weigh = model_check.weigh
-
-
-def not_white(rows: Any, known: Any) -> tuple[float, float, float]:
-    """Weigh evidence as if the yaw rate's noise were white in its change."""
-    rows = rows.copy()
-    rows[:, 4, 1] = 0.0
-    return _weigh(rows, known)
-
-
 # --- references ---
 
 _go_on = follower.go_on
@@ -238,7 +228,6 @@ MISTOLD = Event("mistold", "profile told lacks 4 cm/s at all depths", E.mistold)
 HALF = Event("half thrust", "port delivers half of what it reports", E.half_thrust)
 WAVES = Event("waves", "internal waves of 5 cm/s, told", E.waves)
 FAILS = Event("solver fails", "the solver fails for 3 s", E.solver_fails(20.0, 3.0))
-FAILS_LONG = Event("solver fails long", "the solver fails for 15 s", E.solver_fails(20.0, 15.0))
 SILENT = Event("silent", "no estimate for 4 s", E.no_estimates(4.0))
 SLOW = Event("slow estimates", "an estimate each 2 s", E.slow_estimates)
 NONSENSE = Event("nonsense 2", "one estimate in ten is of another place, covariance 0.1 m", E.nonsense)
@@ -250,7 +239,6 @@ CYCLES_TIGHT = Event("tight cycles", "yaw rate <= 0.1 rad/s, surge <= 0.1 m/s", 
 BALLAST = Event("ballast", "ballast 3 to 8 N off; down to 8 m and stay", E.ballast)
 SQUARE = Event("square", "square at 1 m/s in 0.3 m/s, start 6 m off", E.square(0.3, 6.0))
 CALM_SQUARE = Event("calm square", "square at 1 m/s, 0.05 m/s, start on it", E.square(0.05, 0.0))
-SILENT_SQUARE = Event("silent square", "square at 1 m/s, no estimate for 6 s", E.square(0.05, 0.0, silent_s=6.0))
 FAILS_SQUARE = Event(
     "solver fails on square", "square at 1 m/s, the solver fails for 12 s", E.square(0.05, 0.0, fails_s=12.0)
 )

@@ -17,7 +17,6 @@ import numpy as np
 from benchmarks import hard, model_alarm, unknown_current, vehicles
 from benchmarks.ablation.mechanism import Measures
 from benchmarks.loop import Loop, Outcome, situation
-from benchmarks.preview import without_preview
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
@@ -194,11 +193,6 @@ def waves(seed: int) -> Measures:
     return fly(situation(f"run.seed={seed}", "run.duration_s=100.0", *feature, ALWAYS))
 
 
-def without_the_profile_below(seed: int) -> Measures:
-    """Descend without preview: told the current here only."""
-    return fly(situation(f"run.seed={seed}", "run.duration_s=100.0"), told=without_preview)
-
-
 @dataclass
 class Stale:
     """Estimates that do not come while an event lasts, or come at a period of their own."""
@@ -224,7 +218,6 @@ class Nonsense:
     """One estimate in ten is of another place and heading."""
 
     rng: np.random.Generator
-    _n: int = 0
 
     def __call__(self, estimate: Estimate) -> Estimate:
         """Return the estimate, or nonsense."""

@@ -71,7 +71,6 @@ def gyro(deg_per_h: float) -> Descent:
 
 
 FORETOLD = Event("foretold", "water as foretold, nothing fails", Descent())
-FORETOLD_PAPER = Event("foretold, paper", "water as foretold, paper sensors", Descent(sensors="paper"))
 FAST_FRONT = Event("fast front", "front 20 cm/s in 5 s", front(0.2, 5.0))
 MEDIUM_FRONT = Event("medium front", "front 10 cm/s in 10 s", front(0.1, 10.0))
 SLOW_FRONT = Event("slow front", "front 10 cm/s in 15 s, paper sensors", front(0.1, 15.0, "paper"))

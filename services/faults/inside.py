@@ -61,7 +61,6 @@ class PlanSeen(NamedTuple):
 
     published_ns: int
     cycle_ns: int
-    estimate_ns: int
     origin: PlanOrigin
     health: Health
     finite: bool
@@ -144,7 +143,7 @@ class Log:
 
     def _planned(self, plan: Plan, at_ns: int) -> None:
         finite = bool(np.isfinite(plan.thrust_N).all())
-        seen = PlanSeen(at_ns, plan.cycle_t_ns, plan.estimate_t_ns, plan.origin, plan.health, finite)
+        seen = PlanSeen(at_ns, plan.cycle_t_ns, plan.origin, plan.health, finite)
         self.plans.append(seen)
         if plan.reference_m is not None:
             self.target.append((plan.cycle_t_ns, plan.reference_m))

@@ -26,7 +26,6 @@ class Ground:
 
     t_s: Array  # (N,), since the first ensemble
     velocity_mps: Array  # (N, 2), north and east; NaN outside the first and last bottom track
-    has_bottom: Array  # (N,), 1 where the ensemble itself has bottom track
     _position_m: Array  # (N, 2), from an arbitrary place
     _broken: Array  # (N,), how many gaps too long lie before each ensemble
 
@@ -56,4 +55,4 @@ def dead_reckoned(ensembles: Sequence[BeamEnsemble]) -> Ground:
             v[start + 1 : end] = np.nan
     steps = 0.5 * (v[1:] + v[:-1]) * np.diff(t)[:, None]
     position = np.vstack([np.zeros((1, 2)), np.cumsum(np.nan_to_num(steps), axis=0)])
-    return Ground(t, v, there.astype(np.float64), position, broken)
+    return Ground(t, v, position, broken)

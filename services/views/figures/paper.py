@@ -20,7 +20,6 @@ from services.views.plots.description import Axis, Plot
 
 NONE, PAPER_SHORT, PAPER_LONG = "none", "paper-2.5s", "paper-5s"
 OURS_SHORT, OURS_LONG = "ours-2.5s", "ours-5s"
-DESCENTS = (NONE, PAPER_SHORT, PAPER_LONG, OURS_SHORT, OURS_LONG)
 """Groups of one recorded run each."""
 
 MADE_UP, MEASURED = "made-up", "measured"
