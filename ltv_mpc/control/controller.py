@@ -318,6 +318,8 @@ class Controller:
             first_ns = max(state.plan.expected_delay_ns, first_ns)
             self._sent(state.plan)
             self._solved_until_ns = int(state.plan.t_ns[0]) + self._shifts_ns
+            if not np.array_equal(state.plan.t_ns - state.plan.t_ns[0], self._ahead_ns):
+                self._last = None  # of another horizon: its commands are in force, but no cycle can begin from it
         self._delay = self._new_delay(first_ns)
         self._delay.restore(state.plan_delays_ns, state.cycle_times_ns)
         self._integral_N = state.depth_integral_N
@@ -467,11 +469,8 @@ class Controller:
             self._solved_until_ns = int(plan.t_ns[0]) + self._shifts_ns
 
     def _followed(self) -> Plan | None:
-        """Return the last plan if it came from a solve and has this controller's knots: the next one begins from it."""
-        last = self._last
-        if last is None or last.origin not in FROM_A_SOLVE:
-            return None
-        return last if np.array_equal(last.t_ns - last.t_ns[0], self._ahead_ns) else None
+        """Return the last plan if it came from a solve: the next one begins from it."""
+        return self._last if self._last is not None and self._last.origin in FROM_A_SOLVE else None
 
     def _linearise(self, start: Start) -> None:
         """Linearise along the previous plan on the new knots, or along a steered one if that is better.

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc import Estimate, Plan, PlanOrigin, Vehicle, advance, references
+from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import SAVE_NS, ControllerNode
 from ltv_mpc.messages import (
@@ -215,6 +215,17 @@ def test_it_writes_down_each_change_and_else_each_five_seconds():
     assert flight.states[-1].progress == pytest.approx(flight.plans[-1].progress, abs=0.05)
     flight.step(Command(command_id=2, action=Action.HOLD))
     assert 'kind = "hold"' in flight.states[-1].reference_toml
+
+
+def test_a_plan_of_another_horizon_is_in_force_but_no_cycle_begins_from_it():
+    before = armed(references.load("line"), 40)
+    _, state = before.handed_over(0.0)
+    after = Controller(PAPER, references.load("line"), ControllerConfig(horizon_s=2.4))
+    after.restore(state, before.estimate.t_ns)
+    assert after.save(before.estimate.t_ns).plan is None
+    plan = after.plan(before.estimate)
+    assert plan.origin is PlanOrigin.SOLVED
+    np.testing.assert_allclose(plan.thrust_N[0], state.plan.thrust_at(int(plan.t_ns[0])), atol=1e-6)
 
 
 def test_two_that_were_restored_alike_give_the_same_bits():
