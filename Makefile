@@ -21,7 +21,7 @@ BIN := .venv/bin
 # `ensurepip` is left out of Python by some distributions: a venv without it has no pip.
 FITS := import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 CANDIDATES := python3 python3.11 python3.12 python3.13 python
-KERNELS := $(shell grep -rl --include=*.py '@kernel' ltv_mpc sim)
+KERNELS := $(shell grep -rl --include=*.py '@jit' ltv_mpc sim)
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -46,7 +46,7 @@ test: setup  ## lint, types, import contracts, all tests
 	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --durations=15
 
 figures: setup  ## the paper's figures and tables: docs/figures/, docs/paper.md; README's picture
-	$(BIN)/python -P -m services.measure.paper
+	$(BIN)/python -P -m services.tools.paper
 
 bench: setup .venv/bench  ## tables of the README: errors over 20 seeds, latency of a cycle, other tools beside it
 	$(BIN)/python -m benchmarks.descents
@@ -119,5 +119,5 @@ clean:  ## remove .venv and caches; runs/ stays
 	@touch $@
 
 .venv/compiled: .venv/installed $(KERNELS)
-	@$(BIN)/python -P -m services.launch.warm descent
+	@$(BIN)/python -P -m services.supervisor.jit_cache descent
 	@touch $@

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Array, Estimate, Truth
-from services.batch.executor import each
-from services.batch.job import Job
-from services.run import locked
+from services.tools import lockstep_run
+from services.tools.batch.executor import each
+from services.tools.batch.job import Job
 from sim.scheduler import LockStep
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "sensors"
@@ -58,7 +58,7 @@ def hover(job: Job) -> Drift:
     """One run."""
     situation, log = job.situation(), _Log()
     lockstep = LockStep(
-        locked.nodes(situation), start_ns=situation.scenario.start_ns, latest=locked.LATEST, observe=log
+        lockstep_run.nodes(situation), start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=log
     )
     lockstep.advance(situation.scenario.end_ns)
     return Drift(*np.array(log.rows).T)

@@ -28,16 +28,16 @@ from rich.progress import Progress
 from benchmarks.loop import STEP_NS, Loop, Outcome, situation
 from benchmarks.optimum import Optimum
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.scales import settled
-from ltv_mpc.control.solvers.solver import Answer, Solver
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.solvers.interface import Answer, Solver
 from ltv_mpc.messages import Array
-from services.batch.executor import each
-from services.batch.results_store import open_store
-from services.campaign.trial import version_of
-from services.run.made_by import made_by
-from services.run.situation import Situation
+from services.run.provenance import made_by
+from services.run.run_config import Situation
+from services.tools.batch.executor import each
+from services.tools.batch.results_store import open_store
+from services.tools.campaign.trial import version_of
 
 FIRST_SEED = 500
 RESAMPLES = 10_000

@@ -16,9 +16,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from services.batch.executor import each
-from services.batch.job import Job
-from sim.grading.summary import Summary
+from services.tools.batch.executor import each
+from services.tools.batch.job import Job
+from sim.evaluation.summary import Summary
 
 KNOWN = ("run.perfect_state=true",)
 PAPER_COST = (

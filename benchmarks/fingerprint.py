@@ -36,11 +36,11 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.node import Arrival, Due, Inbox, Node
-from services.faults import inside, kinds
-from services.faults.draw import Run
-from services.faults.fault import Fault, Place
-from services.run import locked
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
+from services.tools.faults import kinds, lockstep_runs
+from services.tools.faults.draw import Run
+from services.tools.faults.fault import Fault, Place
 from sim.scheduler import LockStep
 
 S = 1_000_000_000
@@ -154,8 +154,8 @@ def lockstep(of: Situation, nodes: list[Node]) -> Values:
         start_ns=of.scenario.start_ns,
         compute_delay_ns=delay_ns,
         observe=collector,
-        latest=locked.LATEST,
-        refused=locked.refused,
+        latest=lockstep_run.LATEST,
+        refused=lockstep_run.refused,
     ).advance(of.scenario.end_ns)
     return collector.values()
 
@@ -167,11 +167,11 @@ def restarted() -> Values:
 
     def again(node: Node) -> Node:
         def make() -> Node:
-            return next(new for new in locked.nodes(of) if new.name == node.name)
+            return next(new for new in lockstep_run.nodes(of) if new.name == node.name)
 
         return Restarted(make, memory) if node.name in (ControllerNode.name, Estimator.name) else node
 
-    return lockstep(of, [again(node) for node in locked.nodes(of)])
+    return lockstep(of, [again(node) for node in lockstep_run.nodes(of)])
 
 
 def faulty(kind: str) -> Values:
@@ -182,7 +182,7 @@ def faulty(kind: str) -> Values:
     if kind == "clock_jump":
         fault = msgspec.structs.replace(fault, size=60.0)
     collector = Collector()
-    inside.observe(Run(seed=5, faults=(fault,), duration_s=DURATION_S, afloat_s=3.0), tap=collector.take)
+    lockstep_runs.observe(Run(seed=5, faults=(fault,), duration_s=DURATION_S, afloat_s=3.0), tap=collector.take)
     return collector.values()
 
 
@@ -195,7 +195,7 @@ def runs() -> dict[str, Callable[[], Values]]:
 
 def _plain(scenario: str, *settings: str) -> Values:
     of = situation(scenario, *settings)
-    return lockstep(of, locked.nodes(of))
+    return lockstep(of, lockstep_run.nodes(of))
 
 
 def digest(values: np.ndarray) -> str:

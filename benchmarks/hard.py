@@ -19,7 +19,7 @@ from benchmarks.table import Figures, Job, measure
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Point
-from services.run.situation import Situation
+from services.run.run_config import Situation
 from sim.water import WaterColumn
 
 REVERSING_MPS, REVERSES_AT_M = 0.15, 8.0

@@ -21,8 +21,8 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import references
-from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.flow import advance_stage
 from ltv_mpc.vehicle.identification import Identified, Motion, identify, units_of

@@ -24,7 +24,7 @@ from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.wire import decode
-from services.launch import loopback
+from services.supervisor import loopback
 
 CLI = (sys.executable, "-P", "-m", "services.cli")
 ECHO = """

@@ -24,9 +24,9 @@ import threading
 import time
 from pathlib import Path
 
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
 from services.run.summary import of_recording
-from sim.grading.summary import Summary
+from sim.evaluation.summary import Summary
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
 TUNSETIFF, IFF_TUN, IFF_NO_PI = 0x400454CA, 0x0001, 0x1000

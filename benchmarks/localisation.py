@@ -28,12 +28,12 @@ from rich.progress import Progress
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter import Aiding, Filter
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
-from services.batch.job import Job
-from services.run import locked
+from services.tools import lockstep_run
+from services.tools.batch.job import Job
 from sim.scheduler import LockStep, Step
 
 CELLS = (25, 50, 70, 140, 280, 500)
@@ -89,8 +89,10 @@ class Descent(NamedTuple):
             if step.node == Estimator.name:
                 steps.append((step.t_ns, step.inbox))
 
-        nodes = locked.nodes(situation)
-        LockStep(nodes, start_ns=scenario.start_ns, stepped=stepped, latest=locked.LATEST).advance(scenario.end_ns)
+        nodes = lockstep_run.nodes(situation)
+        LockStep(nodes, start_ns=scenario.start_ns, stepped=stepped, latest=lockstep_run.LATEST).advance(
+            scenario.end_ns
+        )
         return cls(situation.suite, steps)
 
     def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:

@@ -23,9 +23,9 @@ from rich.table import Table
 
 from ltv_mpc.messages import Message
 from ltv_mpc.node import Due, Node
-from services.run import locked
 from services.run.folder import RunFolder
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
 from sim.scheduler import LockStep
 
 SETTINGS: dict[str, tuple[str, ...]] = {
@@ -45,7 +45,7 @@ def run(of: Situation, folder: str | None = None) -> float:
     """Times real time of one run; recorded into ``folder``, where there is one."""
     seconds = (of.scenario.end_ns - of.scenario.start_ns) * 1e-9
     started = time.perf_counter()
-    locked.run(of, None if folder is None else RunFolder(Path(folder)))
+    lockstep_run.run(of, None if folder is None else RunFolder(Path(folder)))
     return seconds / (time.perf_counter() - started)
 
 
@@ -66,8 +66,8 @@ def shares(of: Situation) -> dict[str, float]:
             spent[self.name] += time.perf_counter() - started
             return said
 
-    nodes = [Timed(node) for node in locked.nodes(of, unheard=False)]
-    lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=locked.LATEST, refused=locked.refused)
+    nodes = [Timed(node) for node in lockstep_run.nodes(of, unheard=False)]
+    lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, refused=lockstep_run.refused)
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)
     whole = time.perf_counter() - started

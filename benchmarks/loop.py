@@ -18,7 +18,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
 from sim import motion
 from sim.plant import level_to_ned, mismatched
 from sim.water import WaterColumn

@@ -29,8 +29,8 @@ import numpy as np
 
 from ltv_mpc.messages import Applied, Disturbance, Message, ModelCheck, Triple, Truth
 from ltv_mpc.node import Arrival, Due, Grid, Node
-from services.run.locked import LATEST, nodes
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
+from services.tools.lockstep_run import LATEST, nodes
 from sim.scheduler import LockStep
 
 S = 1_000_000_000

@@ -20,7 +20,7 @@ from benchmarks.loop import Loop, situation
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import current_at
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
-from services.batch.executor import each
+from services.tools.batch.executor import each
 
 LIMITS: tuple[tuple[str, ...], ...] = (
     (),

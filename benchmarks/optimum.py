@@ -26,12 +26,12 @@ from rich.progress import Progress
 
 from benchmarks.loop import Loop, situation
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.constants import objective, pack_objective
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.horizon import roll_out
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.scales import settled
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import roll_out
+from ltv_mpc.control.problem_data import objective, pack_objective
+from ltv_mpc.control.scaling import settled
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, lag_weights, substeps
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle

@@ -17,9 +17,9 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
-from ltv_mpc.control.advance import as_estimate
-from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.sent_commands import SentCommands
 
 NAMES = ("line", "square", "lawnmower", "circle", "spiral")
 PERIOD_NS = 300_000_000

@@ -23,7 +23,7 @@ from benchmarks.loop import Loop, Outcome, situation
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import current_at
 from ltv_mpc.messages import CurrentProfile, Estimate
-from services.batch.executor import each
+from services.tools.batch.executor import each
 
 HORIZONS_S = (2.5, 5.0, 10.0, 20.0)
 

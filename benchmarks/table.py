@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.loop import Outcome
-from services.batch.executor import each
+from services.tools.batch.executor import each
 
 
 class Figures(NamedTuple):

@@ -1,7 +1,7 @@
 """Any vehicle by its file: a point held in a current, with weights that follow from the vehicle alone.
 
 A start 2 m off the point, at rest in the water, in a direction and with a heading that are drawn; a steady current of
-0.2, 0.35 or 0.5 of the top speed ahead, told. Each run lasts until four times the time T of ``control/scales.py`` and
+0.2, 0.35 or 0.5 of the top speed ahead, told. Each run lasts until four times the time T of ``control/scaling.py`` and
 40 s have passed for settling, and 40 s more, over which it is graded:
 
     off      largest distance from the point
@@ -28,12 +28,12 @@ from benchmarks.loop import Loop, situation
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.scales import scales_of
+from ltv_mpc.control.scaling import scales_of
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.thruster import revolutions
-from services.measure.vehicle_check import check
-from services.run.situation import Situation
+from services.run.run_config import Situation
+from services.tools.vehicle_check import check
 from sim.water.column import WaterColumn
 
 SHARES = (0.2, 0.35, 0.5)

@@ -26,13 +26,13 @@ import numpy as np
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter import Aiding, Filter, Verdict
-from ltv_mpc.localisation.state import VELOCITY, Belief
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Verdict
+from ltv_mpc.localisation.filter.state import VELOCITY, Belief
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
 from ltv_mpc.node import Arrival, Due
-from services.batch.job import Job
-from services.run import locked
+from services.tools import lockstep_run
+from services.tools.batch.job import Job
 from sim.scenario import Feature as Shape
 from sim.scenario import Water
 from sim.scheduler import LockStep, Step
@@ -114,7 +114,7 @@ class Descent:
     def __init__(self, sensors: str, seed: int, settings: Sequence[str] = ()) -> None:
         """Runs it, in lock step. Raises ``ConfigError``."""
         situation = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).situation()
-        nodes = locked.nodes(situation)
+        nodes = lockstep_run.nodes(situation)
         self.suite: Suite = situation.suite
         self.water: Water = situation.scenario.water
         self.steps: list[Due] = []  # of the estimator
@@ -124,9 +124,9 @@ class Descent:
         self._profiler = next(unit for unit in units if isinstance(unit, Profiler))
         self._beams = beams(self.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T  # (4, 3), body
         scenario = situation.scenario
-        LockStep(nodes, start_ns=scenario.start_ns, observe=self, stepped=self._stepped, latest=locked.LATEST).advance(
-            scenario.end_ns
-        )
+        LockStep(
+            nodes, start_ns=scenario.start_ns, observe=self, stepped=self._stepped, latest=lockstep_run.LATEST
+        ).advance(scenario.end_ns)
         self.end_ns = scenario.end_ns
 
     def _stepped(self, step: Step) -> None:

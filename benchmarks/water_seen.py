@@ -10,7 +10,7 @@ profile, or with a gyro that fails; each second the true error of velocity (thre
     silent   share of seconds with a velocity beyond chi-square's 99 % while the filter says that all is well: one of
              a hundred in a consistent filter that says nothing
     NEES     of velocity and of the cells that beams have seen, per degree of freedom, after the beginning
-    finer    what no cell holds of the water (``sim/grading/cells.py``), rms over depth, mean of the runs
+    finer    what no cell holds of the water (``sim/evaluation/cells.py``), rms over depth, mean of the runs
     off      rms of the horizontal velocity's error over the last 20 s, and what the filter says of it
 """
 
@@ -28,13 +28,13 @@ import numpy as np
 from scipy.special import chdtri
 
 from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, waves
-from ltv_mpc.localisation.state import VELOCITY
+from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.messages import Array, Estimate, FilterStatus, LocalisationReport
 from ltv_mpc.node import Arrival
-from services.batch.executor import each
-from services.batch.job import Job
-from services.measure.localisation_probe import LOOK_NS, Probe
-from services.run.situation import Situation
+from services.run.run_config import Situation
+from services.tools.batch.executor import each
+from services.tools.batch.job import Job
+from services.tools.localisation_check.probe import LOOK_NS, Probe
 
 LAST = 20
 VELOCITY_AXES = VELOCITY.stop - VELOCITY.start

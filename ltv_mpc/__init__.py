@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ltv_mpc import references
-    from ltv_mpc.control.advance import advance
     from ltv_mpc.control.config import ControllerConfig
     from ltv_mpc.control.controller import Controller
+    from ltv_mpc.control.nominal_model import advance
     from ltv_mpc.control.qp.sparse import build_qp
     from ltv_mpc.control.solvers import solve_qp
     from ltv_mpc.messages import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus
@@ -27,7 +27,7 @@ _HOME = {
     "PlanOrigin": "ltv_mpc.messages",
     "SolveStatus": "ltv_mpc.messages",
     "Vehicle": "ltv_mpc.vehicle.parameters",
-    "advance": "ltv_mpc.control.advance",
+    "advance": "ltv_mpc.control.nominal_model",
     "build_qp": "ltv_mpc.control.qp.sparse",
     "references": "ltv_mpc.references",
     "solve_qp": "ltv_mpc.control.solvers",

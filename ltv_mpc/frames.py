@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from ltv_mpc import so3
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Triple
 
 GRAVITY_MPS2 = 9.80665
@@ -35,7 +35,7 @@ def earth_rate(latitude_rad: float) -> Array:
     return EARTH_RATE_RADPS * np.array([math.cos(latitude_rad), 0.0, -math.sin(latitude_rad)])
 
 
-@kernel
+@jit
 def wrap_angle(angle: float) -> float:
     """The same angle in (-pi, pi]; an angle that lies there already is returned bit for bit."""
     if -math.pi < angle <= math.pi:
@@ -44,7 +44,7 @@ def wrap_angle(angle: float) -> float:
     return wrapped if wrapped > -math.pi else math.pi
 
 
-@kernel
+@jit
 def rotation(roll: float, pitch: float, heading: float) -> Array:
     """R = Rz(heading) Ry(pitch) Rx(roll), body to world, shape (3, 3)."""
     R = np.empty((3, 3))
@@ -52,14 +52,14 @@ def rotation(roll: float, pitch: float, heading: float) -> Array:
     return R
 
 
-@kernel
+@jit
 def roll_pitch_heading(R: Array) -> Triple:
     """The angles of ``rotation``: roll and heading in (-pi, pi], pitch in [-pi/2, pi/2]."""
     pitch = math.atan2(-R[2, 0], math.hypot(R[2, 1], R[2, 2]))
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
-@kernel
+@jit
 def skew(a: Array) -> Array:
     """a^ with a^ b = a x b, shape (3, 3)."""
     S = np.zeros((3, 3))
@@ -69,7 +69,7 @@ def skew(a: Array) -> Array:
     return S
 
 
-@kernel
+@jit
 def rotation_exp(phi: Array) -> Array:
     """exp(phi^), shape (3, 3)."""
     R = np.empty((3, 3))
@@ -77,7 +77,7 @@ def rotation_exp(phi: Array) -> Array:
     return R
 
 
-@kernel
+@jit
 def rotation_log(R: Array) -> Array:
     """The rotation vector phi of R, |phi| <= pi, shape (3,)."""
     phi = np.empty(3)

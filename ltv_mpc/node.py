@@ -1,7 +1,7 @@
 """What a node is: pure steps. It never asks what time it is, draws no unseeded number, and keeps no thread.
 
 A node is given the steps that are due. ``sim/scheduler.py`` (one process, simulated clock) gives it as many at once as
-are known; ``services/process/runner.py`` (Zenoh, wall clock) and a replay give it one at a time. Given the same state
+are known; ``services/runtime/runner.py`` (Zenoh, wall clock) and a replay give it one at a time. Given the same state
 and the same (t_ns, inbox) a step returns the same messages, bit for bit, alone or with others; so a recording replays
 through the nodes without tolerances.
 """

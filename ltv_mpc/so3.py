@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Triple
 
 Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
@@ -17,13 +17,13 @@ SMALL = 1e-4
 """Angle (rad) below which the series to the fourth power is exact to double precision."""
 
 
-@kernel
+@jit
 def read(R: Array) -> Nine:
     """An array (3, 3) as numbers."""
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
 
-@kernel
+@jit
 def write(M: Nine, R: Array) -> None:
     """The numbers into an array (3, 3)."""
     R[0, 0], R[0, 1], R[0, 2] = M[0], M[1], M[2]
@@ -31,13 +31,13 @@ def write(M: Nine, R: Array) -> None:
     R[2, 0], R[2, 1], R[2, 2] = M[6], M[7], M[8]
 
 
-@kernel
+@jit
 def transposed(M: Nine) -> Nine:
     """M^T."""
     return M[0], M[3], M[6], M[1], M[4], M[7], M[2], M[5], M[8]
 
 
-@kernel
+@jit
 def times(A: Nine, B: Nine) -> Nine:
     """A B."""
     return (
@@ -53,7 +53,7 @@ def times(A: Nine, B: Nine) -> Nine:
     )
 
 
-@kernel
+@jit
 def of_angles(roll: float, pitch: float, heading: float) -> Nine:
     """R = Rz(heading) Ry(pitch) Rx(roll), body to world."""
     cr, sr = math.cos(roll), math.sin(roll)
@@ -66,7 +66,7 @@ def of_angles(roll: float, pitch: float, heading: float) -> Nine:
     )  # fmt: skip
 
 
-@kernel
+@jit
 def exp(x: float, y: float, z: float) -> Nine:
     """exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ of phi = [x, y, z] with t = |phi|."""
     t2 = x * x + y * y + z * z
@@ -85,14 +85,14 @@ def exp(x: float, y: float, z: float) -> Nine:
     )  # fmt: skip
 
 
-@kernel
+@jit
 def strapdown(R: Nine, W: Triple, w: Triple, dt: float) -> Nine:
     """exp(-W dt) R exp(w dt): R after dt at the rate w (body) against the stars, on an Earth that turns at W (NED)."""
     world = exp(-dt * W[0], -dt * W[1], -dt * W[2])
     return times(times(world, R), exp(dt * w[0], dt * w[1], dt * w[2]))
 
 
-@kernel
+@jit
 def log(M: Nine) -> Triple:
     """The rotation vector phi of M, |phi| <= pi."""
     # (M - M^T) / 2 = sin(t) axis^,  (trace M - 1) / 2 = cos(t)

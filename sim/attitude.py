@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Pair
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 
 SINES = 16
 BAND = (0.7, 1.3)
@@ -39,7 +39,7 @@ class Attitude:
         return sum_of_sines(t_ns * 1e-9, self.amplitude_rad, self.waves)
 
 
-@kernel
+@jit
 def sum_of_sines(t: float, amplitude: float, waves: Array) -> Pair:
     """Both sums at t; ``waves`` (2, 2, K) holds angular frequency and phase of roll and of pitch."""
     roll = 0.0

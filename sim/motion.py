@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Triple
 from ltv_mpc.vehicle.dynamics import coefficients, heave_acceleration, rates
 from ltv_mpc.vehicle.flow import lag_weights
@@ -57,7 +57,7 @@ def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:
     return np.concatenate([p, np.ravel(propellers), [vehicle.water_density_kgpm3, factor]])
 
 
-@kernel
+@jit
 def body(flat: Array) -> Body:
     """The inverse of ``pack``."""
     return Body(
@@ -70,7 +70,7 @@ def body(flat: Array) -> Body:
     )
 
 
-@kernel
+@jit
 def step(
     flat: Array,
     s: Array,
@@ -111,7 +111,7 @@ def step(
     F[0], F[1], F[2] = _thrusts(true, end, s[2], s[7])
 
 
-@kernel
+@jit
 def _revolutions(of: Propeller, rho: float, n: float, y0: float, y1: float, inflow: float, h: float) -> Triple:
     """n at the start, the middle and the end of the step."""
     a = min(max(revolutions(y0, inflow, rho, of.diameter), -of.most), of.most)
@@ -119,14 +119,14 @@ def _revolutions(of: Propeller, rho: float, n: float, y0: float, y1: float, infl
     return _turning(of, n, a, b, 0.0, h), _turning(of, n, a, b, 0.5 * h, h), _turning(of, n, a, b, h, h)
 
 
-@kernel
+@jit
 def _turning(of: Propeller, n: float, a: float, b: float, t: float, h: float) -> float:
     """n(t) = w n(0) + w0 n_c(0) + w1 n_c(h)."""
     w, w0, w1 = lag_weights(t, h, of.lag)
     return w * n + w0 * a + w1 * b
 
 
-@kernel
+@jit
 def _along(s: State, k: State, h: float) -> State:
     """s + h k."""
     return (
@@ -135,7 +135,7 @@ def _along(s: State, k: State, h: float) -> State:
     )  # fmt: skip
 
 
-@kernel
+@jit
 def _thrusts(true: Body, n: Triple, surge: float, heave: float) -> Triple:
     """What eq 8 gives."""
     return (
@@ -145,7 +145,7 @@ def _thrusts(true: Body, n: Triple, surge: float, heave: float) -> Triple:
     )
 
 
-@kernel
+@jit
 def _slope(
     true: Body, s: State, n: Triple, held: bool, depths: Array, earlier: Array, later: Array, share: float
 ) -> State:
@@ -164,7 +164,7 @@ def _slope(
     return north, east, surge, sway, heading, yaw, w, heave
 
 
-@kernel
+@jit
 def drive(
     flat: Array,
     s: Array,

@@ -18,11 +18,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.compiled import assign, kernel
 from ltv_mpc.frames import wrap_angle
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Plan, Triple, Truth
 from ltv_mpc.node import Arrival, Due, Grid, Inbox
-from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.safety.plan_gate import Gate, Verdict
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.attitude import Attitude, sum_of_sines
@@ -217,7 +217,7 @@ def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
     return p._replace(**{name: factor * getattr(p, name) for name, factor in factors.items()})
 
 
-@kernel
+@jit
 def driven(
     body: Array,
     s: Array,
@@ -249,13 +249,13 @@ def driven(
         for i in range(3):
             y[1, i] = max(y[1, i], abs(commands[k, i] - y[0, i]) / h)
         motion.step(body, s, n, F, y[0], commands[k], t_ns[k] <= 0, h, depths, earlier, later, share[k])
-        assign(y[0], commands[k])
+        copy_to(y[0], commands[k])
         t_s = t_ns[k] * 1e-9
         look(seen[k], s, F, factor, waves, amplitude, t_s, depths, seen_earlier, seen_later, seen_share[k])
     return seen
 
 
-@kernel
+@jit
 def look(
     seen: Array,
     s: Array,
@@ -270,7 +270,7 @@ def look(
     share: float,
 ) -> None:
     """The state, velocity over ground north and east, roll, pitch, heading, the current, delivered thrusts: (18,)."""
-    assign(seen[:8], s)
+    copy_to(seen[:8], s)
     cn, ce = velocity_at(s[6], depths, earlier, later, share)
     # [n', e'] = R(psi) [u, v] + c(z)
     north, east = level_to_ned(s[2], s[3], s[4])
@@ -282,7 +282,7 @@ def look(
         seen[15 + i] = factor * F[i]
 
 
-@kernel
+@jit
 def level_to_ned(u: float, v: float, heading: float) -> tuple[float, float]:
     """R(heading) [u, v]: north and east of a horizontal vector given ahead and to starboard."""
     cos, sin = math.cos(heading), math.sin(heading)

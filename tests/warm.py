@@ -8,7 +8,7 @@ from __future__ import annotations
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.nodes import controller
+from services.processes import controller
 
 
 def main() -> None:

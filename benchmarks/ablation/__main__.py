@@ -18,7 +18,7 @@ from pathlib import Path
 from benchmarks.ablation.lines import count
 from benchmarks.ablation.mechanism import Mechanism
 from benchmarks.ablation.runner import MECHANISMS, Effect, effects, jobs, load, run, version
-from services.batch.results_store import open_store
+from services.tools.batch.results_store import open_store
 
 HEADER = (
     "mechanism", "event", "runs", "measure", "with (worst)", "without (worst)", "difference (95 %)",

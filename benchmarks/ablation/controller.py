@@ -12,20 +12,20 @@ import msgspec
 from benchmarks.ablation import controller_events as events
 from benchmarks.ablation import variants
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from ltv_mpc.control import controller, proposal, scales, trajectory
-from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control import controller, horizon_selection, nominal_trajectory, scaling
 from ltv_mpc.control.config import ControllerConfig, Weights
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction
-from ltv_mpc.control.solvers import osqp_raw, sparse_osqp
-from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.solvers import osqp, osqp_workspace
+from ltv_mpc.control.solvers.osqp import SparseOsqp
 from ltv_mpc.messages import Estimate, Harm, Plan
 from ltv_mpc.references import follower
 from ltv_mpc.safety import health, model_check
-from ltv_mpc.safety.ages import Input
-from ltv_mpc.safety.gate import Gate, Verdict
-from ltv_mpc.safety.guards import Guard
+from ltv_mpc.safety.estimate_gate import Guard
+from ltv_mpc.safety.input_monitor import Input
+from ltv_mpc.safety.plan_gate import Gate, Verdict
 
 Switch = Callable[[], AbstractContextManager[Any]]
 
@@ -47,7 +47,7 @@ def kernels(*, steers: bool = True, looks: bool = True, searches: bool = True) -
     def step(*arguments: Any) -> float:
         return variants.step(*arguments, searches, looks)
 
-    return without((trajectory, "begin", begin), (trajectory, "step", step))
+    return without((nominal_trajectory, "begin", begin), (nominal_trajectory, "step", step))
 
 
 def one_qp() -> AbstractContextManager[Any]:
@@ -106,12 +106,12 @@ def solver(*, guesses: bool = True, scaled: int = variants.OWN, turns: bool = Tr
     def rescale(*arguments: Any) -> int:
         return variants.rescale(*arguments, scaled)
 
-    changes: list[tuple[object, str, object]] = [(sparse_osqp, "prepare", prepare), (sparse_osqp, "rescale", rescale)]
+    changes: list[tuple[object, str, object]] = [(osqp, "prepare", prepare), (osqp, "rescale", rescale)]
     if scaled == variants.NONE:
         own = {"scaling": 10, "adaptive_rho": 1, "rho": 0.1, "rho_is_vec": 1, "sigma": 1e-6}
-        changes += [(sparse_osqp, "PLAIN", {**osqp_raw.PLAIN, **own}), (sparse_osqp, "TURN", 4000)]
+        changes += [(osqp, "PLAIN", {**osqp_workspace.PLAIN, **own}), (osqp, "TURN", 4000)]
     if not turns:
-        changes.append((sparse_osqp, "TURN", 4000))
+        changes.append((osqp, "TURN", 4000))
     return without(*changes)
 
 
@@ -120,9 +120,9 @@ def forget(self: SparseOsqp, _stages: float) -> None:
     self.forget()
 
 
-def public(*arguments: Any) -> osqp_raw.PublicWorkspace:
+def public(*arguments: Any) -> osqp_workspace.PublicWorkspace:
     """Make OSQP's public wrapper."""
-    return osqp_raw.PublicWorkspace(*arguments)
+    return osqp_workspace.PublicWorkspace(*arguments)
 
 
 # --- ladder ---
@@ -270,8 +270,8 @@ EXCURSION = ("cross-track error, largest after 30 s (m)", "cross-track error, rm
 PATH = ("cross-track error, rms (m)", "cross-track error, 95 % (m)", "path done after (s)")
 
 C, T = "ltv_mpc/control/", "tests/ltv_mpc/"
-OUTLOOK = (C + "outlook.py",), (T + "control/test_outlook.py",)
-GUESS = (C + "guess.py",), ()
+OUTLOOK = (C + "terminal_check.py",), (T + "control/test_terminal_check.py",)
+GUESS = (C + "initial_guess.py",), ()
 BIAS = (C + "disturbance.py",), (T + "control/test_disturbance.py",)
 
 
@@ -323,18 +323,18 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("shifted duals", CYCLES, without((SparseOsqp, "shift", forget)), TIME, timed=True),
     row("shifted duals", CYCLES_HARD, without((SparseOsqp, "shift", forget)), TIME, timed=True),
     row("shifted duals", CYCLES_TIGHT, without((SparseOsqp, "shift", forget)), TIME, timed=True),
-    row("raw OSQP extension", CYCLES, without((sparse_osqp, "workspace", public)), TIME, timed=True),
+    row("raw OSQP extension", CYCLES, without((osqp, "workspace", public)), TIME, timed=True),
     row("growing stages", CYCLES_20, equal_stages, TIME, timed=True),
     row(
         "stability of the proposed horizon",
         LIGHT,
-        without((proposal, "is_stable", unstable_allowed)),
+        without((horizon_selection, "is_stable", unstable_allowed)),
         ("largest distance, last 40 s (m)", "sway, rms (m)", "change of thrust, rms", "horizon (s)"),
     ),
     row(
         "weights from the vehicle",
         DRAWN,
-        without((scales, "weights_of", paper_weights)),
+        without((scaling, "weights_of", paper_weights)),
         (*HELD, "sway, rms (m)", "change of thrust, rms", "iterations, largest", "cycles not solved"),
     ),
     row("shifted plan", FAILS_SQUARE, without((Controller, "_shifted", nothing)), EXCURSION),

@@ -20,17 +20,17 @@ from benchmarks.loop import Loop, Outcome, situation
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.proposal import proposed_horizon_s
+from ltv_mpc.control.horizon_selection import proposed_horizon_s
 from ltv_mpc.messages import ControllerState, Estimate, Harm, Message, Plan
 from ltv_mpc.node import Arrival, Due, Inbox, Node
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.faults.inside import Bus, Log
-from services.run import locked
-from services.run.situation import Situation
+from services.run.run_config import Situation
+from services.tools import lockstep_run
+from services.tools.faults.lockstep_runs import Bus, Log
 from sim.faults import world
+from sim.faults.interval import Spell
+from sim.faults.message_faults import Harmed
 from sim.faults.solver import Now, Trouble, Troubled, TroubledSolver
-from sim.faults.spell import Spell
-from sim.faults.transit import Harmed
 from sim.scheduler import LockStep
 
 S = 1_000_000_000
@@ -443,12 +443,12 @@ class Locked:
         log = Log(s.vehicle)
         bus = Bus(list(self.harms))
         lockstep = LockStep(
-            [*self.others, *self.around(locked.nodes(s))],
+            [*self.others, *self.around(lockstep_run.nodes(s))],
             start_ns=s.scenario.start_ns,
             compute_delay_ns=self.delay_ns,
             observe=log,
-            latest=locked.LATEST,
-            refused=locked.refused,
+            latest=lockstep_run.LATEST,
+            refused=lockstep_run.refused,
             between=bus if self.harms or self.others else None,
         )
         lockstep.advance(s.scenario.end_ns)
@@ -516,7 +516,7 @@ def replaced_controller(seed: int) -> Measures:
     def around(nodes: list[Node]) -> list[Node]:
         *others, _ = nodes
         s = situation(f"run.seed={seed}", "run.duration_s=60.0")
-        return [*others, Replaced(lambda: locked.nodes(s)[-1], 20 * S)]
+        return [*others, Replaced(lambda: lockstep_run.nodes(s)[-1], 20 * S)]
 
     return Locked(seed=seed, around=around).run(20.0)
 

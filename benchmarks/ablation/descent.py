@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import (
     Estimate,
     EstimatorState,
@@ -23,11 +23,11 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import Arrival, Due, Node
-from services.faults import inside
-from services.run import locked
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
+from services.tools.faults import lockstep_runs
 from sim.faults.instruments import Broken, FailingSensors
-from sim.faults.transit import Harmed
+from sim.faults.message_faults import Harmed
 from sim.scheduler import LockStep
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
@@ -73,7 +73,7 @@ class Descent:
         )  # fmt: skip
         situation = resolve("descent", [Override("ablation", assignments)])
         scenario = situation.scenario
-        plant, sensors, _, controller = locked.nodes(situation, unheard=False)
+        plant, sensors, _, controller = lockstep_run.nodes(situation, unheard=False)
 
         def estimator() -> Estimator:
             return Estimator(as_given(situation.suite), scenario.estimator, situation.prior)
@@ -90,9 +90,9 @@ class Descent:
             start_ns=scenario.start_ns,
             observe=watch,
             heard=watch.heard,
-            latest=locked.LATEST,
-            refused=locked.refused,
-            between=inside.Bus(self.harmed) if self.harmed else None,
+            latest=lockstep_run.LATEST,
+            refused=lockstep_run.refused,
+            between=lockstep_runs.Bus(self.harmed) if self.harmed else None,
         )
         crashed = 0.0
         try:

@@ -13,11 +13,12 @@ import numpy as np
 from benchmarks.ablation import descent
 from benchmarks.ablation.descent import BEGINS_S, Descent, S, Timed
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from ltv_mpc.localisation import correction, estimator, filter, gap, late
-from ltv_mpc.localisation.adaptation import Adaptation, Change
-from ltv_mpc.localisation.door import Door
-from ltv_mpc.localisation.restart import Restarts
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation import estimator, imu_dropout, out_of_sequence
+from ltv_mpc.localisation.adaptive.process_noise import Adaptation, Change
+from ltv_mpc.localisation.filter import correction, error_state_filter
+from ltv_mpc.localisation.reinitialisation import Restarts
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_screening import Door
 from ltv_mpc.messages import (
     AdcpPing,
     CompassHeading,
@@ -30,8 +31,8 @@ from ltv_mpc.messages import (
     TdcpFix,
 )
 from sim.faults.instruments import Broken, Failure
-from sim.faults.spell import Spell
-from sim.faults.transit import Harmed
+from sim.faults.interval import Spell
+from sim.faults.message_faults import Harmed
 
 BASE, TESTS = "ltv_mpc/localisation", "tests/ltv_mpc/localisation"
 SENSORS = (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix)
@@ -58,11 +59,13 @@ def front(step_mps: float, width_s: float, sensors: str = "realistic") -> Descen
     """Return a descent through a front that begins at ``BEGINS_S``."""
     return Descent(
         settings=(
-            'water.feature.kind="front"', f"water.feature.step_mps={step_mps}", f"water.feature.width_s={width_s}",
+            'water.feature.kind="front"',
+            f"water.feature.step_mps={step_mps}",
+            f"water.feature.width_s={width_s}",
             f"water.feature.at_s={BEGINS_S + 0.5 * width_s}",
         ),
         sensors=sensors,
-    )  # fmt: skip
+    )
 
 
 def gyro(deg_per_h: float) -> Descent:
@@ -81,11 +84,13 @@ WAVES = Event(
     Descent(
         sensors="paper",
         settings=(
-            'water.feature.kind="waves"', "water.feature.amplitude_mps=0.05", "water.feature.period_s=300",
+            'water.feature.kind="waves"',
+            "water.feature.amplitude_mps=0.05",
+            "water.feature.period_s=300",
         ),
         duration_s=110.0,
     ),
-)  # fmt: skip
+)
 STEP = Event(
     "step",
     "step of the water, 30 cm/s over 1 m at 25 m",
@@ -177,7 +182,7 @@ def no_reinitialisation() -> AbstractContextManager[None]:
 
 def no_slow_fronts() -> AbstractContextManager[None]:
     """Carry no hypotheses of slow fronts."""
-    return replaced((filter, "COLUMNS", 0))
+    return replaced((error_state_filter, "COLUMNS", 0))
 
 
 def no_follow() -> AbstractContextManager[None]:
@@ -201,7 +206,7 @@ def no_adaptation() -> AbstractContextManager[None]:
     return replaced(
         (Adaptation, "seen", lambda *_: Change.NONE),
         (Adaptation, "began", lambda *_: None),
-        (filter, "COLUMNS", 0),
+        (error_state_filter, "COLUMNS", 0),
     )
 
 
@@ -288,9 +293,15 @@ def uncoupled(*args: Any) -> Any:
 
 
 def of(
-    name: str, off: Off, events: tuple[Event, ...], measures: tuple[str, ...], code: tuple[str, ...] = (),
-    tests: tuple[str, ...] = (), *, timed: bool = False,
-) -> tuple[Mechanism, ...]:  # fmt: skip
+    name: str,
+    off: Off,
+    events: tuple[Event, ...],
+    measures: tuple[str, ...],
+    code: tuple[str, ...] = (),
+    tests: tuple[str, ...] = (),
+    *,
+    timed: bool = False,
+) -> tuple[Mechanism, ...]:
     """Return one row for each event of a mechanism."""
     code, tests = tuple(f"{BASE}/{place}" for place in code), tuple(f"{TESTS}/{place}" for place in tests)
     return tuple(Mechanism(name, event, off, measures, code, tests, timed) for event in events)
@@ -299,127 +310,245 @@ def of(
 ERRORS = ("true rms m", "true 95 % m", "drift end m", "velocity rms m/s", "silent")
 SEEN = (*ERRORS, "missed", "delay s", "alarms before")
 SHADOW = (
-    "former.py", "filter.py:Filter.twin", "estimator.py:Estimator._look_back", "restart.py:Memory",
-    "restart.py:Restarts.memory", "restart.py:Restarts.recall",
-)  # fmt: skip
+    "shadow_filter.py",
+    "filter/error_state_filter.py:Filter.twin",
+    "estimator.py:Estimator._look_back",
+    "reinitialisation.py:Memory",
+    "reinitialisation.py:Restarts.memory",
+    "reinitialisation.py:Restarts.recall",
+)
 SLOW_FRONTS = (
-    "onsets.py", "signatures.py", "correction.py:_swing_too", "adaptation.py:Adaptation.began",
-)  # fmt: skip
-ADAPTATION = ("adaptation.py", "innovations.py", "drift.py", "onsets.py", "signatures.py", "late.py:History.adapt")
-ALL_ADAPTATION_TESTS = ("test_adaptation.py", "test_innovations.py", "test_drift.py", "test_onsets.py",
-                        "test_signatures.py")  # fmt: skip
+    "adaptive/glr_detector.py",
+    "adaptive/failure_signatures.py",
+    "filter/correction.py:_swing_too",
+    "adaptive/process_noise.py:Adaptation.began",
+)
+ADAPTATION = (
+    "adaptive/process_noise.py",
+    "adaptive/innovation_tests.py",
+    "adaptive/front_or_gyro_test.py",
+    "adaptive/glr_detector.py",
+    "adaptive/failure_signatures.py",
+    "out_of_sequence.py:History.adapt",
+)
+ALL_ADAPTATION_TESTS = (
+    "adaptive/test_process_noise.py",
+    "adaptive/test_innovation_tests.py",
+    "adaptive/test_front_or_gyro_test.py",
+    "adaptive/test_glr_detector.py",
+    "adaptive/test_failure_signatures.py",
+)
 
 MECHANISMS: tuple[Mechanism, ...] = (
     *of(
-        "shadow filter", no_shadow, (PROFILER_WRONG, PROFILER_GARBAGE, PRESSURE_WRONG, IMU_WRONG),
-        (*ERRORS, "reinitialised"), SHADOW, ("test_former.py",),
+        "shadow filter",
+        no_shadow,
+        (PROFILER_WRONG, PROFILER_GARBAGE, PRESSURE_WRONG, IMU_WRONG),
+        (*ERRORS, "reinitialised"),
+        SHADOW,
+        ("test_shadow_filter.py",),
     ),
     *of(
-        "reinitialisation", no_reinitialisation, (IMU_WORSE, IMU_WRONG, PROFILER_WRONG, IMU_LASTING),
-        (*ERRORS, "crashed", "reinitialised"), ("restart.py", "estimator.py:Estimator._replace"), ("test_restart.py",),
+        "reinitialisation",
+        no_reinitialisation,
+        (IMU_WORSE, IMU_WRONG, PROFILER_WRONG, IMU_LASTING),
+        (*ERRORS, "crashed", "reinitialised"),
+        ("reinitialisation.py", "estimator.py:Estimator._replace"),
+        ("test_reinitialisation.py",),
     ),
     *of(
-        "shadow filter and reinitialisation", together(no_shadow, no_reinitialisation),
-        (PROFILER_WRONG, IMU_WRONG, PRESSURE_WRONG), ERRORS, (*SHADOW, "restart.py"),
-        ("test_former.py", "test_restart.py"),
+        "shadow filter and reinitialisation",
+        together(no_shadow, no_reinitialisation),
+        (PROFILER_WRONG, IMU_WRONG, PRESSURE_WRONG),
+        ERRORS,
+        (*SHADOW, "reinitialisation.py"),
+        ("test_shadow_filter.py", "test_reinitialisation.py"),
     ),
     *of(
-        "water carried over a reinitialisation", lambda: replaced((Restarts, "graft", lambda *_: False)),
-        (IMU_WORSE, IMU_WRONG), ERRORS,
-        ("restart.py:Restarts.graft", "restart.py:Restarts.keep", "restart.py:Restarts.is_belief_due"),
+        "water carried over a reinitialisation",
+        lambda: replaced((Restarts, "graft", lambda *_: False)),
+        (IMU_WORSE, IMU_WRONG),
+        ERRORS,
+        (
+            "reinitialisation.py:Restarts.graft",
+            "reinitialisation.py:Restarts.keep",
+            "reinitialisation.py:Restarts.is_belief_due",
+        ),
     ),
     *of(
-        "slow-front detector", no_slow_fronts, (SLOW_FRONT, SLOWER_FRONT, MEDIUM_FRONT, GYRO, FORETOLD), SEEN,
-        SLOW_FRONTS, ("test_onsets.py", "test_signatures.py"),
+        "slow-front detector",
+        no_slow_fronts,
+        (SLOW_FRONT, SLOWER_FRONT, MEDIUM_FRONT, GYRO, FORETOLD),
+        SEEN,
+        SLOW_FRONTS,
+        ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py"),
     ),
     *of(
-        "slow-front detector: time", no_slow_fronts, (Event("foretold, timed", FORETOLD.description, Descent()),),
-        ("estimator ms per s",), SLOW_FRONTS, ("test_onsets.py", "test_signatures.py"), timed=True,
+        "slow-front detector: time",
+        no_slow_fronts,
+        (Event("foretold, timed", FORETOLD.description, Descent()),),
+        ("estimator ms per s",),
+        SLOW_FRONTS,
+        ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py"),
+        timed=True,
     ),
     *of(
-        "walk prolonged while water drifts", no_follow, (SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST), SEEN,
-        ("drift.py", "adaptation.py:Adaptation._follow"), ("test_drift.py",),
+        "walk prolonged while water drifts",
+        no_follow,
+        (SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST),
+        SEEN,
+        ("adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:Adaptation._follow"),
+        ("adaptive/test_front_or_gyro_test.py",),
     ),
     *of(
-        "front made up for afterwards", no_making_up, (SLOW_FRONT, SLOWER_FRONT), SEEN,
-        ("onsets.py:Found",),
+        "front made up for afterwards",
+        no_making_up,
+        (SLOW_FRONT, SLOWER_FRONT),
+        SEEN,
+        ("adaptive/glr_detector.py:Found",),
     ),
     *of(
-        "slow fronts, all of it", together(no_slow_fronts, no_follow), (SLOW_FRONT, SLOWER_FRONT, GYRO), SEEN,
-        (*SLOW_FRONTS, "drift.py", "adaptation.py:Adaptation._follow"),
-        ("test_onsets.py", "test_signatures.py", "test_drift.py"),
+        "slow fronts, all of it",
+        together(no_slow_fronts, no_follow),
+        (SLOW_FRONT, SLOWER_FRONT, GYRO),
+        SEEN,
+        (*SLOW_FRONTS, "adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:Adaptation._follow"),
+        ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py", "adaptive/test_front_or_gyro_test.py"),
     ),
     *of(
-        "going back 10 s before a walk is granted", lambda: replaced((late, "BACK_NS", late.REACH_NS)),
-        (FAST_FRONT, MEDIUM_FRONT), SEEN,
+        "going back 10 s before a walk is granted",
+        lambda: replaced((out_of_sequence, "BACK_NS", out_of_sequence.REACH_NS)),
+        (FAST_FRONT, MEDIUM_FRONT),
+        SEEN,
     ),
     *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
-    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptation.py:_doubt",)),
+    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptive/process_noise.py:_doubt",)),
     *of(
-        "adaptation to water, all of it", no_adaptation,
+        "adaptation to water, all of it",
+        no_adaptation,
         (FAST_FRONT, MEDIUM_FRONT, SLOW_FRONT, SLOWER_FRONT, WAVES, STEP, GYRO, GYRO_FAST, FORETOLD),
-        (*SEEN, "cells silent"), ADAPTATION, ALL_ADAPTATION_TESTS,
+        (*SEEN, "cells silent"),
+        ADAPTATION,
+        ALL_ADAPTATION_TESTS,
     ),
     *of(
-        "means that call for what no water does", lambda: replaced((Adaptation, "beyond", lambda *_: False)),
-        (IMU_WRONG, PROFILER_WRONG, IMU_WORSE), SEEN, ("adaptation.py:Adaptation.beyond",),
+        "means that call for what no water does",
+        lambda: replaced((Adaptation, "beyond", lambda *_: False)),
+        (IMU_WRONG, PROFILER_WRONG, IMU_WORSE),
+        SEEN,
+        ("adaptive/process_noise.py:Adaptation.beyond",),
     ),
     *of(
-        "de-weighted satellite rows", lambda: replaced((filter, "_DOUBTFUL", 0.0)), (WRONG_FIX, ONE_FIX), ERRORS,
-        ("correction.py:_doubted",),
+        "de-weighted satellite rows",
+        lambda: replaced((error_state_filter, "_DOUBTFUL", 0.0)),
+        (WRONG_FIX, ONE_FIX),
+        ERRORS,
+        ("filter/correction.py:_doubted",),
     ),
     *of(
-        "IMU dropout: coasting", lambda: replaced((gap, "BRIDGED_NS", 2**62)), (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
-        ERRORS, ("gap.py:coast", "gap.py:level", "filter.py:Filter._cross"), ("test_gap.py",),
+        "IMU dropout: coasting",
+        lambda: replaced((imu_dropout, "BRIDGED_NS", 2**62)),
+        (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
+        ERRORS,
+        ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:Filter._cross"),
+        ("test_imu_dropout.py",),
     ),
     *of(
-        "IMU dropout: levelling after it", lambda: replaced((gap, "LEVELLED_NS", 2**62)), (IMU_OFF, SILENCE),
-        (*ERRORS, "reinitialised"), ("gap.py:level",),
+        "IMU dropout: levelling after it",
+        lambda: replaced((imu_dropout, "LEVELLED_NS", 2**62)),
+        (IMU_OFF, SILENCE),
+        (*ERRORS, "reinitialised"),
+        ("imu_dropout.py:level",),
     ),
     *of(
-        "IMU dropout: noise over bridged samples", lambda: replaced((gap, "doubt", lambda *_: None)), (IMU_LOSS,),
-        ERRORS, ("gap.py:doubt",),
+        "IMU dropout: noise over bridged samples",
+        lambda: replaced((imu_dropout, "doubt", lambda *_: None)),
+        (IMU_LOSS,),
+        ERRORS,
+        ("imu_dropout.py:doubt",),
     ),
     *of(
-        "warm restart", restored(checkpoint=False, estimate=True), (RESTARTED,), (*ERRORS, "no estimate"),
-        ("resume.py", "checkpoint.py"), ("test_resume.py",),
+        "warm restart",
+        restored(checkpoint=False, estimate=True),
+        (RESTARTED,),
+        (*ERRORS, "no estimate"),
+        ("warm_restart.py", "checkpoint.py"),
+        ("test_warm_restart.py",),
     ),
     *of(
-        "warm restart: last estimate beside the checkpoint", restored(checkpoint=True, estimate=False), (RESTARTED,),
+        "warm restart: last estimate beside the checkpoint",
+        restored(checkpoint=True, estimate=False),
+        (RESTARTED,),
         ERRORS,
     ),
     *of(
-        "out-of-sequence buffer", lambda: replaced((late.History, "reaches", lambda *_: False)), (PINGS_LATE,), ERRORS,
-        ("late.py",), ("test_late.py",),
+        "out-of-sequence buffer",
+        lambda: replaced((out_of_sequence.History, "reaches", lambda *_: False)),
+        (PINGS_LATE,),
+        ERRORS,
+        ("out_of_sequence.py",),
+        ("test_out_of_sequence.py",),
     ),
-    *of("refusal of repeated messages", lambda: replaced((late.History, "knows", lambda *_: False)), (PINGS_TWICE,),
-        ERRORS, ("late.py:same", "late.py:History.knows")),
     *of(
-        "measurement compression", lambda: replaced((correction, "_MUCH_LESS", 0.0)),
-        (Event("foretold, timed", FORETOLD.description, Descent()),), ("estimator ms per s", "drift end m"),
-        ("sufficient.py:sufficient", "sufficient.py:_root"), ("test_sufficient.py",), timed=True,
+        "refusal of repeated messages",
+        lambda: replaced((out_of_sequence.History, "knows", lambda *_: False)),
+        (PINGS_TWICE,),
+        ERRORS,
+        ("out_of_sequence.py:same", "out_of_sequence.py:History.knows"),
+    ),
+    *of(
+        "measurement compression",
+        lambda: replaced((correction, "_MUCH_LESS", 0.0)),
+        (Event("foretold, timed", FORETOLD.description, Descent()),),
+        ("estimator ms per s", "drift end m"),
+        ("filter/measurement_compression.py:sufficient", "filter/measurement_compression.py:_root"),
+        ("filter/test_measurement_compression.py",),
+        timed=True,
     ),
     *of(
         "invariant correction",
         lambda: replaced(
             (correction, "swing", lambda error, _: np.zeros(len(error))), (correction, "_correct_few", uncoupled)
         ),
-        (FORETOLD, ONE_FIX), (*ERRORS, "heading rms deg"),
-        ("turning.py", "correction.py:_turn", "correction.py:_swing_too"), ("test_turning.py",),
+        (FORETOLD, ONE_FIX),
+        (*ERRORS, "heading rms deg"),
+        ("filter/invariant_correction.py", "filter/correction.py:_turn", "filter/correction.py:_swing_too"),
+        ("filter/test_invariant_correction.py",),
     ),
-    *of("screening: stuck", no_screening("stuck"), (PROFILER_STUCK, FIX_STUCK, IMU_STUCK), ERRORS, ("door.py",),
-        ("test_door.py",)),
-    *of("screening: wild", no_screening("wild"), (IMU_GARBAGE,), (*ERRORS, "crashed", "reinitialised"),
-        ("door.py:Door._is_wild",)),
-    *of("screening: ahead", no_screening("ahead"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
-    *of("screening: stale", no_screening("stale"), (CLOCK_BACK,), (*ERRORS, "no estimate"),
-        ("door.py:Door._went_back",)),
     *of(
-        "window of depths", lambda: replaced((descent, "settings", ("estimator.kept_m=2000",))), (DEEP_GRID,),
-        ("estimator ms per s", "drift end m"), ("window.py",), ("test_window.py",), timed=True,
+        "screening: stuck",
+        no_screening("stuck"),
+        (PROFILER_STUCK, FIX_STUCK, IMU_STUCK),
+        ERRORS,
+        ("sensor_screening.py",),
+        ("test_sensor_screening.py",),
+    ),
+    *of(
+        "screening: wild",
+        no_screening("wild"),
+        (IMU_GARBAGE,),
+        (*ERRORS, "crashed", "reinitialised"),
+        ("sensor_screening.py:Door._is_wild",),
+    ),
+    *of("screening: ahead", no_screening("ahead"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
+    *of(
+        "screening: stale",
+        no_screening("stale"),
+        (CLOCK_BACK,),
+        (*ERRORS, "no estimate"),
+        ("sensor_screening.py:Door._went_back",),
+    ),
+    *of(
+        "window of depths",
+        lambda: replaced((descent, "settings", ("estimator.kept_m=2000",))),
+        (DEEP_GRID,),
+        ("estimator ms per s", "drift end m"),
+        ("water/grid_window.py",),
+        ("water/test_grid_window.py",),
+        timed=True,
     ),
     *of("ADCP bias by beam as states", given(adcp={"beam_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("ADCP bias of near cells as states", given(adcp={"near_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("ADCP mounting as states", given(adcp={"mounting_known_to_rad": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("compass bias as a state", given(compass={"bias_sd_rad": 0.0}), (FORETOLD,), (*ERRORS, "heading rms deg")),
-)  # fmt: skip
+)

@@ -20,8 +20,8 @@ from benchmarks.ablation.controller import MECHANISMS as OF_CONTROLLER
 from benchmarks.ablation.estimator import MECHANISMS as OF_ESTIMATOR
 from benchmarks.ablation.lines import ROOT
 from benchmarks.ablation.mechanism import Measures, Mechanism
-from services.batch.executor import each
-from services.batch.results_store import ResultsStore
+from services.tools.batch.executor import each
+from services.tools.batch.results_store import ResultsStore
 
 MECHANISMS: tuple[Mechanism, ...] = (*OF_ESTIMATOR, *OF_CONTROLLER)
 

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.control.constants import constants, length, limited_states, objective, state_scale
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.guess import steer
-from ltv_mpc.control.horizon import linearise_ahead, roll, transposed_times, velocity_over_ground, views
-from ltv_mpc.control.limits import LIMITED, bring_in
-from ltv_mpc.control.outlook import Outlook, outlook
+from ltv_mpc.control.horizon_limits import LIMITED, bring_in
+from ltv_mpc.control.initial_guess import steer
+from ltv_mpc.control.linearisation import linearise_ahead, roll, transposed_times, velocity_over_ground, views
+from ltv_mpc.control.nominal_trajectory import AHEAD, ASTERN, CARRIED, STEPS, _carry_in, _set_out
+from ltv_mpc.control.problem_data import constants, length, limited_states, objective, state_scale
 from ltv_mpc.control.qp.sparse import WIDTH, Places, fill, map_of
-from ltv_mpc.control.solvers.sparse_osqp import (
+from ltv_mpc.control.solvers.osqp import (
     ACTIVE,
     EQUALITY_ROW,
     EXCESS_ROW,
@@ -32,7 +31,8 @@ from ltv_mpc.control.solvers.sparse_osqp import (
     growth,
     room,
 )
-from ltv_mpc.control.trajectory import AHEAD, ASTERN, CARRIED, STEPS, _carry_in, _set_out
+from ltv_mpc.control.terminal_check import Outlook, outlook
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 
@@ -40,7 +40,7 @@ OWN, FIXED, NONE = range(3)
 """Scales of OSQP's rows: as they are; without the active limits; all 1."""
 
 
-@kernel
+@jit
 def begin(
     numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, steers: bool, looks: bool
 ) -> int:
@@ -75,15 +75,15 @@ def begin(
             other_end = outlook(other_X, lin.C, target, c)
         counts = 1.0 if end.stuck or other_end.stuck else 0.0
         if other + counts * other_end.beyond < least + counts * end.beyond or np.isinf(least):
-            assign(X, other_X)
-            assign(U, other_U)
+            copy_to(X, other_X)
+            copy_to(U, other_U)
             kind, least, end = ASTERN if astern else AHEAD, other, other_end
     if kind != CARRIED:
         linearise_ahead(lin, o.t, c.stage_s, c.p)
     return kind
 
 
-@kernel
+@jit
 def step(
     numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
@@ -91,7 +91,7 @@ def step(
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
-    assign(X[0], lin.X[0])
+    copy_to(X[0], lin.X[0])
     for part in STEPS:
         for k in range(U.shape[0]):
             for i in range(2):
@@ -104,12 +104,12 @@ def step(
             if looks and outlook(X, lin.C, target, c).stuck and not outlook(lin.X, lin.C, target, c).stuck:
                 break
             return part
-    assign(X, lin.X)
-    assign(U, lin.U)
+    copy_to(X, lin.X)
+    copy_to(U, lin.U)
     return 0.0
 
 
-@kernel
+@jit
 def prepare(
     numbers: Array,
     flat: Array,
@@ -161,13 +161,13 @@ def prepare(
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * state_scale(i, c)
         transposed_times(lin.A, k, costate, before)
-        assign(costate, before)
+        copy_to(costate, before)
     if rescale(places, solve, N, states, scales) < 0:
         return -1.0
     return growth(at.q, N)
 
 
-@kernel
+@jit
 def rescale(places: Places, solve: Array, N: int, limited: int, scales: int) -> int:
     """``sparse_osqp.rescale``; ``scales`` as in ``prepare``."""
     at = room(solve, N, limited)

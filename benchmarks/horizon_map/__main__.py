@@ -15,7 +15,7 @@ from benchmarks.horizon_map import picture
 from benchmarks.horizon_map.places import places
 from benchmarks.horizon_map.rules import FOLDS
 from benchmarks.horizon_map.summary import summary, tables
-from services.measure.page_tables import renewed
+from services.tools.page_tables import renewed
 
 
 def main() -> None:

@@ -1,7 +1,7 @@
 """Places of the horizon map: one current, descent, vehicle and delay, flown in the same waters with several horizons.
 
 What is enough there is the shortest horizon whose mean error is within 10 % of the best one's. Places are compared in
-the vehicle's own speed V and time T (``ltv_mpc/control/scales.py``), by four groups without a dimension:
+the vehicle's own speed V and time T (``ltv_mpc/control/scaling.py``), by four groups without a dimension:
 
     strength    sd / V              how strong the current is
     layer       l / (w T)           how long the vehicle takes to sink through one correlation length
@@ -18,10 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.scales import scales_of
+from ltv_mpc.control.scaling import scales_of
 from ltv_mpc.messages import Array
-from services.campaign.campaign import reopened
-from services.campaign.trial import situation
+from services.tools.campaign.campaign import reopened
+from services.tools.campaign.trial import situation
 
 HORIZON = "controller.horizon_s"
 FIGURE = "true_error_m.mean"

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from benchmarks.horizon_map.places import Place, in_own_time
-from ltv_mpc.control.proposal import ENOUGH
+from ltv_mpc.control.horizon_selection import ENOUGH
 from ltv_mpc.messages import Array
 
 FOLDS = 8

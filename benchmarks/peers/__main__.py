@@ -13,10 +13,10 @@ from rich.progress import Progress
 
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
-from services.measure import profile_machine, profile_problems
-from services.measure.profile import WARM_UP, YARDSTICK, Spread
-from services.measure.profile_measuring import Contestant, SolverByName, measure
-from services.measure.profile_problems import Episode, seconds
+from services.tools.profile import machine, problems
+from services.tools.profile.measure import Contestant, SolverByName, measure
+from services.tools.profile.problems import Episode, seconds
+from services.tools.profile.run import WARM_UP, YARDSTICK, Spread
 
 OURS: dict[Contestant, str] = {
     SolverByName("osqp"): "this project: OSQP, sparse",
@@ -53,13 +53,13 @@ def main() -> None:
 
 def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
     """The table of all tools that are installed."""
-    episodes = profile_problems.simulated(stages, cycles, 0)
-    loops = [episode for seed in range(seeds) for episode in profile_problems.simulated(stages, cycles, 1000 * seed)]
+    episodes = problems.simulated(stages, cycles, 0)
+    loops = [episode for seed in range(seeds) for episode in problems.simulated(stages, cycles, 1000 * seed)]
     peers, missing = known.installed()
     for file in missing:
         console.print(f"not installed: what benchmarks/peers/{file}.py needs (extra bench)")
     who = OURS | {Entry(peer): peer.name for peer in peers}
-    load = profile_machine.load()
+    load = machine.load()
     with Progress(console=console) as progress:
         task = progress.add_task("time, on the same problems", total=cycles)
         samples = measure(
@@ -92,7 +92,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
         lines,
         title=f"A control step of {stages} stages ({seconds(stages):.1f} s) beside other tools",
         notes=[*NOTES, f"{cycles} cycles for the times, {seeds} x {cycles} for the errors; `make bench`."],
-        machine=profile_machine.machine(load, PACKAGES),
+        machine=machine.machine(load, PACKAGES),
         packages=PACKAGES,
     )
 

@@ -11,8 +11,8 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
 from ltv_mpc.node import Arrival, Stopwatch, no_stopwatch
-from services.measure.profile_measuring import Contestant, limits_of
-from services.measure.profile_problems import Episode
+from services.tools.profile.measure import Contestant, limits_of
+from services.tools.profile.problems import Episode
 
 
 @dataclass(frozen=True)

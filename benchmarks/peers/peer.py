@@ -11,10 +11,10 @@ from typing import ClassVar
 import numpy as np
 
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.scales import settled
-from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.solvers.interface import Answer
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmarks.peers.loop import Held
-from services.measure import profile_machine
-from services.measure.profile import Spread
-from services.measure.profile_machine import Machine
+from services.tools.profile.machine import Machine
+from services.tools.profile.run import Spread
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ def markdown(
         )
     out += ["", *notes, "", "| | settings |", "|---|---|"]
     out += [_row([line.name, line.settings]) for line in lines]
-    out += ["", "Measured on: " + profile_machine.line(machine, packages) + f"; commit {machine['commit']}."]
+    out += ["", "Measured on: " + machine.line(machine, packages) + f"; commit {machine['commit']}."]
     return "\n".join(out) + "\n"
 
 

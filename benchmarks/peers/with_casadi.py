@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.solvers.interface import Answer
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle

@@ -15,9 +15,9 @@ from scipy.sparse import coo_array
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.horizon import velocity_over_ground
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import velocity_over_ground
+from ltv_mpc.control.solvers.interface import Answer
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle

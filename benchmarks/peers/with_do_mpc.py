@@ -20,8 +20,8 @@ with warnings.catch_warnings():  # that parts of do-mpc which are not used here 
 from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.solvers.interface import Answer
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ca.GlobalOptions.setNumpyMode(-1)  # do-mpc relies on what numpy's functions did with CasADi's values before 3.8

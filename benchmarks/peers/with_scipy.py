@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS
-from ltv_mpc.control.horizon import roll_out, velocity_over_ground
-from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.control.linearisation import roll_out, velocity_over_ground
+from ltv_mpc.control.solvers.interface import Answer
 from ltv_mpc.messages import Array
 
 

@@ -23,11 +23,11 @@ from rich.progress import Progress
 from benchmarks.loop import Outcome, situation
 from benchmarks.rivals import law, lqr, mpc, pid
 from benchmarks.rivals.search import Span, search
-from services.batch.executor import each
-from services.batch.results_store import open_store
-from services.campaign.ranking import interval
-from services.campaign.trial import version_of
-from services.run.made_by import made_by
+from services.run.provenance import made_by
+from services.tools.batch.executor import each
+from services.tools.batch.results_store import open_store
+from services.tools.campaign.ranking import interval
+from services.tools.campaign.trial import version_of
 
 TUNED_ON, TUNED_S = range(300, 304), 60.0
 FIRST_SEED = 400

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.loop import STEP_NS, Outcome, TrueVehicle, known, told_depths
 from ltv_mpc.messages import Array, Estimate, Pair
-from services.run.situation import Situation
+from services.run.run_config import Situation
 
 PERIOD_NS = 100_000_000
 

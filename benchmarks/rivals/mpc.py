@@ -17,7 +17,7 @@ from benchmarks.preview import without_preview
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.messages import Estimate
-from services.run.situation import Situation
+from services.run.run_config import Situation
 
 SPANS = {
     "terminal_position_per_m2": Span(1.0, 1000.0),

@@ -10,7 +10,7 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc import config
-from ltv_mpc.control import grid
+from ltv_mpc.control import shooting_grid
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
 from ltv_mpc.safety.health import Ages
@@ -20,7 +20,7 @@ STAGE_NS = 300_000_000
 
 
 class GivenWeights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """[controller.weights]: those that a file names. The others follow from the vehicle: ``scales.py``."""
+    """[controller.weights]: those that a file names. The others follow from the vehicle: ``scaling.py``."""
 
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] | None = None
     terminal_position_per_m2: Annotated[float, Meta(ge=0, le=1e6)] | None = None
@@ -58,7 +58,9 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """[controller.limits]: what the motion is asked to stay within, either way; left out: anything. ``limits.py``."""
+    """[controller.limits]: what the motion is asked to stay within, either way; left out: anything.
+    ``horizon_limits.py``.
+    """
 
     surge_mps: Annotated[float, Meta(gt=0, le=20)] | None = None  # ahead, through the water
     yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None
@@ -74,7 +76,9 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the controller."""
 
     horizon_s: Annotated[float, Meta(ge=0.3, le=120)] = 5.0
-    most_stages: Annotated[int, Meta(ge=2, le=400)] = 34  # a longer horizon is reached by stages that grow: grid.py
+    most_stages: Annotated[int, Meta(ge=2, le=400)] = (
+        34  # a longer horizon is reached by stages that grow: shooting_grid.py
+    )
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
     weights: GivenWeights = GivenWeights()  # what is left out follows from the vehicle
     disturbance: Disturbance = Disturbance()
@@ -103,7 +107,7 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     @property
     def knots(self) -> Array:
         """Their knots (N+1,) in first stages of 0.3 s."""
-        return grid.knots(self.stages, float(self._reach))
+        return shooting_grid.knots(self.stages, float(self._reach))
 
     @property
     def reach_s(self) -> float:

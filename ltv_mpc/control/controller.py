@@ -25,18 +25,18 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.control import trajectory
-from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control import nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.constants import pack
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
-from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
-from ltv_mpc.control.qp.failed import FailedQp
+from ltv_mpc.control.problem_data import pack
+from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.scales import settled
+from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.messages import (
@@ -56,10 +56,10 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
-from ltv_mpc.safety.ages import Period
-from ltv_mpc.safety.authority import Override
-from ltv_mpc.safety.guards import Guard
+from ltv_mpc.safety.command_arbiter import Override
+from ltv_mpc.safety.estimate_gate import Guard
 from ltv_mpc.safety.health import FAILSAFE_PERIODS, health, patience_ns, worst
+from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -405,7 +405,7 @@ class Controller:
         """The lateral thrusters go to goal (N+1, 3), zero where there is none, at the slew limit."""
         X, U = self._room()
         lateral = self._nothing if goal is None else np.ascontiguousarray(goal[:, :2])
-        trajectory.release(self._numbers, start.lateral, lateral, self._lin.C, X, U)
+        nominal_trajectory.release(self._numbers, start.lateral, lateral, self._lin.C, X, U)
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return _Lateral(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
@@ -442,12 +442,12 @@ class Controller:
                 # As far as it came: brought into box and slew, and taken only as far as the exact flow is no worse.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            part = trajectory.step(numbers, lin.flat, target, commands, X, U)
+            part = nominal_trajectory.step(numbers, lin.flat, target, commands, X, U)
             # A step that was taken has a finite cost, and that takes finite states and commands.
             if part == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
-                trajectory.again(numbers, lin.flat, self.config.stages, X, U)
+                nominal_trajectory.again(numbers, lin.flat, self.config.stages, X, U)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
     @cached_property
@@ -483,8 +483,8 @@ class Controller:
         else:
             stages = (start.t_ns - int(old.t_ns[0])) / STAGE_NS
             commands = np.ascontiguousarray(old.thrust_N[:, :2])
-        kind = trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
-        if kind == trajectory.CARRIED:
+        kind = nominal_trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
+        if kind == nominal_trajectory.CARRIED:
             self._solver.shift(stages)
         else:
             self._solver.forget()
@@ -506,10 +506,10 @@ class Controller:
         """
         X, U = self._room()
         commands, stages = np.ascontiguousarray(thrust_N[:, :2]), (start.t_ns - began_ns) / STAGE_NS
-        trajectory.shifted(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
+        nominal_trajectory.shifted(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
         goal = U.copy()
         goal[start.t_ns + self._ahead_ns > self._solved_until_ns] = 0.0
-        trajectory.release(self._numbers, start.lateral, goal, self._lin.C, X, U)
+        nominal_trajectory.release(self._numbers, start.lateral, goal, self._lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)

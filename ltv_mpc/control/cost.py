@@ -9,14 +9,14 @@ trajectories can leave one as soon as it costs more than another.
 
 from __future__ import annotations
 
-from ltv_mpc.compiled import kernel
-from ltv_mpc.control.constants import Objective, length
-from ltv_mpc.control.horizon import velocity_over_ground
-from ltv_mpc.control.limits import LIMITED, PENALTY
+from ltv_mpc.control.horizon_limits import LIMITED, PENALTY
+from ltv_mpc.control.linearisation import velocity_over_ground
+from ltv_mpc.control.problem_data import Objective, length
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 
-@kernel
+@jit
 def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
     """J of states X (N+1, 8) and commands U (N+1, 2) in a current C (N+1, 2) against ``target`` (N+1, 2) as in
     ``Solver``.
@@ -27,7 +27,7 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
     return total + terminal_cost(X, C, target, o)
 
 
-@kernel
+@jit
 def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float:
     """What knot k = 1 .. N adds."""
     g = length(o, k)
@@ -42,7 +42,7 @@ def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float
     return float(total)
 
 
-@kernel
+@jit
 def terminal_cost(X: Array, C: Array, target: Array, o: Objective) -> float:
     """What the last knot adds besides."""
     N = X.shape[0] - 1

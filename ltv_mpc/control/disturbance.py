@@ -20,10 +20,10 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from ltv_mpc.compiled import kernel
-from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.prediction import Prediction, current_in, roll_to
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, Times
 
 STEP_MPS = 0.005
@@ -88,7 +88,7 @@ class CurrentBias:
             self.bias_mps = np.clip(bias, -settings.most_mps, settings.most_mps)
 
 
-@kernel
+@jit
 def corrected(
     b: Array,
     P: Array,

@@ -32,9 +32,9 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Arrival, Cycle, Due, Inbox, Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference, Timed
-from ltv_mpc.safety.ages import Input
-from ltv_mpc.safety.authority import Answer, Helm
+from ltv_mpc.safety.command_arbiter import Answer, Helm
 from ltv_mpc.safety.health import of_reports, worst
+from ltv_mpc.safety.input_monitor import Input
 from ltv_mpc.safety.model_check import ModelWatch
 from ltv_mpc.vehicle.parameters import Vehicle
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.compiled import assign, kernel
-from ltv_mpc.control.commands import SentCommands, command_at
-from ltv_mpc.control.horizon import views
+from ltv_mpc.control.linearisation import views
+from ltv_mpc.control.sent_commands import SentCommands, command_at
+from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Times
 from ltv_mpc.vehicle.dynamics import coefficients
 from ltv_mpc.vehicle.flow import STATES, advance_heave, advance_stage, lag_weights
@@ -124,7 +124,7 @@ def profile_of(estimate: Estimate) -> CurrentProfile:
     return NO_PROFILE if estimate.current is None else estimate.current
 
 
-@kernel
+@jit
 def current_in(depth: Array, north: Array, east: Array, z: float) -> tuple[float, float]:
     """North and east current at depth z: linear between the profile's depths, constant beyond; zero without one."""
     if len(depth) == 0:
@@ -138,7 +138,7 @@ def current_in(depth: Array, north: Array, east: Array, z: float) -> tuple[float
     return north[k - 1] + part * (north[k] - north[k - 1]), east[k - 1] + part * (east[k] - east[k - 1])
 
 
-@kernel
+@jit
 def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: tuple[float, float, float]) -> Array:
     """Thrust delivered (3,) at ``until``, from F (3,) at ``since``, through the commands sent and the lag."""
     out = F.copy()
@@ -154,7 +154,7 @@ def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: 
     return out
 
 
-@kernel
+@jit
 def roll_to(
     vehicle: Array,
     estimate: Array,
@@ -208,7 +208,7 @@ def roll_to(
             for j in range(2):
                 u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
             advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)
-            assign(c0, c1)
+            copy_to(c0, c1)
             since = at
         knot += 1
     for j in range(3):
@@ -217,7 +217,7 @@ def roll_to(
     return out
 
 
-@kernel
+@jit
 def currents(depth: Array, north: Array, east: Array, at: Array, flat: Array) -> None:
     """The current at depths ``at`` (N+1,) into the C of a linearisation's flat array."""
     C = views(flat, len(at) - 1).C

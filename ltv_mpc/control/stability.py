@@ -5,7 +5,7 @@ best plan of a finite horizon may leave beyond it what has to be done within. Ab
 active, it is linear. State z = [X; U] (10,), the state X of flow.py and the commands in force, over stages k = 1 .. N
 of length g_k:
 
-    z+ = A_k z + B_k U+,  A_k = [[A, B0], [0, 0]],  B_k = [B1; I]                                     horizon.py
+    z+ = A_k z + B_k U+,  A_k = [[A, B0], [0, 0]],  B_k = [B1; I]                                     linearisation.py
     J  = sum g_k (w |p|^2 + r |U+ / F|^2) + s / g_k |(U+ - U) / F|^2 + w_N |p_N|^2 + m |p'_N|^2       cost.py
 
 The Riccati recursion from the last stage to the first ends with its U+ = - K z, and A_1 - B_1 K has the poles. A hull
@@ -20,9 +20,9 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.horizon import linearise, velocity_over_ground
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.scales import scales_of, weights_of
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import linearise, velocity_over_ground
+from ltv_mpc.control.scaling import scales_of, weights_of
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
-from ltv_mpc.control.constants import constants
+from ltv_mpc.control.problem_data import constants
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_heave
 
@@ -27,7 +27,7 @@ INTEGRAL_S = 20.0
 """T_i: several times 1 / w0, so that it only takes up what the feed-forward misses."""
 
 
-@kernel
+@jit
 def follow(
     numbers: Array, z: float, w: float, F: float, command: float, integral: float, z_ref: Array, w_ref: Array
 ) -> tuple[Array, Array, float]:

@@ -14,14 +14,14 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.localisation.column import Column, Link
+from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter import Filter
-from ltv_mpc.localisation.signatures import Signatures
-from ltv_mpc.localisation.state import Belief, Layout
-from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.localisation.water_column import node_prior
-from ltv_mpc.localisation.window import given
+from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.state import Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.water.column import Column, Link
+from ltv_mpc.localisation.water.current_model import node_prior
+from ltv_mpc.localisation.water.grid_window import given
 from ltv_mpc.messages import DroppedNode, EstimatorState, to_wire
 
 

@@ -26,7 +26,9 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     water_prior: str = ""  # a profile saved earlier, CSV with sd_mps and sd_common_mps; empty: the prior above
     # By how much the water may have changed since, at each depth: an assumption, a quarter of current_sd_mps.
     water_prior_change_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.01
-    adapts_to_water: bool = True  # grants water that changes in unforeseen ways a walk of its own (``adaptation.py``)
+    adapts_to_water: bool = (
+        True  # grants water that changes in unforeseen ways a walk of its own (``process_noise.py``)
+    )
     afloat_acceleration_sd_mps2: Annotated[float, Meta(ge=0, le=10)] = 0.005  # horizontal, while it levels itself
     gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
 

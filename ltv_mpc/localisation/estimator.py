@@ -2,13 +2,15 @@
 
 Order   Messages are used in order of their validity times. One that is newer than the last inertial sample waits for
         the sample that covers it, which is then split there; one older than the belief, up to a second and a little,
-        is used at its own time all the same (``late.py``). Older ones and late inertial samples are dropped (``gap.py``
+        is used at its own time all the same (``out_of_sequence.py``). Older ones and late inertial samples are
+        dropped (``imu_dropout.py``
         has what is done without them); so is a second message of one sensor and time, and what can be seen to be wrong
-        by itself (``door.py``).
-Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew (``restart.py``),
-        and comes back where it was right after all (``former.py``).
+        by itself (``sensor_screening.py``).
+Health  Every second a report on the filter and its sensors; a filter that has diverged begins anew
+        (``reinitialisation.py``),
+        and comes back where it was right after all (``shadow_filter.py``).
 Memory  A checkpoint every 5 s, and where the vehicle goes under or comes up; given one with its first messages, a node
-        goes on from there (``resume.py``) where one that is started anew has to wait for satellites.
+        goes on from there (``warm_restart.py``) where one that is started anew has to wait for satellites.
 Output  An estimate of t_ns = k x period holds everything measured up to and at t_ns that has come: it is published as
         soon as all that the sensors file has due at t_ns without latency is there, at the latest when time goes on.
         What comes later corrects the next one; nothing is published twice.
@@ -23,22 +25,22 @@ from itertools import islice
 from typing import Any
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.localisation import gap
-from ltv_mpc.localisation.adaptation import Change
-from ltv_mpc.localisation.alignment import Alignment
+from ltv_mpc.localisation import imu_dropout
+from ltv_mpc.localisation.adaptive.process_noise import Change
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.door import Door
-from ltv_mpc.localisation.filter import Aiding, Filter
-from ltv_mpc.localisation.former import Former
+from ltv_mpc.localisation.filter.alignment import Alignment
+from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.filter.preintegration import readings
+from ltv_mpc.localisation.filter.state import Belief, grid
 from ltv_mpc.localisation.health import Monitor, verdict_of
-from ltv_mpc.localisation.late import History, spacing_ns
-from ltv_mpc.localisation.output import estimate
-from ltv_mpc.localisation.preintegration import readings
-from ltv_mpc.localisation.restart import GRACE_NS, Restarts, finite, usable
-from ltv_mpc.localisation.resume import Resumption
-from ltv_mpc.localisation.state import Belief, grid
-from ltv_mpc.localisation.suite import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
+from ltv_mpc.localisation.out_of_sequence import History, spacing_ns
+from ltv_mpc.localisation.publishing import estimate
+from ltv_mpc.localisation.reinitialisation import GRACE_NS, Restarts, finite, usable
+from ltv_mpc.localisation.sensor_config import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
+from ltv_mpc.localisation.sensor_screening import Door
+from ltv_mpc.localisation.shadow_filter import Former
+from ltv_mpc.localisation.warm_restart import Resumption
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -340,7 +342,7 @@ class Estimator:
         if sample.t_ns <= filter_.belief.t_ns:
             self._account["imu.late"] += 1
             return
-        if gap.before(sample, filter_.belief.t_ns):
+        if imu_dropout.before(sample, filter_.belief.t_ns):
             self._account["imu.gap"] += 1
         while filter_.belief.t_ns < sample.t_ns:
             stop_ns = min(sample.t_ns, self._next_ns)

@@ -26,10 +26,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtr, chdtri
 
-from ltv_mpc.compiled import kernel
-from ltv_mpc.localisation.filter import Verdict
-from ltv_mpc.localisation.late import REACH_NS
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.jit import jit
+from ltv_mpc.localisation.filter.error_state_filter import Verdict
+from ltv_mpc.localisation.out_of_sequence import REACH_NS
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
@@ -132,7 +132,7 @@ class Monitor:
         return nis, SensorStatus.OK
 
 
-@kernel
+@jit
 def _judged(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
     """Of a message's rows: how many passed, the sum of their x, and of rho_ij^2 over all their pairs."""
     weight = np.zeros(len(residual))

@@ -1,9 +1,9 @@
 """Where the vehicle shall be: points, paths, tracks with times, "here"; and ``load`` for a file."""
 
-from ltv_mpc.references.kinds import Hold, Point, Reference, load
-from ltv_mpc.references.places import Origin, Place
+from ltv_mpc.references.geodesy import Origin, Place
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
 from ltv_mpc.references.timed import Timed
+from ltv_mpc.references.types import Hold, Point, Reference, load
 
 __all__ = [
     "Circle",

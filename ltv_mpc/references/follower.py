@@ -17,10 +17,10 @@ import math
 from typing import NamedTuple
 
 from ltv_mpc.messages import Array, Estimate, Pair, ReferenceStart, Times
-from ltv_mpc.references.kind import ramp
-from ltv_mpc.references.kinds import Hold, Point, Reference
+from ltv_mpc.references.base import ramp
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.schedule import Schedule, depths, go_on, look_ahead, where
+from ltv_mpc.references.types import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
 LEASH_S = 2.0

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.references.limits import Limits
 from ltv_mpc.references.path import Path
@@ -110,7 +110,7 @@ def fastest(path: Path, limits: Limits, descent_rate_mps: float) -> Array:
     return speed
 
 
-@kernel
+@jit
 def profile(
     s: Array,
     cap: Array,
@@ -144,7 +144,7 @@ def profile(
     return v, t
 
 
-@kernel
+@jit
 def _interval(table: Array, tau: float) -> tuple[int, float, float]:
     """The interval of the table that a time lies in, the part of it that is past, and its length (s)."""
     M = table.shape[1]
@@ -154,7 +154,7 @@ def _interval(table: Array, tau: float) -> tuple[int, float, float]:
     return i, min(max(part, 0.0), 1.0), length
 
 
-@kernel
+@jit
 def where(table: Array, tau: float) -> tuple[float, float, float]:
     """Way along the path (m), north and east (m) at a time of the schedule."""
     i, part, _ = _interval(table, tau)
@@ -162,7 +162,7 @@ def where(table: Array, tau: float) -> tuple[float, float, float]:
     return s[i] + part * (s[i + 1] - s[i]), n[i] + part * (n[i + 1] - n[i]), e[i] + part * (e[i + 1] - e[i])
 
 
-@kernel
+@jit
 def look_ahead(table: Array, tau: float, rate: float, t_ns: Times, target: Array) -> None:
     """The target at the knots, into ``target`` (N+1, 2): positions (m) at knots 1 .. N, then the velocity (m/s) at N.
 
@@ -180,7 +180,7 @@ def look_ahead(table: Array, tau: float, rate: float, t_ns: Times, target: Array
                 target[N, j] = rate * step / length if moving else 0.0
 
 
-@kernel
+@jit
 def against(table: Array, tau: float, ahead_s: float, north: float, east: float, speed: float) -> float:
     """The rate at which the schedule can be followed in a current (m/s) for ``ahead_s`` to come, 0 .. 1.
 
@@ -204,7 +204,7 @@ def against(table: Array, tau: float, ahead_s: float, north: float, east: float,
     return least
 
 
-@kernel
+@jit
 def depths(
     table: Array, tau: float, rate: float, t_ns: Times, begun_ns: int, start: float, most: float
 ) -> tuple[Array, Array]:
@@ -224,7 +224,7 @@ def depths(
     return depth, speed
 
 
-@kernel
+@jit
 def off_path(table: Array, s: float, n: float, e: float, window: float) -> float:
     """Cross-track error (m), positive to starboard: of a position from the nearest point within ``window`` m of s."""
     M = table.shape[1]
@@ -247,7 +247,7 @@ def off_path(table: Array, s: float, n: float, e: float, window: float) -> float
     return signed
 
 
-@kernel
+@jit
 def go_on(
     table: Array,
     tau: float,

@@ -9,11 +9,11 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc.messages import Array, ReferenceStart
-from ltv_mpc.references.kind import Kind
+from ltv_mpc.references.base import Kind
+from ltv_mpc.references.feasibility import of_descent, of_path
+from ltv_mpc.references.geodesy import Place, local
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import MOST_POINTS, Path, bend, led_in, pieces, rounded
-from ltv_mpc.references.places import Place, local
-from ltv_mpc.references.said import of_descent, of_path
 from ltv_mpc.references.schedule import Schedule, along
 from ltv_mpc.vehicle.parameters import Vehicle
 

@@ -20,11 +20,11 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
-from ltv_mpc.references.kind import Kind
+from ltv_mpc.references.base import Kind
+from ltv_mpc.references.geodesy import Place, local
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import Path as Track
 from ltv_mpc.references.path import led_in
-from ltv_mpc.references.places import Place, local
 from ltv_mpc.references.schedule import TIME, Schedule, along
 from ltv_mpc.references.shapes import LEAD_IN_M
 from ltv_mpc.vehicle.parameters import Vehicle

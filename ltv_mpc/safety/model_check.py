@@ -19,7 +19,7 @@ in each estimate, so e_n takes back at each what it gave at the one before (``ev
 that of two estimates, not of all.
 
 The alarm is given at ``ALARM`` nats of evidence that l has grown, beyond what 10 % of mismatch can make and what the
-vehicle has done so far (``evidence.py``). While it is on, nothing is learned of the vehicle.
+vehicle has done so far (``thrust_loss_detector.py``). While it is on, nothing is learned of the vehicle.
 
 It needs reports of the actuators and estimates with a current. A surge of the water that the estimate does not know
 of, or a tow, is not told from thrust: it is wrong all the same.
@@ -35,7 +35,7 @@ import numpy as np
 
 from ltv_mpc.control.prediction import current_in
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
-from ltv_mpc.safety.evidence import WINDOWS, learn, weigh
+from ltv_mpc.safety.thrust_loss_detector import WINDOWS, learn, weigh
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ALARM = 12.0

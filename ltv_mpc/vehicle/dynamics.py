@@ -21,14 +21,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients
 
 N, E, U, V, PSI, R = range(6)
 
 
-@kernel
+@jit
 def coefficients(flat: Array) -> Coefficients:
     """The inverse of ``np.array(vehicle.coefficients())``."""
     return Coefficients(
@@ -37,7 +37,7 @@ def coefficients(flat: Array) -> Coefficients:
     )  # fmt: skip
 
 
-@kernel
+@jit
 def rates(
     u: float,
     v: float,
@@ -90,7 +90,7 @@ class Slopes(NamedTuple):
     r_r: float
 
 
-@kernel
+@jit
 def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: Coefficients) -> Slopes:
     """df/dx at a state (d(q|q|)/dq = 2|q|)."""
     cos, sin = math.cos(psi), math.sin(psi)
@@ -118,13 +118,13 @@ def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: 
     )
 
 
-@kernel
+@jit
 def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Array) -> None:
     """dx = f(x, F, c, cr), shape (6,), written into ``dx``."""
     dx[0], dx[1], dx[2], dx[3], dx[4], dx[5] = rates(x[2], x[3], x[4], x[5], F[0], F[1], c[0], c[1], cr[0], cr[1], p)
 
 
-@kernel
+@jit
 def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
     """J = df/dx, shape (6, 6), written into ``J``. Position columns are zero."""
     s = slopes(x[2], x[3], x[4], x[5], cr[0], cr[1], p)
@@ -137,7 +137,7 @@ def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
     J[R, U], J[R, V], J[R, R] = s.r_u, s.r_v, s.r_r
 
 
-@kernel
+@jit
 def thrust_gain(p: Coefficients, G: Array) -> None:
     """G = df/dF, shape (6, 2), written into ``G``; it does not depend on the state."""
     G[:, :] = 0.0
@@ -147,7 +147,7 @@ def thrust_gain(p: Coefficients, G: Array) -> None:
     G[5, 1] = -p.arm_starboard / p.inertia_yaw
 
 
-@kernel
+@jit
 def heave_acceleration(w: float, F3: float, p: Coefficients) -> float:
     """w' (m/s2): M_z w' = F3 - (d_z + D_z |w|) w - (B - W)."""
     return (F3 - (p.linear_heave + p.quadratic_heave * abs(w)) * w - p.net_buoyancy) / p.mass_heave

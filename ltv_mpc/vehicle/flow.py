@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from ltv_mpc.vehicle.parameters import Coefficients
@@ -29,7 +29,7 @@ LONG_SUBSTEP_S = 0.3
 """The same beyond four of those steps: only the far stages of a long horizon are as long, and 3e-4 is enough there."""
 
 
-@kernel
+@jit
 def lag_weights(t: float, h: float, tau: float) -> tuple[float, float, float]:
     """a, b0, b1 of F(t) = a F(0) + b0 u(0) + b1 u(h)."""
     if tau <= 0.0:
@@ -40,14 +40,14 @@ def lag_weights(t: float, h: float, tau: float) -> tuple[float, float, float]:
     return e, 1.0 - e - b1, b1
 
 
-@kernel
+@jit
 def substeps(h: float) -> int:
     """How many Runge-Kutta steps a stage of h seconds takes."""
     steps = int(np.ceil(h / SUBSTEP_S - 1e-9))
     return max(1, min(steps, 4), int(np.ceil(h / LONG_SUBSTEP_S - 1e-9)))
 
 
-@kernel
+@jit
 def lag_table(h: float, p: Coefficients) -> Array:
     """a, b0, b1 of both lateral thrusters (M, 2, 3) at each of the M = 2 steps + 1 instants at which a stage of h
     seconds takes slopes. Stages of one length have it in common, and its exponentials cost a third of the motion.
@@ -61,7 +61,7 @@ def lag_table(h: float, p: Coefficients) -> Array:
     return lag
 
 
-@kernel
+@jit
 def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float, float]:
     """F of both lateral thrusters at instant m of a ``lag_table``."""
     return (
@@ -70,13 +70,13 @@ def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float
     )
 
 
-@kernel
+@jit
 def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, out: Array) -> None:
     """out = flow(X, u(0), u(h)), all of shape (8,), over h seconds; the current goes linearly from c(0) to c(h)."""
     advance_by(X, u0, uh, c0, ch, h, p, lag_table(h, p), out)
 
 
-@kernel
+@jit
 def advance_by(
     X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, lag: Array, out: Array
 ) -> None:
@@ -117,7 +117,7 @@ def advance_by(
     out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7] = n, e, u, v, psi, r, F1, F2
 
 
-@kernel
+@jit
 def runge_kutta(node: int, d: float) -> tuple[float, float, float]:
     """Of the classical method's slope 0 .. 3 over d: how far along the slope before it is taken, its weight, when."""
     if node == 0:
@@ -127,7 +127,7 @@ def runge_kutta(node: int, d: float) -> tuple[float, float, float]:
     return 0.5 * d, d / 3.0, 0.5 * d
 
 
-@kernel
+@jit
 def advance_heave(
     z: float, w: float, F0: float, u0: float, uh: float, h: float, p: Coefficients
 ) -> tuple[float, float, float]:

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -208,7 +208,7 @@ class _Fit:
 DRY = Coefficients._fields.index("dry_mass")
 
 
-@kernel
+@jit
 def lagging(t: Array, command: Array, start: float, lag: float) -> Array:
     """Thrust delivered (M,) from ``start``, where the command (M,) at times t (M,) is linear in between."""
     F = np.empty(len(t))
@@ -219,7 +219,7 @@ def lagging(t: Array, command: Array, start: float, lag: float) -> Array:
     return F
 
 
-@kernel
+@jit
 def _shoot(
     p: Coefficients,
     scale: float,

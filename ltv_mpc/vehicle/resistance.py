@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 
 UNBRAKED_MPS, UNBRAKED_RADPS = 5.0, 5.0
 """Where nothing brakes, or hardly, the speed that counts."""
 
 
-@kernel
+@jit
 def steady(push: float, linear: float, quadratic: float) -> float:
     """The speed s >= 0 at which push = linear s + quadratic s^2; infinite where nothing brakes.
 

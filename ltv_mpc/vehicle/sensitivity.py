@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import Slopes, rates, slopes
 from ltv_mpc.vehicle.flow import delivered, runge_kutta
@@ -29,7 +29,7 @@ STATE, STEP, SUM, PLACE, GAIN = 0, 4 * COLUMNS, 8 * COLUMNS, 12 * COLUMNS, 14 * 
 SCRATCH = 16 * COLUMNS
 
 
-@kernel
+@jit
 def thrust_gains(lag: Array, p: Coefficients) -> Array:
     """df/dF dF/d(.) of surge and yaw rate (M, 2 COLUMNS) at the instants of ``lag``, a ``lag_table``."""
     gain = np.zeros((len(lag), 2 * COLUMNS))
@@ -42,7 +42,7 @@ def thrust_gains(lag: Array, p: Coefficients) -> Array:
     return gain
 
 
-@kernel
+@jit
 def linearise_stage(
     X: Array,
     u0: Array,
@@ -101,7 +101,7 @@ def linearise_stage(
     _read(Z, lag[2 * steps], A, B0, B1)
 
 
-@kernel
+@jit
 def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
     """One slope of S, taken ``part`` along the one before: S' = df/dx S + df/dF dF/d(.), added up with its weight."""
     for j in range(COLUMNS):
@@ -125,7 +125,7 @@ def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
         Z[SUM + 3 * COLUMNS + j] += weight * dr
 
 
-@kernel
+@jit
 def _read(Z: Array, w: Array, A: Array, B0: Array, B1: Array) -> None:
     """S and the lag at the stage's end as A, B0, B1."""
     A[:, :] = 0.0

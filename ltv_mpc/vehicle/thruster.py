@@ -10,20 +10,20 @@ from __future__ import annotations
 
 import math
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 
 THRUST_COEFFICIENT = 0.4
 INFLOW_COEFFICIENT = 1.0 / 3.0
 
 
-@kernel
+@jit
 def thrust(n: float, inflow: float, rho: float, d: float) -> float:
     """F (N) of a propeller at n (rev/s) in an inflow v_T (m/s)."""
     # F = 0.4 rho d^4 |n| n - (1/3) v_T rho d^3 |n|
     return THRUST_COEFFICIENT * rho * d**4 * abs(n) * n - INFLOW_COEFFICIENT * inflow * rho * d**3 * abs(n)
 
 
-@kernel
+@jit
 def revolutions(F: float, inflow: float, rho: float, d: float) -> float:
     """The n (rev/s) that gives F (N) in an inflow v_T: F -> n -> F returns F.
 

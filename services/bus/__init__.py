@@ -1,0 +1,1 @@
+"""Message bus: topics, encoding, validation, sessions and security."""

@@ -12,8 +12,8 @@ from services.cli.options import Force, Json
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from services.campaign.ranking import Standing
-    from services.campaign.trial import Row
+    from services.tools.campaign.ranking import Standing
+    from services.tools.campaign.trial import Row
 
 
 def campaign(
@@ -43,19 +43,19 @@ def campaign(
     from rich.console import Console
 
     from ltv_mpc.errors import ConfigError
-    from services.process.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.run import folder
+    from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
 
     if importlib.util.find_spec("pyarrow") is None:
         raise ConfigError("campaign", "", "needs pyarrow: install the extra campaign")
     if cluster is not None and workers is not None:
         raise ConfigError("option --workers", "", "cannot act together with --cluster, which has its own workers")
-    from services.campaign import file as files
-    from services.campaign import page, table, text
-    from services.campaign.campaign import opened, plan, run
-    from services.campaign.progress import Progress
-    from services.campaign.ranking import ranked, scores
-    from services.views.static_files import NoPlotly
+    from services.reporting.static_files import NoPlotly
+    from services.tools.campaign import file as files
+    from services.tools.campaign import page, table, text
+    from services.tools.campaign.campaign import opened, plan, run
+    from services.tools.campaign.progress import Progress
+    from services.tools.campaign.ranking import ranked, scores
 
     wanted = files.load(file)
     made = plan(wanted, f"campaign {file}")

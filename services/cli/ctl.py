@@ -45,6 +45,6 @@ def ctl(
         problem = "must be followed by a reference, NAME or FILE" if file is None else "takes no file: follow does"
         raise ConfigError("argument ACTION", "", problem, value=action)
     toml = "" if file is None else to_toml(references.load(file))
-    from services.nodes import operator as node
+    from services.processes import operator as node
 
     return node.main(wanted, toml, bus)

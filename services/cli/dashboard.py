@@ -47,7 +47,7 @@ def dashboard(
     except ModuleNotFoundError as missing:
         typer.echo(f"dashboard: {missing.name} is not installed: the extra viz brings it", err=True)
         return 1
-    from services.views.static_files import NoPlotly
+    from services.reporting.static_files import NoPlotly
 
     try:
         return serve.main(Config(bus=bus, host=host, port=port, vehicle=vehicle, open_browser=open_))

@@ -15,7 +15,7 @@ def doctor(as_json: Json = False) -> int:
     import json
     from dataclasses import asdict
 
-    from services.measure.doctor import Level, examine
+    from services.tools.doctor import Level, examine
 
     found = examine()
     if as_json:

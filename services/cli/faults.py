@@ -49,9 +49,9 @@ def faults(
     from rich.console import Console
     from rich.progress import Progress
 
-    from services.batch.results_store import open_store
-    from services.faults import campaign, judge, result
-    from services.views import faults_text
+    from services.reporting import faults_text
+    from services.tools.batch.results_store import open_store
+    from services.tools.faults import campaign, judge, result
 
     asked = campaign.plan(classes, where, n or (QUICK if quick else FULL), quick=quick)
     started = time.monotonic()

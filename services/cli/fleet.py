@@ -46,16 +46,16 @@ def fleet(
     Vehicle.load(vehicle)
     import msgspec
 
-    from services.fleet import trial
-    from services.fleet.place import Fleet
-    from services.launch.loopback import free_port
-    from services.measure import profile_machine
-    from services.process.stopping import DONE, FAILED
+    from services.reporting.terminal import share_for
     from services.run import folder as folders
-    from services.views.terminal import share_for
+    from services.runtime.stopping import DONE, FAILED
+    from services.supervisor.loopback import free_port
+    from services.tools.fleet import trial
+    from services.tools.fleet.place import Fleet
+    from services.tools.profile import machine
 
     place = None if out is None else folders.make("fleet", {}, out=out, force=force).path
-    load = profile_machine.load()
+    load = machine.load()
     rows = []
     for count in counts:
         typer.echo(f"{count} vehicles: {warm_up_s:g} s to warm up, {seconds:g} s measured", err=True)
@@ -78,13 +78,13 @@ def fleet(
             typer.echo(f"fleet: {error}", err=True)
             return FAILED
         rows.append(made)
-    result = {"rows": msgspec.to_builtins(rows), "machine": profile_machine.machine(load)}
+    result = {"rows": msgspec.to_builtins(rows), "machine": machine.machine(load)}
     if place is not None:
         (place / "fleet.json").write_bytes(msgspec.json.format(msgspec.json.encode(result)))
     if as_json:
         typer.echo(msgspec.json.encode(result).decode())
     else:
-        from services.fleet.text import text
+        from services.tools.fleet.text import text
 
         typer.echo(text(rows))
         if place is not None:

@@ -38,13 +38,13 @@ def inject(
 
     from ltv_mpc.errors import ConfigError
     from services.bus.roles import ROLES
-    from services.faults import schedule as schedules
+    from services.tools.faults import schedule as schedules
 
     if node not in ROLES:
         raise ConfigError("argument NODE", "", f"must be of {', '.join(ROLES)}", value=node)
     injections = [*([] if schedule is None else schedules.load(schedule)), *schedules.parse(fault or ())]
     check_endpoint("--to", b, bus.certs)
-    from services.nodes import inject as process
+    from services.tools.faults import inject as process
 
     at_a = structs.replace(bus, mode="client")
     at_b = structs.replace(at_a, connect=(b,))

@@ -43,8 +43,8 @@ def localisation_check(
     from rich.console import Console
     from rich.progress import Progress
 
-    from services.batch.results_store import open_store
-    from services.measure import localisation_check as check
+    from services.tools.batch.results_store import open_store
+    from services.tools.localisation_check import check as check
 
     settings = (f"sensors={sensors}", f"run.surface_time_s={surface_time_s}")
     jobs = check.jobs(scenario, settings, first_seed=seed, runs=runs)
@@ -67,12 +67,12 @@ def localisation_check(
     if out is not None:
         (out / "localisation-check.json").write_text(plain + "\n", encoding="utf-8")
         try:
-            from services.measure import localisation_picture
+            from services.tools.localisation_check import plot
         except ImportError:
             typer.echo("no picture: matplotlib is not installed (extra viz)", err=True)
         else:
             nees = check.over_runs([record.nees for record in records])
             title = f"{result.runs} runs, sensors {result.sensors}, {result.surface_time_s:g} s afloat"
-            localisation_picture.draw(nees, title, out / "localisation-check.png")
+            plot.draw(nees, title, out / "localisation-check.png")
         typer.echo(str(out), err=as_json)
     return 1 if problems else 0

@@ -42,10 +42,10 @@ def localise(
     """
     import msgspec
 
-    from services.measure import localise as dive
+    from services.reporting import dive_text
+    from services.reporting.terminal import share_for
     from services.run import folder
-    from services.views import dive_text
-    from services.views.terminal import share_for
+    from services.tools.localise import dive_localisation as dive
 
     with share_for(file.name) as told:
         outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, told=told)

@@ -38,8 +38,8 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
     """
     from services.recording import info as figures
     from services.recording.recover import segments
+    from services.reporting.terminal import reading
     from services.run import folder
-    from services.views.terminal import reading
 
     recording = folder.find(run)
     with reading(recording):
@@ -49,7 +49,7 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
 
         typer.echo(msgspec.json.encode(found).decode())
     else:
-        from services.views import log_text
+        from services.reporting import log_text
 
         typer.echo(log_text.text(found))
     return 0 if found.whole else 1
@@ -78,7 +78,7 @@ def recover(
         if as_json:
             typer.echo("null")
         return
-    from services.views.terminal import reading
+    from services.reporting.terminal import reading
 
     with reading(recording):
         made = recovery.recover(parts, out or recovery.recovered_path(recording))
@@ -87,7 +87,7 @@ def recover(
 
         typer.echo(msgspec.json.encode(made).decode())
         return
-    from services.views import log_text
+    from services.reporting import log_text
 
     typer.echo(log_text.recovered(made))
     typer.echo(made.file)
@@ -119,8 +119,8 @@ def export(
     if form is Format.PARQUET:
         tables.need_pyarrow()
     place = folder.opened(out or recording.parent / form.value, force=force)
-    from services.views import log_text
-    from services.views.terminal import share_for
+    from services.reporting import log_text
+    from services.reporting.terminal import share_for
 
     result: tables.Result | perfetto.Written
     with share_for(f"{recording} as {form.value}") as told:

@@ -58,10 +58,10 @@ def profile(
     from rich.console import Console
     from rich.progress import Progress
 
-    from services.measure import profile as latency
-    from services.measure import profile_problems as problems
-    from services.measure import profile_table
     from services.run import folder
+    from services.tools.profile import problems as problems
+    from services.tools.profile import run as latency
+    from services.tools.profile import table
 
     stages = latency.parse_horizons(horizons)
     by_horizon = [
@@ -74,14 +74,14 @@ def profile(
         task = progress.add_task(f"{cycles} cycles at {names}", total=cycles * len(stages))
         measured = latency.run(by_horizon, named, seed=seed, progress=lambda: progress.advance(task))
     plain = msgspec.json.format(msgspec.json.encode(measured.profile), indent=2).decode()
-    typer.echo(plain if as_json else profile_table.text(measured.profile))
+    typer.echo(plain if as_json else table.text(measured.profile))
     if written is not None:
         (written.path / "profile.json").write_text(plain + "\n", encoding="utf-8")
         try:
-            from services.measure import profile_picture
+            from services.tools.profile import plot
         except ImportError:
             typer.echo("no picture: matplotlib is not installed (extra viz)", err=True)
         else:
-            profile_picture.draw(measured, written.path / "profile.png")
+            plot.draw(measured, written.path / "profile.png")
         typer.echo(str(written.path), err=as_json)
     return 0

@@ -30,7 +30,7 @@ def router(
 
     Without --listen it listens at tcp/127.0.0.1:7447.
     """
-    from services.nodes import router as process
+    from services.processes import router as process
 
     return process.main(process.Config(bus=bus))
 
@@ -49,7 +49,7 @@ def plant(
 
     Reads plan; writes world/truth, applied and clock. Starts when sensors, estimator and controller are ready.
     """
-    from services.nodes import plant as process
+    from services.processes import plant as process
 
     return process.main(process.Config(bus=bus, scenario=scenario, expects=tuple(expect or ())))
 
@@ -64,7 +64,7 @@ def sensors(
 
     Reads world/truth; writes sensor/*.
     """
-    from services.nodes import sensors as process
+    from services.processes import sensors as process
 
     return process.main(process.Config(bus=bus, scenario=scenario))
 
@@ -85,7 +85,7 @@ def estimator(
     """
     from ltv_mpc.localisation.config import EstimatorConfig
     from ltv_mpc.vehicle.parameters import Vehicle
-    from services.nodes import estimator as process
+    from services.processes import estimator as process
     from services.run.water import beside
 
     Vehicle.load(vehicle)
@@ -109,13 +109,13 @@ def recorder(
     Reads everything; run.mcap opens in Foxglove.
     """
     from services.run import folder
-    from services.run.situation import resolve
+    from services.run.run_config import resolve
 
     situation = resolve(scenario)
     run_folder = None if out is None else folder.made_for(Path(scenario), out, goes_on=goes_on)
     if run_folder is None:
         run_folder = folder.make(situation.name, situation.files, out=out, force=force)
-    from services.nodes import recorder as process
+    from services.processes import recorder as process
 
     metadata = process.metadata(situation.scenario.run.seed, situation.files)
     config = process.Config(bus=bus, folder=run_folder.path, start_ns=situation.scenario.start_ns, metadata=metadata)

@@ -26,9 +26,9 @@ def show(
     as_json: Json = False,
 ) -> None:
     """A QP that was not solved: what is wrong with it, and what another solver makes of it."""
-    from ltv_mpc.control.qp.failed import FailedQp
+    from ltv_mpc.control.qp.failed_qp import FailedQp
     from ltv_mpc.control.solvers import solve_qp
-    from services.views import qp_text
+    from services.reporting import qp_text
 
     failed = FailedQp.load(file)
     shown = qp_text.figures(failed, solver, solve_qp(failed.qp, solver))
@@ -57,7 +57,7 @@ def export_c(
 
     config = ControllerConfig() if settings is None else ControllerConfig.load(str(settings))
     loaded = Vehicle.load(vehicle)
-    from services.measure.c_code import export, solved
+    from services.tools.c_code import export, solved
 
     problem = solved(loaded, config)
     place = folders.make("qp", {}, out=folder, force=force).path

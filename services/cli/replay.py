@@ -37,9 +37,9 @@ def replay(
     import msgspec
 
     from services.replay import replay as nodes
+    from services.reporting import replay_text
+    from services.reporting.terminal import progress_for
     from services.run import folder
-    from services.views import replay_text
-    from services.views.terminal import progress_for
 
     made = nodes.Run(folder.find(run))
     scenario = made.situation.scenario

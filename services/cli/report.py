@@ -12,7 +12,7 @@ from services.cli.options import Force, Json
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from services.views.report import Run
+    from services.reporting.report import Run
 
 
 def report(
@@ -40,10 +40,10 @@ def report(
     report.html holds everything and opens without a network. Works on the recording of a run that was cut off.
     """
     from ltv_mpc.errors import ConfigError
+    from services.reporting import report as page
+    from services.reporting.static_files import NoPlotly
+    from services.reporting.terminal import reading
     from services.run import folder
-    from services.views import report as page
-    from services.views.static_files import NoPlotly
-    from services.views.terminal import reading
 
     if runs is not None and len(runs) == 1 and (Path(runs[0]) / "campaign.toml").is_file():
         return _of_campaign(Path(runs[0]))
@@ -63,7 +63,7 @@ def report(
 
         typer.echo(msgspec.json.encode({"report": str(target), "figures": figures}).decode())
     else:
-        from services.views import differences
+        from services.reporting import differences
 
         if figures:
             typer.echo(differences.text([run.name for run in shown], figures))
@@ -73,8 +73,8 @@ def report(
 
 def _of_campaign(folder: Path) -> int:
     """Anew, from the rows that it has."""
-    from services.campaign import page
-    from services.views.static_files import NoPlotly
+    from services.reporting.static_files import NoPlotly
+    from services.tools.campaign import page
 
     try:
         typer.echo(str(page.write(folder)))
@@ -90,9 +90,9 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
     A run's exit code is its own: nothing here can change it.
     """
     from ltv_mpc.errors import ConfigError
-    from services.views import report as page
-    from services.views.static_files import NoPlotly
-    from services.views.terminal import reading
+    from services.reporting import report as page
+    from services.reporting.static_files import NoPlotly
+    from services.reporting.terminal import reading
 
     target = recording.with_name(page.NAME)
     try:
@@ -106,7 +106,7 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
 
 
 def _run(recording: Path, name: str) -> Run:
-    from services.views.report import Run
+    from services.reporting.report import Run
 
     return Run(name=name, recording=recording, summary=_summary(recording))
 
@@ -123,7 +123,7 @@ def _summary(recording: Path) -> dict[str, Any]:
     import msgspec
 
     from ltv_mpc.errors import ConfigError
-    from services.run.situation import resolve
+    from services.run.run_config import resolve
     from services.run.summary import of_recording
 
     try:
@@ -145,8 +145,8 @@ def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Pat
     from datetime import UTC, datetime
 
     from ltv_mpc.errors import ConfigError
+    from services.reporting.report import NAME
     from services.run import folder
-    from services.views.report import NAME
 
     if out is None and len(recordings) == 1:
         return recordings[0].with_name(NAME)

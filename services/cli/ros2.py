@@ -46,7 +46,7 @@ def ros2(
             raise ConfigError(f"option {option}", "", "must be a topic's full name, as /auv/odometry", value=name)
     check_namespace(ros_namespace, "--ros-namespace")
     try:
-        from services.nodes import ros2 as node
+        from services.processes import ros2 as node
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("rosbags"):
             raise

@@ -17,8 +17,8 @@ from services.cli.options import Force, Json, Out, ScenarioName, short
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
-    from services.run.situation import Override, Situation
-    from sim.grading.summary import Summary
+    from services.run.run_config import Override, Situation
+    from sim.evaluation.summary import Summary
 
 KEYS = {
     "--speed": "run.speed",
@@ -109,8 +109,8 @@ def sim(
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
     from ltv_mpc.errors import ConfigError
-    from services.run import folder, space
-    from services.run.situation import resolve
+    from services.run import disk_space, folder
+    from services.run.run_config import resolve
 
     texts = {
         "--speed": speed,
@@ -136,7 +136,7 @@ def sim(
     situation = resolve(scenario, overrides)
     if certs is not None:
         _check_certs(certs, situation, lockstep=lockstep)
-    space.check(out or folder.ROOT, situation.scenario.run)
+    disk_space.check(out or folder.ROOT, situation.scenario.run)
     run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     for note in situation.notes:
         typer.echo(note, err=True)
@@ -148,7 +148,7 @@ def sim(
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
     """Last wins: --set first, then the options."""
-    from services.run.situation import Override
+    from services.run.run_config import Override
 
     overrides = [Override("option --set", assignments)] if assignments else []
     for name, text in given.items():
@@ -181,25 +181,25 @@ def _check_certs(certs: Path, situation: Situation, *, lockstep: bool) -> None:
     from ltv_mpc.errors import ConfigError
     from services.bus.roles import LAUNCHER
     from services.bus.security import credentials
-    from services.launch import table
+    from services.supervisor import process_table
 
     if lockstep:
         raise ConfigError("option --certs", "", "cannot act together with --lockstep, where nothing travels")
     if situation.scenario.run.perfect_state:
         problem = "cannot act together with run.perfect_state, where the sensors write the estimator's key"
         raise ConfigError("option --certs", "", problem)
-    for role in (LAUNCHER, *(row.name for row in table.processes(situation.scenario))):
+    for role in (LAUNCHER, *(row.name for row in process_table.processes(situation.scenario))):
         credentials(certs, role)
 
 
 def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
-    from services.process.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
-    from services.run import locked
-    from services.views.terminal import progress_for
+    from services.reporting.terminal import progress_for
+    from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
+    from services.tools import lockstep_run
 
     scenario = situation.scenario
     with stop_on_signals() as request, progress_for(scenario.start_ns, scenario.end_ns) as progress:
-        summary = locked.run(situation, folder, progress=progress, stop=request)
+        summary = lockstep_run.run(situation, folder, progress=progress, stop=request)
     _say_verdict(summary, folder, as_json)
     if summary.duration_s >= scenario.run.duration_s:
         return DONE
@@ -211,9 +211,9 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
 def _processes(
     situation: Situation, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
 ) -> int:
-    from services.dashboard.beside import Beside
-    from services.launch import supervisor
-    from services.views.terminal import screen_for
+    from services.dashboard.sidecar import Beside
+    from services.reporting.terminal import screen_for
+    from services.supervisor import supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
     screen = screen_for(situation.scenario.title, limits)
@@ -234,7 +234,7 @@ def _say_verdict(summary: Summary, folder: RunFolder, as_json: bool) -> None:
     import msgspec
 
     from services.cli.report import after_run
-    from services.views.verdict import verdict
+    from services.reporting.run_summary_text import verdict
 
     plain = msgspec.to_builtins(summary)
     typer.echo(after_run(folder.recording, plain), err=True)

@@ -32,7 +32,7 @@ def topics(
         raise ConfigError("option --schema", "", "is JSON already: cannot act together with --json")
     if write is not None:
         return _write(write)
-    from services.views import topics as view
+    from services.reporting import topics as view
 
     typer.echo(view.schemas(topic) if schema else view.text(topic, as_json=as_json), nl=False)
     return 0

@@ -79,7 +79,7 @@ def controller(
 
     from ltv_mpc import references
     from ltv_mpc.control.config import ControllerConfig, checked
-    from ltv_mpc.control.proposal import proposed_horizon_s
+    from ltv_mpc.control.horizon_selection import proposed_horizon_s
     from ltv_mpc.vehicle.parameters import Vehicle
 
     parameters = Vehicle.load(vehicle)
@@ -92,7 +92,7 @@ def controller(
     if horizon_s is not None:
         control = replace(control, horizon_s=horizon_s)
     control = checked(control, source="options --rate-hz, --horizon-s")
-    from services.nodes import controller as process
+    from services.processes import controller as process
 
     return process.main(
         process.Config(

@@ -56,7 +56,7 @@ def check(
     from ltv_mpc.vehicle.parameters import Vehicle
 
     loaded = Vehicle.load(file)
-    from services.measure import vehicle_check
+    from services.tools import vehicle_check
 
     result = vehicle_check.check(loaded)
     typer.echo(_json(result) if as_json else vehicle_check.table(result))
@@ -78,13 +78,13 @@ def identify(
     as_json: Json = False,
 ) -> None:
     """Masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
-    from services.measure import vehicle_identify
+    from services.tools import vehicle_identify
 
     held = vehicle_identify.opened(run)
     believed = vehicle_identify.vehicle_of(held, name)
     if out is not None:
         _free(out, force=force)
-    from services.views.terminal import reading
+    from services.reporting.terminal import reading
 
     with reading(held.recording):
         result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)

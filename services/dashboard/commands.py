@@ -18,7 +18,7 @@ from ltv_mpc.messages import Acknowledged, Action, ClockCommand, Disturbance, Ki
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
 from services.bus.topics import OPERATOR
-from services.nodes.operator import PATIENCE_S, ask
+from services.processes.operator import PATIENCE_S, ask
 
 KICK_S = 2.0
 KICK_N = (0.0, 120.0, 0.0)

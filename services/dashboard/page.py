@@ -3,7 +3,7 @@
     GET /            the page                 GET /page/NAME   its scripts and styles, and plotly's own
     WS  /stream      texts of ``stream.py`` one way; the other way ``commands.Asked``, answered by ``commands.Answer``
 
-Whoever is not turned away by ``guard.py`` may read; who holds the token may command.
+Whoever is not turned away by ``access_guard.py`` may read; who holds the token may command.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.bus.session import BusOptions
+from services.dashboard.access_guard import Guard, Token
+from services.dashboard.bus_feed import Ears
 from services.dashboard.commands import SIMULATED, Answer, Asked, do
-from services.dashboard.ears import Ears
-from services.dashboard.guard import Guard, Token
 from services.dashboard.stream import MOST_READERS, Reader, Stream
-from services.views import static_files
-from services.views.plots.catalogue import PLOTS
+from services.reporting import static_files
+from services.reporting.plots.catalogue import PLOTS
 
 HERE = Path(__file__).parent / "static"
 

@@ -16,11 +16,11 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import open_session
 from services.dashboard import page
+from services.dashboard.access_guard import LOOPBACK, Token, hosts
+from services.dashboard.bus_feed import Ears
 from services.dashboard.config import Config
-from services.dashboard.ears import Ears
-from services.dashboard.guard import LOOPBACK, Token, hosts
-from services.process.serve import until_stopped
-from services.process.stopping import Say, StopRequest
+from services.runtime.serve import until_stopped
+from services.runtime.stopping import Say, StopRequest
 
 GRACE_S = 1
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import msgspec
 
-from services.dashboard.ears import Ears
-from services.views.plots.table import Columns
+from services.dashboard.bus_feed import Ears
+from services.reporting.plots.table import Columns
 
 PERIOD_S = 0.1
 LATE = 20

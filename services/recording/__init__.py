@@ -1,0 +1,1 @@
+"""Recordings of a run: writing, reading, recovering and exporting MCAP files."""

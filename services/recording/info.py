@@ -17,8 +17,8 @@ from ltv_mpc.config import loads
 from ltv_mpc.messages import Count
 from services.bus import topics
 from services.bus.wire import Epoch
-from services.recording.gaps import Gaps
 from services.recording.recover import RECOVERY, Line, Lines
+from services.recording.sequence_gaps import Gaps
 
 MOST_EVENTS = 1000
 """That are listed; all are counted."""

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from services.replay.verdict import Elsewhere
-from services.run.made_by import made_by
-from services.run.situation import ORIGIN
+from services.run.provenance import made_by
+from services.run.run_config import ORIGIN
 
 ABSENT = "not said"
 

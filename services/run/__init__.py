@@ -1,0 +1,1 @@
+"""Folder of a run: its files, its provenance and its summary."""

@@ -24,7 +24,7 @@ import msgspec
 
 from ltv_mpc.currents import WaterPrior, write_profile
 from ltv_mpc.errors import ConfigError
-from sim.grading.summary import Summary
+from sim.evaluation.summary import Summary
 
 ROOT = Path("runs")
 LATEST = "latest"

@@ -9,12 +9,12 @@ from ltv_mpc.messages import Estimate, NodeStatus, Rejected, RunEvent
 from services.bus import topics
 from services.bus.roles import LAUNCHER
 from services.bus.wire import WireError
-from services.recording.losses import Losses
+from services.recording.loss_accounting import Losses
 from services.recording.reader import Recording
-from services.run.situation import Situation
+from services.run.run_config import Situation
 from services.run.water import Learned
-from sim.grading.metrics import Grader, quantiles
-from sim.grading.summary import Messages, Summary
+from sim.evaluation.metrics import Grader, quantiles
+from sim.evaluation.summary import Messages, Summary
 from sim.plant import PERIOD_NS
 
 SERVICES = "services"

@@ -14,8 +14,8 @@ import numpy as np
 
 from ltv_mpc.messages import Message
 from ltv_mpc.node import Due, Node, Schedule
+from sim.faults.interval import Spell
 from sim.faults.readings import Reading, changed, restamped
-from sim.faults.spell import Spell
 
 
 class Failure(enum.StrEnum):

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.control import controller
-from ltv_mpc.control.solvers.solver import Answer, Solver
+from ltv_mpc.control.solvers.interface import Answer, Solver
 from ltv_mpc.messages import Message, Solve, SolveStatus
 from ltv_mpc.node import Due, Node, Schedule
-from sim.faults.spell import Spell
+from sim.faults.interval import Spell
 
 
 class Trouble(enum.StrEnum):

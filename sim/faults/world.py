@@ -10,7 +10,7 @@ import numpy as np
 from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
 from ltv_mpc.node import Due, Grid
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults.spell import Spell
+from sim.faults.interval import Spell
 
 PERIOD_NS = 100_000_000
 

@@ -24,13 +24,13 @@ import math
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import rotation, rotation_exp
-from ltv_mpc.localisation.suite import Adcp
+from ltv_mpc.jit import jit
+from ltv_mpc.localisation.sensor_config import Adcp
 from ltv_mpc.messages import AdcpPing, Array, Triple
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.sensors.injected import Injected, Mask
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 from sim.water.column import WaterColumn, velocity_at
 
 
@@ -105,7 +105,7 @@ def beams(angle_rad: float) -> Array:
     return np.array([[s, 0.0, c], [-s, 0.0, c], [0.0, s, c], [0.0, -s, c]])
 
 
-@kernel
+@jit
 def beam_velocities(
     depth: float,
     velocity: Triple,

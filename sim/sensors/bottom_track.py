@@ -16,12 +16,12 @@ import math
 
 import numpy as np
 
-from ltv_mpc.localisation.suite import BottomTracking
+from ltv_mpc.localisation.sensor_config import BottomTracking
 from ltv_mpc.messages import Array, BottomTrack
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.sensors.adcp import Instrument
 from sim.sensors.injected import Injected
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 
 _STEEPEST = math.cos(math.radians(70.0))
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from ltv_mpc.frames import roll_pitch_heading, wrap_angle
-from ltv_mpc.localisation.suite import Compass
+from ltv_mpc.localisation.sensor_config import Compass
 from ltv_mpc.messages import CompassHeading
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.sensors.drift import Drift
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 
 
 class MagneticCompass:

@@ -5,10 +5,10 @@ p_m = p + R l + N(0, sd_p^2),  v_m = v + R (w x l) + N(0, sd_v^2),  north and ea
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.suite import Gnss
+from ltv_mpc.localisation.sensor_config import Gnss
 from ltv_mpc.messages import GnssFix
-from sim.draws import Stream, generator
-from sim.sensors.instant import Instant
+from sim.random_streams import Stream, generator
+from sim.sensors.vehicle_state import Instant
 
 
 class Receiver:

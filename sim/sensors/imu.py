@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc import so3
-from ltv_mpc.compiled import kernel
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate
-from ltv_mpc.localisation.suite import Imu
+from ltv_mpc.jit import jit
+from ltv_mpc.localisation.sensor_config import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Nine
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.sensors.drift import Drift
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 
 
 class _End(NamedTuple):
@@ -103,7 +103,7 @@ class InertialUnit:
         ]
 
 
-@kernel
+@jit
 def increments(R1: Nine, v1: Array, R2: Nine, v2: Array, W: Array, dt: float) -> tuple[Triple, Triple]:
     """Error-free mean angular rate and specific force between two instants."""
     turn = so3.log(so3.times(so3.transposed(R1), so3.times(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
@@ -121,7 +121,7 @@ def increments(R1: Nine, v1: Array, R2: Nine, v2: Array, W: Array, dt: float) ->
     return w, f
 
 
-@kernel
+@jit
 def measured(
     R: Array, v: Array, W: Array, dt: float, walks: Array, bias: Array, kept: Array, fresh: Array, draws: Array
 ) -> Array:

@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.localisation.suite import Lbl
+from ltv_mpc.localisation.sensor_config import Lbl
 from ltv_mpc.messages import MAX_TRAVEL_TIME_S, LblRange, Triple
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.sensors.injected import Injected
-from sim.sensors.instant import Instant, Motion
+from sim.sensors.vehicle_state import Instant, Motion
 
 
 class _Answer(NamedTuple):

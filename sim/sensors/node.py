@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from heapq import heapify, heappush, heapreplace
 from typing import NamedTuple, Protocol
 
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -35,12 +35,12 @@ from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.gnss import Receiver
 from sim.sensors.imu import InertialUnit
-from sim.sensors.instant import Instant, Motion, through
 from sim.sensors.lbl import Transceiver, arrival_ns
 from sim.sensors.perfect import PerfectState
 from sim.sensors.pressure import Gauge
 from sim.sensors.tdcp import CarrierPhase
 from sim.sensors.usbl import Ship
+from sim.sensors.vehicle_state import Instant, Motion, through
 from sim.water import WaterColumn
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import CurrentProfile, Estimate
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 from sim.water import WaterColumn
 
 

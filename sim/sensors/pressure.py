@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.suite import Pressure
+from ltv_mpc.localisation.sensor_config import Pressure
 from ltv_mpc.messages import PressureDepth
-from sim.draws import Stream, generator
-from sim.sensors.instant import Instant
+from sim.random_streams import Stream, generator
+from sim.sensors.vehicle_state import Instant
 
 
 class Gauge:

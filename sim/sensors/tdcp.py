@@ -5,10 +5,10 @@ d_m = a(t) - a(t - period) + N(0, sd^2),  a = p + R l,  north and east, white fr
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.suite import Tdcp
+from ltv_mpc.localisation.sensor_config import Tdcp
 from ltv_mpc.messages import TdcpFix, Triple
-from sim.draws import Stream, generator
-from sim.sensors.instant import Instant
+from sim.random_streams import Stream, generator
+from sim.sensors.vehicle_state import Instant
 
 
 class CarrierPhase:

@@ -14,11 +14,11 @@ import math
 
 import numpy as np
 
-from ltv_mpc.localisation.suite import Usbl
+from ltv_mpc.localisation.sensor_config import Usbl
 from ltv_mpc.messages import UsblFix
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.sensors.injected import Injected
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 
 
 class Ship:

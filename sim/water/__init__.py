@@ -6,7 +6,7 @@ import numpy as np
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.scenario import Water
 from sim.water import markov, measured
 from sim.water.column import WaterColumn

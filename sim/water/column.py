@@ -15,9 +15,9 @@ from typing import Protocol
 
 import numpy as np
 
-from ltv_mpc.compiled import kernel
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, CurrentProfile, Pair
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 
 KNOT_NS = 1_000_000_000
 """Time between two samples of the walk."""
@@ -144,7 +144,7 @@ class WaterColumn:
         return CurrentProfile(depth_m=self._depth.copy(), north_mps=now[:, 0].copy(), east_mps=now[:, 1].copy())
 
 
-@kernel
+@jit
 def _cell(depth: float, depths: Array) -> int:
     """The last k with depths[k] <= depth, -1 above the first."""
     low, high = -1, len(depths)
@@ -157,7 +157,7 @@ def _cell(depth: float, depths: Array) -> int:
     return low
 
 
-@kernel
+@jit
 def velocity_at(depth: float, depths: Array, earlier: Array, later: Array, share: float) -> Pair:
     """Water velocity c = (1 - w) c_k + w c_k+1 in depth, and the same in time with ``share``."""
     k = _cell(depth, depths)
@@ -172,7 +172,7 @@ def velocity_at(depth: float, depths: Array, earlier: Array, later: Array, share
     return north, east
 
 
-@kernel
+@jit
 def gradient_at(depth: float, depths: Array, earlier: Array, later: Array, share: float) -> Pair:
     """Gradient dc/dz = (c_k+1 - c_k) / (z_k+1 - z_k) within the cells, 0 beyond."""
     k = _cell(depth, depths)
@@ -187,7 +187,7 @@ def gradient_at(depth: float, depths: Array, earlier: Array, later: Array, share
     return (north / step if within else 0.0), (east / step if within else 0.0)
 
 
-@kernel
+@jit
 def velocities_over(at: Array, depths: Array, earlier: Array, later: Array, share: float) -> Array:
     """``velocity_at`` for each depth of ``at`` (J,), shape (J, 2)."""
     c = np.empty((len(at), 2))

@@ -12,11 +12,11 @@ import pytest
 from benchmarks.horizon_map import rules
 from benchmarks.horizon_map.places import Place, places
 from benchmarks.horizon_map.summary import RULES, summary, tables
-from ltv_mpc.control.proposal import ENOUGH
-from ltv_mpc.control.scales import scales_of
+from ltv_mpc.control.horizon_selection import ENOUGH
+from ltv_mpc.control.scaling import scales_of
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
-from services.measure.page_tables import between
+from services.tools.page_tables import between
 
 PAGE = Path(__file__).parents[2] / "docs" / "horizon.md"
 HORIZONS = np.geomspace(1.0, 32.0, 21)

@@ -12,17 +12,17 @@ from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, SettledConfig
-from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
-from ltv_mpc.control.limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers import solve_qp
 from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.flow import substeps
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.measure import profile_machine, profile_problems
-from services.measure.profile import Spread
-from services.measure.profile_measuring import SolverByName
+from services.tools.profile import machine, problems
+from services.tools.profile.measure import SolverByName
+from services.tools.profile.run import Spread
 
 H = STAGE_NS * 1e-9
 N = 8
@@ -159,7 +159,7 @@ def test_a_peer_that_never_answers_holds_no_line() -> None:
         def solve(self) -> Any:
             return self.answer(None, why="nothing to say")
 
-    episode = profile_problems.simulated(N, 40, seed=0)[2]
+    episode = problems.simulated(N, 40, seed=0)[2]
     assert episode.kind == "hard"
     silent, own = closed(Entry(Silent), episode), closed(SolverByName("osqp"), episode._replace(cycles=40))
     assert silent.unsolved == episode.cycles + 1
@@ -188,12 +188,12 @@ def test_the_table_has_time_beside_error() -> None:
             held={"descent": Held(off_m, 11.0, 1), "hard": Held(2 * off_m, 22.0, 2)},
         )
 
-    machine = profile_machine.machine(profile_machine.load(), ("numpy", "casadi"))
+    here = machine.machine(machine.load(), ("numpy", "casadi"))
     text = table.markdown(
         [line("ours", "QP", 80.0, 0.05), line("theirs", "NLP", 4000.0, 0.06)],
         title="T",
         notes=["N"],
-        machine=machine,
+        machine=here,
         packages=("numpy", "casadi"),
     )
     assert "| ours | QP | 0.08 | 0.16 | 1 | 0.012 | 0.050 | 0.100 | 11.0 / 22.0 | 3 |" in text

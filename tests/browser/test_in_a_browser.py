@@ -17,8 +17,8 @@ import pytest
 
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
-from services.launch import loopback
-from services.views.plots.catalogue import PLOTS
+from services.reporting.plots.catalogue import PLOTS
+from services.supervisor import loopback
 from tests.services.dashboard.made_up_vehicle import Served, served, until
 
 SCREEN, PHONE = (1280, 800), (390, 844)

@@ -23,13 +23,13 @@ from pyarrow import parquet
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from services.campaign import file as campaigns
 from services.cli import start
 from services.cli.app import app, run
-from services.faults import schedule
-from services.process.stopping import DONE
 from services.run.folder import RunFolder
-from services.run.situation import Situation
+from services.run.run_config import Situation
+from services.runtime.stopping import DONE
+from services.tools.campaign import file as campaigns
+from services.tools.faults import schedule
 from tests.docs.pages import NAMES, ROOT, Command, blocks, commands, prose, spoken
 
 RUN_HERE = {"sh", "python", "toml"}
@@ -44,7 +44,7 @@ NOT_RUN = (
     (r"ltv-mpc ctl\b", "needs a running controller; tests/services/cli/test_ctl.py has one"),
     (r"ltv-mpc faults\b", f"{MINUTES} tests/services/faults"),
     (r"ltv-mpc campaign\b", f"{MINUTES} tests/services/campaign"),
-    (r"ltv-mpc profile\b", f"{MINUTES} tests/services/measure/test_profile.py"),
+    (r"ltv-mpc profile\b", f"{MINUTES} tests/services/tools/profile/test_run.py"),
     (r"ltv-mpc vehicle identify\b", "needs a rich run; tests/services/cli/test_vehicle_file.py has one"),
     (r"make \w+", "the Makefile's targets: that they exist is looked at"),
     (

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from services.launch import loopback
+from services.supervisor import loopback
 from tests.system.alone import CLI, controller, started
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "python" / "publisher.py"

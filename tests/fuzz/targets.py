@@ -27,7 +27,7 @@ from scipy.sparse import csc_array, eye_array
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.qp.failed import FailedQp
+from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
 from ltv_mpc.currents import read_prior, read_profile
@@ -35,7 +35,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.pd0 import reader as pd0_reader
 from ltv_mpc.localisation.pd0.beams import to_beams
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -52,20 +52,20 @@ from ltv_mpc.node import Arrival
 from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
-from services.bus.door import Door
 from services.bus.mailbox import Frame
+from services.bus.message_validation import Door
 from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, plain, unpack
-from services.process.clock import ClockError, VehicleClock, boot_id
+from services.edges.ros2.edge import Edge
 from services.recording import export, info, perfetto
 from services.recording.reader import Recording
 from services.recording.recover import recover, segments
-from services.ros2.edge import Edge
+from services.runtime.clock import ClockError, VehicleClock, boot_id
 from sim.scenario import Scenario
 from tests.fuzz import mutate
 from tests.fuzz.mutate import Random
 from tests.recorded.pd0_writer import Head, Written, written
 from tests.services.bus.messages import EXAMPLES, HEADER
-from tests.services.ros2.test_ros2 import odometry
+from tests.services.edges.ros2.test_ros2 import odometry
 from tests.stepping import step
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -18,7 +18,7 @@ from ltv_mpc.config import not_there
 from ltv_mpc.control.config import ControllerConfig, GivenWeights
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.references import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 

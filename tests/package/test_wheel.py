@@ -78,7 +78,7 @@ def test_it_holds_the_three_packages_whole_and_nothing_else(ours: zipfile.ZipFil
     assert code == files(ROOT)
     for data in ("vehicle/files/paper.toml", "vehicle/template.toml", "references/files/hover.toml"):
         assert f"ltv_mpc/{data}" in code
-    assert {"sim/scenarios/descent.toml", "services/views/static/report.html"} <= code
+    assert {"sim/scenarios/descent.toml", "services/reporting/static/report.html"} <= code
 
 
 def test_type_checkers_are_told_that_all_three_packages_have_types(ours: zipfile.ZipFile) -> None:
@@ -140,8 +140,8 @@ def test_a_checkout_says_the_commit_that_it_is_at_and_not_the_one_at_which_it_wa
 
 def test_command_run_and_doctor_say_the_same_version(capsys: pytest.CaptureFixture[str]) -> None:
     from services.cli.app import run
-    from services.measure import doctor
-    from services.run.made_by import made_by
+    from services.run.provenance import made_by
+    from services.tools import doctor
 
     assert run(["--version"]) == 0
     said = capsys.readouterr().out.split()[-1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from services.launch import loopback
+from services.supervisor import loopback
 
 
 @pytest.fixture(scope="module")

@@ -25,9 +25,9 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage
 from ltv_mpc.validation import refusal
 from services.bus import wire
-from services.run import locked
 from services.run.folder import RunFolder
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
 from sim.plant import Plant
 from sim.scheduler import Delivery, LockStep, Step
 from sim.sensors.node import Sensors
@@ -80,7 +80,7 @@ def ears_of(
         compute_delay_ns=delay_ns,
         observe=ears,
         stepped=ears.stepped,
-        refused=locked.refused,
+        refused=lockstep_run.refused,
         between=Through() if singly else None,
     )
     for until_ns in until:
@@ -127,7 +127,7 @@ def test_of_a_descent_every_step_and_message_is_the_same_to_the_bit(settings: tu
     scenario = situation.scenario
 
     def ears(*, singly: bool) -> Ears:
-        nodes = locked.nodes(situation)
+        nodes = lockstep_run.nodes(situation)
         until = [*range(scenario.start_ns, scenario.end_ns, 700 * MS), scenario.end_ns]
         delay_ns = round(scenario.run.compute_delay_s * 1e9)
         nodes = [Storm(), *nodes] if storm else nodes
@@ -146,12 +146,12 @@ def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float)
     def told(heard: frozenset[type[Message]] | None) -> tuple[list[tuple[str, int, int, type[Message], bytes]], int]:
         ears = Ears()
         lockstep = LockStep(
-            locked.nodes(situation),
+            lockstep_run.nodes(situation),
             start_ns=situation.scenario.start_ns,
             compute_delay_ns=round(delay_s * 1e9),
             observe=ears,
             heard=heard,
-            refused=locked.refused,
+            refused=lockstep_run.refused,
         )
         lockstep.advance(situation.scenario.end_ns)
         return ears.said, lockstep.published
@@ -165,7 +165,7 @@ def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float)
 
 def test_an_unrecorded_run_has_the_summary_of_a_recorded_one(tmp_path: Any) -> None:
     situation = descent("sensors=paper", duration_s=4.0)
-    recorded, unrecorded = locked.run(situation, RunFolder(tmp_path)), locked.run(situation)
+    recorded, unrecorded = lockstep_run.run(situation, RunFolder(tmp_path)), lockstep_run.run(situation)
     of_both = [msgspec.structs.replace(s, messages=recorded.messages) for s in (recorded, unrecorded)]
     assert of_both[0] == of_both[1]
 
@@ -188,7 +188,7 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
     counted(Estimator, "_step")
     situation = descent("sensors=paper", duration_s=4.0)
     scenario = situation.scenario
-    nodes = locked.nodes(situation, unheard=False)
+    nodes = lockstep_run.nodes(situation, unheard=False)
     said = ears_of(nodes, scenario.start_ns, [scenario.end_ns]).said
     ticks = sum(kind is Truth for *_, kind, _ in said)
     assert ticks == 701

@@ -27,14 +27,14 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.door import Door, rejection
 from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import Door, rejection
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_KEY, BY_SIGNAL
 from services.bus.wire import Header, WireError, crc, decode, encode
-from services.launch import loopback
-from services.process.stopping import StopRequest
+from services.runtime.stopping import StopRequest
+from services.supervisor import loopback
 from tests.services.bus.messages import EXAMPLES
 from tests.stepping import step
 from tests.system.alone import CLI, controller
@@ -78,7 +78,7 @@ class Listening:
         self.refused: list[Rejected] = []
 
     def hear(self, key: str, payload: bytes, t_ns: int) -> None:
-        """As ``services/process/runner.py`` does."""
+        """As ``services/runtime/runner.py`` does."""
         frame = Frame(BY_KEY[key], key, payload, 0)
         try:
             signal, header = self.door.admit(frame)

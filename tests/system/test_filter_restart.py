@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
-from services.run import locked
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from tests.stepping import OneByOne, step
 
@@ -70,9 +70,11 @@ CASES = {
 def led(request):
     alter, to_s, end_s = CASES[request.param]
     situation = resolve("descent", [Override("test", [f"run.duration_s={end_s}", "run.seed=3"])])
-    nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in locked.nodes(situation)]
+    nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in lockstep_run.nodes(situation)]
     ears = Ears()
-    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=locked.LATEST, observe=ears).advance(end_s * SECOND)
+    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
+        end_s * SECOND
+    )
     return situation, ears
 
 

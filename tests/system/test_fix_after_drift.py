@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Applied, Estimate, Truth, UsblFix
-from services.run import locked
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from tests.stepping import OneByOne, step
 
@@ -43,9 +43,11 @@ class Ears:
 def run():
     settings = [f"sensors={USBL}", f"run.duration_s={END_S}", "run.seed=3", "plant.depth_m=5"]
     situation = resolve("descent", [Override("test", settings)])
-    nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in locked.nodes(situation)]
+    nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in lockstep_run.nodes(situation)]
     ears = Ears()
-    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=locked.LATEST, observe=ears).advance(END_S * SECOND)
+    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
+        END_S * SECOND
+    )
     return situation, ears.heard
 
 

@@ -18,11 +18,11 @@ from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.door import Door
 from services.bus.mailbox import Frame
+from services.bus.message_validation import Door
 from services.bus.topics import BY_KEY, key_of
 from services.bus.wire import Header, encode
-from services.launch import loopback
+from services.supervisor import loopback
 from tests.stepping import step
 from tests.system.alone import controller, started
 from tests.system.foreign_plant import STEP_NS, Actuators, Hull, Sender

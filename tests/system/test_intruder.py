@@ -17,9 +17,9 @@ from services.bus.roles import ROLES
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import decode
-from services.launch.child import read_config
-from services.nodes import router
-from services.process.stopping import StopRequest
+from services.processes import router
+from services.runtime.stopping import StopRequest
+from services.supervisor.entry_point import read_config
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
 INTRUDER = Path(__file__).with_name("intruder.py")

@@ -11,11 +11,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-from services.launch import loopback
-from services.run import locked
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
 from services.run.summary import of_recording
-from sim.grading.summary import Summary
+from services.supervisor import loopback
+from services.tools import lockstep_run
+from sim.evaluation.summary import Summary
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
 PROXY = Path(__file__).with_name("delaying_proxy.py")
@@ -63,7 +63,7 @@ def test_the_mean_error_over_a_long_lossy_link_is_at_most_1_3_times_that_of_a_pe
     assert long.duration_s >= 34.9
     assert long.end_to_end_delay_s.median is not None
     assert long.end_to_end_delay_s.median > 0.1  # there and back, in vehicle time: the link was in between
-    ours, perfect = long.true_error_m.mean, locked.run(situation).true_error_m.mean
+    ours, perfect = long.true_error_m.mean, lockstep_run.run(situation).true_error_m.mean
     assert ours is not None
     assert perfect is not None
     assert ours <= 1.3 * perfect, f"{ours:.3f} m over the link, {perfect:.3f} m without"

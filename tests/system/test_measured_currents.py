@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from ltv_mpc.currents import read_profile
-from services.run import locked
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 FILES = (
@@ -56,8 +56,8 @@ def in_current(path: Path, *settings: str) -> Situation:
 
 def test_a_strong_measured_current_is_held_where_an_uncontrolled_vehicle_is_carried_away():
     path, known = measured("kolumbo_dive_e_mean.csv"), ("run.perfect_state=true", "run.duration_s=60")
-    held = locked.run(in_current(path, *known))
-    carried = locked.run(in_current(path, *known, "controller.lateral=false"))
+    held = lockstep_run.run(in_current(path, *known))
+    carried = lockstep_run.run(in_current(path, *known, "controller.lateral=false"))
     assert carried.true_error_m.final > 3.0
     assert held.true_error_m.final < 0.2
 

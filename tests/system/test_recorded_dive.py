@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.measure.localise import localise
+from services.tools.localise.dive_localisation import localise
 
 DIVE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "PF230519.PD0"
 

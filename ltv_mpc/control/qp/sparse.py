@@ -6,17 +6,18 @@
                p'_N = V dX_N + p'bar_N
                min <= Ubar_k + dU_k <= max,   |U_k - U_(k-1)| <= slew h_k
 
-and for each state x that has a limit (limits.py), with the cost  g_k c e_k / S  of its excess e_k,
+and for each state x that has a limit (horizon_limits.py), with the cost  g_k c e_k / S  of its excess e_k,
 
                xbar_k + dx_k - e_k <= most,   xbar_k + dx_k + e_k >= -most,   e_k >= 0
 
-g_k = h_k / 0.3 s: the length of the stage that ends at knot k (grid.py). p = [n, e], p' its velocity over ground; F the
+g_k = h_k / 0.3 s: the length of the stage that ends at knot k (shooting_grid.py). p = [n, e], p' its velocity over
+ground; F the
 thrusters' largest thrust; dX = X - Xbar. The terminal velocity is what tells a vehicle that stops on its point from one
 that passes, or orbits, it: within a short horizon both are as near. The sparsity pattern is fixed by N: only numbers
 change from cycle to cycle.
 
 Variables are scaled to be of order one, z_k = [dX_k / S, dU_k / F] and p'_N - ref'_N at the end; the rows of the
-dynamics are divided by the same scales. S comes from the vehicle (scales.py), its last two are F. What else a solver
+dynamics are divided by the same scales. S comes from the vehicle (scaling.py), its last two are F. What else a solver
 wants of its rows is the solver's own business.
 """
 
@@ -29,15 +30,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array
 
-from ltv_mpc.compiled import kernel
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.constants import length, objective, pack_objective, state_scale
-from ltv_mpc.control.horizon import Linearisation, linearise, size, velocity_over_ground, views
-from ltv_mpc.control.limits import LIMITED, PENALTY, HorizonLimits, bounds
+from ltv_mpc.control.horizon_limits import LIMITED, PENALTY, HorizonLimits, bounds
+from ltv_mpc.control.linearisation import Linearisation, linearise, size, velocity_over_ground, views
+from ltv_mpc.control.problem_data import length, objective, pack_objective, state_scale
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.control.scales import weights_of
+from ltv_mpc.control.scaling import weights_of
+from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -71,7 +72,7 @@ class Map(NamedTuple):
     row_of: Places  # (nnz,) the row of each stored entry of A
 
 
-@kernel
+@jit
 def map_of(flat: Places, entries: int) -> Map:
     """The parts of a flat array, as ``SparseForm.map`` holds them."""
     taken = (len(flat) - 6 - entries) // 2
@@ -87,7 +88,9 @@ class SparseForm:
     """
 
     def __init__(self, knots: Array, limits: HorizonLimits, weights: Weights) -> None:
-        """``knots`` (N+1,) as in ``grid.py``, ``limits`` and ``weights`` fix P; A, q, l and u change every cycle."""
+        """``knots`` (N+1,) as in ``shooting_grid.py``, ``limits`` and ``weights`` fix P; A, q, l and u change every
+        cycle.
+        """
         self.stages = stages = len(knots) - 1
         self._lengths = np.diff(knots)
         self.limits = limits
@@ -221,7 +224,7 @@ class SparseForm:
         return U
 
 
-@kernel
+@jit
 def fill(
     numbers: Array,
     flat: Array,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
-from ltv_mpc.control.limits import HorizonLimits
-from ltv_mpc.control.scales import settled
-from ltv_mpc.control.solvers.by_name import ByName, known_solvers, solve_qp
-from ltv_mpc.control.solvers.solver import Answer, Solver
-from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
-from ltv_mpc.control.solvers.stagewise import Stagewise
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.solvers.interface import Answer, Solver
+from ltv_mpc.control.solvers.osqp import SparseOsqp
+from ltv_mpc.control.solvers.qpsolvers_backend import ByName, known_solvers, solve_qp
+from ltv_mpc.control.solvers.riccati_solver import Stagewise
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 

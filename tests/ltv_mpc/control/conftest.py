@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan, Vehicle, references
-from ltv_mpc.control.advance import as_estimate
-from ltv_mpc.control.commands import SentCommands
-from ltv_mpc.control.horizon import Linearisation
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction, Start
 from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.control.solvers.osqp import SparseOsqp
 from ltv_mpc.messages import Applied, Array
 from tests.ltv_mpc.reports import report
 

@@ -9,8 +9,8 @@ import piqp
 from scipy.sparse import csc_matrix
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon import Linearisation, linearise, roll_out
-from ltv_mpc.control.limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import SparseForm
 from ltv_mpc.control.solvers import Answer, Solver

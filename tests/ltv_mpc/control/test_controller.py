@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.constants import pack
+from ltv_mpc.control.problem_data import pack
 from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve

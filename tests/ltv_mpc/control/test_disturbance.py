@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
-from ltv_mpc.control.advance import as_estimate
-from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.config import Disturbance
 from ltv_mpc.control.disturbance import CurrentBias
+from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
+from ltv_mpc.control.sent_commands import SentCommands
 
 PAPER = Vehicle.load("paper")
 ON = Disturbance(sd_mps=0.1)

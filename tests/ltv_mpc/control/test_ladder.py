@@ -10,10 +10,10 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control import controller as module
-from ltv_mpc.control import trajectory
+from ltv_mpc.control import nominal_trajectory
 from ltv_mpc.messages import Health, Solve
-from ltv_mpc.safety.gate import Gate, Verdict
 from ltv_mpc.safety.health import Ages
+from ltv_mpc.safety.plan_gate import Gate, Verdict
 
 SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-12.5)
 POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)
@@ -205,7 +205,7 @@ def test_compiled_code_that_raises_costs_a_rung_and_no_more(method):
     with pytest.MonkeyPatch.context() as patch:
         if method == "shifted":
             broken(patch, controller, "infeasible")
-        patch.setattr(trajectory, method, raises)
+        patch.setattr(nominal_trajectory, method, raises)
         plan = controller.plan(estimate)
         check(plan, before)
         assert plan.origin in (SHIFTED, ZERO)
@@ -223,7 +223,7 @@ def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(sol
     config = ControllerConfig(solver=solver)
     controller, spared = (Controller(SURFACES, POINT, config) for _ in range(2))
     estimate, _ = fly(controller, moving(), 4)
-    begin = trajectory.begin
+    begin = nominal_trajectory.begin
 
     def rubbish(numbers, start, target, commands, stages, flat):
         kind = begin(numbers, start, target, commands, stages, flat)
@@ -231,7 +231,7 @@ def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(sol
         return kind
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trajectory, "begin", rubbish)
+        patch.setattr(nominal_trajectory, "begin", rubbish)
         for k in range(3):
             plan = controller.plan(estimate, t_ns=estimate.t_ns + k)
             check(plan)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ltv_mpc import Plan, PlanOrigin, SolveStatus, Vehicle
-from ltv_mpc.control.commands import SentCommands
-from ltv_mpc.control.limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Solve
 
 PAPER = Vehicle.load("paper")

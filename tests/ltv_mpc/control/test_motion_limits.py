@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
-from ltv_mpc.control.constants import objective, pack_objective
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.limits import LIMITED, PENALTY, HorizonLimits
+from ltv_mpc.control.horizon_limits import LIMITED, PENALTY, HorizonLimits
+from ltv_mpc.control.problem_data import objective, pack_objective
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
-from ltv_mpc.control.scales import settled
+from ltv_mpc.control.scaling import settled
 from ltv_mpc.control.solvers import Solver, make, solve_qp
-from ltv_mpc.control.solvers.sparse_osqp import SparseOsqp
+from ltv_mpc.control.solvers.osqp import SparseOsqp
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.flow import STATES

@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
-from ltv_mpc.control.commands import SentCommands
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction, current_at
+from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, CycleTiming, Solve
 from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
 

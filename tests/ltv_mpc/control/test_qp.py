@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc import build_qp, solve_qp
-from ltv_mpc.control.constants import objective
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.horizon import roll_out, velocity_over_ground
-from ltv_mpc.control.qp.kkt import residuals
+from ltv_mpc.control.linearisation import roll_out, velocity_over_ground
+from ltv_mpc.control.problem_data import objective
 from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.residuals import residuals
 from ltv_mpc.control.qp.sparse import WIDTH
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.control.problems import LIMITS, precise

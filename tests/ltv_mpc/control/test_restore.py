@@ -22,7 +22,7 @@ from ltv_mpc.messages import (
     ModelCheck,
 )
 from ltv_mpc.node import Arrival
-from ltv_mpc.safety.gate import Gate, Verdict
+from ltv_mpc.safety.plan_gate import Gate, Verdict
 from ltv_mpc.validation import refusal
 from tests.ltv_mpc.reports import report
 from tests.stepping import step

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
-from ltv_mpc.control.advance import as_estimate
-from ltv_mpc.control.commands import SentCommands
+from ltv_mpc.control.horizon_selection import ENOUGH, proposed_horizon_s
+from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
-from ltv_mpc.control.proposal import ENOUGH, proposed_horizon_s
-from ltv_mpc.control.scales import scales_of
+from ltv_mpc.control.scaling import scales_of
+from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.stability import held, is_stable, largest_pole
 from tests.ltv_mpc.reports import report
 

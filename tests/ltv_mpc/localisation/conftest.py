@@ -12,10 +12,10 @@ import pytest
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter import Filter
-from ltv_mpc.localisation.state import Belief, Layout
-from ltv_mpc.localisation.suite import Suite
-from ltv_mpc.localisation.water_column import write_prior
+from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.state import Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.water.current_model import write_prior
 from ltv_mpc.messages import (
     AdcpPing,
     Array,

@@ -8,10 +8,10 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter import Filter
-from ltv_mpc.localisation.measurements.adcp import beam_directions
-from ltv_mpc.localisation.state import Belief, Layout
-from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.state import Belief, Layout
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
 from tests.stepping import step
 

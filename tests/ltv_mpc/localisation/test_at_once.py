@@ -8,14 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.door import AHEAD_NS, Door
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.preintegration import readings
+from ltv_mpc.localisation.filter.preintegration import readings
+from ltv_mpc.localisation.sensor_screening import AHEAD_NS, Door
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
 from ltv_mpc.node import Arrival, Due
 from services.bus import wire
-from services.run import locked
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from tests.stepping import step
 
@@ -40,8 +40,8 @@ def descent(sensors: str) -> Situation:
 
 def heard(situation: Situation) -> list[Arrival]:
     ears, scenario = Ears(), situation.scenario
-    nodes = locked.nodes(situation)
-    LockStep(nodes, start_ns=scenario.start_ns, latest=locked.LATEST, observe=ears).advance(scenario.end_ns)
+    nodes = lockstep_run.nodes(situation)
+    LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(scenario.end_ns)
     return ears.said
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter import Filter
-from ltv_mpc.localisation.late import History
-from ltv_mpc.localisation.measurements.adcp import beam_directions
-from ltv_mpc.localisation.state import ACCELEROMETER_BIAS, POSITION, VELOCITY, Belief, Layout
-from ltv_mpc.localisation.suite import BottomTracking, Suite, Usbl
+from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, POSITION, VELOCITY, Belief, Layout
+from ltv_mpc.localisation.out_of_sequence import History
+from ltv_mpc.localisation.sensor_config import BottomTracking, Suite, Usbl
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import BottomTrack, GnssFix, ImuSample, PressureDepth, TdcpFix, UsblFix
 
 DT_NS, DT = 20_000_000, 0.02

@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc.frames import rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import Estimate
 from tests.stepping import step
 

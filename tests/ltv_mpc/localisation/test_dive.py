@@ -9,16 +9,16 @@ import pytest
 from msgspec.structs import replace
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.localisation.dive import noise, study
-from ltv_mpc.localisation.dive.filter import Instrument, Track, run
-from ltv_mpc.localisation.dive.model import BIAS, FALL, FALL_SD_MPS, VELOCITY, Model
-from ltv_mpc.localisation.dive.parameters import DiveParameters
-from ltv_mpc.localisation.dive.screening import reach_m, usable
-from ltv_mpc.localisation.dive.truth import LONGEST_GAP_S, dead_reckoned
-from ltv_mpc.localisation.dive.update import Batch, beams, correct, over_ground
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Settings
+from ltv_mpc.localisation.recorded_dive import noise, study
+from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
+from ltv_mpc.localisation.recorded_dive.model import BIAS, FALL, FALL_SD_MPS, VELOCITY, Model
+from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
+from ltv_mpc.localisation.recorded_dive.screening import reach_m, usable
+from ltv_mpc.localisation.recorded_dive.truth import LONGEST_GAP_S, dead_reckoned
+from ltv_mpc.localisation.recorded_dive.update import Batch, beams, correct, over_ground
 from tests.recorded.glider import Dive, World, dive
 
 PARAMETERS = DiveParameters()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ltv_mpc.localisation.filter import Verdict
+from ltv_mpc.localisation.filter.error_state_filter import Verdict
 from ltv_mpc.localisation.health import FALSE_ALARM, Monitor, _judged, band, verdict_of
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import FilterStatus, SensorReport, SensorStatus
 
 SUITE = Suite.load("realistic")

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
-from ltv_mpc.localisation.measurements.adcp import beam_directions
 from ltv_mpc.localisation.pd0 import reader
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Coordinates
+from ltv_mpc.localisation.sensors.adcp import beam_directions
 from tests.recorded.pd0_writer import BEAM, EARTH, INSTRUMENT, SHIP, Head, Written, written
 
 RNG = np.random.default_rng(7)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, ModelCheck
-from ltv_mpc.safety.evidence import WINDOWS
 from ltv_mpc.safety.model_check import ALARM, QUIET, SETTLING_MPS, ModelWatch
+from ltv_mpc.safety.thrust_loss_detector import WINDOWS
 from ltv_mpc.vehicle.dynamics import derivative
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from tests.ltv_mpc.reports import report

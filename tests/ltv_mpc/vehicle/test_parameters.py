@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc import Controller, Estimate, Vehicle, advance, references
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.safety.gate import Gate
+from ltv_mpc.safety.plan_gate import Gate
 from ltv_mpc.vehicle.flow import advance_heave
 
 PAPER = Path(__file__).resolve().parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml"

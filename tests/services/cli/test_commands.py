@@ -21,7 +21,7 @@ import shellingham
 from services.cli.app import run
 from services.cli.overview import WIDTH
 from services.cli.start import KEYS
-from services.nodes import recorder
+from services.processes import recorder
 from services.recording.reader import Recording
 from services.run.folder import RunFolder
 

@@ -7,10 +7,10 @@ import socket
 import pytest
 
 from ltv_mpc import ControllerConfig, Vehicle
-from ltv_mpc.control.proposal import proposed_horizon_s
+from ltv_mpc.control.horizon_selection import proposed_horizon_s
 from services.bus.session import BusOptions
 from services.cli.app import run
-from services.nodes import controller
+from services.processes import controller
 
 
 @pytest.fixture

@@ -18,14 +18,14 @@ import pytest
 
 from ltv_mpc import config, references
 from ltv_mpc.messages import Authority, Estimate, Plan
-from services.bus.newest import Newest
+from services.bus.latest_cache import Newest
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import decode
 from services.cli.app import run
-from services.launch import loopback
-from services.process.stopping import StopRequest
+from services.runtime.stopping import StopRequest
+from services.supervisor import loopback
 
 PATIENCE_S = 240.0  # a controller that has to compile first, on a machine that is busy
 FILES = Path(references.__file__).parent / "files"

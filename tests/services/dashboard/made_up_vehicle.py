@@ -31,12 +31,12 @@ from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_SIGNAL
 from services.bus.wire import decode
 from services.dashboard import page, serve
-from services.dashboard.ears import Ears
-from services.dashboard.guard import LOOPBACK, Token, hosts
-from services.process.clock import fraction_of, monotonic_us
-from services.views.plots.recorded import thrusters
-from tests.services.views import made_up
-from tests.services.views.made_up import EPOCH, S
+from services.dashboard.access_guard import LOOPBACK, Token, hosts
+from services.dashboard.bus_feed import Ears
+from services.reporting.plots.recorded import thrusters
+from services.runtime.clock import fraction_of, monotonic_us
+from tests.services.reporting import made_up
+from tests.services.reporting.made_up import EPOCH, S
 from tests.services.words import status
 
 K = TypeVar("K", bound=Message)

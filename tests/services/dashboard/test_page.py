@@ -13,9 +13,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
-from services.dashboard.guard import Token, hosts
+from services.dashboard.access_guard import Token, hosts
 from tests.services.dashboard.made_up_vehicle import NODES, SPEED, Served, served, until
-from tests.services.views.made_up import OFFSET
+from tests.services.reporting.made_up import OFFSET
 
 
 @pytest.fixture(scope="module")

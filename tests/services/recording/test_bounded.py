@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
-from services.recording import gaps, losses, promises
-from services.recording.gaps import Gaps
-from services.recording.losses import Losses
-from services.recording.promises import Promises
+from services.recording import loss_accounting, publish_counts, sequence_gaps
+from services.recording.loss_accounting import Losses
+from services.recording.publish_counts import Promises
+from services.recording.sequence_gaps import Gaps
 
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(losses, "MOST_SOURCES", 10)
-    monkeypatch.setattr(losses, "MOST_KEYS", 3)
-    monkeypatch.setattr(promises, "MOST_EPOCHS", 10)
+    monkeypatch.setattr(loss_accounting, "MOST_SOURCES", 10)
+    monkeypatch.setattr(loss_accounting, "MOST_KEYS", 3)
+    monkeypatch.setattr(publish_counts, "MOST_EPOCHS", 10)
 
 
 def test_what_forgotten_sources_have_lost_stays_counted() -> None:
@@ -52,7 +52,7 @@ def test_of_too_many_keys_the_sums_are_one() -> None:
 
 
 def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gaps, "MOST_GAPS", 3)
+    monkeypatch.setattr(sequence_gaps, "MOST_GAPS", 3)
     of = Gaps()
     for sequence in range(0, 20, 2):
         assert of.saw(sequence)

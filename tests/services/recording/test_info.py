@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import RunEvent
 from services.recording import info
-from services.recording.gaps import Gaps
 from services.recording.recover import segments
-from services.views import log_text
+from services.recording.sequence_gaps import Gaps
+from services.reporting import log_text
 from tests.services.recording.recordings import START_NS, depth, foreign, write, write_depths
 
 S = 1_000_000_000

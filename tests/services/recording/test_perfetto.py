@@ -14,8 +14,9 @@ import pytest
 
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, InboxEntry, Message, Plan, RunEvent, StepRecord
 from services.recording import perfetto
-from services.run import folder, locked
-from services.run.situation import Override, resolve
+from services.run import folder
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
 from tests.services.bus.messages import EXAMPLES
 from tests.services.recording.recordings import START_NS, foreign, write
 
@@ -159,7 +160,7 @@ def test_someone_elses_estimates_have_a_place_too_and_an_arrow_never_points_back
 def test_a_run_in_lock_step_with_a_delay_has_a_slice_a_cycle_and_an_arrow_a_plan(tmp_path: Path) -> None:
     here = resolve("descent", [Override("test", ["run.duration_s=2", "run.compute_delay_s=0.2"])])
     place = folder.make("descent", here.files, out=tmp_path / "run")
-    locked.run(here, place)
+    lockstep_run.run(here, place)
     _, events = drawn(place.recording, tmp_path / "trace.json")
     cycles = [e for e in events if e["ph"] == "X" and e["pid"] == 3]
     assert len(cycles) > 5

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import AdcpPing, Estimate, Message, PressureDepth
 from services.bus import schema, wire
-from services.recording.losses import Losses
+from services.recording.loss_accounting import Losses
 from services.recording.reader import Recorded, Recording
 from services.recording.records import watched
 from services.recording.writer import RunWriter
@@ -267,7 +267,7 @@ def test_losses_are_the_gaps_of_each_key_and_epoch() -> None:
 def test_the_recording_package_starts_without_the_simulation() -> None:
     """It serves real vehicles."""
     code = (
-        "import sys, services.recording.reader, services.recording.writer, services.recording.losses;"
+        "import sys, services.recording.reader, services.recording.writer, services.recording.loss_accounting;"
         "print([m for m in sys.modules if m.partition('.')[0] in ('sim', 'zenoh', 'numba')])"
     )
     done = subprocess.run(

@@ -12,7 +12,7 @@ import pytest
 from ltv_mpc.messages import PressureDepth
 from services.bus import wire
 from services.recording import join, segments
-from services.recording.losses import Losses
+from services.recording.loss_accounting import Losses
 from services.recording.reader import Recording
 from services.recording.segments import SegmentWriter
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from services.run import folder, locked
+from services.run import folder
 from services.run.folder import RunFolder
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
 
 
 @pytest.fixture(scope="package")
@@ -17,7 +18,7 @@ def locked_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     settings = ["run.duration_s=3", "run.compute_delay_s=0.4", "run.seed=3"]
     situation = resolve("descent", [Override("test", settings)])
     run = folder.make("descent", situation.files, out=tmp_path_factory.mktemp("replay") / "run")
-    locked.run(situation, run)
+    lockstep_run.run(situation, run)
     return run
 
 

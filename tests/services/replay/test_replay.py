@@ -20,7 +20,7 @@ from services.replay import nodes
 from services.replay import replay as engine
 from services.replay.compare import NOT_MADE, NOT_RECORDED
 from services.replay.verdict import NodeVerdict, Verdict
-from services.run.made_by import made_by
+from services.run.provenance import made_by
 from tests.services.replay.altered import Plain, messages, rewritten, without
 from tests.services.words import status
 

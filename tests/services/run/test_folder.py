@@ -12,10 +12,10 @@ import pytest
 from ltv_mpc.currents import WaterPrior, read_prior
 from ltv_mpc.errors import ConfigError
 from services.run import folder
-from services.run.situation import resolve
+from services.run.run_config import resolve
 from services.run.summary import LOCKSTEP, summarise
-from sim.grading.metrics import Grader
-from sim.grading.summary import Messages
+from sim.evaluation.metrics import Grader
+from sim.evaluation.summary import Messages
 
 FILES = {"scenario.toml": 'title = "abc"\n', "config/vehicle.toml": 'name = "Ä"\n'}
 

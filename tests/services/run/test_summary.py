@@ -9,9 +9,9 @@ import pytest
 from ltv_mpc.messages import CycleTiming, Estimate, PressureDepth, Rejected
 from services.bus import wire
 from services.recording.writer import RunWriter
-from services.run.situation import Override, resolve
+from services.run.run_config import Override, resolve
 from services.run.summary import of_recording
-from sim.grading.summary import Messages, Summary
+from sim.evaluation.summary import Messages, Summary
 from tests.services.words import status
 
 ESTIMATE = Estimate.at_rest()

@@ -13,17 +13,18 @@ import pytest
 from ltv_mpc.currents import WaterPrior, read_prior, write_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.state import Belief
+from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.messages import CurrentProfile, Estimate, Message, Truth
 from ltv_mpc.node import Due, Node
 from services.cli.app import run
-from services.nodes import estimator as process
+from services.processes import estimator as process
 from services.recording.reader import Recording
-from services.run import folder, locked
+from services.run import folder
 from services.run.folder import RunFolder
-from services.run.situation import Override, Situation, resolve
+from services.run.run_config import Override, Situation, resolve
 from services.run.summary import of_recording
 from services.run.water import Learned, told
+from services.tools import lockstep_run
 
 DURATION = "run.duration_s=30"
 BELOW_FIRST_PING = slice(30, 34)
@@ -45,14 +46,14 @@ class Visit(NamedTuple):
 
 def visit(here: Situation) -> Visit:
     """Run it without a recording, which would take most of the time."""
-    nodes = locked.nodes(here)
+    nodes = lockstep_run.nodes(here)
     said: dict[type[Message], Any] = {}
     for node in nodes:
         listen(node, said)
     learned = Learned()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(locked, "nodes", lambda _, **_every: nodes)
-        locked._go(here, None, None, lambda: False, learned)
+        patch.setattr(lockstep_run, "nodes", lambda _, **_every: nodes)
+        lockstep_run._go(here, None, None, lambda: False, learned)
     saved = learned.prior()
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None
@@ -76,7 +77,7 @@ def listen(node: Node, said: dict[type[Message], Any]) -> None:
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Situation, RunFolder]:
     here = situation("run.duration_s=10", "run.seed=4")
     place = folder.make("descent", here.files, out=tmp_path_factory.mktemp("run") / "first")
-    locked.run(here, place)
+    lockstep_run.run(here, place)
     return here, place
 
 
@@ -148,7 +149,7 @@ def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(
 def test_a_run_that_is_given_the_state_learns_nothing(tmp_path: Path) -> None:
     here = situation("run.duration_s=0.5", "run.perfect_state=true")
     place = folder.make("descent", here.files, out=tmp_path / "r")
-    locked.run(here, place)
+    lockstep_run.run(here, place)
     assert place.summary.exists()
     assert not place.currents.exists()
 

@@ -8,8 +8,8 @@ import pytest
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix, Truth
 from ltv_mpc.node import Inbox, OnMessage
 from sim.faults.instruments import Broken, FailingSensors, Failure
+from sim.faults.interval import Spell
 from sim.faults.readings import READINGS
-from sim.faults.spell import Spell
 from tests.stepping import OneByOne, step
 
 MS, S = 1_000_000, 1_000_000_000

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control import controller
-from ltv_mpc.control.solvers.solver import Answer
+from ltv_mpc.control.solvers.interface import Answer
 from ltv_mpc.messages import Solve, SolveStatus
+from sim.faults.interval import Spell
 from sim.faults.solver import Now, SolverRaised, Trouble, Troubled, TroubledSolver, troubled
-from sim.faults.spell import Spell
 
 SPELL = Spell(100, 200)
 GOOD = Answer(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
 from ltv_mpc.node import Arrival
 from ltv_mpc.validation import refusal

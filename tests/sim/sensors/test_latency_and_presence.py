@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.suite import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,

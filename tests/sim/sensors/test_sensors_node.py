@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import (
     AdcpPing,
     CompassHeading,
@@ -26,8 +26,8 @@ from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario
-from sim.sensors.instant import through
 from sim.sensors.node import Sensors
+from sim.sensors.vehicle_state import through
 from sim.water import make
 from tests.stepping import step
 

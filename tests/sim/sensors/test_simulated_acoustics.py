@@ -11,11 +11,11 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.suite import Lbl, Usbl
+from ltv_mpc.localisation.sensor_config import Lbl, Usbl
 from ltv_mpc.messages import Truth
-from sim.sensors.instant import Instant, through
 from sim.sensors.lbl import Transceiver, arrival_ns
 from sim.sensors.usbl import Ship
+from sim.sensors.vehicle_state import Instant, through
 
 MS, S = 1_000_000, 1_000_000_000
 LBL = Lbl(

@@ -10,10 +10,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from sim.scenario import Water
 from sim.sensors.adcp import Instrument, Profiler
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 from sim.water import WaterColumn, make
 
 PAPER, REALISTIC = Suite.load("paper").adcp, Suite.load("realistic").adcp

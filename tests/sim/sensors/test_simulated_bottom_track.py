@@ -11,11 +11,11 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.suite import BottomTracking, Suite
+from ltv_mpc.localisation.sensor_config import BottomTracking, Suite
 from ltv_mpc.validation import refusal
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 from sim.water import WaterColumn
 
 ADCP = Suite.load("realistic").adcp

@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames, so3
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from sim.attitude import Attitude
 from sim.sensors.drift import Drift
 from sim.sensors.imu import InertialUnit, increments
-from sim.sensors.instant import Instant
+from sim.sensors.vehicle_state import Instant
 
 MS = 1_000_000
 G = 9.80665

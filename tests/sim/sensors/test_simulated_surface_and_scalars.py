@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.suite import Suite
+from ltv_mpc.localisation.sensor_config import Suite
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.gnss import Receiver
-from sim.sensors.instant import Instant
 from sim.sensors.pressure import Gauge
 from sim.sensors.tdcp import CarrierPhase
+from sim.sensors.vehicle_state import Instant
 
 SUITES = [Suite.load(name) for name in ("paper", "realistic")]
 S = 1_000_000_000

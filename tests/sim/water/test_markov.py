@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm, truncnorm
 
-from sim.draws import Stream, generator
+from sim.random_streams import Stream, generator
 from sim.scenario import Water
 from sim.water import make, markov
 

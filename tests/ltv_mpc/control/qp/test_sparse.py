@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon import Linearisation
-from ltv_mpc.control.limits import HorizonLimits
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.qp.sparse import SparseForm
 
 N = 3

@@ -1,0 +1,191 @@
+"""The horizon: the motion along its knots, and its linearisation (LTV: linear time-varying).
+
+State at a knot  X = [n, e, u, v, psi, r, F1, F2] (8,): flow.py. Commands U (N+1, 2) at the knots, linear between them;
+current C (N+1, 2) at the knots. Along a trajectory Xbar (N+1, 8), Ubar (N+1, 2) and for k = 0 .. N-1:
+
+    X[k+1] = Phi[k] + A[k] (X[k] - Xbar[k]) + B0[k] (U[k] - Ubar[k]) + B1[k] (U[k+1] - Ubar[k+1])
+
+with Phi[k] the exact flow from Xbar[k]. Xbar need not be a solution of the equations of motion: the gap
+Phi[k] - Xbar[k+1] goes into the QP (multiple shooting).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.jit import copy_to, jit
+from ltv_mpc.messages import Array
+from ltv_mpc.vehicle.flow import STATES, advance_by, lag_table
+from ltv_mpc.vehicle.parameters import Coefficients
+from ltv_mpc.vehicle.sensitivity import SCRATCH, linearise_stage, thrust_gains
+
+
+class Linearisation(NamedTuple):
+    """The motion to first order along a trajectory of N stages: one array, and its parts as views of it."""
+
+    X: Array  # (N+1, 8) the trajectory; X[0] is the state at the plan's start
+    U: Array  # (N+1, 2) its commands; U[0] is the command in force at the plan's start
+    C: Array  # (N+1, 2) current, north and east
+    Phi: Array  # (N, 8) exact flow of each stage from X[k]
+    A: Array  # (N, 8, 8)
+    B0: Array  # (N, 8, 2) with respect to U[k]
+    B1: Array  # (N, 8, 2) with respect to U[k+1]
+    flat: Array  # all of it
+
+    @classmethod
+    def empty(cls, stages: int) -> Linearisation:
+        """Room for one of so many stages."""
+        linearisation: Linearisation = views(np.empty(size(stages)), stages)
+        return linearisation
+
+    @classmethod
+    def of(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
+        """One made of these arrays, which are copied."""
+        made = cls.empty(len(Phi))
+        for part, given in zip(made[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
+            part[...] = given
+        return made
+
+
+@jit
+def size(N: int) -> int:
+    """Length of the flat array of N stages."""
+    return (N + 1) * (STATES + 4) + N * (STATES + STATES * STATES + 4 * STATES)
+
+
+@jit
+def views(flat: Array, N: int) -> Linearisation:
+    """The parts of a flat array: a kernel is handed the one, and takes it apart itself."""
+    x = (N + 1) * STATES
+    u = x + (N + 1) * 2
+    c = u + (N + 1) * 2
+    phi = c + N * STATES
+    a = phi + N * STATES * STATES
+    b0 = a + N * STATES * 2
+    return Linearisation(
+        flat[:x].reshape(N + 1, STATES),
+        flat[x:u].reshape(N + 1, 2),
+        flat[u:c].reshape(N + 1, 2),
+        flat[c:phi].reshape(N, STATES),
+        flat[phi:a].reshape(N, STATES, STATES),
+        flat[a:b0].reshape(N, STATES, 2),
+        flat[b0:].reshape(N, STATES, 2),
+        flat,
+    )
+
+
+@jit
+def roll(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coefficients) -> None:
+    """X[1:] (N, 8) from X[0] under commands U (N+1, 2) in a current C (N+1, 2), at knots t (N+1,) in stages of
+    ``stage_s``.
+    """
+    h = (t[1] - t[0]) * stage_s
+    lag = lag_table(h, p)
+    for k in range(U.shape[0] - 1):
+        before, h = h, (t[k + 1] - t[k]) * stage_s
+        if h != before:
+            lag = lag_table(h, p)
+        advance_by(X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, X[k + 1])
+
+
+def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
+    """States (N+1, 8) from X0 (8,) under U (N+1, 2) in C (N+1, 2); stage k lasts h[k] seconds."""
+    X = np.empty((len(U), STATES))
+    X[0] = X0
+    roll(X, U, C, np.concatenate([[0.0], np.cumsum(h)]), 1.0, p)
+    return X
+
+
+@jit
+def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
+    """Phi, A, B0 and B1 along the X, U and C that ``lin`` holds, at knots t (N+1,) in stages of ``stage_s``."""
+    _linearise(lin, t, stage_s, p, False)
+
+
+@jit
+def linearise_ahead(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
+    """The same along the exact flow from X[0], which is written into X[1:]: one pass over the motion instead of two."""
+    _linearise(lin, t, stage_s, p, True)
+
+
+@jit
+def _linearise(lin: Linearisation, t: Array, stage_s: float, p: Coefficients, rolls: bool) -> None:
+    X, U, C = lin.X, lin.U, lin.C
+    h = (t[1] - t[0]) * stage_s
+    lag = lag_table(h, p)
+    gain = thrust_gains(lag, p)
+    Z = np.empty(SCRATCH)
+    for k in range(U.shape[0] - 1):
+        before, h = h, (t[k + 1] - t[k]) * stage_s
+        if h != before:
+            lag = lag_table(h, p)
+            gain = thrust_gains(lag, p)
+        linearise_stage(
+            X[k], U[k], U[k + 1], C[k], C[k + 1], h, p, lag, gain, Z, lin.Phi[k], lin.A[k], lin.B0[k], lin.B1[k]
+        )
+        if rolls:
+            copy_to(X[k + 1], lin.Phi[k])
+
+
+def linearise(X: Array, U: Array, C: Array, h: float, p: Coefficients) -> Linearisation:
+    """The motion to first order along X (N+1, 8), U (N+1, 2), in a current C (N+1, 2); every stage lasts h seconds."""
+    lin = Linearisation.empty(len(U) - 1)
+    lin.X[...], lin.U[...], lin.C[...] = X, U, C
+    linearise_along(lin, np.arange(float(len(U))), h, p)
+    return lin
+
+
+@jit
+def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
+    """[n', e'] (2,) at a state x (8,) in a current c (2,), and its derivative with respect to [u, v, psi], (2, 3)."""
+    cos, sin = np.cos(x[4]), np.sin(x[4])
+    velocity, slope = np.empty(2), np.empty((2, 3))
+    # n' = cos psi u - sin psi v + c_n,  e' = sin psi u + cos psi v + c_e
+    velocity[0] = cos * x[2] - sin * x[3] + c[0]
+    velocity[1] = sin * x[2] + cos * x[3] + c[1]
+    slope[0, 0], slope[0, 1], slope[0, 2] = cos, -sin, -sin * x[2] - cos * x[3]
+    slope[1, 0], slope[1, 1], slope[1, 2] = sin, cos, cos * x[2] - sin * x[3]
+    return velocity, slope
+
+
+@jit
+def times(A: Array, k: int, x: Array, out: Array) -> None:
+    """out = A_k x: A (N, 8, 8), x and out (8,)."""
+    x2, x3, x4, x5, x6, x7 = x[2], x[3], x[4], x[5], x[6], x[7]
+    for i in range(6):
+        out[i] = (
+            (A[k, i, 2] * x2 + A[k, i, 3] * x3)
+            + (A[k, i, 4] * x4 + A[k, i, 5] * x5)
+            + (A[k, i, 6] * x6 + A[k, i, 7] * x7)
+        )
+    out[0] += x[0]
+    out[1] += x[1]
+    out[6] = A[k, 6, 6] * x6
+    out[7] = A[k, 7, 7] * x7
+
+
+@jit
+def transposed_times(A: Array, k: int, x: Array, out: Array) -> None:
+    """out = A_k' x: A (N, 8, 8), x and out (8,)."""
+    x0, x1, x2, x3, x4, x5 = x[0], x[1], x[2], x[3], x[4], x[5]
+    out[0], out[1] = x0, x1
+    for j in range(2, 8):
+        out[j] = (
+            (A[k, 0, j] * x0 + A[k, 1, j] * x1)
+            + (A[k, 2, j] * x2 + A[k, 3, j] * x3)
+            + (A[k, 4, j] * x4 + A[k, 5, j] * x5)
+        )
+    out[6] += A[k, 6, 6] * x[6]
+    out[7] += A[k, 7, 7] * x[7]
+
+
+def not_finite(lin: Linearisation, target: Array) -> str:
+    """In words: which of the inputs is not finite, and from which knot or stage on."""
+    names = (*Linearisation._fields[:-1], "target")
+    for name, values in zip(names, (*lin[:-1], target), strict=True):
+        finite = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        if not finite.all():
+            return f"{name} is not finite from {int(np.argmin(finite))} on"
+    return "the QP's numbers are not finite"

@@ -1,0 +1,43 @@
+"""A vehicle that moves exactly as the controller's model says: for a first loop, and for tests."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.control.prediction import Prediction, Start, current_at
+from ltv_mpc.control.sent_commands import SentCommands
+from ltv_mpc.messages import Estimate, Plan
+from ltv_mpc.vehicle.parameters import Vehicle
+
+
+def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: float) -> Estimate:
+    """The estimate ``duration_s`` later, under ``plan``: exact flow of the nominal model.
+
+    Before the plan's start its first thrusts act, after its end they go to zero at the slew limit. An ``Estimate`` does
+    not hold the thrust being delivered: thrusters are taken to be where they are commanded at the beginning.
+    """
+    commands = SentCommands(vehicle)
+    commands.sent(plan)
+    end = Prediction(vehicle).roll(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
+    return as_estimate(end, estimate)
+
+
+def as_estimate(end: Start, before: Estimate) -> Estimate:
+    """The state that a roll of ``before`` ended in, as an estimate: [n', e'] = R(psi) [u, v] + c."""
+    n, e, u, v, psi, r = (float(x) for x in end.X[:6])
+    has_depth = before.depth_m is not None
+    c = current_at(before.current, np.array([end.depth_m]))[0]
+    cos, sin = np.cos(psi), np.sin(psi)
+    return msgspec.structs.replace(
+        before,
+        t_ns=end.t_ns,
+        north_m=n,
+        east_m=e,
+        depth_m=end.depth_m if has_depth else None,
+        heading_rad=float(np.arctan2(sin, cos)),
+        yaw_rate_radps=r,
+        velocity_north_mps=float(cos * u - sin * v + c[0]),
+        velocity_east_mps=float(sin * u + cos * v + c[1]),
+        velocity_down_mps=end.sinking_mps if has_depth else None,
+    )

@@ -1,0 +1,319 @@
+"""The error-state Kalman filter: one belief of vehicle and water, moved by the inertial unit, corrected by the rest.
+
+Between two corrections the estimate is integrated sample by sample and only the core's transition is gathered
+(``preintegration.py``); ``settle`` then moves the large covariance once:
+    P_cc := Phi P_cc Phi^T + Q,  P_cr := Phi P_cr      c: the fifteen core states, r: all others
+Biases and water cells behind the core are constants, first-order Gauss-Markov or random walks.
+The vehicle's dynamic model is not fused: what the thrusters do is no evidence here.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri
+
+from ltv_mpc.frames import earth_rate
+from ltv_mpc.localisation import imu_dropout
+from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS
+from ltv_mpc.localisation.adaptive.process_noise import Adaptation
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.correction import Correction, correct
+from ltv_mpc.localisation.filter.preintegration import carry, core_of, integrate, noise_of, readings
+from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief, reach_m
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
+from ltv_mpc.localisation.sensors.adcp import AdcpModel, Indices
+from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.water import current_model
+from ltv_mpc.localisation.water.grid_window import follow
+from ltv_mpc.messages import (
+    AdcpPing,
+    Array,
+    BottomTrack,
+    CompassHeading,
+    GnssFix,
+    ImuSample,
+    LblRange,
+    PressureDepth,
+    TdcpFix,
+    UsblFix,
+)
+
+Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeading | BottomTrack | LblRange | UsblFix
+"""What corrects the filter; the inertial unit moves it."""
+
+
+_SELDOM = ("gnss", "tdcp")
+"""Before a descent there may be one of them, and all that follows hangs on it."""
+_DOUBTFUL = 36.0
+"""Six deviations, up to which a row of theirs that the gate holds back is doubted: half a wave of carrier phase, 95 mm,
+is more even where the velocity is known by the receiver alone (15 mm)."""
+
+
+class Verdict(NamedTuple):
+    """What came of one message: the innovations as they stood before the gate, and which of them passed it."""
+
+    sensor: str
+    t_ns: int
+    places: npt.NDArray[np.int64]  # (m,), of each row in its message; of a profiler's: beam x cells + cell
+    residual: Array  # (m,)
+    S: Array  # (m, m), innovation covariance
+    accepted: npt.NDArray[np.bool_]  # (m,)
+    definite: bool = True  # S was positive definite; if not, nothing was accepted
+
+
+class Snapshot(NamedTuple):
+    """All of a filter that changes with time, copied; its account and who observes it do not belong to it."""
+
+    belief: Belief
+    rate: tuple[float, float, float]
+    Phi: Array
+    Q: Array
+    pending_ns: int
+    at_epoch: bool
+    coasted_ns: int
+    water: Adaptation
+
+
+class Filter:
+    """``belief`` stands at ``belief.t_ns``; its covariance only after ``settle``."""
+
+    def __init__(
+        self, suite: Suite, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
+    ) -> None:
+        """``adapts_from_ns``: from then on water may change in unforeseen ways; None: from the beginning."""
+        self.belief = belief
+        self.rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # measured last (rad/s, body, bias included)
+        self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<what came of them>"
+        self.observers: list[Callable[[Verdict], None]] = []  # told of every message, once
+        self._suite = suite
+        self._config = config
+        self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
+        self._reach_m = reach_m(suite.adcp)
+        self._adcp = AdcpModel(suite.adcp, belief.layout, config.cell_m)
+        self._noise = noise_of(suite.imu)
+        self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
+        self._Phi = np.eye(CORE)
+        self._Q = np.zeros((CORE, CORE))
+        self._pending_ns = 0
+        self.water = Adaptation(config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns)
+        if config.adapts_to_water:
+            belief.astray = Signatures.of(belief.layout.size, COLUMNS)
+        self._coasted_ns = 0  # over the gap that it is in
+        self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
+
+    def advance(self, t_ns: int, sample: ImuSample) -> None:
+        """Move to ``t_ns`` with the rates of ``sample``; over what they do not cover, as ``imu_dropout.py`` has it."""
+        belief = self.belief
+        if self._at_epoch:
+            self._at_epoch = False
+            self.settle()
+            belief.clone_position(self._suite.gnss.lever_arm_m)
+        gap_ns = imu_dropout.before(sample, belief.t_ns)
+        if self._coasted_ns and gap_ns <= imu_dropout.BRIDGED_NS:
+            if self._coasted_ns >= imu_dropout.LEVELLED_NS:
+                self.settle()
+                correct(belief, imu_dropout.level(belief, sample.specific_force_mps2), math.inf)
+            self._coasted_ns = 0
+        if gap_ns:
+            self._cross(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
+        if belief.t_ns < t_ns:
+            self._integrate([t_ns], [sample], readings([sample]))
+
+    def follows(self, samples: Sequence[ImuSample], until_ns: int) -> int:
+        """How many of these samples, from the first on, only integration follows: each goes on where the last ended,
+        and starts before ``until_ns``.
+        """
+        now_ns = self.belief.t_ns
+        if self._at_epoch or self._coasted_ns:
+            return 0
+        for number, sample in enumerate(samples):
+            t_ns = sample.t_ns
+            goes_on = t_ns > now_ns and (t_ns - sample.interval_ns == now_ns or not imu_dropout.before(sample, now_ns))
+            if now_ns >= until_ns or not goes_on:
+                return number
+            now_ns = t_ns
+        return len(samples)
+
+    def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
+        """``advance`` to the time of each of samples that follow, ``measured`` (K, 6), and none beyond one after which
+        the belief is not finite; how many.
+        """
+        return self._integrate([sample.t_ns for sample in samples], samples, measured)
+
+    def _integrate(self, until_ns: Sequence[int], samples: Sequence[ImuSample], measured: Array) -> int:
+        """By each sample until its time, as ``preintegration.integrate`` has it; how many."""
+        belief = self.belief
+        stamps_ns = np.array([belief.t_ns, *until_ns])
+        seconds = 1e-9 * (stamps_ns[1:] - stamps_ns[:-1])
+        done = integrate(belief.x, belief.R, self._Phi, self._Q, measured, seconds, self._noise, self._earth)
+        self.rate = samples[done - 1].angular_rate_radps
+        self._pending_ns += until_ns[done - 1] - belief.t_ns
+        belief.t_ns = until_ns[done - 1]
+        return done
+
+    def _cross(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
+        """To ``t_ns``, within the ``gap_ns`` before ``sample`` of which nothing was measured."""
+        belief = self.belief
+        seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
+        if gap_ns <= imu_dropout.BRIDGED_NS:
+            self._integrate([t_ns], [sample], readings([sample]))
+            imu_dropout.doubt(self._Q, seconds, gap_s)
+            return
+        down = belief.R[2]
+        turns = [
+            float(down @ (np.array(rate) - belief.x[GYRO_BIAS])) for rate in (self.rate, sample.angular_rate_radps)
+        ]
+        imu_dropout.coast(belief.x, belief.R, self._Phi, self._Q, seconds, gap_s, 0.5 * sum(turns), self._suite.imu)
+        self._pending_ns += t_ns - belief.t_ns
+        self._coasted_ns += t_ns - belief.t_ns
+        belief.t_ns = t_ns
+
+    def snapshot(self) -> Snapshot:
+        """Where it stands, to come back to."""
+        belief = self.belief.copy()
+        Phi, Q = self._Phi.copy(), self._Q.copy()
+        pending_ns, coasted_ns = self._pending_ns, self._coasted_ns
+        return Snapshot(belief, self.rate, Phi, Q, pending_ns, self._at_epoch, coasted_ns, self.water.copy())
+
+    def restore(self, then: Snapshot) -> None:
+        """Back to where it stood, bit for bit; ``then`` can be restored again."""
+        self.belief = then.belief.copy()
+        self.rate = then.rate
+        self._Phi, self._Q = then.Phi.copy(), then.Q.copy()
+        self._pending_ns, self._coasted_ns, self._at_epoch = then.pending_ns, then.coasted_ns, then.at_epoch
+        self.water = then.water.copy()
+
+    def settle(self) -> None:
+        """Bring the whole covariance to the belief's time."""
+        if self._pending_ns == 0:
+            return
+        belief, dt = self.belief, self._pending_ns * 1e-9
+        P, E = belief.P, belief.astray.error
+        carry(P, E, self._Phi, self._Q)
+        bias = belief.layout.compass_bias
+        if bias.stop > bias.start:
+            keep = math.exp(-dt / self._suite.compass.bias_tau_s)
+            belief.x[bias] *= keep
+            E[bias] *= keep
+            P[bias, :] *= keep
+            P[:, bias] *= keep
+            P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
+        current_model.walk(belief, self._config, dt)
+        self.water.grow(belief, dt)
+        self._pending_ns = 0
+
+    def settled(self) -> Belief:
+        """A copy of the belief with its whole covariance at its time; the filter itself stays as it is, bit for bit."""
+        other = self.twin()
+        other.settle()
+        return other.belief
+
+    def twin(self) -> Filter:
+        """Another that stands where this one does; its account is empty and nobody observes it."""
+        other = copy.copy(self)
+        other.belief, other.water = self.belief.copy(), self.water.copy()
+        other._Phi, other._Q = self._Phi.copy(), self._Q.copy()
+        other.account, other.observers = Counter(), []
+        return other
+
+    def core_covariance(self) -> Array:
+        """Of the core at the belief's time, (15, 15), without moving the rest."""
+        return core_of(self.belief.P, self._Phi, self._Q)
+
+    @property
+    def rate_variance(self) -> float:
+        """Of one axis of ``rate`` less its bias (rad2/s2): the angle random walk over one sample."""
+        imu = self._suite.imu
+        return imu.angle_random_walk_rad_per_rts**2 / (imu.period_ns * 1e-9)
+
+    @property
+    def rotation_of_earth(self) -> Array:
+        """That the gyros sense (rad/s), NED, (3,)."""
+        return self._earth
+
+    def correct(self, message: Aiding) -> None:
+        """Use a message whose time is the belief's."""
+        self.settle()
+        follow(self.belief, *self._reach_m, self._config.cell_m)
+        suite = self._suite
+        match message:
+            case AdcpPing():
+                self.water.before(self.belief)
+                ping = self._adcp.linearise(self.belief, message, self.rate)
+                self.account["adcp.no_return"] += ping.without_return
+                self.account["adcp.outside_grid"] += ping.outside_grid
+                cells = len(message.range_m)
+                correction = self._use("adcp", ping.rows, ping.places)
+                if correction is not None:
+                    self.belief.column.see(ping.nodes[correction.accepted])
+                    if self._config.adapts_to_water and correction.definite:
+                        r, S = ping.rows.residual, correction.S
+                        self.water.hear(self.belief.t_ns, ping.beams, ping.places % cells, r, S)
+                        self.water.moved(self.belief, ping.nodes, correction.error)
+            case PressureDepth():
+                self._use("pressure", pressure.rows(self.belief, message, suite.pressure))
+            case CompassHeading():
+                self._use("compass", compass.rows(self.belief, message, suite.compass))
+            case GnssFix():
+                self._use("gnss", gnss.rows(self.belief, message, suite.gnss, self.rate))
+                self._at_epoch = True
+            case TdcpFix():
+                if message.from_t_ns == self.belief.epoch_t_ns:
+                    self._use("tdcp", tdcp.rows(self.belief, message, suite.tdcp, suite.gnss.lever_arm_m))
+                else:
+                    self.account["tdcp.other_epoch"] += 2
+                self._at_epoch = True
+            case BottomTrack():
+                if suite.bottom_track is None:
+                    self.account["bottom_track.not_fitted"] += 4
+                    return
+                seen = bottom_track.linearise(self.belief, message, suite.bottom_track, suite.adcp, self.rate)
+                self.account["bottom_track.no_return"] += seen.without_return
+                self._use("bottom_track", seen.rows, seen.places)
+            case LblRange():
+                if suite.lbl is None:
+                    self.account["lbl.not_fitted"] += 1
+                elif message.transponder >= len(suite.lbl.transponders_m):
+                    self.account["lbl.unknown_transponder"] += 1
+                else:
+                    self._use("lbl", lbl.rows(self.belief, message, suite.lbl), np.array([message.transponder]))
+            case UsblFix():
+                if suite.usbl is None:
+                    self.account["usbl.not_fitted"] += 2
+                else:
+                    self._use("usbl", usbl.rows(self.belief, message, suite.usbl))
+
+    def _use(self, sensor: str, rows: Rows, places: Indices | None = None) -> Correction | None:
+        """None without rows."""
+        if len(rows.residual) == 0:
+            return None
+        correction = correct(self.belief, rows, self._gate, _DOUBTFUL if sensor in _SELDOM else 0.0)
+        used = int(np.count_nonzero(correction.accepted)) + correction.doubted
+        self.account[f"{sensor}.used"] += used
+        refused = "gate" if correction.definite else "not_definite"
+        if correction.doubted:
+            self.account[f"{sensor}.doubted"] += correction.doubted
+        self.account[f"{sensor}.{refused}"] += len(rows.residual) - used
+        if self.observers:
+            where = np.arange(len(rows.residual)) if places is None else places
+            verdict = Verdict(
+                sensor=sensor,
+                t_ns=self.belief.t_ns,
+                places=where,
+                residual=rows.residual,
+                S=correction.S,
+                accepted=correction.accepted,
+                definite=correction.definite,
+            )
+            for observer in self.observers:
+                observer(verdict)
+        return correction

@@ -1,0 +1,190 @@
+"""Measurements that arrive after their time: the filter goes back to it and does everything since once more.
+
+Kept    snapshots of the filter, and after each what was done to it, over the last ``REACH_NS``:
+            snapshot_0, done, done, ..., snapshot_1, done, ...      done: a move by a sample, or a correction
+Late    the newest snapshot at or before the message's time is restored, its successors are forgotten; what follows is
+        done again, the message after all that is of its own instant, the move across its time split there, and new
+        snapshots are taken on the way. These are the operations that the same messages cause in order, one by one, so
+        the belief is the same bit for bit.
+Said    once: what was judged when it came is corrected with again but not counted or observed again, though the gate
+        may decide differently now. Only the late message itself is heard.
+Cost    A snapshot copies the covariance, a late message repeats as much of the filter's work as lies between the
+        snapshot and now: the copying falls with the spacing, the repeating grows by half of it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, Change
+from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Snapshot
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.messages import Array, ImuSample, LblRange
+from ltv_mpc.node import Progress, no_progress
+
+REACH_NS = 1_250_000_000
+"""A message that is later is dropped: the longest latency that a sensors file may have, and a quarter for the bus."""
+
+_OFTEN_NS = 250_000_000
+_SELDOM_NS = 1_000_000_000
+
+
+class Done(NamedTuple):
+    """Moved to ``t_ns`` by a sample, or corrected there."""
+
+    t_ns: int
+    what: ImuSample | Aiding
+
+
+class _Stretch(NamedTuple):
+    """From a snapshot to the next one."""
+
+    snapshot: Snapshot
+    done: list[Done]
+
+    @property
+    def t_ns(self) -> int:
+        return self.snapshot.belief.t_ns
+
+
+def same(one: ImuSample | Aiding, other: ImuSample | Aiding) -> bool:
+    """Two messages of one sensor and time, of which the second says nothing new."""
+    if type(one) is not type(other) or one.t_ns != other.t_ns:
+        return False
+    if isinstance(one, LblRange) and isinstance(other, LblRange):
+        return one.transponder == other.transponder
+    return True
+
+
+def spacing_ns(suite: Suite) -> int:
+    """Between two snapshots: longer where only a bus makes messages late."""
+    tables = (suite.gnss, suite.tdcp, suite.adcp, suite.pressure, suite.compass, suite.bottom_track)
+    expected = any(table is not None and table.latency_ns > 0 for table in tables)
+    return _OFTEN_NS if expected or suite.lbl is not None or suite.usbl is not None else _SELDOM_NS
+
+
+class History:
+    """Moves and corrects a filter, and can do so in the past."""
+
+    def __init__(self, filter_: Filter, spacing_ns: int, progress: Progress = no_progress) -> None:
+        """``progress`` is called with every move, of which a way back may take a thousand."""
+        self.filter = filter_
+        self._progress = progress
+        self._spacing_ns = spacing_ns
+        self._stretches = [_Stretch(filter_.snapshot(), [])]
+
+    def advance(self, t_ns: int, sample: ImuSample) -> None:
+        """As ``Filter.advance``."""
+        now_ns = self.filter.belief.t_ns
+        stretches = self._stretches
+        # Taken on leaving an instant: it then holds all corrections of it.
+        if now_ns - stretches[-1].t_ns >= self._spacing_ns:
+            stretches.append(_Stretch(self.filter.snapshot(), []))
+            while len(stretches) > 1 and stretches[1].t_ns <= now_ns - BACK_NS:
+                del stretches[0]
+        self._progress()
+        self.filter.advance(t_ns, sample)
+        stretches[-1].done.append(Done(t_ns, sample))
+
+    def follows(self, samples: Sequence[ImuSample]) -> int:
+        """As ``Filter.follows``, until a snapshot is to be taken."""
+        return self.filter.follows(samples, self._stretches[-1].t_ns + self._spacing_ns)
+
+    def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
+        """As ``Filter.advance_through``."""
+        self._progress()
+        done = self.filter.advance_through(samples, measured)
+        self._stretches[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
+        return done
+
+    def correct(self, message: Aiding) -> None:
+        """As ``Filter.correct``: of the filter's own instant."""
+        self.filter.correct(message)
+        self._stretches[-1].done.append(Done(message.t_ns, message))
+
+    def use(self, message: Aiding) -> None:
+        """Correct by a message of the filter's own instant, or of one before it within reach."""
+        if message.t_ns == self.filter.belief.t_ns:
+            self.correct(message)
+        else:
+            self.insert(message)
+
+    def knows(self, message: Aiding) -> bool:
+        """One of its kind and time has been used."""
+        for stretch in reversed(self._stretches):
+            for done in reversed(stretch.done):
+                if done.t_ns < message.t_ns:
+                    return False
+                if same(done.what, message):
+                    return True
+        return False
+
+    def reaches(self, t_ns: int) -> bool:
+        """A message of this time, before the filter's, can still be used. Of the oldest instant nothing is known."""
+        return t_ns >= self.filter.belief.t_ns - REACH_NS and t_ns > self._stretches[0].t_ns
+
+    def insert(self, message: Aiding) -> None:
+        """Correct by a message of a time before the filter's, within reach."""
+        stretches = self._stretches
+        first = max(i for i, stretch in enumerate(stretches) if stretch.t_ns <= message.t_ns)
+        again = [done for stretch in stretches[first:] for done in stretch.done]
+        del stretches[first + 1 :]
+        stretches[first].done.clear()
+        self.filter.restore(stretches[first].snapshot)
+
+        after = next(i for i, done in enumerate(again) if done.t_ns > message.t_ns)  # a move: only they pass time
+        with _unheard(self.filter):
+            self._repeat(again[:after])
+        across = again[after].what
+        if self.filter.belief.t_ns < message.t_ns and isinstance(across, ImuSample):
+            self.advance(message.t_ns, across)
+        self.correct(message)
+        with _unheard(self.filter):
+            self._repeat(again[after:])
+
+    def adapt(self) -> Change:
+        """Grant the water what the last ping showed that it needs, from ``BACK_NS`` ago, or as far as it reaches; or
+        make up for what it has done, from now on: behind this nothing goes back.
+        """
+        filter_ = self.filter
+        water, belief = filter_.water, filter_.belief
+        now_ns = belief.t_ns
+        began = water.began(belief)
+        if began is not None and began.old:
+            began.make_up(belief)
+            water.forget(belief)
+            water.grant(Change.FAST, water.hold(Change.FAST, now_ns), now_ns)
+            self._stretches[:] = [_Stretch(filter_.snapshot(), [])]
+            return Change.FAST
+        change = water.seen(now_ns, began)
+        if change is not Change.NONE:
+            until_ns = water.hold(change, now_ns)
+            first = max((i for i, s in enumerate(self._stretches) if s.t_ns <= now_ns - BACK_NS), default=0)
+            again = [done for stretch in self._stretches[first:] for done in stretch.done]
+            filter_.restore(self._stretches[first].snapshot)
+            filter_.water.grant(change, until_ns, now_ns)
+            self._stretches[first:] = [_Stretch(filter_.snapshot(), [])]
+            with _unheard(filter_):
+                self._repeat(again)
+        return change
+
+    def _repeat(self, again: list[Done]) -> None:
+        for t_ns, what in again:
+            if isinstance(what, ImuSample):
+                self.advance(t_ns, what)
+            else:
+                self.correct(what)
+
+
+@contextmanager
+def _unheard(filter_: Filter) -> Iterator[None]:
+    """What the filter does within is neither counted nor observed."""
+    account, observers = filter_.account, filter_.observers
+    filter_.account, filter_.observers = Counter(), []
+    try:
+        yield
+    finally:
+        filter_.account, filter_.observers = account, observers

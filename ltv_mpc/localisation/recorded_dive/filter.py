@@ -1,0 +1,131 @@
+"""The filter of a recorded dive: beams and, for the first ensembles, bottom track; no inertial unit.
+
+Attitude and depth are the instrument's own and taken as exact, so the problem is linear and this a plain Kalman filter:
+states and changes in ``model.py``, rows, gate and update in ``update.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.pd0.beams import BeamEnsemble
+from ltv_mpc.localisation.pd0.records import Settings
+from ltv_mpc.localisation.recorded_dive.model import POSITION, VELOCITY, Model
+from ltv_mpc.localisation.recorded_dive.noise import beam_sd
+from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
+from ltv_mpc.localisation.recorded_dive.screening import usable
+from ltv_mpc.localisation.recorded_dive.update import Mask, beams, correct, over_ground
+from ltv_mpc.messages import Array
+
+MOST_NODES = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """Of each ensemble: position relative to the first (m), velocity over ground (m/s), (N, 2), north and east."""
+
+    t_ns: tuple[int, ...]
+    position_m: Array
+    position_covariance: Array  # (N, 2, 2)
+    velocity_mps: Array
+    velocity_covariance: Array  # (N, 2, 2)
+    fixes: int  # ensembles whose bottom track was used
+    cells_used: int
+    cells_screened: int  # with a velocity, but too few good pings or too near the bottom
+    cells_rejected: int  # by the gate
+    nis: float  # mean of residual^2 / S over the beams' rows, before the gate
+    water: WaterPrior
+
+    @property
+    def t_s(self) -> Array:
+        """Since the first ensemble."""
+        return 1e-9 * np.array([t - self.t_ns[0] for t in self.t_ns], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instrument:
+    """What is known of a recording as a whole before it is filtered."""
+
+    settings: Settings
+    beam_sd_mps: Array  # (cells,)
+
+    @classmethod
+    def of(cls, ensembles: Sequence[BeamEnsemble], settings: Settings, parameters: DiveParameters) -> Instrument:
+        """The noise from the recording's own spare beam."""
+        return cls(settings=settings, beam_sd_mps=beam_sd(ensembles, settings, parameters.least_good))
+
+
+def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: DiveParameters, *, fixes: int) -> Track:
+    """The track from the first of ``ensembles`` on, of whose first ``fixes`` bottom track is used where there is."""
+    settings = instrument.settings
+    masks = [usable(x, settings, parameters.least_good) for x in ensembles]
+    model = Model.of(parameters, _nodes(ensembles, masks, settings), _ranges(masks, ensembles[0]))
+    gate = float(chi2.ppf(parameters.gate_probability, 1))
+    x, P = model.prior()
+    position, velocity, p_cov, v_cov = [], [], [], []
+    fixed = used = rejected = 0
+    nis_sum = 0.0
+    for k, (ensemble, mask) in enumerate(zip(ensembles, masks, strict=True)):
+        if k:
+            model.propagate(x, P, 1e-9 * (ensemble.t_ns - ensembles[k - 1].t_ns))
+        batch = beams(model, ensemble, mask, instrument.beam_sd_mps, settings.cell_m)
+        cells = len(batch.z)
+        if k < fixes and np.isfinite(ensemble.bottom_mps[:2]).all():
+            batch = batch.joined(over_ground(model, ensemble))
+        accepted, nis = correct(x, P, batch, gate)
+        fixed += int(accepted[cells:].any())
+        used, rejected = used + int(accepted[:cells].sum()), rejected + int((~accepted[:cells]).sum())
+        nis_sum += float(nis[:cells].sum())
+        position.append(x[POSITION].copy())
+        velocity.append(x[VELOCITY].copy())
+        p_cov.append(P[POSITION, POSITION].copy())
+        v_cov.append(P[VELOCITY, VELOCITY].copy())
+    there = sum(int(np.isfinite(e.velocity_mps).sum()) for e in ensembles)
+    return Track(
+        t_ns=tuple(e.t_ns for e in ensembles),
+        position_m=np.array(position),
+        position_covariance=np.array(p_cov),
+        velocity_mps=np.array(velocity),
+        velocity_covariance=np.array(v_cov),
+        fixes=fixed,
+        cells_used=used,
+        cells_screened=there - used - rejected,
+        cells_rejected=rejected,
+        nis=nis_sum / max(used + rejected, 1),
+        water=_water(model, x, P),
+    )
+
+
+def _nodes(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask], settings: Settings) -> Array:
+    """Depths of the water's nodes: all that is seen, a cell apart, and at most as many as can be paid for."""
+    seen = [e.depth_m + e.below_m[mask] for e, mask in zip(ensembles, masks, strict=True)]
+    depths = np.concatenate([*seen, [e.depth_m for e in ensembles]])
+    top = max(float(depths.min()) - settings.cell_m, 0.0)
+    bottom = float(depths.max()) + settings.cell_m
+    count = int(np.clip(np.ceil((bottom - top) / settings.cell_m), 1, MOST_NODES - 1)) + 1
+    nodes: Array = np.linspace(top, bottom, count)
+    return nodes
+
+
+def _ranges(masks: Sequence[Mask], ensemble: BeamEnsemble) -> Array:
+    """Ranges of the cells up to the last that is ever used, (C,)."""
+    ever = np.flatnonzero(np.any([mask.any(axis=0) for mask in masks], axis=0))
+    return ensemble.range_m[: ever[-1] + 1 if len(ever) else 1]
+
+
+def _water(model: Model, x: Array, P: Array) -> WaterPrior:
+    """The current at the nodes; what two depths share least counts as shared by all."""
+    sd = np.sqrt(np.maximum(*(np.diagonal(P)[axis] for axis in (model.north, model.east))))
+    shared = min(float(P[axis, axis].min()) for axis in (model.north, model.east))
+    return WaterPrior(
+        depth_m=model.depth_m.copy(),
+        north_mps=x[model.north].copy(),
+        east_mps=x[model.east].copy(),
+        sd_mps=sd,
+        sd_common_mps=float(np.sqrt(max(shared, 0.0))),
+    )

@@ -1,0 +1,145 @@
+"""What of an instrument's message can be seen to be wrong before any filter is asked.
+
+ahead  stamped later than it came: a clock has jumped. A belief that had followed it would refuse all true ones after it
+       as late.
+stale  stamped earlier than another of its instrument before it, and so much longer on its way than that one: they came
+       in order, so a clock has jumped back. So are those after it, until one takes no longer than usual: when their
+       stamps have caught up with the belief's, what they say is of now, not of then. (What was held up by a bus and
+       comes after newer ones is given up with them. Ranges of several transponders come in any order.)
+stuck  the same reading as the last, to the bit, at another time: every instrument has noise, this one repeats itself.
+       Taken for new, a position with its noise would be believed more with each repetition. One number alone, as a
+       depth, may come twice by rounding; for several at once that is next to impossible.
+wild   an inertial sample that differs from the one before by more than a vehicle can do in between, 0.2 rad/s and
+       2 m/s2 every 10 ms; and after it all until ``AGREEING`` in a row do follow one another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.jit import jit
+from ltv_mpc.localisation.filter.preintegration import readings
+from ltv_mpc.messages import AdcpPing, Array, GnssFix, ImuSample, LblRange, Message, TdcpFix, Triple
+
+AHEAD_NS = 250_000_000
+"""The clocks of two computers may differ by some of it."""
+
+TURN_RADPS2, JERK_MPS3 = 20.0, 200.0
+LEAST_S = 0.01
+"""For so long at least: faster units too see vibration."""
+
+AGREEING = 5
+
+_READINGS: Mapping[type[Message], Callable[[Any], object]] = {
+    ImuSample: lambda s: (s.angular_rate_radps, s.specific_force_mps2),
+    GnssFix: lambda s: (s.north_m, s.east_m, s.velocity_north_mps, s.velocity_east_mps),
+    TdcpFix: lambda s: (s.north_m, s.east_m),
+    AdcpPing: lambda s: None if np.isnan(s.beam_velocity_mps).all() else s.beam_velocity_mps.tobytes(),
+}
+
+
+@dataclass(slots=True)
+class _Way:
+    """Of one instrument: stamp of the newest message, how long that took, whether one stamped earlier came since."""
+
+    newest_ns: int
+    took_ns: int
+    back: bool = False
+
+
+class Door:
+    """Of one estimator; it remembers the last reading of each instrument."""
+
+    def __init__(self) -> None:
+        self._last: dict[type[Message], tuple[int, object]] = {}
+        self._sample: ImuSample | None = None
+        self._measured: Array | None = None  # of that sample, (1, 6), where it was one of many
+        self._to_agree = 0
+        self._ways: dict[type[Message], _Way] = {}
+
+    def refusal(self, t_ns: int, message: Message, received_ns: int) -> str | None:
+        """Why a message of time ``t_ns`` that came at ``received_ns`` is not used: a word of the account, or None."""
+        if t_ns > received_ns + AHEAD_NS:
+            return "ahead"
+        kind = type(message)
+        if kind is not LblRange and self._went_back(kind, t_ns, received_ns):
+            return "stale"
+        read = _READINGS.get(kind)
+        if read is not None:
+            reading = read(message)
+            before_ns, before = self._last.get(kind, (t_ns, None))
+            self._last[kind] = t_ns, reading
+            if reading is not None and reading == before and t_ns != before_ns:
+                return "stuck"
+        return "wild" if isinstance(message, ImuSample) and self._is_wild(message) else None
+
+    def lets_through(self, samples: Sequence[ImuSample], received_ns: Sequence[int], measured: Array) -> bool:
+        """Whether inertial samples, ``measured`` (K, 6), would all be let in, as far as a quick look can tell."""
+        way, before = self._ways.get(ImuSample), self._sample
+        if way is None or way.back or before is None or self._to_agree:
+            return False
+        stamps = [before.t_ns, *[sample.t_ns for sample in samples]]
+        if self._last[ImuSample][0] != before.t_ns or stamps[1] < way.newest_ns:
+            return False
+        if stamps[-1] > min(received_ns) + AHEAD_NS:  # which all are before, if they are in order
+            return False
+        last = readings([before]) if self._measured is None else self._measured
+        return _follow_one_another(np.array(stamps), last, measured)
+
+    def let_through(self, sample: ImuSample, received_ns: int, measured: Array) -> None:
+        """The last of those that were; ``measured`` (1, 6)."""
+        self._sample, self._last[ImuSample] = sample, (sample.t_ns, _READINGS[ImuSample](sample))
+        self._measured = measured
+        self._ways[ImuSample] = _Way(sample.t_ns, received_ns - sample.t_ns)
+
+    def _went_back(self, kind: type[Message], t_ns: int, received_ns: int) -> bool:
+        took_ns = received_ns - t_ns
+        way = self._ways.get(kind)
+        if way is None:
+            self._ways[kind] = _Way(t_ns, took_ns)
+            return False
+        way.back = way.back or t_ns < way.newest_ns - AHEAD_NS
+        if way.back and took_ns > way.took_ns + AHEAD_NS:
+            return True
+        if t_ns >= way.newest_ns:
+            way.newest_ns, way.took_ns, way.back = t_ns, took_ns, False
+        return False
+
+    def _is_wild(self, sample: ImuSample) -> bool:
+        before, self._sample, self._measured = self._sample, sample, None
+        if before is None or before.t_ns == sample.t_ns:
+            return False
+        seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, LEAST_S)
+        turned = _apart(sample.angular_rate_radps, before.angular_rate_radps, TURN_RADPS2 * seconds)
+        if turned or _apart(sample.specific_force_mps2, before.specific_force_mps2, JERK_MPS3 * seconds):
+            self._to_agree = AGREEING
+        elif self._to_agree:
+            self._to_agree -= 1
+        return self._to_agree > 0
+
+
+@jit
+def _follow_one_another(stamps_ns: npt.NDArray[np.int64], before: Array, measured: Array) -> bool:
+    """Each sample (K, 6) after ``before`` (1, 6) is later, differs, and by no more than a vehicle can do in between."""
+    for k in range(len(measured)):
+        seconds = max((stamps_ns[k + 1] - stamps_ns[k]) * 1e-9, LEAST_S)
+        last = before[0] if k == 0 else measured[k - 1]
+        differs = False
+        for i in range(6):
+            change = abs(measured[k, i] - last[i])
+            differs |= change > 0.0
+            if not change <= (TURN_RADPS2 if i < 3 else JERK_MPS3) * seconds:
+                return False
+        if stamps_ns[k + 1] <= stamps_ns[k] or not differs:
+            return False
+    return True
+
+
+def _apart(a: Triple, b: Triple, most: float) -> bool:
+    """They differ by more in a part."""
+    return abs(a[0] - b[0]) > most or abs(a[1] - b[1]) > most or abs(a[2] - b[2]) > most

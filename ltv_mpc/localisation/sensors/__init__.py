@@ -1,0 +1,1 @@
+"""Measurement models of the sensors, one file a sensor."""

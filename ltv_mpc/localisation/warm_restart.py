@@ -1,0 +1,175 @@
+"""A filter that goes on from a checkpoint, over a time in which nothing was heard.
+
+Until   the last estimate, where one is known: the filter was at work, only its covariance is not kept so often. Its
+        position, velocity and heading are the state's; their errors have gone on as the checkpoint's do,
+            p := p + v t,  others as they were;  where the estimate says a larger variance, by that much more.
+        Without an estimate the gap begins at the checkpoint.
+Gap     of T, to the first inertial sample. The vehicle went on, nobody knows how: its velocity and its rate of turn
+        walk at random, q_v = (0.1 m/s)^2/s and q_r = (0.1 rad/s)^2/s, which is what thrusters can do and more:
+            p := p + T v,  P_pp += q_v T^3/3,  P_pv += q_v T^2/2,  P_vv += q_v T
+            heading := heading + T (r_0 + r_1) / 2,  P += q_r T^3/12     the rate of turn is known at both ends
+        so a velocity that is measured after it tells of the way within it.
+Level   anew, from the accelerometers over 0.2 s as afloat (``alignment.py``), with a = 0.1 m/s2 of motion:
+            phi = T_l (R (b_a + n) + a);  b_a is the checkpoint's, and so phi hangs on all that b_a hangs on.
+Biases  decay and grow as first-order Gauss-Markov, the water walks, over the whole time since the checkpoint.
+Source  Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2 (white noise acceleration), Groves 2013, section 5.6.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_exp
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.alignment import LEVELLING_NS
+from ltv_mpc.localisation.filter.error_state_filter import Aiding
+from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
+from ltv_mpc.localisation.imu_dropout import TURN_WALK, VELOCITY_WALK
+from ltv_mpc.localisation.reinitialisation import ACCELERATION_SD_MPS2
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.water import current_model
+from ltv_mpc.messages import Array, Estimate, ImuSample
+
+LATEST_NS = 30_000_000_000
+"""An estimate that is so much newer than the checkpoint is not of the filter that made it."""
+
+_MOST_HEARD = 6000
+
+Message: TypeAlias = ImuSample | Aiding
+
+
+class Resumption:
+    """Gathers messages until the belief can be levelled; then what ``Alignment`` gives."""
+
+    def __init__(self, suite: Suite, config: EstimatorConfig, belief: Belief, estimate: Estimate | None) -> None:
+        """``belief`` is the checkpoint's."""
+        self._suite, self._config = suite, config
+        self._belief = belief
+        newer_ns = -1 if estimate is None else estimate.t_ns - belief.t_ns
+        self._estimate = estimate if 0 <= newer_ns <= LATEST_NS else None
+        self._since_ns = belief.t_ns if self._estimate is None else self._estimate.t_ns
+        self._heard: list[Message] = []  # by time, then arrival
+
+    @property
+    def waiting_for(self) -> str:
+        """In words; empty when the belief can be made."""
+        samples = self._samples()
+        return "" if samples and samples[-1].t_ns - samples[0].t_ns >= LEVELLING_NS else "imu"
+
+    def take(self, message: Message) -> None:
+        """One message, in order of arrival."""
+        if message.t_ns > self._since_ns:
+            bisect.insort(self._heard, message, key=lambda m: m.t_ns)
+            del self._heard[:-_MOST_HEARD]
+
+    def belief(self) -> tuple[Belief, list[Message]]:
+        """The belief at the first sample's time, and what is to be applied to it since."""
+        samples = self._samples()
+        if self.waiting_for:
+            raise RuntimeError(f"cannot go on: waiting for {self.waiting_for}")
+        start_ns = samples[0].t_ns
+        belief = self._belief.copy()
+        heading, turn_radps = self._until_the_gap(belief)
+        gap_s = (start_ns - belief.t_ns) * 1e-9
+        _drift(belief, gap_s)
+        turn_after = samples[0].angular_rate_radps[2] - float(belief.x[GYRO_BIAS.stop - 1])
+        heading += gap_s * 0.5 * (turn_radps + turn_after)
+        belief.P[DOWN, DOWN] += TURN_WALK * gap_s**3 / 12.0
+        self._age(belief, (start_ns - self._belief.t_ns) * 1e-9)
+        self._level(belief, samples, heading)
+        belief.t_ns = start_ns
+        return belief, [m for m in self._heard if m.t_ns > start_ns or (m.t_ns == start_ns and m is not samples[0])]
+
+    def _samples(self) -> list[ImuSample]:
+        """Those that level it."""
+        samples = [m for m in self._heard if isinstance(m, ImuSample)]
+        return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
+
+    def _until_the_gap(self, belief: Belief) -> tuple[float, float]:
+        """``belief`` to the last estimate's time; its heading (rad) and rate of turn (rad/s)."""
+        estimate = self._estimate
+        if estimate is None:
+            return roll_pitch_heading(belief.R)[2], 0.0
+        x, P = belief.x, belief.P
+        _carry(P, (estimate.t_ns - belief.t_ns) * 1e-9)
+        x[POSITION] = estimate.north_m, estimate.east_m, estimate.depth_m if estimate.depth_m is not None else x[2]
+        x[VELOCITY] = estimate.velocity_north_mps, estimate.velocity_east_mps, estimate.velocity_down_mps or 0.0
+        if estimate.covariance is not None:
+            told = np.diagonal(estimate.covariance)[:5]
+            places = np.array([POSITION.start, POSITION.start + 1, VELOCITY.start, VELOCITY.start + 1, DOWN])
+            P[places, places] = np.maximum(P[places, places], told)
+        belief.t_ns = estimate.t_ns
+        return estimate.heading_rad, estimate.yaw_rate_radps
+
+    def _level(self, belief: Belief, samples: Sequence[ImuSample], heading: float) -> None:
+        """Roll and pitch anew, the heading as given; R is that of the first sample's end."""
+        imu, P = self._suite.imu, belief.P
+        force, seconds = _specific_force(samples)
+        f = force - belief.x[ACCELEROMETER_BIAS]
+        pitch = math.atan2(f[0], math.hypot(f[1], f[2]))
+        belief.R = rotation(math.atan2(-f[1], -f[2]), pitch, heading)
+        # phi_n, phi_e = T_l R db_a + noise; phi_d as it was
+        T_l = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]) / GRAVITY_MPS2
+        J = T_l @ belief.R
+        rows = J @ P[ACCELEROMETER_BIAS, :]
+        noise = imu.velocity_random_walk_mps_per_rts**2 / seconds + ACCELERATION_SD_MPS2**2
+        own = J @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ J.T + noise * T_l @ T_l.T
+        P[LEVEL, :] = rows
+        P[:, LEVEL] = rows.T
+        P[LEVEL, LEVEL] = 0.5 * (own + own.T)
+
+    def _age(self, belief: Belief, seconds: float) -> None:
+        """Biases and water over the time since the checkpoint."""
+        imu, compass = self._suite.imu, self._suite.compass
+        for states, sd, tau_s in (
+            (GYRO_BIAS, imu.gyro_bias_sd_radps, imu.gyro_bias_tau_s),
+            (ACCELEROMETER_BIAS, imu.accelerometer_bias_sd_mps2, imu.accelerometer_bias_tau_s),
+            (belief.layout.compass_bias, compass.bias_sd_rad, compass.bias_tau_s),
+        ):
+            keep = math.exp(-seconds / tau_s)
+            belief.x[states] *= keep
+            belief.P[states, :] *= keep
+            belief.P[:, states] *= keep
+            places = np.arange(states.start, states.stop)
+            belief.P[places, places] += sd**2 * (1.0 - keep * keep)
+        current_model.walk(belief, self._config, seconds)
+
+
+LEVEL = slice(ATTITUDE.start, ATTITUDE.stop - 1)
+DOWN = ATTITUDE.stop - 1
+"""Of the errors in attitude: two of the level, and the heading's."""
+
+
+def _carry(P: Array, seconds: float) -> None:
+    """dp := dp + t dv."""
+    P[POSITION, :] += seconds * P[VELOCITY, :]
+    P[:, POSITION] += seconds * P[:, VELOCITY]
+
+
+def _drift(belief: Belief, seconds: float) -> None:
+    """Position and velocity over a gap."""
+    belief.x[POSITION] += seconds * belief.x[VELOCITY]
+    P = belief.P
+    _carry(P, seconds)
+    for p, v in zip(range(POSITION.start, POSITION.stop), range(VELOCITY.start, VELOCITY.stop), strict=True):
+        P[p, p] += VELOCITY_WALK * seconds**3 / 3.0
+        P[p, v] += VELOCITY_WALK * seconds**2 / 2.0
+        P[v, p] = P[p, v]
+        P[v, v] += VELOCITY_WALK * seconds
+
+
+def _specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
+    """Mean over the samples after the first in the body's axes of that one's end (m/s2), and their time (s)."""
+    total, turned, seconds = np.zeros(3), np.eye(3), 0.0
+    for sample in samples[1:]:
+        dt = sample.interval_ns * 1e-9
+        turn = np.array(sample.angular_rate_radps) * dt
+        total += dt * (turned @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
+        turned = turned @ rotation_exp(turn)
+        seconds += dt
+    return total / seconds, seconds

@@ -1,0 +1,106 @@
+"""The water as the filter knows it: Gauss-Markov over depth, one value north and one east at each node of a grid.
+
+Prior   c(z) = m + s(z):  m one value for the whole column, sd sigma_m;  s first-order Gauss-Markov,
+        cov(s(z1), s(z2)) = sigma^2 exp(-|z1 - z2| / L); north and east independent. An unseen cell is thus predicted
+        from its neighbours; m lets a tide of 0.2 m/s pass a profile whose shear is 0.04 m/s. m is a state of its own,
+        which nothing measures directly: given m, each node depends on its neighbours alone.
+Saved   A profile f(z) with sd(z), of which sd_common is shared by all depths, and what the water may have changed
+        since, sd_new:  c(z) = f(z) + m + s(z),  sigma_m = sd_common,  and sigma^2 becomes
+            sd_s(z)^2 = sd(z)^2 - sd_common^2 + sd_new^2 + bridge
+        Between depths of the file at distances d1, d2 from z, with e_i = exp(-2 d_i / L), f and sd^2 are linear and
+            bridge = sigma^2 (1 - e_1) (1 - e_2) / (1 - e_1 e_2)    variance of s given both ends
+        Beyond them, at distance d from its end, with e = exp(-d / L):
+            f = f_mean + e (f_end - f_mean),  sd_s^2 = e^2 sd_s,end^2 + (1 - e^2) (sigma^2 + sigma_m^2 - sd_common^2)
+        so far away the whole deviation is that of the prior without a file, about the file's mean over depth.
+Between c(z) is linear between nodes: c(z) = (1 - s) c_k + s c_{k+1},  s = z/h - k.
+Time    each node may walk slowly: cov += q^2 dt.
+Source  Medagoda & Williams 2012, section IV-A (first-order Gauss-Markov in depth).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.state import Belief, grid
+from ltv_mpc.localisation.water.column import NodePrior
+from ltv_mpc.messages import Array, CurrentProfile
+
+
+def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> NodePrior:
+    """Of every node of the grid, from the settings or from a saved profile."""
+    z = grid(config)
+    correlation = float(np.exp(-config.cell_m / config.current_correlation_length_m))
+    if saved is None:
+        sd = np.full(len(z), config.current_sd_mps)
+        mean = np.zeros((len(z), 2))
+        return NodePrior(mean_mps=mean, sd_mps=sd, common_sd_mps=config.current_mean_sd_mps, correlation=correlation)
+    length = config.current_correlation_length_m
+    usual, common = config.current_sd_mps**2, saved.sd_common_mps**2
+    depth, f = saved.depth_m, np.stack([saved.north_mps, saved.east_mps], axis=1)
+    own = np.maximum(saved.sd_mps**2 - common, 0.0) + config.water_prior_change_sd_mps**2
+
+    # distances to the file's depths next above and next below; infinite where there is none
+    after = np.searchsorted(depth, z)
+    d1 = np.where(after > 0, z - depth[after - 1], np.inf)
+    d2 = np.where(after < len(depth), depth[np.minimum(after, len(depth) - 1)] - z, np.inf)
+    e1, e2 = np.exp(-2.0 * d1 / length), np.exp(-2.0 * d2 / length)
+    inside = np.isfinite(d1 + d2) & (d1 > 0) & (d2 > 0)
+    bridge = np.where(inside, usual * (1.0 - e1) * (1.0 - e2) / np.where(inside, 1.0 - e1 * e2, 1.0), 0.0)
+    beyond = np.clip(z, depth[0], depth[-1]) - z
+    e = np.exp(-np.abs(beyond) / length)
+
+    far = np.maximum(usual + config.current_mean_sd_mps**2 - common, 0.0)
+    variance = e**2 * (np.interp(z, depth, own) + bridge) + (1.0 - e**2) * far
+    middle = np.trapezoid(f, depth, axis=0) / (depth[-1] - depth[0]) if len(depth) > 1 else f[0]
+    mean = np.stack([m + e * (np.interp(z, depth, column) - m) for m, column in zip(middle, f.T, strict=True)], axis=1)
+    return NodePrior(
+        mean_mps=mean, sd_mps=np.sqrt(variance), common_sd_mps=saved.sd_common_mps, correlation=correlation
+    )
+
+
+def prior_covariance(config: EstimatorConfig) -> Array:
+    """Of all nodes' velocity along one axis before anything is measured, (G, G)."""
+    return node_prior(config).covariance(slice(None))
+
+
+def write_prior(belief: Belief, config: EstimatorConfig, saved: WaterPrior | None = None) -> None:
+    """The prior into a belief that knows nothing of the water yet; the window is laid about the vehicle's depth."""
+    layout, column = belief.layout, belief.column
+    prior = node_prior(config, saved)
+    cells = layout.north.stop - layout.north.start
+    first = int((belief.x[2] - config.kept_m) // config.cell_m)
+    column.prior, column.first = prior, min(max(first, 0), layout.nodes - cells)
+    states = slice(column.first, column.first + cells)
+    covariance = prior.covariance(states)
+    for axis, nodes in enumerate((layout.north, layout.east)):
+        m = layout.mean.start + axis
+        belief.x[m], belief.x[nodes] = 0.0, prior.mean_mps[states, axis]
+        belief.P[nodes, nodes] = covariance
+        belief.P[m, m] = belief.P[m, nodes] = belief.P[nodes, m] = prior.common_sd_mps**2
+
+
+def walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
+    """The nodes' random walk over ``dt`` (s)."""
+    variance = config.current_change_mps_per_rts**2 * dt
+    if variance > 0:
+        nodes = np.arange(belief.layout.north.start, belief.layout.east.stop)
+        belief.P[nodes, nodes] += variance
+        belief.column.walked += variance
+
+
+def profile(belief: Belief, depth_m: Array) -> CurrentProfile:
+    """What is published: the window, out of the grid ``depth_m`` (G,), which is all that a plan can reach.
+
+    The standard deviation of a node is the larger of north's and east's.
+    """
+    variance = np.diagonal(belief.P)
+    north, east = belief.layout.north, belief.layout.east
+    first = belief.column.first
+    return CurrentProfile(
+        depth_m=depth_m[first : first + north.stop - north.start],
+        north_mps=belief.x[north].copy(),
+        east_mps=belief.x[east].copy(),
+        sd_mps=np.sqrt(np.maximum(variance[north], variance[east])),
+    )

@@ -1,0 +1,88 @@
+"""What a filter has learned of the water, as a prior for a later dive: every depth that the profiler has seen.
+
+Nodes of the window are as the belief has them. One that was dropped hangs on its link (``grid_window.py``),
+    c_k = c + A (g - g_then),  cov(c_k, y) = A cov(g, y),  var(c_k) = A cov(g) A^T + C,
+so that what has been learned since of its neighbours counts for it too; outward from the window, node by node.
+Common  All cells are measured against the vehicle's velocity and share its error. Their covariance is told apart into
+            var(c_k) = sd_common^2 + own_k^2,  sd_common^2 = mean of cov(c_i, c_j) over all i != j of one axis,
+        of both axes together, at most the smallest variance and at least 0. So the variance of the average over depth
+        stays what it is, up to 1 / K of the own parts; the variance of each depth stays exactly.
+Cost    The joint covariance of all these nodes at once, (2 K + states)^2: once, at the end of a dive.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.filter.state import Belief
+from ltv_mpc.localisation.water.grid_window import given, grown
+from ltv_mpc.messages import Array
+
+
+def learned(belief: Belief, depth_m: Array) -> WaterPrior | None:
+    """From the uppermost to the lowest seen node of the grid ``depth_m`` (G,); None if none has been seen.
+
+    The covariance must stand at the belief's time. Depths between, unseen themselves, have their larger deviation.
+    """
+    seen = np.flatnonzero(belief.column.seen)
+    if len(seen) == 0:
+        return None
+    nodes, c, P = _joint(belief)
+    k = np.flatnonzero((nodes >= seen[0]) & (nodes <= seen[-1]))
+    k = k[np.argsort(nodes[k])]
+    measured = k[belief.column.seen[nodes[k]]]
+    variance = np.array([np.diagonal(P[axis])[k] for axis in range(2)])
+    shared = np.mean([_off_diagonal(P[axis][np.ix_(measured, measured)]) for axis in range(2)])
+    common = min(max(float(shared), 0.0), float(variance.min()))
+    return WaterPrior(
+        depth_m=depth_m[nodes[k]].copy(),
+        north_mps=c[k, 0].copy(),
+        east_mps=c[k, 1].copy(),
+        sd_mps=np.sqrt(variance.max(axis=0)),
+        sd_common_mps=float(np.sqrt(common)),
+    )
+
+
+def _joint(belief: Belief) -> tuple[npt.NDArray[np.int64], Array, tuple[Array, Array]]:
+    """Nodes (K,) of which something is known, in no order; their c (K, 2), covariances of north and of east (K, K)."""
+    layout, column = belief.layout, belief.column
+    cells = layout.north.stop - layout.north.start
+    first = column.first
+    # Each hangs on those between it and the window, and on the window.
+    above = [node for node in range(first - 1, -1, -1) if node in column.dropped]
+    below = [node for node in range(first + cells, layout.nodes) if node in column.dropped]
+    nodes = np.array([*range(first, first + cells), *above, *below])
+
+    others = given(layout, 0)
+    others = others[others < layout.north.start]
+    place = np.empty(layout.nodes, dtype=np.int64)  # of a node's north; east is the next
+    place[nodes] = len(others) + 2 * np.arange(len(nodes))
+    size = len(others) + 2 * len(nodes)
+    x, P = np.zeros(size), np.zeros((size, size))
+    slots = np.arange(cells)
+    states = np.concatenate([others, np.stack([layout.north.start + slots, layout.east.start + slots], axis=1).ravel()])
+    known = slice(0, len(states))
+    x[known], P[known, known] = belief.x[states], belief.P[np.ix_(states, states)]
+    for node in (*above, *below):
+        link = column.dropped[node]
+        slot = 0 if node < first else cells - 1
+        near = node - slot + slots[slots != slot]
+        g = np.concatenate([np.arange(len(others)), place[near], place[near] + 1])  # in the order of ``given``
+        C = grown(link, g >= len(others), column.walked)
+        k = slice(place[node], place[node] + 2)
+        x[k] = link.c + link.A @ (x[g] - link.then)
+        P[k, :] = link.A @ P[g, :]
+        own = P[k, g] @ link.A.T + C
+        P[:, k] = P[k, :].T
+        P[k, k] = 0.5 * (own + own.T)
+    north = place[nodes]
+    axes = (P[np.ix_(north, north)], P[np.ix_(north + 1, north + 1)])
+    return nodes, np.stack([x[north], x[north + 1]], axis=1), axes
+
+
+def _off_diagonal(P: Array) -> float:
+    """Mean of P_ij over i != j; 0 for a single node, which shares nothing."""
+    n = len(P)
+    return float((P.sum() - np.trace(P)) / (n * (n - 1))) if n > 1 else 0.0

@@ -1,0 +1,80 @@
+"""The kinds of reference, each from a table whose ``kind`` names it."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from ltv_mpc import config
+from ltv_mpc.messages import Pair, ReferenceStart
+from ltv_mpc.references.base import Kind
+from ltv_mpc.references.feasibility import of_descent
+from ltv_mpc.references.geodesy import Latitude, Longitude, Metres, Place, local
+from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
+from ltv_mpc.references.timed import Timed, from_csv
+from ltv_mpc.vehicle.parameters import Vehicle
+
+PACKAGE = "ltv_mpc.references.files"
+
+
+class Point(Kind, frozen=True, kw_only=True, tag="point"):
+    """Stay on the vertical line through a point, in metres or in degrees about ``origin``."""
+
+    north_m: Metres | None = None
+    east_m: Metres | None = None
+    latitude_deg: Latitude | None = None
+    longitude_deg: Longitude | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a point that is nowhere, or twice."""
+        self._place()
+
+    def position(self, anchor: ReferenceStart) -> Pair:
+        """North and east (m)."""
+        del anchor
+        return self._place()
+
+    def notes(self, vehicle: Vehicle) -> list[str]:
+        """What the vehicle cannot do of it."""
+        return _of_depth(self, vehicle)
+
+    def _place(self) -> Pair:
+        place = Place(
+            north_m=self.north_m,
+            east_m=self.east_m,
+            latitude_deg=self.latitude_deg,
+            longitude_deg=self.longitude_deg,
+        )
+        return local(place, self.origin)
+
+
+class Hold(Kind, frozen=True, kw_only=True, tag="hold"):
+    """Stay on the vertical line through where the vehicle is believed to be at the start: "here"."""
+
+    def position(self, anchor: ReferenceStart) -> Pair:
+        """North and east (m)."""
+        return anchor.north_m, anchor.east_m
+
+    def notes(self, vehicle: Vehicle) -> list[str]:
+        """What the vehicle cannot do of it."""
+        return _of_depth(self, vehicle)
+
+
+def _of_depth(reference: Kind, vehicle: Vehicle) -> list[str]:
+    return [] if reference.depth_m is None else of_descent(vehicle, reference.descent_rate_mps)
+
+
+Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed
+
+
+def load(name: str) -> Reference:
+    """A shipped reference by name (``"descent"``, ``"square"``), or a TOML file by path. Raises ``ConfigError``.
+
+    A CSV that it names is read too: a path relative to the file's folder.
+    """
+    reference: Reference = config.load(name, Reference, what="reference", package=PACKAGE)  # type: ignore[arg-type]
+    if isinstance(reference, Timed) and reference.file:
+        path = config.find(name, what="reference", package=PACKAGE)
+        return from_csv(
+            reference, path.parent / reference.file, source=config.source_of(path, what="reference", name=name)
+        )
+    return reference

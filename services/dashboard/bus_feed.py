@@ -1,0 +1,210 @@
+"""What the page hears of a bus: every plan and event, of all else the newest, brought together ten times a second."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import TypeVar
+
+import msgspec
+
+from ltv_mpc.messages import (
+    Acknowledged,
+    Applied,
+    Clock,
+    ClockState,
+    Command,
+    ControllerStatus,
+    CycleTiming,
+    Estimate,
+    LocalisationReport,
+    Message,
+    NodeStatus,
+    Plan,
+    RunEvent,
+    Truth,
+)
+from ltv_mpc.vehicle.parameters import Thruster
+from services.bus.latest_cache import Heard, Newest
+from services.bus.mailbox import Mailbox
+from services.bus.session import Session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, WireError, decode
+from services.reporting.plots.collector import Collector
+from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+
+S = TypeVar("S", bound=Message)
+
+NEWEST = (Clock, Truth, Estimate, Applied, ControllerStatus, LocalisationReport)
+EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledged)
+WAITING = 200
+"""Frames of these between two looks; at 20 times real time there are 14."""
+
+
+class Process(msgspec.Struct, frozen=True, kw_only=True):
+    """One process's word about itself, as the page shows it."""
+
+    name: str
+    state: str
+    silent_s: float  # wall time since its last word
+    steps: int
+    step_us: float
+    dropped: int
+    rejected: int
+
+
+class Moment(msgspec.Struct, frozen=True, kw_only=True):
+    """What the page says in words. Ages are vehicle time between a message's validity and now."""
+
+    t_s: float | None
+    clock: str  # waiting, running, paused; "silent" where nothing was heard
+    speed: float  # of the clock, times real time
+    asked_speed: float  # more than that where the machine cannot keep up
+    authority: str
+    health: str
+    origin: str
+    why: str
+    error_m: float | None
+    depth_m: float | None
+    heading_rad: float | None
+    progress: float | None
+    ages_s: dict[str, float | None]
+    processes: tuple[Process, ...]
+    simulated: bool  # somebody says the truth
+
+
+class Ears:
+    """Listens on ``session``. ``look`` is to be called about ten times a second, from one thread."""
+
+    def __init__(self, session: Session, thrusters: tuple[Thruster, Thruster] | None) -> None:
+        self._thrusters = thrusters
+        self.collector = Collector(thrusters)
+        self.run = 0
+        """Grows when another run begins on the same keys: what was collected before has gone."""
+        self._newest = Newest()
+        self._every = Mailbox(WAITING)
+        self._seen: dict[str, bytes] = {}
+        self._signals: dict[type[Message], Message] = {}
+        self._processes: dict[str, tuple[NodeStatus, float]] = {}
+        self._clock = VehicleClock()
+        for kind in (*NEWEST, *EVERY, NodeStatus):
+            topic = BY_SIGNAL[kind]
+            inlet = self._every if kind in EVERY else self._newest
+            session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, inlet)
+
+    def look(self) -> None:
+        """Take what has come since the last look."""
+        for key, newest in sorted(self._newest.items(), key=_clock_first):
+            if self._seen.get(key) is newest.payload:
+                continue
+            self._seen[key] = newest.payload
+            heard = _decoded(newest.topic.signal, newest.payload)
+            if heard is not None:
+                self._hear(*heard, newest.arrived_s)
+        while (frame := self._every.take(0.0)) is not None:
+            heard = None if frame.topic is None else _decoded(frame.topic.signal, frame.payload)
+            if heard is not None:
+                self._hear(*heard, 0.0)
+
+    def moment(self) -> Moment:
+        """The page's words for now."""
+        clock, controller = self._of(Clock), self._of(ControllerStatus)
+        plan, estimate, applied = self.collector.plan, self.collector.estimate, self._of(Applied)
+        t_ns = self.t_ns()
+        ages = {
+            "estimate": _age(t_ns, None if estimate is None else estimate.t_ns),
+            "plan": _age(t_ns, None if plan is None else plan.cycle_t_ns),
+            "actuators": _age(t_ns, None if applied is None else applied.t_ns),
+        }
+        if (localisation := self._of(LocalisationReport)) is not None:
+            ages |= {report.sensor: _age(t_ns, report.last_t_ns) for report in localisation.sensors}
+        state = "silent" if clock is None else clock.state.value
+        return Moment(
+            t_s=None if t_ns is None else t_ns / 1e9,
+            clock="own" if clock is None and t_ns is not None else state,
+            speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
+            asked_speed=1.0 if clock is None else clock.asked_speed,
+            authority="" if plan is None else plan.authority.value,
+            health="" if plan is None else plan.health.value,
+            origin="" if plan is None else plan.origin.value,
+            why="" if plan is None else plan.why,
+            error_m=None if controller is None else controller.error_m,
+            depth_m=None if estimate is None else estimate.depth_m,
+            heading_rad=None if estimate is None else estimate.heading_rad,
+            progress=None if controller is None else controller.progress,
+            ages_s=ages,
+            processes=self._words(paused=clock is not None and clock.state is ClockState.PAUSED),
+            simulated=self._of(Truth) is not None,
+        )
+
+    def t_ns(self) -> int | None:
+        """Vehicle time now; where nobody keeps it, that of the newest estimate."""
+        reading = self._clock.read(monotonic_us())
+        estimate = self.collector.estimate
+        return estimate.t_ns if reading is None and estimate is not None else reading
+
+    def _hear(self, signal: Message, header: Header, came_s: float) -> None:
+        if isinstance(signal, Clock):
+            self._hear_clock(signal)
+        if isinstance(signal, NodeStatus):
+            self._processes[signal.node] = (signal, came_s)
+        self._signals[type(signal)] = signal
+        self.collector.hear(signal, header.epoch)
+
+    def _hear_clock(self, clock: Clock) -> None:
+        newest = self._of(Clock)
+        if newest is not None and newest.clock_epoch != clock.clock_epoch:
+            self._begin_again()
+        with contextlib.suppress(ClockError):  # kept on another host: times are then the estimates' own
+            self._clock.hear(clock)
+
+    def _begin_again(self) -> None:
+        self.run += 1
+        self.collector = Collector(self._thrusters)
+        self._clock = VehicleClock()
+        self._signals.clear()
+        self._processes.clear()
+
+    def _of(self, kind: type[S]) -> S | None:
+        signal = self._signals.get(kind)
+        return signal if isinstance(signal, kind) else None
+
+    def _words(self, *, paused: bool) -> tuple[Process, ...]:
+        now_s = time.monotonic()
+        return tuple(
+            Process(
+                name=name,
+                state=_state(status, paused=paused),
+                silent_s=round(now_s - came_s, 2),
+                steps=status.steps,
+                step_us=round(status.step_us, 1),
+                dropped=status.dropped,
+                rejected=status.rejected,
+            )
+            for name, (status, came_s) in self._processes.items()
+        )
+
+
+def _clock_first(item: tuple[str, Heard]) -> tuple[bool, bool]:
+    """A truth before its estimate: the error at the start needs both."""
+    kind = item[1].topic.signal
+    return kind is not Clock, kind is not Truth
+
+
+def _decoded(kind: type[Message], payload: bytes) -> tuple[Message, Header] | None:
+    try:
+        return decode(kind, payload)
+    except WireError:  # its readers count it
+        return None
+
+
+def _age(t_ns: int | None, then_ns: int | None) -> float | None:
+    return None if t_ns is None or then_ns is None else round((t_ns - then_ns) / 1e9, 3)
+
+
+def _state(status: NodeStatus, *, paused: bool) -> str:
+    if status.finished:
+        return "finished"
+    if paused:
+        return "paused"
+    return f"waits for {status.waiting_for}" if status.waiting_for else "running"

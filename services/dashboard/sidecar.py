@@ -1,0 +1,81 @@
+"""The page of a run that is started here: a process beside the run's own, whose end is nobody's."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from importlib.util import find_spec
+from pathlib import Path
+
+import msgspec
+
+from services.bus.session import BusOptions
+from services.bus.topics import OPERATOR
+from services.dashboard.config import SERVER, Config
+from services.runtime.stopping import Say
+from services.supervisor import entry_point
+from services.supervisor.entry_point import write_config
+
+NEEDS = ("plotly", "starlette", "uvicorn", "websockets")
+STOP_S = 1.5
+
+
+class Beside:
+    """``say`` is told the page's address as soon as it is there. Spawn from the main thread: it dies with that."""
+
+    def __init__(self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool) -> None:
+        self._say = say
+        self._log = folder / "logs" / "dashboard.log"
+        self._config = folder / "logs" / "dashboard.json"
+        self._vehicle = vehicle
+        self._open_browser = open_browser
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self, bus: BusOptions) -> None:
+        """Attach it to this bus."""
+        missing = next((name for name in NEEDS if find_spec(name) is None), None)
+        if missing is not None:
+            self._say(f"no live page: {missing} is not installed, the extra viz brings it")
+            return
+        write_config(
+            self._config,
+            Config(
+                bus=msgspec.structs.replace(bus, role=OPERATOR),
+                vehicle=str(self._vehicle),
+                open_browser=self._open_browser,
+                gives_way=True,
+            ),
+        )
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", entry_point.__name__, str(os.getpid()), SERVER, str(self._config)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                start_new_session=True,
+            )
+        threading.Thread(target=self._hear, args=(self._process,), name="page", daemon=True).start()
+
+    def stop(self) -> None:
+        """The run is over."""
+        process = self._process
+        if process is None:
+            return
+        process.terminate()
+        try:
+            process.wait(STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _hear(self, process: subprocess.Popen[str]) -> None:
+        assert process.stdout is not None
+        with process.stdout as output:
+            url = output.readline().strip()
+            if url:
+                self._say(f"live page: {url}")
+            for _ in output:  # a browser's own words, so that its pipe does not fill
+                pass

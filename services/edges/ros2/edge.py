@@ -1,0 +1,84 @@
+"""Between two key spaces: odometry of ROS 2 becomes our estimate, our plan becomes a force for each thruster.
+
+Pure, but for the caller's clock: ``now_us`` is the host's monotonic clock.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from ltv_mpc.messages import Array, Estimate, Plan
+from ltv_mpc.validation import refusal
+from services.edges.ros2 import cdr
+from services.edges.ros2.odometry import OdometryError, estimate_of
+
+WINDOW_US = 30_000_000
+
+
+class StampedClock:
+    """The time in which the odometry is stamped, by its stamps: that of the least delayed message of the last 30 s.
+
+        time = monotonic + max (stamp - arrival)
+
+    It is behind by that message's delay: a fraction of a millisecond on one host.
+    """
+
+    def __init__(self) -> None:
+        self._best: deque[tuple[int, int]] = deque()  # arrival, stamp - arrival; falling, the largest first
+
+    def heard(self, stamp_ns: int, now_us: int) -> None:
+        """A message with this stamp has come."""
+        offset_ns = stamp_ns - now_us * 1000
+        while self._best and self._best[-1][1] <= offset_ns:
+            self._best.pop()
+        self._best.append((now_us, offset_ns))
+        while self._best[0][0] < now_us - WINDOW_US:
+            self._best.popleft()
+
+    def read(self, now_us: int) -> int | None:
+        """The time now (ns); None before the first message."""
+        return now_us * 1000 + self._best[0][1] if self._best else None
+
+
+class Edge:
+    """``refused`` counts odometry that was turned away, ``taken`` what became an estimate."""
+
+    def __init__(self) -> None:
+        self._clock = StampedClock()
+        self._plan: Plan | None = None
+        self.taken = 0
+        self.refused = 0
+        self.why = ""  # the last one was refused
+
+    def odometry(self, payload: bytes, now_us: int) -> Estimate | None:
+        """The estimate of a message, None where it cannot be used."""
+        try:
+            estimate = estimate_of(cdr.odometry(payload))
+        except (cdr.CdrError, OdometryError) as error:
+            self._refuse(str(error))
+            return None
+        if (reason := refusal(estimate)) is not None:
+            self._refuse(reason)
+            return None
+        self.taken += 1
+        self._clock.heard(estimate.t_ns, now_us)
+        return estimate
+
+    def follow(self, plan: Plan) -> None:
+        """The plan to play from now on."""
+        self._plan = plan
+
+    def thrust_N(self, now_us: int) -> Array | None:
+        """Port, starboard, vertical (N), of the plan at this instant; zero past its end, None before the first plan."""
+        now_ns = self._clock.read(now_us)
+        if self._plan is None or now_ns is None:
+            return None
+        if now_ns > int(self._plan.t_ns[-1]):
+            return np.zeros(3)
+        return self._plan.thrust_at(now_ns)
+
+    def _refuse(self, reason: str) -> None:
+        self.refused += 1
+        self.why = reason

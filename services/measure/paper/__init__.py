@@ -1,1 +1,0 @@
-"""The paper's figures and tables from runs of this project: ``python -P -m services.measure.paper``."""

@@ -1,0 +1,71 @@
+"""An operator's one command: sent, and its answer waited for."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from ltv_mpc.messages import Acknowledged, Action, Command, Rejected
+from services.bus.mailbox import Mailbox
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
+from services.bus.topics import BY_SIGNAL, OPERATOR
+from services.bus.wire import WireError, decode
+from services.runtime.stopping import DONE, FAILED, sayer
+
+PATIENCE_S = 3.0
+"""So long for a router, and again for the answer: a cycle takes a third of a second."""
+
+
+def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
+    """The exit code: 0 where the controller accepted, 1 with the reason on stderr where not."""
+    say = sayer(f"ctl {action.value}")
+    until = time.monotonic() + PATIENCE_S
+    try:
+        with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:
+            answer = ask(session, action, reference_toml)
+    except Stopped:
+        say(f"no router within {PATIENCE_S:.0f} s")
+        return FAILED
+    except BusError as error:
+        say(str(error))
+        return FAILED
+    if isinstance(answer, Acknowledged) and answer.accepted:
+        sys.stdout.write(f"accepted; in charge: {answer.authority.value}\n")
+        return DONE
+    say(_why(answer))
+    return FAILED
+
+
+def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowledged | Rejected | None:
+    """Send the command; the controller's answer, its door's refusal, or None where nobody says a word."""
+    box = Mailbox()
+    for kind, suffix in ((Acknowledged, ""), (Rejected, "/*")):
+        session.subscribe(f"{BY_SIGNAL[kind].key}{suffix}", BY_SIGNAL[kind], box)
+    outbox = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Command,))
+    command = Command(command_id=new_epoch(), action=action, reference_toml=reference_toml)
+    sent = outbox.publish(command)
+    until = time.monotonic() + PATIENCE_S
+    while (left := until - time.monotonic()) > 0:
+        frame = box.take(left)
+        if frame is None or frame.topic is None:
+            continue
+        try:
+            signal, _ = decode(frame.topic.signal, frame.payload)
+        except WireError:
+            continue
+        if isinstance(signal, Acknowledged) and signal.command_id == command.command_id:
+            return signal
+        if isinstance(signal, Rejected) and (signal.key, signal.crc) == (sent.key, sent.crc):
+            return signal
+    return None
+
+
+def _why(answer: Acknowledged | Rejected | None) -> str:
+    match answer:
+        case Acknowledged():
+            return f"refused: {answer.why}; in charge: {answer.authority.value}"
+        case Rejected():
+            return f"refused by {answer.node}: {answer.reason}"
+        case None:
+            return f"no controller answered within {PATIENCE_S:.0f} s: does one run at this router, in this namespace?"

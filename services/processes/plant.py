@@ -1,0 +1,50 @@
+"""The plant process: the simulated vehicle, and the keeper of vehicle time."""
+
+from __future__ import annotations
+
+import msgspec
+
+from services.bus.session import BusOptions
+from services.run.run_config import Situation, resolve
+from services.runtime.clock_master import KeepsTime
+from services.runtime.runner import Runner
+from services.runtime.serve import serve
+from sim.plant import Plant
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the plant process needs to start."""
+
+    bus: BusOptions
+    scenario: str  # NAME or FILE
+    expects: tuple[str, ...] = ()  # nodes that the clock waits for besides the usual ones
+
+
+def main(config: Config) -> int:
+    """Start the clock once all are ready, run to the scenario's end."""
+    situation = resolve(config.scenario)
+    scenario = situation.scenario
+    estimator = () if scenario.run.perfect_state else ("estimator",)
+    keeps_time = KeepsTime(
+        start_ns=scenario.start_ns,
+        end_ns=scenario.end_ns,
+        speed=scenario.run.speed,
+        expects=("sensors", *estimator, "controller", *config.expects),
+    )
+    rehearse(situation)
+    return serve(
+        Plant.name,
+        config.bus,
+        lambda request, say: Runner(_make(situation), stop=request, say=say, keeps_time=keeps_time),
+    )
+
+
+def rehearse(situation: Situation) -> None:
+    """Have all compiled code loaded: a few steps of a plant that is thrown away."""
+    plant = _make(situation)
+    for t_ns in range(0, 5 * Plant.schedule.period_ns, Plant.schedule.period_ns):
+        plant.steps([(t_ns, [])])
+
+
+def _make(situation: Situation) -> Plant:
+    return Plant(situation.scenario, situation.vehicle, situation.water)

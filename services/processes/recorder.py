@@ -1,0 +1,41 @@
+"""The recorder process: every message of the run into run.mcap, or the next segment of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from services.bus.session import BusError, BusOptions
+from services.recording.segments import SegmentWriter
+from services.runtime.heartbeat import SUPERVISED
+from services.runtime.recording import NAME, RecordingLoop
+from services.runtime.serve import until_stopped
+from services.runtime.stopping import Say, StopRequest
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the recorder process needs to start."""
+
+    bus: BusOptions
+    folder: Path  # of the run
+    start_ns: int  # where the run's time begins, log time 0
+    metadata: dict[str, str]  # kept in the recording
+
+
+def metadata(seed: int, files: Mapping[str, str]) -> dict[str, str]:
+    """What a recording of processes keeps of its run: the seed, and the settings files by their path."""
+    return {"mode": "services", "seed": str(seed), **files}
+
+
+def main(config: Config) -> int:
+    """Record until told to stop."""
+
+    def work(request: StopRequest, say: Say) -> None:
+        SUPERVISED.state()
+        recording = config.folder / "run.mcap"
+        with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
+            RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)
+
+    return until_stopped(NAME, work, failures=(BusError, OSError))

@@ -1,0 +1,1 @@
+"""Reports, figures, plots and texts about a run."""

@@ -1,0 +1,94 @@
+"""The picture of a localised dive: track from above, error over time with its standard deviation, current by depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+
+from ltv_mpc.localisation.recorded_dive.filter import Track
+from ltv_mpc.messages import Array
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+ESTIMATE, HELD, EAST = "#0072B2", "#E69F00", "#D55E00"
+"""Okabe and Ito: told apart by the colour-blind, and in grey; bottom track is black."""
+
+
+class Shown(Protocol):
+    """What is drawn."""
+
+    @property
+    def track(self) -> Track:
+        """The filter's."""
+
+    @property
+    def truth_m(self) -> Array:
+        """Bottom track's, (N, 2), NaN where it is not known."""
+
+    @property
+    def constant_velocity_mps(self) -> Array | None:
+        """Of the fixes, (2,)."""
+
+
+def draw(shown: Shown, out: Path) -> None:
+    """Write the picture."""
+    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
+    figure = plt.figure(figsize=(9.0, 4.6), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
+    _above(figure.add_subplot(grid[:, 0]), shown)
+    _error(figure.add_subplot(grid[0, 1]), shown)
+    _water(figure.add_subplot(grid[1, 1]), shown.track)
+    figure.savefig(out, dpi=160)
+    plt.close(figure)
+
+
+def _above(panel: Axes, shown: Shown) -> None:
+    track, truth, held = shown.track, shown.truth_m, shown.constant_velocity_mps
+    panel.plot(truth[:, 1], truth[:, 0], color="black", linewidth=1.1, label="bottom track")
+    panel.plot(track.position_m[:, 1], track.position_m[:, 0], color=ESTIMATE, linewidth=1.4, label="filter")
+    if held is not None:
+        path = held * track.t_s[:, None]
+        panel.plot(path[:, 1], path[:, 0], color=HELD, linewidth=1.0, linestyle="--", label="constant velocity")
+    # {p + 3 L [cos a, sin a]} with P = L L^T
+    spread, axes = np.linalg.eigh(track.position_covariance[-1])
+    angle = np.linspace(0, 2 * np.pi, 90)
+    ring = (
+        track.position_m[-1] + 3 * (np.stack([np.cos(angle), np.sin(angle)], axis=1) * np.sqrt(spread.clip(0))) @ axes.T
+    )
+    panel.plot(ring[:, 1], ring[:, 0], color=ESTIMATE, linewidth=0.8, linestyle=":", label="3 sigma at the end")
+    panel.plot(0, 0, "k+", markersize=9)
+    panel.set(xlabel="east (m)", ylabel="north (m)", title="from above")
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.legend(frameon=False, loc="best")
+
+
+def _error(panel: Axes, shown: Shown) -> None:
+    track = shown.track
+    sigma = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
+    panel.fill_between(track.t_s, 0, 3 * sigma, color=ESTIMATE, alpha=0.2, linewidth=0, label="3 sigma")
+    error = np.hypot(*(track.position_m - shown.truth_m).T)
+    panel.plot(track.t_s, error, color=ESTIMATE, linewidth=1.3, label="filter from bottom track")
+    if shown.constant_velocity_mps is not None:
+        held = np.hypot(*(shown.constant_velocity_mps * track.t_s[:, None] - shown.truth_m).T)
+        panel.plot(track.t_s, held, color=HELD, linewidth=1.0, linestyle="--", label="constant velocity")
+    panel.set(xlabel="time (s)", ylabel="distance (m)", title="error")
+    panel.set_ylim(bottom=0)
+    panel.legend(frameon=False, loc="upper left")
+
+
+def _water(panel: Axes, track: Track) -> None:
+    water = track.water
+    for name, velocity, colour in (("north", water.north_mps, ESTIMATE), ("east", water.east_mps, EAST)):
+        panel.fill_betweenx(
+            water.depth_m, velocity - water.sd_mps, velocity + water.sd_mps, color=colour, alpha=0.2, linewidth=0
+        )
+        style = "-" if name == "north" else "--"
+        panel.plot(velocity, water.depth_m, color=colour, linewidth=1.2, linestyle=style, label=f"{name}, with 1 sigma")
+    panel.invert_yaxis()
+    panel.set(xlabel="current (m/s)", ylabel="depth (m)", title="current at the end")
+    panel.legend(frameon=False, loc="best")

@@ -1,0 +1,249 @@
+"""Draws a described plot with matplotlib, as ``static/plots.js`` does with plotly. Knows nothing of any one of them.
+
+One run: every series of the plot, levels, and events where x is vehicle time. Several: the series that are compared,
+a colour for each run and a dash for each series.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import cycle
+from typing import NamedTuple, TypeAlias
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.font_manager import FontProperties
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from ltv_mpc.messages import Array
+from services.reporting.plots import palette
+from services.reporting.plots.description import Axis, Plot, Series, Style
+from services.reporting.plots.events import Mark
+from services.reporting.plots.table import Columns
+
+Dash: TypeAlias = tuple[float, Sequence[float]] | None
+
+LINES: dict[Style, Dash] = {Style.LINE: None, Style.DASHED: (0, (5, 2)), Style.DOTTED: (0, (1, 1.2))}
+COMPARED: tuple[Dash, ...] = (None, (0, (4, 1.5)), (0, (1, 1.2)))
+"""Of the first, second and third series of each run where several are laid over each other."""
+
+COLUMNS = 4
+"""Of a legend, at most."""
+
+WIDTH = 1.1  # points
+BAND = 0.22  # opacity
+MARGIN, TIME_MARGIN, LOG_MARGIN = 0.05, 0.01, 0.15
+"""Of the span; of a logarithmic axis in decades."""
+
+TIME = "t_s"
+
+
+class Run(NamedTuple):
+    """What is drawn under one name: tables by name and column, the values of levels, what happened."""
+
+    name: str
+    tables: Mapping[str, Columns]
+    values: Mapping[str, float] = {}
+    marks: Sequence[Mark] = ()
+
+
+def from_zero(run: Run) -> Run:
+    """What was from t = 0 on: of each table that has times, these rows."""
+    return run._replace(
+        tables={name: _from_zero(columns) for name, columns in run.tables.items()},
+        marks=[mark for mark in run.marks if mark.t_s >= 0.0],
+    )
+
+
+def _from_zero(columns: Columns) -> Columns:
+    times = columns.get(TIME)
+    if times is None:
+        return columns
+    kept = [i for i, t in enumerate(times) if t is not None and t >= 0.0]
+    return {name: [cells[i] for i in kept] for name, cells in columns.items()}
+
+
+def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = None) -> None:
+    """The plot with its labels, limits and legend. ``title``: another than the description's, "" for none."""
+    drawn = _of_one(axes, plot, runs[0]) if len(runs) == 1 else _of_several(axes, plot, runs)
+    axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
+    _head(axes, plot.title if title is None else title, drawn.legend)
+    if not drawn.x:
+        axes.text(0.5, 0.5, plot.empty, transform=axes.transAxes, ha="center", va="center", color=palette.REFERENCE)
+        return
+    _limit(axes, "x", plot.x, np.concatenate(drawn.x), TIME_MARGIN if plot.over_time else MARGIN)
+    _limit(axes, "y", plot.y, np.concatenate(drawn.y), MARGIN)
+    if plot.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def _head(axes: Axes, title: str, legend: Sequence[Line2D | Patch]) -> None:
+    """Title and legend above the axes, where they cover no line."""
+    if not legend:
+        axes.set_title(title, loc="left")
+        return
+    axes.legend(
+        handles=legend,
+        title=title or None,
+        title_fontproperties={"weight": "bold"},
+        alignment="left",
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        borderaxespad=0.3,
+        ncols=_columns(axes, [str(one.get_label()) for one in legend]),
+    )
+
+
+def _columns(axes: Axes, labels: Sequence[str]) -> int:
+    """As many as fit above the axes: a letter is about half as wide as high, a line and its gaps 3.6 times."""
+    points = axes.get_window_extent().transformed(axes.figure.dpi_scale_trans.inverted()).width * 72
+    letter = FontProperties(size=mpl.rcParams["legend.fontsize"]).get_size_in_points()
+    widest = letter * (3.6 + 0.53 * max(map(len, labels)))
+    return min(len(labels), COLUMNS, max(1, int(points / widest)))
+
+
+class _Drawn:
+    """What came onto the axes: all coordinates, and the lines of the legend."""
+
+    def __init__(self) -> None:
+        self.x: list[Array] = []
+        self.y: list[Array] = []
+        self.legend: list[Line2D | Patch] = []
+
+    def add(self, x: Array, y: Array) -> None:
+        """Coordinates."""
+        self.x.append(x)
+        self.y.append(y)
+
+
+# --- one run ---------------------------------------------------------------------------------------------------------
+
+
+def _of_one(axes: Axes, plot: Plot, run: Run) -> _Drawn:
+    drawn = _Drawn()
+    for series in plot.series:
+        handle = _band(axes, run, series, drawn) if series.style is Style.BAND else _line(axes, run, series, drawn)
+        if handle is not None and series.label:
+            drawn.legend.append(handle)
+    if drawn.x:
+        _levels(axes, plot, run, drawn)
+    if plot.over_time:
+        for mark in run.marks:
+            axes.axvline(mark.t_s, color=palette.MARK, alpha=0.3, linewidth=0.7)
+    return drawn
+
+
+def _line(axes: Axes, run: Run, series: Series, drawn: _Drawn) -> Line2D | None:
+    x, y = _column(run, series.table, series.x), _column(run, series.table, series.y)
+    if not _known(x, y).any():
+        return None
+    drawn.add(x, y)
+    if series.style is Style.CROSS:
+        (line,) = axes.plot(x, y, "+", color=series.colour, markersize=7, markeredgewidth=1.4, label=series.label)
+    else:
+        style = LINES[series.style]
+        (line,) = axes.plot(x, y, color=series.colour, linestyle=style, linewidth=WIDTH, label=series.label)
+    return line
+
+
+def _band(axes: Axes, run: Run, series: Series, drawn: _Drawn) -> Patch | None:
+    x, y = _column(run, series.table, series.x), _column(run, series.table, series.y)
+    x_high = _column(run, series.table, series.x_high) if series.x_high else x
+    y_high = _column(run, series.table, series.y_high) if series.y_high else y
+    known = _known(x, y, x_high, y_high)
+    if not known.any():
+        return None
+    drawn.add(np.concatenate([x[known], x_high[known]]), np.concatenate([y[known], y_high[known]]))
+    outline_x = np.concatenate([x[known], x_high[known][::-1]])
+    outline_y = np.concatenate([y[known], y_high[known][::-1]])
+    axes.fill(outline_x, outline_y, color=series.colour, alpha=BAND, linewidth=0)
+    return Patch(color=series.colour, alpha=BAND, linewidth=0, label=series.label)
+
+
+def _levels(axes: Axes, plot: Plot, run: Run, drawn: _Drawn) -> None:
+    """Lines across; those of one label stand in the legend once."""
+    said = set()
+    for level in plot.levels:
+        value = run.values.get(level.value)
+        if value is None:
+            continue
+        line = axes.axhline(value, color=level.colour, linestyle=LINES[Style.DOTTED], linewidth=WIDTH)
+        drawn.y.append(np.array([value]))
+        if level.label not in said:
+            said.add(level.label)
+            line.set_label(level.label)
+            drawn.legend.append(line)
+
+
+# --- several ---------------------------------------------------------------------------------------------------------
+
+
+def _of_several(axes: Axes, plot: Plot, runs: Sequence[Run]) -> _Drawn:
+    drawn = _Drawn()
+    compared = [series for series in plot.series if series.compared]
+    for run, colour in zip(runs, cycle(palette.RUNS), strict=False):
+        for series, style in zip(compared, cycle(COMPARED), strict=False):
+            x, y = _column(run, series.table, series.x), _column(run, series.table, series.y)
+            if not _known(x, y).any():
+                continue
+            if plot.equal:  # runs that began elsewhere can be compared once each begins at zero
+                x, y = _from_its_start(x), _from_its_start(y)
+            drawn.add(x, y)
+            axes.plot(x, y, color=colour, linestyle=style, linewidth=WIDTH)
+        drawn.legend.append(Line2D([], [], color=colour, linewidth=WIDTH, label=run.name))
+    if plot.equal and drawn.x:
+        drawn.legend += axes.plot(0.0, 0.0, "+", color=palette.TRUTH, markersize=7, zorder=3, label="start")
+    if len(compared) > 1:
+        drawn.legend += [
+            Line2D([], [], color=palette.TRUTH, linestyle=style, linewidth=WIDTH, label=series.label)
+            for series, style in zip(compared, cycle(COMPARED), strict=False)
+        ]
+    return drawn
+
+
+def _from_its_start(x: Array) -> Array:
+    known = x[np.isfinite(x)]
+    return x - known[0] if len(known) else x
+
+
+# --- numbers and limits ----------------------------------------------------------------------------------------------
+
+
+def _column(run: Run, table: str, name: str) -> Array:
+    """(K,); NaN where there is a gap; empty where the run does not have it."""
+    cells: Iterable[float | None] = run.tables.get(table, {}).get(name, ())
+    return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
+
+
+def _known(*columns: Array) -> Array:
+    """In which rows all columns have a number."""
+    if len({len(column) for column in columns}) != 1:
+        return np.zeros(0, dtype=bool)
+    known: Array = np.all([np.isfinite(column) for column in columns], axis=0)
+    return known
+
+
+def _limit(axes: Axes, name: str, axis: Axis, shown: Array, margin: float) -> None:
+    """With a margin, and at least as long as the axis asks for."""
+    known = shown[np.isfinite(shown) & (shown > 0.0)] if axis.log else shown[np.isfinite(shown)]
+    set_limits = axes.set_xlim if name == "x" else axes.set_ylim
+    ticks = axes.xaxis if name == "x" else axes.yaxis
+    if axis.log:
+        (axes.set_xscale if name == "x" else axes.set_yscale)("log")
+        ticks.set_major_locator(LogLocator(numticks=6))
+        ticks.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ticks.set_minor_formatter(NullFormatter())
+        if len(known):
+            set_limits(float(known.min()) * 10**-LOG_MARGIN, float(known.max()) * 10**LOG_MARGIN)
+        return
+    ticks.set_major_locator(MaxNLocator(6))
+    least, most = float(known.min()), float(known.max())
+    missing = max(0.0, (axis.least_span or 1e-6) - (most - least)) / 2
+    extra = missing + margin * (most - least + 2 * missing)
+    ends = least - extra, most + extra
+    # auto: where a metre is to be as long on both axes, the one with room to spare may show more
+    set_limits(*(ends[::-1] if axis.downwards else ends), auto=True)

@@ -1,0 +1,165 @@
+"""Every plot of a run. Page, report and figures show these and no others."""
+
+from __future__ import annotations
+
+from services.reporting.plots import palette
+from services.reporting.plots.description import Axis, Level, Plot, Series, Style
+
+TIME = Axis(label="time (s)")
+
+TRACK = Plot(
+    name="track",
+    title="From above",
+    x=Axis(label="east (m)", least_span=1.0),
+    y=Axis(label="north (m)", least_span=1.0),
+    over_time=False,
+    equal=True,
+    from_start=True,
+    note="The true track begins where the vehicle believed to be at t = 0: the error of the fix is taken off.",
+    series=(
+        Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
+        Series(label="2 sigma", table="ellipse", x="east_m", y="north_m", colour=palette.ESTIMATE, style=Style.DOTTED),
+        Series(label="true", table="truth", x="east_m", y="north_m", colour=palette.TRUTH, compared=True),
+        Series(label="estimate", table="track", x="east_m", y="north_m", colour=palette.ESTIMATE),
+        Series(label="predicted", table="horizon", x="east_m", y="north_m", colour=palette.PLAN, style=Style.DASHED),
+        Series(label="target", table="target", x="east_m", y="north_m", colour=palette.REFERENCE, style=Style.CROSS),
+    ),
+)
+
+DEPTH = Plot(
+    name="depth",
+    title="Depth",
+    x=TIME,
+    y=Axis(label="depth (m)", downwards=True, least_span=1.0),
+    series=(
+        Series(
+            label="reference", table="reference", x="t_s", y="depth_m", colour=palette.REFERENCE, style=Style.DOTTED
+        ),
+        Series(label="true", table="truth", x="t_s", y="depth_m", colour=palette.TRUTH, compared=True),
+        Series(label="estimate", table="track", x="t_s", y="depth_m", colour=palette.ESTIMATE, style=Style.DASHED),
+    ),
+)
+
+ERRORS = Plot(
+    name="errors",
+    title="Position error of the estimate",
+    x=TIME,
+    y=Axis(label="error (m)", least_span=0.1),
+    note="Since t = 0 where the truth is known; else two standard deviations of the position itself.",
+    series=(
+        Series(
+            label="2 sigma",
+            table="errors",
+            x="t_s",
+            y="minus_2_sigma_m",
+            y_high="plus_2_sigma_m",
+            colour=palette.REFERENCE,
+            style=Style.BAND,
+        ),
+        Series(label="north", table="errors", x="t_s", y="north_m", colour=palette.NORTH, compared=True),
+        Series(label="east", table="errors", x="t_s", y="east_m", colour=palette.EAST, compared=True),
+    ),
+)
+
+TRACKING = Plot(
+    name="tracking",
+    title="Distance from the reference",
+    x=TIME,
+    y=Axis(label="distance (m)", least_span=0.1),
+    series=(
+        Series(label="true", table="true_distance", x="t_s", y="distance_m", colour=palette.TRUTH, compared=True),
+        Series(label="estimate", table="distance", x="t_s", y="distance_m", colour=palette.ESTIMATE, compared=True),
+    ),
+)
+
+THRUST = Plot(
+    name="thrust",
+    title="Port and starboard thrust",
+    x=TIME,
+    y=Axis(label="thrust (N)", least_span=10.0),
+    series=(
+        Series(label="port", table="thrust", x="t_s", y="port_N", colour=palette.PORT, compared=True),
+        Series(label="starboard", table="thrust", x="t_s", y="starboard_N", colour=palette.STARBOARD, compared=True),
+        Series(label="port, planned", table="ahead", x="t_s", y="port_N", colour=palette.PORT, style=Style.DASHED),
+        Series(
+            label="starboard, planned",
+            table="ahead",
+            x="t_s",
+            y="starboard_N",
+            colour=palette.STARBOARD,
+            style=Style.DASHED,
+        ),
+    ),
+    levels=(
+        Level(label="limits", value="port_min_N", colour=palette.LIMIT),
+        Level(label="limits", value="port_max_N", colour=palette.LIMIT),
+        Level(label="limits", value="starboard_min_N", colour=palette.LIMIT),
+        Level(label="limits", value="starboard_max_N", colour=palette.LIMIT),
+    ),
+)
+
+CURRENT = Plot(
+    name="current",
+    title="Water current over depth",
+    x=Axis(label="velocity (m/s)", least_span=0.1),
+    y=Axis(label="depth (m)", downwards=True, least_span=1.0),
+    over_time=False,
+    note="Bands are two standard deviations. The true current is known where the vehicle has been.",
+    series=(
+        Series(
+            label="",
+            table="profile",
+            x="north_low_mps",
+            x_high="north_high_mps",
+            y="depth_m",
+            colour=palette.NORTH,
+            style=Style.BAND,
+        ),
+        Series(
+            label="",
+            table="profile",
+            x="east_low_mps",
+            x_high="east_high_mps",
+            y="depth_m",
+            colour=palette.EAST,
+            style=Style.BAND,
+        ),
+        Series(label="north", table="profile", x="north_mps", y="depth_m", colour=palette.NORTH, compared=True),
+        Series(label="east", table="profile", x="east_mps", y="depth_m", colour=palette.EAST, compared=True),
+        Series(
+            label="true north",
+            table="true_current",
+            x="north_mps",
+            y="depth_m",
+            colour=palette.NORTH,
+            style=Style.DOTTED,
+        ),
+        Series(
+            label="true east", table="true_current", x="east_mps", y="depth_m", colour=palette.EAST, style=Style.DOTTED
+        ),
+    ),
+)
+
+LATENCY = Plot(
+    name="latency",
+    title="Cycle latency by stage",
+    x=TIME,
+    y=Axis(label="wall time (ms)", log=True),
+    empty="not timed in lock step",
+    note="Of many cycles the slowest is kept.",
+    series=(
+        Series(label="deadline", table="latency", x="t_s", y="deadline_ms", colour=palette.LIMIT, style=Style.DOTTED),
+        *(
+            Series(label=label, table="latency", x="t_s", y=column, colour=colour)
+            for label, column, colour in zip(
+                ("predict", "linearise", "build", "solve", "publish"),
+                ("predict_ms", "linearise_ms", "build_ms", "solve_ms", "publish_ms"),
+                palette.STAGES,
+                strict=True,
+            )
+        ),
+        Series(label="cycle", table="latency", x="t_s", y="cycle_ms", colour=palette.TRUTH, compared=True),
+    ),
+)
+
+PLOTS = (TRACK, ERRORS, THRUST, CURRENT, DEPTH, TRACKING, LATENCY)

@@ -1,0 +1,230 @@
+"""From signals to the tables that plots are drawn from: of a recording, or of a bus while a run goes on.
+
+Memory is bounded, however long a run is. Tables of ``HISTORY`` grow; those of ``NOW`` are of the moment: the newest
+plan's horizon, the ellipse, the profile.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ltv_mpc.messages import Applied, Array, Clock, CurrentProfile, CycleTiming, Estimate, Message, Plan, Truth
+from ltv_mpc.vehicle.parameters import Thruster
+from services.reporting.plots.events import Marks
+from services.reporting.plots.table import Columns, Table, short
+from services.reporting.plots.truth import TrueTrack, principal
+
+ROWS = 1_500
+"""Of a table that is full; a screen is about as many pixels wide."""
+
+HISTORY = {
+    "track": ("t_s", "north_m", "east_m", "depth_m"),
+    "truth": ("t_s", "north_m", "east_m", "depth_m"),
+    "reference": ("t_s", "north_m", "east_m", "depth_m"),
+    "errors": ("t_s", "north_m", "east_m", "minus_2_sigma_m", "plus_2_sigma_m"),
+    "distance": ("t_s", "distance_m"),
+    "true_distance": ("t_s", "distance_m"),
+    "thrust": ("t_s", "port_N", "starboard_N"),
+    "true_current": ("depth_m", "north_mps", "east_mps"),
+    "latency": (
+        *("t_s", "cycle_ms", "predict_ms", "linearise_ms", "build_ms", "solve_ms", "publish_ms", "deadline_ms"),
+    ),
+}
+PEAKS = {"latency": "cycle_ms"}
+
+STAGES = (("read", "predict"), ("linearise",), ("build", "update"), ("solve",), ("publish",))
+"""Of a cycle, those that a plot shows as one in one tuple."""
+
+ESTIMATES_NS = 100_000_000
+ELLIPSE = 48  # points
+SIGMAS = 2.0
+
+
+class Collector:
+    """Fed with signals in the order of their publication. ``thrusters``: port and starboard, where they are known."""
+
+    def __init__(self, thrusters: tuple[Thruster, Thruster] | None = None, *, rows: int = ROWS) -> None:
+        self.tables = {name: Table(columns, limit=rows, peak=PEAKS.get(name, "")) for name, columns in HISTORY.items()}
+        self.marks = Marks()
+        self.values: dict[str, float] = {}
+        if thrusters is not None:
+            for side, thruster in zip(("port", "starboard"), thrusters, strict=True):
+                self.values |= {f"{side}_min_N": thruster.min_N, f"{side}_max_N": thruster.max_N}
+        self._true = TrueTrack()
+        self._speed = 1.0
+        self._estimate: Estimate | None = None
+        self._plan: Plan | None = None
+        self.profile: CurrentProfile | None = None
+        """The current as it is believed to be: the newest estimate's that has one."""
+        self._targets: list[tuple[int, float, float]] = []  # t, north, east of the last two plans
+        self._waiting: list[tuple[Table, int, float, float]] = []  # positions that wait for the next target
+        self._hear: dict[type[Message], Callable[[Any], None]] = {
+            Truth: self._hear_truth,
+            Estimate: self._hear_estimate,
+            Plan: self._hear_plan,
+            Applied: self._hear_applied,
+            CycleTiming: self._hear_timing,
+            Clock: self._hear_clock,
+        }
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The newest."""
+        return self._estimate
+
+    @property
+    def plan(self) -> Plan | None:
+        """The newest."""
+        return self._plan
+
+    def hear(self, signal: Message, epoch: int) -> None:
+        """``epoch``: of its source."""
+        hear = self._hear.get(type(signal))
+        if hear is not None:
+            hear(signal)
+        self.marks.hear(signal, epoch)
+
+    def now(self) -> dict[str, Columns]:
+        """The tables of the moment."""
+        return {
+            **_of_plan(self._plan),
+            "ellipse": self._ellipse(),
+            "profile": _profile(self.profile),
+        }
+
+    def picture(self) -> dict[str, Columns]:
+        """Every table, whole."""
+        return {**{name: table.since(0) for name, table in self.tables.items()}, **self.now()}
+
+    # --- one kind each -----------------------------------------------------------------------------------------------
+
+    def _hear_truth(self, truth: Truth) -> None:
+        if self._true.hear(truth):
+            self._show_truth(truth)
+
+    def _show_truth(self, truth: Truth) -> None:
+        position = self._true.position(truth)
+        if position is None:
+            return
+        self.tables["truth"].add(truth.t_ns / 1e9, *position, truth.position_m[2])
+        self.tables["true_current"].add(truth.position_m[2], *truth.current_mps)
+        self._wait_for_target("true_distance", truth.t_ns, *position)
+
+    def _hear_estimate(self, estimate: Estimate) -> None:
+        last = self._estimate
+        if last is not None and 0 <= estimate.t_ns - last.t_ns < ESTIMATES_NS:
+            return
+        self._estimate = estimate
+        self.profile = estimate.current or self.profile
+        for truth in self._true.begin(estimate):
+            self._show_truth(truth)
+        self.tables["track"].add(estimate.t_ns / 1e9, estimate.north_m, estimate.east_m, estimate.depth_m)
+        self._wait_for_target("distance", estimate.t_ns, estimate.north_m, estimate.east_m)
+        error = self._true.error(estimate)
+        if error is None and self._true.known:
+            return
+        covariance = self._true.covariance(estimate)
+        spread = None if covariance is None else SIGMAS * float(principal(covariance)[0][-1])
+        self.tables["errors"].add(
+            estimate.t_ns / 1e9, *(error or (None, None)), None if spread is None else -spread, spread
+        )
+
+    def _hear_plan(self, plan: Plan) -> None:
+        self._plan = plan
+        if plan.reference_m is None:
+            return
+        t_ns = int(plan.t_ns[0])
+        if not self._targets:  # nothing was to be held before
+            self._waiting = [one for one in self._waiting if one[1] >= plan.cycle_t_ns]
+        self.tables["reference"].add(t_ns / 1e9, *plan.reference_m, plan.reference_depth_m)
+        last = self._targets[-1] if self._targets and plan.progress is not None else (t_ns, *plan.reference_m)
+        self._targets = [last, (t_ns, *plan.reference_m)]
+        waiting, self._waiting = self._waiting, []
+        for table, then_ns, north, east in waiting:
+            if then_ns > t_ns and plan.progress is not None:
+                self._waiting.append((table, then_ns, north, east))
+            else:
+                table.add(then_ns / 1e9, math.hypot(*self._from_target(then_ns, north, east)))
+
+    def _hear_applied(self, applied: Applied) -> None:
+        self.tables["thrust"].add(applied.t_ns / 1e9, *applied.thrust_N[:2])
+
+    def _hear_timing(self, timing: CycleTiming) -> None:
+        cycle_ms = (timing.compute_wall_ns or timing.compute_ns) / 1e6
+        if not cycle_ms:  # in lock step nothing takes time
+            return
+        plan = self._plan
+        deadline_ms = None
+        if plan is not None and plan.cycle_t_ns == timing.t_ns:
+            deadline_ms = (int(plan.t_ns[0]) - plan.cycle_t_ns) / 1e6 / self._speed
+        us = [sum(timing.stage_us.get(name, 0.0) for name in names) for names in STAGES]
+        # a logarithmic axis has no place for what took no time
+        self.tables["latency"].add(
+            timing.t_ns / 1e9, cycle_ms, *((one / 1e3) or None for one in us), deadline_ms or None
+        )
+
+    def _hear_clock(self, clock: Clock) -> None:
+        self._speed = clock.speed_num / clock.speed_den
+
+    # --- the reference -----------------------------------------------------------------------------------------------
+
+    def _wait_for_target(self, table: str, t_ns: int, north_m: float, east_m: float) -> None:
+        """Where the reference is at a time is known once a plan aims beyond it."""
+        self._waiting.append((self.tables[table], t_ns, north_m, east_m))
+        del self._waiting[:-1000]  # of a vehicle that nobody plans for
+
+    def _from_target(self, t_ns: int, north_m: float, east_m: float) -> tuple[float, float]:
+        """From the reference, which is linear between two plans' targets."""
+        (t0, north0, east0), (t1, north1, east1) = self._targets
+        s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
+        return north_m - north0 - s * (north1 - north0), east_m - east0 - s * (east1 - east0)
+
+    def _ellipse(self) -> Columns:
+        """Around the estimate, two standard deviations away."""
+        estimate = self._estimate
+        covariance = None if estimate is None else self._true.covariance(estimate)
+        if estimate is None or covariance is None:
+            return {"north_m": [], "east_m": []}
+        sigma, axes = principal(covariance)
+        angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE + 1)
+        outline: Array = SIGMAS * axes @ (sigma[:, None] * np.array([np.cos(angle), np.sin(angle)]))  # (2, ELLIPSE+1)
+        return {
+            "north_m": [short(x + estimate.north_m) for x in outline[0]],
+            "east_m": [short(x + estimate.east_m) for x in outline[1]],
+        }
+
+
+def _of_plan(plan: Plan | None) -> dict[str, Columns]:
+    if plan is None:
+        nothing: Columns = {}
+        return {"horizon": nothing, "ahead": nothing, "target": nothing}
+    horizon: Columns = {
+        "north_m": [short(x) for x in plan.states[:, 0]],
+        "east_m": [short(x) for x in plan.states[:, 1]],
+    }
+    ahead: Columns = {
+        "t_s": [short(t / 1e9) for t in plan.t_ns],
+        "port_N": [short(x) for x in plan.thrust_N[:, 0]],
+        "starboard_N": [short(x) for x in plan.thrust_N[:, 1]],
+    }
+    target: Columns = {}
+    if plan.reference_m is not None:
+        target = {"north_m": [short(plan.reference_m[0])], "east_m": [short(plan.reference_m[1])]}
+    return {"horizon": horizon, "ahead": ahead, "target": target}
+
+
+def _profile(profile: CurrentProfile | None) -> Columns:
+    """With its band; rows by depth."""
+    if profile is None:
+        return {}
+    columns: Columns = {"depth_m": [short(x) for x in profile.depth_m]}
+    for name, velocity in (("north", profile.north_mps), ("east", profile.east_mps)):
+        columns[f"{name}_mps"] = [short(x) for x in velocity]
+        if profile.sd_mps is not None:
+            columns[f"{name}_low_mps"] = [short(x) for x in velocity - SIGMAS * profile.sd_mps]
+            columns[f"{name}_high_mps"] = [short(x) for x in velocity + SIGMAS * profile.sd_mps]
+    return columns

@@ -1,0 +1,141 @@
+"""What plots need of a run, from its recording: complete, or cut off."""
+
+from __future__ import annotations
+
+import contextlib
+import tomllib
+from collections.abc import Mapping
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from mcap.records import Channel, Metadata
+from mcap.records import Message as McapMessage
+
+from ltv_mpc.config import parse
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import (
+    Acknowledged,
+    Applied,
+    Clock,
+    Command,
+    CycleTiming,
+    Estimate,
+    LocalisationReport,
+    Message,
+    NodeStatus,
+    Plan,
+    RunEvent,
+    Truth,
+)
+from ltv_mpc.vehicle.parameters import Thruster, Vehicle
+from services.bus import topics, wire
+from services.recording.records import Records
+from services.recording.recover import segments
+from services.recording.writer import RUN
+from services.reporting.plots.collector import ROWS, Collector
+from services.reporting.plots.events import Mark
+from services.reporting.plots.table import Columns
+
+RARE = frozenset((Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, Command, Acknowledged))
+OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
+"""Of these, so much vehicle time (ns) lies between two that are decoded; of a long run more and more."""
+
+VEHICLE = "config/vehicle.toml"
+
+
+class Picture(msgspec.Struct, frozen=True, kw_only=True):
+    """One run as it is drawn: tables by name and column, the values of its levels, what happened."""
+
+    tables: dict[str, Columns]
+    values: dict[str, float]
+    marks: tuple[Mark, ...]
+    more_marks: int
+    cut: bool  # something of the recording is missing, as a rule its end
+    metadata: dict[str, str]
+
+
+class _When(msgspec.Struct):
+    """As much of a message as is always decoded."""
+
+    t_ns: int
+
+
+class _Sieve:
+    """Lets one message through each ``period_ns`` of its own time, and doubles that whenever twice ``limit`` came."""
+
+    def __init__(self, period_ns: int, limit: int) -> None:
+        self._period_ns = period_ns
+        self._limit = limit
+        self._passed = 0
+        self._next_ns: int | None = None
+
+    def passes(self, t_ns: int) -> bool:
+        if self._next_ns is not None and self._next_ns - self._period_ns <= t_ns < self._next_ns:
+            return False
+        self._next_ns = (t_ns // self._period_ns + 1) * self._period_ns
+        self._passed += 1
+        if self._passed == 2 * self._limit:
+            self._passed, self._period_ns = self._limit, 2 * self._period_ns
+        return True
+
+
+def read(recording: Path, *, rows: int = ROWS) -> Picture:
+    """One pass over the file and what restarted recorders left beside it, decoding what is drawn alone.
+
+    What is no such message is passed over, as its readers did. Raises ``ConfigError`` where it is no recording.
+    """
+    parts = [Records(path) for path in segments(recording)]
+    decode, when = msgspec.json.Decoder(dict[str, Any]).decode, msgspec.json.Decoder(_When).decode
+    kinds: dict[int, type[Message] | None] = {}
+    sieves = {kind: _Sieve(period_ns, rows) for kind, period_ns in OFTEN.items()}
+    metadata: dict[str, str] = {}
+    collector: Collector | None = None
+    newest: dict[str, Any] | None = None
+    for record in chain.from_iterable(parts):
+        if isinstance(record, McapMessage):
+            kind = kinds[record.channel_id]
+            if kind is None:
+                continue
+            try:
+                if kind in sieves and not sieves[kind].passes(when(record.data).t_ns):
+                    continue
+                plain = decode(record.data)
+                if kind is Estimate:  # its profile is most of it, and of all profiles the last alone is drawn
+                    newest, plain = plain, {**plain, "current": None}
+                signal, header = wire.typed(kind, plain)
+            except (wire.WireError, msgspec.DecodeError):
+                continue
+            collector = collector or Collector(thrusters(metadata), rows=rows)
+            collector.hear(signal, header.epoch)
+        elif isinstance(record, Channel):
+            topic = topics.topic_at(record.topic)
+            shown = topic is not None and (topic.signal in RARE or topic.signal in OFTEN)
+            kinds[record.id] = topic.signal if topic is not None and shown else None
+        elif isinstance(record, Metadata) and record.name == RUN:
+            metadata = record.metadata
+    collector = collector or Collector(thrusters(metadata), rows=rows)
+    if newest is not None:
+        with contextlib.suppress(wire.WireError):
+            collector.profile = wire.typed(Estimate, newest)[0].current
+    return Picture(
+        tables=collector.picture(),
+        values=collector.values,
+        marks=tuple(collector.marks.marks),
+        more_marks=collector.marks.more,
+        cut=not all(part.whole for part in parts),
+        metadata=metadata,
+    )
+
+
+def thrusters(metadata: Mapping[str, str]) -> tuple[Thruster, Thruster] | None:
+    """Port and starboard of the vehicle that was recorded; None where the recording does not hold its file."""
+    text = metadata.get(VEHICLE)
+    if text is None:
+        return None
+    try:
+        vehicle = parse(tomllib.loads(text), Vehicle, source=VEHICLE)
+    except (tomllib.TOMLDecodeError, ConfigError):  # of another version: the plots go without limits
+        return None
+    return vehicle.thruster.port, vehicle.thruster.starboard

@@ -1,0 +1,87 @@
+"""A saved QP for people: its size, what is wrong with it, and what a solver makes of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ltv_mpc.control.qp.failed_qp import FailedQp, worst
+from ltv_mpc.control.qp.problem import Solution
+from ltv_mpc.control.qp.residuals import residuals
+
+
+def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]:
+    """Everything as plain values: what ``--json`` prints."""
+    qp, solve = failed.qp, solution.solve
+    finite = bool(np.isfinite(solution.x).all() and np.isfinite(solution.y).all())
+    kkt = residuals(qp, solution.x, solution.y) if finite else None
+    return {
+        "variables": len(qp.q),
+        "rows": len(qp.l),
+        "equalities": int((qp.l == qp.u).sum()),
+        "P": _range(qp.P.data),
+        "A": _range(qp.A.data),
+        "q": _range(qp.q),
+        "failed": {
+            "status": failed.solve.status.value,
+            "iterations": failed.solve.iterations,
+            "primal_residual": failed.solve.primal_residual,
+            "dual_residual": failed.solve.dual_residual,
+            "why": failed.solve.why,
+        },
+        "faults": failed.faults(),
+        "solved_again": {
+            "solver": solver,
+            "status": solve.status.value,
+            "why": solve.why,
+            "objective": float(0.5 * solution.x @ (qp.P @ solution.x) + qp.q @ solution.x) if finite else None,
+            "stationarity": None if kkt is None else kkt.stationarity,
+            "primal": None if kkt is None else kkt.primal,
+            "violated": worst(qp, solution.x, failed.rows) if finite else "",
+            "active": active(failed, solution.x) if finite else [],
+        },
+    }
+
+
+ACTIVE = 1e-6
+"""Distance from a bound, in the QP's own scale, up to which it counts as active."""
+
+
+def active(failed: FailedQp, x: NDArray[np.float64]) -> list[str]:
+    """The inequalities that hold x (n,) back."""
+    qp = failed.qp
+    Ax = qp.A @ x
+    at = (qp.l != qp.u) & (np.minimum(np.abs(Ax - qp.l), np.abs(Ax - qp.u)) <= ACTIVE)
+    return [failed.rows[i].of for i in np.flatnonzero(at)]
+
+
+def text(plain: dict[str, Any]) -> str:
+    """The same for reading."""
+    failed, again = plain["failed"], plain["solved_again"]
+    lines = [
+        f"QP        {plain['variables']} variables, {plain['rows']} rows, {plain['equalities']} of them equalities",
+        *(f"|{name}|{' ' * (9 - len(name) - 1)}{_words(plain[name])}" for name in ("P", "A", "q")),
+        f"failed    {failed['status']} after {failed['iterations']} iterations: {failed['why'] or 'no reason given'}",
+        *(f"wrong     {fault}" for fault in plain["faults"]),
+    ]
+    outcome = f"again     {again['solver']}: {again['status']}"
+    if again["objective"] is not None:
+        outcome += f", objective {again['objective']:.6g}"
+        outcome += f", stationarity {again['stationarity']:.1e}, violation {again['primal']:.1e}"
+    lines.append(f"{outcome}: {again['why']}" if again["why"] else outcome)
+    if again["violated"]:
+        lines.append(f"          {again['violated']}")
+    lines += [f"active    {name}" for name in again["active"]]
+    return "\n".join(lines)
+
+
+def _range(values: NDArray[np.float64]) -> list[float] | None:
+    """Least and largest size of what is finite and not zero."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    return [float(sizes.min()), float(sizes.max())] if sizes.size else None
+
+
+def _words(span: list[float] | None) -> str:
+    return "all zero" if span is None else f"{span[0]:.2g} to {span[1]:.2g}"

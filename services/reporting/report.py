@@ -1,0 +1,146 @@
+"""report.html: a run's plots, figures and events in one file that opens anywhere, without a network.
+
+Several runs lie over each other, with a table of what they came to. The numbers in it are decimated: 8 MB are a limit,
+5 of them plotly's.
+"""
+
+from __future__ import annotations
+
+import html
+import string
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from services.reporting import differences, static_files
+from services.reporting.plots import palette
+from services.reporting.plots.catalogue import PLOTS
+from services.reporting.plots.collector import ROWS
+from services.reporting.plots.recorded import Picture, read
+from services.reporting.run_summary_text import how
+
+NAME = "report.html"
+
+MOST_RUNS = 40
+ROWS_OF_ALL = 4 * ROWS
+"""Of one table over all runs: so that many runs make no larger file than a few."""
+
+SCENARIO = "scenario.toml"
+
+
+class Run(msgspec.Struct, frozen=True, kw_only=True):
+    """A run to be shown: its name, its recording, and what it came to (summary.json; empty where nobody graded it)."""
+
+    name: str
+    recording: Path
+    summary: Mapping[str, Any]
+
+
+def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
+    """Write the file, whole or not at all; the figures that stand in it.
+
+    Raises ``NoPlotly``, ``ConfigError`` where a file is no recording, ``OSError``.
+    """
+    plotly = static_files.plotly()
+    pictures = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
+    figures = differences.rows([run.summary for run in runs])
+    title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
+    text = string.Template(static_files.text("report.html")).substitute(
+        title=html.escape(title),
+        style=static_files.text("style.css") + static_files.text("report.css"),
+        lines="\n".join(f"<p>{line}</p>" for line in _lines(runs, pictures)),
+        tables="\n".join(_tables(runs, pictures, figures)),
+        plotly=plotly,
+        data=_data(runs, pictures),
+        script=static_files.text("plots.js") + static_files.text("report.js"),
+    )
+    draft = out.with_name(out.name + ".part")
+    draft.write_text(text, encoding="utf-8")
+    draft.replace(out)
+    return figures
+
+
+def _data(runs: Sequence[Run], pictures: Sequence[Picture]) -> str:
+    """For report.js; no tag of HTML can begin in it."""
+    several = len(runs) > 1
+    shown = [
+        {
+            "name": run.name,
+            "colour": palette.RUNS[i % len(palette.RUNS)] if several else None,
+            "tables": picture.tables,
+            "values": picture.values,
+            "marks": picture.marks,
+        }
+        for i, (run, picture) in enumerate(zip(runs, pictures, strict=True))
+    ]
+    text = msgspec.json.encode({"plots": PLOTS, "runs": shown}).decode()
+    return text.replace("<", "\\u003c")
+
+
+def _lines(runs: Sequence[Run], pictures: Sequence[Picture]) -> list[str]:
+    """What stands under the title."""
+    lines = []
+    for run, picture in zip(runs, pictures, strict=True):
+        words = [_how(run.summary, picture.metadata)]
+        if picture.cut:
+            words.append('<span class="bad">the recording was cut off: this is what is in it</span>')
+        name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
+        lines.append(name + " · ".join(words))
+    return lines
+
+
+def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
+    """In which way it was run, and its seed."""
+    ran = how({"mode": metadata.get("mode"), **summary})
+    seed = summary.get("seed", metadata.get("seed"))
+    return html.escape(f"{ran}, seed {seed}" if seed is not None else ran)
+
+
+def _tables(runs: Sequence[Run], pictures: Sequence[Picture], figures: Sequence[differences.Row]) -> list[str]:
+    sections = [_figures(runs, figures)] if figures else []
+    sections += [_events(run, picture, several=len(runs) > 1) for run, picture in zip(runs, pictures, strict=True)]
+    if len(runs) == 1 and (scenario := pictures[0].metadata.get(SCENARIO)):
+        text = f"<details><summary>{SCENARIO}: every setting, and what made it</summary>"
+        sections.append(f'<section class="panel wide">{text}<pre>{html.escape(scenario)}</pre></details></section>')
+    return sections
+
+
+def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
+    """A row each; with several runs a column each, then the differences to the first."""
+    head = "".join(f'<th class="number">{html.escape(run.name)}</th>' for run in runs) if len(runs) > 1 else "<th></th>"
+    if len(runs) > 1:
+        head += "".join(f'<th class="number">{html.escape(run.name)} − first</th>' for run in runs[1:])
+    body = "".join(
+        f"<tr><td>{html.escape(row.label)}{f' ({row.unit})' if row.unit else ''}</td>"
+        + "".join(f'<td class="number">{_number(value, row.digits)}</td>' for value in row.values)
+        + "".join(f'<td class="number">{_number(value, row.digits, signed=True)}</td>' for value in row.differences)
+        + "</tr>"
+        for row in figures
+    )
+    wide = " wide" if len(runs) > 1 else ""
+    table = f'<div class="scroll"><table id="figures"><tr><th></th>{head}</tr>{body}</table></div>'
+    return f'<section class="panel{wide}"><h2>What it came to</h2>{table}</section>'
+
+
+def _events(run: Run, picture: Picture, *, several: bool) -> str:
+    body = "".join(
+        f'<tr><td class="number">{mark.t_s:.1f}</td><td>{html.escape(mark.node)}</td>'
+        f"<td>{html.escape(mark.text)}</td></tr>"
+        for mark in picture.marks
+    )
+    if picture.more_marks:
+        body += f'<tr><td></td><td></td><td class="quiet">and {picture.more_marks} more</td></tr>'
+    if not body:
+        body = '<tr><td></td><td></td><td class="quiet">nothing out of the ordinary</td></tr>'
+    title = f"Events of {html.escape(run.name)}" if several else "Events"
+    head = '<tr><th class="number">time (s)</th><th>process</th><th>what happened</th></tr>'
+    table = f'<div class="scroll events"><table>{head}{body}</table></div>'
+    return f'<section class="panel"><h2>{title}</h2>{table}</section>'
+
+
+def _number(value: float | None, digits: int, *, signed: bool = False) -> str:
+    if value is None:
+        return "–"
+    return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"

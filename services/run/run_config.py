@@ -1,0 +1,144 @@
+"""Everything a run is made of, read and checked before a process starts or a folder is made."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from ltv_mpc import config, references
+from ltv_mpc.control import solvers
+from ltv_mpc.control.config import STAGE_NS
+from ltv_mpc.currents import WaterPrior, read_profile
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.references import Reference
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.run.provenance import made_by
+from services.run.water import beside, told
+from sim import water
+from sim.scenario import Scenario, checked, overridden
+
+ORIGIN = "scenario"
+"""The entry of a run's [made_by] that keeps the name of its scenario."""
+
+PRIOR = "water-prior.csv"
+"""The estimator's prior of the water, in a run's config/."""
+
+
+class Override(NamedTuple):
+    """Settings that one option stands for, and what errors call it."""
+
+    source: str
+    assignments: Sequence[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Situation:
+    """Resolved inputs of a run. ``files`` is what its folder holds so that it can be run again: path in it, text."""
+
+    name: str  # of the scenario: "descent"
+    scenario: Scenario
+    vehicle: Vehicle
+    suite: Suite
+    reference: Reference
+    water: water.WaterColumn
+    prior: WaterPrior | None  # of the water, for the estimator; None: it knows nothing but the settings' prior
+    files: Mapping[str, str]
+    notes: tuple[str, ...]  # what a reader of the result should know of the inputs
+
+
+def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
+    """The situation of a scenario (NAME or FILE) and of options on top of it. Raises ``ConfigError``."""
+    scenario = Scenario.load(name)
+    folder = config.find(name, what="scenario", package="sim.scenarios").parent
+    scenario = msgspec.structs.replace(scenario, estimator=beside(folder, scenario.estimator))
+    for override in overrides:
+        scenario = overridden(scenario, override.assignments, source=override.source)
+    scenario = checked(scenario, source=f"scenario {name}")
+    vehicle = Vehicle.load(scenario.vehicle)
+    suite = Suite.load(scenario.sensors)
+    solvers.make(vehicle, scenario.controller)  # refuses one that is not there
+    reference = references.load(scenario.reference)
+    prior = told(scenario.estimator)
+    called = _called(name, scenario)
+    return Situation(
+        name=called,
+        scenario=scenario,
+        vehicle=vehicle,
+        suite=suite,
+        reference=reference,
+        water=water.make(scenario.water, scenario.run.seed),
+        prior=prior,
+        files=_files(scenario, suite, called),
+        notes=(*_notes(scenario, prior), *reference.notes(vehicle)),
+    )
+
+
+def _called(name: str, scenario: Scenario) -> str:
+    """As the file is called, or, of a run's own scenario.toml, as the one was that the run was made of."""
+    origin = (scenario.made_by or {}).get(ORIGIN, "")
+    plain = origin == Path(origin).name and origin.isprintable()  # it becomes part of a folder's name
+    return origin if origin and plain else Path(name).stem
+
+
+def _files(scenario: Scenario, suite: Suite, called: str) -> dict[str, str]:
+    """Settings files as they were read, comments and all; the aboard tables without any word of the truth.
+
+    Sensors upon a shipped base are resolved: the shipped one may be another when the run is run again.
+    """
+    files = {
+        f"config/{what}.toml": config.read_text(config.find(name, what=what, package=package), what=what)
+        for what, name, package in (
+            ("vehicle", scenario.vehicle, "ltv_mpc.vehicle.files"),
+            ("sensors", scenario.sensors, "ltv_mpc.localisation.files"),
+            ("reference", scenario.reference, "ltv_mpc.references.files"),
+        )
+    }
+    reference = references.load(scenario.reference)
+    if isinstance(reference, references.Timed):
+        files["config/reference.toml"] = config.to_toml(reference)  # with the rows of the file that it names
+    if "base" in tomllib.loads(files["config/sensors.toml"]):
+        files["config/sensors.toml"] = config.to_toml(suite)
+    measured, prior = scenario.water.file, scenario.estimator.water_prior
+    if measured:
+        files["config/currents.csv"] = config.read_text(Path(measured), what="currents")
+    if prior:
+        files[f"config/{PRIOR}"] = config.read_text(Path(prior), what="currents")
+    files["config/controller.toml"] = config.to_toml(scenario.controller)
+    # Each names the prior from where it stands itself.
+    aboard = msgspec.structs.replace(scenario.estimator, water_prior=PRIOR if prior else "")
+    files["config/estimator.toml"] = config.to_toml(aboard)
+    again = msgspec.structs.replace(
+        scenario,
+        vehicle="config/vehicle.toml",
+        sensors="config/sensors.toml",
+        reference="config/reference.toml",
+        water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if measured else ""),
+        estimator=msgspec.structs.replace(scenario.estimator, water_prior=f"config/{PRIOR}" if prior else ""),
+        made_by={ORIGIN: called, **made_by()},
+    )
+    files["scenario.toml"] = config.to_toml(again)
+    return files
+
+
+def _notes(scenario: Scenario, prior: WaterPrior | None) -> tuple[str, ...]:
+    settings = scenario.controller
+    before, end = settings.knots[-2:]
+    growing = f", the last of {(end - before) * STAGE_NS / 1e9:.1f} s" if end - before > 1.0 else ""
+    notes = [f"horizon {settings.horizon_s:g} s: {settings.stages} stages, {settings.reach_s:.1f} s{growing}"]
+    if scenario.water.file:
+        profile = read_profile(scenario.water.file)
+        first, last = float(profile.depth_m[0]), float(profile.depth_m[-1])
+        name = Path(scenario.water.file).name
+        notes.append(f"currents {name}: {first:g} to {last:g} m, held constant above and below")
+    if prior is not None:
+        first, last = float(prior.depth_m[0]), float(prior.depth_m[-1])
+        name = Path(scenario.estimator.water_prior).name
+        known = f"sd {1e3 * prior.sd_mps.min():.1f} to {1e3 * prior.sd_mps.max():.1f} mm/s"
+        use = ", not read: the state is given away" if scenario.run.perfect_state else ""
+        notes.append(f"water prior {name}: {first:g} to {last:g} m, {known}{use}")
+    return tuple(notes)

@@ -1,0 +1,127 @@
+"""The time-keeper's part in a process: repeat the clock ten times a second, start it when all are ready, slow it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from ltv_mpc.messages import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
+from services.runtime.clock import TimeKeeper, VehicleClock, fraction_of
+from services.runtime.clock_rate import Pace
+from services.runtime.node_status import MOST_BEHIND_US
+
+REPEAT_US = 100_000
+TELL_US = 1_000_000
+"""At most so often it is said that the clock was slowed, when that has come to twice as many times as at the last word,
+or the pace to less than half of it; it is counted always."""
+MOST_CATCH_UP_US = 100_000
+"""By how much wall time the grid may be behind; what is beyond that the clock gives up."""
+
+
+class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
+    """What the process that keeps the time has to know."""
+
+    start_ns: int
+    end_ns: int
+    speed: float  # vehicle seconds per second
+    expects: tuple[str, ...]  # nodes that must be ready before the clock starts
+
+
+class TimeKeeping:
+    """Drives a ``TimeKeeper`` from a step loop; ``clock`` is what the process itself reads."""
+
+    def __init__(
+        self,
+        settings: KeepsTime,
+        clock: VehicleClock,
+        *,
+        epoch: int,
+        now_us: int,
+        publish: Callable[[Clock | RunEvent], object],
+    ) -> None:
+        self._keeper = TimeKeeper(epoch=epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=now_us)
+        self._pace = Pace(self._keeper.speed)
+        self._still_until_us = 0  # by then what was given up has passed
+        self._clock = clock
+        self._publish = publish
+        self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
+        self.due_us = 0
+        self._told_us, self._told_times, self._told_speed = -TELL_US, 0, self._keeper.speed
+        self._ended = False
+        clock.hear(self._keeper.pace(now_us, self._pace.speed))
+
+    @property
+    def waiting_for(self) -> str:
+        """The nodes that are not ready."""
+        return ", ".join(self._missing)
+
+    def heard(self, status: NodeStatus, now_us: int, node: str) -> None:
+        """Another process's word. Who cannot keep up is waited for, as this process itself is."""
+        if status.ready and not status.finished:
+            self._missing.pop(status.node, None)
+        if self._keeper.message.state is ClockState.RUNNING:
+            self._give_up(status.behind_us if status.behind_us > MOST_BEHIND_US else 0, now_us, node)
+
+    def asked(self, command: ClockCommand, now_us: int, node: str) -> None:
+        """An operator wants time to go on otherwise; who waits for the start keeps waiting, and an end is an end."""
+        if self._ended:
+            return
+        said = []
+        if fraction_of(command.speed) != self._keeper.speed:
+            self._pace.ask(fraction_of(command.speed))
+            self._change(self._keeper.pace(now_us, self._pace.speed, asked=command.speed), now_us)
+            said.append(f"at {command.speed:g} x real time")
+        if command.paused and self._keeper.message.state is ClockState.RUNNING:
+            self._change(self._keeper.pause(now_us), now_us)
+            said.append("paused")
+        elif not command.paused and self._keeper.message.state is ClockState.PAUSED:
+            self._change(self._keeper.run(now_us), now_us)
+            said.append("goes on")
+        self._pace.begin_anew()
+        if said:
+            text = f"clock {', '.join(said)}, as asked"
+            self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="clock", text=text))
+
+    def tend(self, now_us: int) -> None:
+        """What is due by the wall: the start, the repetition."""
+        if self._keeper.message.state is ClockState.WAITING and not self._missing:
+            self._change(self._keeper.run(now_us), now_us)
+        elif self._keeper.message.state is ClockState.RUNNING and self._pace.window_over(now_us):
+            self._change(self._keeper.pace(now_us, self._pace.speed), now_us)
+        elif now_us >= self.due_us:
+            self._send(now_us)
+
+    def late(self, now_us: int, due_us: int, node: str) -> None:
+        """A step of the grid that was due at ``due_us`` starts only now."""
+        self._give_up(now_us - due_us - MOST_CATCH_UP_US, now_us, node)
+
+    def _give_up(self, us: int, now_us: int, node: str) -> None:
+        """So much of wall time that nobody catches up with."""
+        if us <= 0 or now_us < self._still_until_us:  # it is waited for already
+            return
+        self._change(self._keeper.slow(now_us, us), now_us)
+        self._pace.gave_up(us)
+        self._still_until_us = self._keeper.message.at_monotonic_us + us
+        much_more = self._keeper.slowed >= 2 * self._told_times or 2 * self._pace.speed < self._told_speed
+        if now_us - self._told_us < TELL_US or not much_more:
+            return
+        self._told_us, self._told_times, self._told_speed = now_us, self._keeper.slowed, self._pace.speed
+        text = (
+            f"clock slowed {self._keeper.slowed} times, by {self._keeper.slowed_ns / 1e9:.2f} s of vehicle time in all;"
+            f" now at {float(self._pace.speed):.3g} x real time"
+        )
+        self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="slowed", text=text))
+
+    def stop(self, now_us: int) -> None:
+        """The run is complete: time stands still for whoever is left."""
+        self._ended = True
+        self._change(self._keeper.pause(now_us), now_us)
+
+    def _change(self, message: Clock, now_us: int) -> None:
+        self._clock.hear(message)
+        self._send(now_us)
+
+    def _send(self, now_us: int) -> None:
+        self._publish(self._keeper.message)
+        self.due_us = now_us + REPEAT_US

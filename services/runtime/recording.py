@@ -1,0 +1,165 @@
+"""The recorder's loop: everything on the run's keys into one file, nothing lost in silence.
+
+What is missing is proved twice: gaps in the sequences of each key and source, and, at the end, the count that each
+process gives in its last status of all that it has published.
+"""
+
+from __future__ import annotations
+
+import time
+
+from ltv_mpc.messages import Clock, NodeStatus, Rejected, RunEvent
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import rejection
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, open_session
+from services.bus.wire import WireError, crc, header_of, typed, unpack
+from services.recording.loss_accounting import Losses
+from services.recording.publish_counts import Promises
+from services.recording.segments import SegmentWriter
+from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.runtime.heartbeat import SUPERVISED
+from services.runtime.node_status import StatusReport
+from services.runtime.stopping import Say, StopRequest
+
+NAME = "recorder"
+LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
+SILENCE_US = 200_000  # and no longer than this after the last message
+GATHERING_S = 0.05  # nobody waits for a recorder, and to be woken costs it as much as to write a message
+
+
+class RecordingLoop:
+    """Writes what arrives until ``stop`` is asked for, then what is still on its way.
+
+    A recorder that was started anew counts from its own start; what was lost between shows when segments are joined.
+    """
+
+    def __init__(self, writer: SegmentWriter, *, start_ns: int, stop: StopRequest, say: Say) -> None:
+        self._writer = writer
+        self._start_ns = start_ns
+        self._stop = stop
+        self._say = say
+        self.mailbox = Mailbox()
+        stop.wakes(self.mailbox.wake)
+        self._clock = VehicleClock()
+        self._losses = Losses()
+        self._promises = Promises()
+        self.received = 0
+        self.rejected = 0
+        self._out: Outbox
+        self._status: StatusReport
+
+    @property
+    def dropped(self) -> int:
+        """Messages that were published and are not in the file, as far as is known."""
+        return self._losses.missing
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """By process: what it says it has published, minus what is in the file; only where that is not 0."""
+        return self._promises.missing
+
+    def serve(self, bus: BusOptions) -> None:
+        """Open, subscribe to everything, write, say the last word, close."""
+        with open_session(bus, stop=self._stop, say=self._say) as session:
+            self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, Rejected))
+            self._status = StatusReport(
+                NAME, outbox=self._out, counts=self, mailbox=self.mailbox, clock=self._clock, reads=(), say=self._say
+            )
+            session.subscribe("**", None, self.mailbox)
+            while not self._stop():
+                now_us = monotonic_us()
+                if now_us >= self._status.due_us:
+                    self._status.publish(now_us)
+                SUPERVISED.beat(now_us)
+                wake_us = min(self._status.due_us, SUPERVISED.due_us or self._status.due_us)
+                self._gather((wake_us - now_us) / 1e6)
+                self._writer.flush_if_due()
+                self._settle()
+            SUPERVISED.last_beat()
+            self._finish()
+
+    def _finish(self) -> None:
+        """Until every process has said how much it has published and all of that is here, or nothing more comes."""
+        started_us = heard_us = monotonic_us()
+        while self._take(0.0) or (
+            (self._promises.unfinished(self._out.epoch) or self.missing)
+            and monotonic_us() - heard_us < SILENCE_US
+            and monotonic_us() - started_us < LAST_WORDS_US
+        ):
+            if self._take(0.01):
+                heard_us = monotonic_us()
+        self._writer.flush_if_due(now=True)
+        self._settle()
+        if lost := self._account():
+            self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="loss", text=lost))
+        self._say(f"{self.received} messages recorded, {lost or 'none lost'}")
+        self._status.publish(monotonic_us(), finished=True)
+        while self._take(0.05):
+            pass
+
+    def _settle(self) -> None:
+        """What the disk has refused is counted and said."""
+        for key, epoch in self._writer.refused():
+            self.received -= 1
+            self._losses.lost(key, epoch)
+            self._promises.discount(epoch)
+        for text in self._writer.news():
+            self._say(text)
+            self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
+
+    @property
+    def _now_ns(self) -> int:
+        return self._clock.read(monotonic_us()) or 0
+
+    def _account(self) -> str:
+        """Losses in words; empty where there are none."""
+        gaps = [f"{count} of {node}" for node, count in self.missing.items()]
+        gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
+        return f"lost: {', '.join(gaps)}" if gaps else ""
+
+    def _gather(self, timeout_s: float) -> None:
+        """Wait for a message, then take all that have come when it has waited a little more."""
+        if self._take(timeout_s):
+            time.sleep(GATHERING_S)
+            for _ in range(len(self.mailbox)):
+                self._take(0.0)
+
+    def _take(self, timeout_s: float) -> bool:
+        frame = self.mailbox.take(timeout_s)
+        if frame is None:
+            return False
+        try:
+            self._record(frame)
+        except WireError as error:
+            self.rejected += 1
+            self._out.publish(rejection(frame, str(error), node=NAME, t_ns=self._now_ns))
+        return True
+
+    def _record(self, frame: Frame) -> None:
+        if frame.topic is None:
+            raise WireError("unknown key")
+        kind = frame.topic.signal
+        message = unpack(frame.payload)
+        header = header_of(message)
+        signal = typed(kind, message)[0] if kind in (Clock, NodeStatus) else None
+        if isinstance(signal, Clock):
+            self._follow(signal)
+        # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.
+        t_ns = self._clock.at(min(header.sent_monotonic_us or frame.received_monotonic_us, frame.received_monotonic_us))
+        self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns, crc(frame.payload))
+        self.received += 1
+        # Who had spoken before this recorder, who was started anew, is counted from its next message on.
+        if not self._promises.saw(header.epoch, late=self._writer.resumes and header.sequence > 0):
+            self._losses.begins(frame.key, header.epoch, header.sequence)
+        if not self._losses.saw(frame.key, header.epoch, header.sequence):
+            self._promises.discount(header.epoch)
+        self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
+        if isinstance(signal, NodeStatus) and signal.finished:
+            self._promises.promise(header.epoch, signal.node, signal.published)
+
+    def _follow(self, clock: Clock) -> None:
+        try:
+            self._clock.hear(clock)
+        except ClockError as error:  # it records what is said, by whomever
+            self._say(str(error))

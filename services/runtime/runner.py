@@ -1,0 +1,416 @@
+"""The second caller of nodes: one pure node on a Zenoh session, by the vehicle clock.
+
+All that a step sees comes through its inbox, one ordered list, past the node's door; the step's record goes out before
+the step's outputs. Records of steps without outputs wait for the next step that has some, at most half a second.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+from ltv_mpc.messages import (
+    Clock,
+    ClockCommand,
+    Command,
+    CycleTiming,
+    Message,
+    NodeStatus,
+    Plan,
+    Rejected,
+    StepRecord,
+)
+from ltv_mpc.node import Node, OnMessage
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import Door, rejection
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import OPERATOR, STATES
+from services.bus.wire import WireError, crc, decode
+from services.runtime import ports
+from services.runtime.clock import VehicleClock, monotonic_us
+from services.runtime.clock_master import KeepsTime, TimeKeeping
+from services.runtime.foreign_clock import Reading
+from services.runtime.foreign_time import OF_ALL, STAMPED, ForeignTime
+from services.runtime.heartbeat import SUPERVISED
+from services.runtime.inbox import PendingInbox
+from services.runtime.node_status import StatusReport
+from services.runtime.schedule import Timetable
+from services.runtime.stopping import Say, StopRequest
+from services.runtime.stopwatch import StageTimer
+
+INPUTS_ARRIVE_US = 6_000
+"""What is measured at an instant arrives so much later: a cycle that started at that instant would miss it by a hair,
+and plan on an estimate that is a whole period old."""
+
+LONGEST_TAKING_US = 20_000
+"""So long a step that is due waits, at most, for what has arrived to be taken: a flood must not keep it from acting."""
+
+LAST_FRAMES_US, LAST_SILENCE_US = 300_000, 20_000
+"""A process that is told to stop takes what is on its way until nothing has come for so long, and at most so long."""
+
+
+@runtime_checkable
+class Waiting(Protocol):
+    """A node that knows what it cannot begin without, in words; empty once it has begun."""
+
+    @property
+    def waiting_for(self) -> str: ...
+
+
+class Report(Protocol):
+    """What a process says of itself at its own times; ``due_us`` is the next one."""
+
+    due_us: int
+
+    @property
+    def writes(self) -> tuple[type[Message], ...]: ...
+    def heard(self, signal: Message) -> None:
+        """An input was let in."""
+        ...
+
+    def stepped(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
+        """A step is done and published."""
+        ...
+
+    def status(self, now_us: int, t_ns: int, door: Door, clock: Reading) -> Message:
+        """What is due."""
+        ...
+
+
+class Runner:
+    """Runs ``node`` until ``stop`` is asked for, or until the last step of a grid that ends.
+
+    ``keeps_time`` makes it the time-keeper; ``foreign`` lets it go by the other side's stamps where nobody keeps the
+    time for all, ``input_delay_ns`` being the smallest delay of what comes from there; ``speed`` is what it was told to
+    expect of the time-keeper. ``stages`` is the stopwatch that the node was given; ``compute_delay_ns`` is added
+    between a plan and its publication. ``report`` is what it says of itself besides its status.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        stop: StopRequest,
+        say: Say,
+        keeps_time: KeepsTime | None = None,
+        foreign: bool = False,
+        input_delay_ns: int = 0,
+        speed: float | None = None,
+        compute_delay_ns: int = 0,
+        stages: StageTimer | None = None,
+        report: Report | None = None,
+    ) -> None:
+        self._node = node
+        self.stop = stop
+        self._say = say
+        self._keeps_time = keeps_time
+        self._follows = keeps_time is None
+        self._compute_delay_ns = compute_delay_ns
+        self._stages = stages or StageTimer()
+        self._report = report
+        self._causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
+        self._timetable = Timetable(node.schedule, end_ns=keeps_time.end_ns if keeps_time else None)
+        self._times_cycles = ports.times_cycles(node)
+        self.mailbox = Mailbox()
+        stop.wakes(self.mailbox.wake)
+        self.epoch = new_epoch()
+        self._door = Door()
+        self._clock = VehicleClock(speed=speed)
+        self.foreign = ForeignTime(self._clock, epoch=self.epoch, input_delay_ns=input_delay_ns) if foreign else None
+        self._inbox = PendingInbox()
+        self._asked = ""  # the key of a command that the next cycle must not wait for
+        self._records: list[StepRecord] = []
+        self._timekeeping: TimeKeeping | None = None
+        self._out: Outbox
+        self._status: StatusReport
+
+    @property
+    def finished(self) -> bool:
+        """Whether every step that was asked for is done."""
+        return self._timetable.finished
+
+    def serve(self, bus: BusOptions, state: bytes = b"") -> None:
+        """Open, say "ready", run, say the last word, close.
+
+        ``state``, a message as it travels, is what the node's first step is given first: the newest state that a node
+        of this name has published. It is published once more, as the first state of this process.
+
+        Raises ``BusError``, ``ClockError``, ``Stopped`` (told to before it was connected), or what the node raised.
+        """
+        gc.collect()
+        gc.freeze()  # what lives until the end is not looked at again by any collection
+        with open_session(bus, stop=self.stop, say=self._say) as session:
+            self._connect(session)
+            if state:
+                self._restore(state)
+            try:
+                self._run()
+            finally:
+                self._flush()
+                self._status.publish(monotonic_us(), finished=True)
+
+    # --- the loop ----------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self.finished and self._wait(self._due_us):
+            self._step_by_time()
+        SUPERVISED.last_beat()
+        if self._timekeeping is not None:
+            self._timekeeping.stop(monotonic_us())
+        self._take_last()
+
+    def _wait(self, due_us: Callable[[], int | None]) -> bool:
+        """Take what arrives until ``due_us`` has passed and nothing more is there; False when told to stop."""
+        entered_us = monotonic_us()
+        while not self.stop():
+            now_us = monotonic_us()
+            SUPERVISED.beat(now_us)
+            self._tend(now_us)
+            due = due_us()
+            wake_us = self._status.due_us if due is None else min(due, self._status.due_us)
+            if SUPERVISED.due_us is not None:
+                wake_us = min(wake_us, SUPERVISED.due_us)
+            if self._report is not None:
+                wake_us = min(wake_us, self._report.due_us)
+            if self._timekeeping is not None:
+                wake_us = min(wake_us, self._timekeeping.due_us)
+            frame = self.mailbox.take((wake_us - now_us) / 1e6)
+            if frame is not None:
+                self._take(frame)
+            if due is None:
+                continue
+            if monotonic_us() >= (due if frame is None else max(due, entered_us) + LONGEST_TAKING_US):
+                return True
+        return False
+
+    def _due_us(self) -> int | None:
+        if self._asked:
+            return monotonic_us()
+        return None if self._timetable.next_ns is None else self._clock.due_us(self._timetable.next_ns)
+
+    def _step_by_time(self) -> None:
+        now_us = monotonic_us()
+        self._stages.start()
+        if self._asked:  # a cycle between the others, whose times stay
+            cause, self._asked = self._asked, ""
+            self._step(self._now_ns(now_us), cause, now_us)
+            return
+        t_ns = self._timetable.next_ns
+        assert t_ns is not None
+        if self._timetable.on_grid:
+            if self._timekeeping is not None:
+                self._timekeeping.late(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
+            self._step(t_ns, "grid", now_us)
+        else:
+            self._step(max(t_ns, self._now_ns(now_us)), "cycle", now_us)
+        self._timetable.stepped(self._now_ns(monotonic_us()))
+
+    def _tend(self, now_us: int) -> None:
+        """What is due by the wall: the clock, the status, and the records that wait."""
+        if self._timekeeping is not None:
+            self._timekeeping.tend(now_us)
+        if now_us >= self._status.due_us:
+            self._flush()
+            self._status.publish(now_us, others=self._timekeeping.waiting_for if self._timekeeping else "")
+        if self._report is not None and now_us >= self._report.due_us:
+            self._out.publish(
+                self._report.status(now_us, self._now_ns(now_us), self._door, self._clock_reading(now_us))
+            )
+
+    def _take_last(self) -> None:
+        """What was said before this process was told to stop may still be on its way."""
+        now_us = monotonic_us()
+        end_us, silent_us = now_us + LAST_FRAMES_US, now_us + LAST_SILENCE_US
+        while now_us < min(end_us, silent_us):
+            frame = self.mailbox.take((silent_us - now_us) / 1e6)
+            if frame is not None:  # None also where the request itself woke
+                self._take(frame)
+                silent_us = monotonic_us() + LAST_SILENCE_US
+            now_us = monotonic_us()
+
+    # --- one step ----------------------------------------------------------------------------------------------------
+
+    def _step(self, t_ns: int, cause: str, started_us: int) -> None:
+        arrivals, entries = self._inbox.take()
+        self._records.append(
+            StepRecord(
+                node=self._node.name, epoch=self.epoch, step=self._status.steps, t_ns=t_ns, cause=cause, inbox=entries
+            )
+        )
+        self._stages("read")
+        (outputs,) = self._node.steps([(t_ns, arrivals)])
+        self._status.stepped(monotonic_us() - started_us)
+        if not outputs:
+            return
+        self._flush()
+        plan = next((signal for signal in outputs if isinstance(signal, Plan)), None) if self._times_cycles else None
+        if plan is not None and self._compute_delay_ns:
+            self._hold(self._compute_delay_ns)
+        for signal in outputs:
+            now_us = monotonic_us()
+            sent = self._out.publish(signal)
+            if self.foreign is not None and isinstance(signal, Plan):
+                self.foreign.sent(sent.sequence, now_us)
+        if plan is not None:
+            self._time_cycle(plan, t_ns, started_us)
+        if self._report is not None:
+            now_us = monotonic_us()
+            self._report.stepped(outputs, now_us - started_us, now_us)
+
+    def _flush(self) -> None:
+        for record in self._records:
+            self._out.publish(record)
+        self._records.clear()
+
+    def _hold(self, delay_ns: int) -> None:
+        """Be slow on purpose: a slower machine's computation, on the vehicle's clock."""
+        until_ns = self._now_ns(monotonic_us()) + delay_ns
+        self._wait(lambda: self._clock.due_us(until_ns))
+        self._stages.resume()
+
+    def _time_cycle(self, plan: Plan, t_ns: int, started_us: int) -> None:
+        """Publish what the cycle cost, and hand it to the next one as any other message."""
+        self._stages("publish")
+        now_us = monotonic_us()
+        now_ns = self._now_ns(now_us)
+        timing = CycleTiming(
+            t_ns=t_ns,
+            compute_ns=max(0, now_ns - t_ns),
+            compute_wall_ns=(now_us - started_us) * 1000,
+            estimate_age_ns=t_ns - plan.estimate_t_ns,
+            stage_us=self._stages.stage_us,
+        )
+        self._hand_own(timing, now_ns)
+
+    # --- what arrives ------------------------------------------------------------------------------------------------
+
+    def _take(self, frame: Frame) -> None:
+        now_ns = self._now_ns(frame.received_monotonic_us)
+        try:
+            signal, header = self._door.admit(frame)
+        except WireError as error:
+            self._refuse(frame, str(error), now_ns)
+            return
+        kind = type(signal)
+        if frame.topic is not None and frame.topic.written_by == OPERATOR and self._clock.newest is None:
+            reason = "no time yet: what is asked for now must not be done later"
+        else:
+            reason = self._of_another_time(signal, frame.received_monotonic_us)
+        if reason:
+            self._door.turn_back(reason)
+            self._refuse(frame, reason, now_ns)
+            return
+        self._status.heard(kind)
+        self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
+        if self._report is not None:
+            self._report.heard(signal)
+        if isinstance(signal, Clock):
+            self._hear_clock(signal)
+        elif isinstance(signal, NodeStatus) and self._timekeeping is not None:
+            self._timekeeping.heard(signal, monotonic_us(), self._node.name)
+        elif isinstance(signal, ClockCommand) and self._timekeeping is not None:
+            self._timekeeping.asked(signal, monotonic_us(), self._node.name)
+        if kind not in self._node.reads:
+            return
+        self._inbox.add(
+            signal,
+            key=frame.key,
+            epoch=header.epoch,
+            sequence=header.sequence,
+            crc=crc(frame.payload),
+            received_t_ns=self._received_ns(signal, frame.received_monotonic_us),
+        )
+        if kind is Command and self._timetable.next_ns is not None:
+            self._asked = frame.key
+        if kind in self._causes:
+            validity: Any = signal  # a type that causes steps has its validity time
+            self._step(validity.t_ns, frame.key, monotonic_us())
+
+    def _of_another_time(self, signal: Message, received_us: int) -> str:
+        """Why a signal does not fit the time that the process goes by; empty where it does."""
+        foreign = self.foreign
+        if foreign is None:
+            return ""
+        if isinstance(signal, Clock):
+            return "a clock, and the time is taken from the estimates since before it" if foreign.in_force else ""
+        times_set, begun = foreign.times_set, foreign.in_force
+        reason = foreign.heard(signal, received_us)
+        if foreign.times_set > times_set:
+            self._timetable.forget()
+            self._say("the other side has set its clock")
+        if foreign.in_force and (not begun or foreign.times_set > times_set):
+            self._begin()
+        return reason
+
+    def _refuse(self, frame: Frame, reason: str, now_ns: int) -> None:
+        rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
+        if Rejected in self._node.reads:
+            self._hand_own(rejected, now_ns)
+        else:
+            self._out.publish(rejected)
+
+    def _restore(self, state: bytes) -> None:
+        kind = STATES[self._node.name]
+        restored = decode(kind, state)[0]
+        self._hand_own(restored, restored.t_ns)
+
+    def _hand_own(self, signal: Message, now_ns: int) -> None:
+        sent = self._out.publish(signal)
+        self._inbox.add(
+            signal, key=sent.key, epoch=self.epoch, sequence=sent.sequence, crc=sent.crc, received_t_ns=now_ns
+        )
+
+    def _hear_clock(self, message: Clock) -> None:
+        self._status.heard_clock(monotonic_us())
+        if self._clock.hear(message):
+            self._begin()
+
+    # --- before the first step ---------------------------------------------------------------------------------------
+
+    def _connect(self, session: Session) -> None:
+        node, keeps_time = self._node, self._keeps_time
+        kinds = ports.outputs(node, keeps_time=keeps_time is not None)
+        kinds += self._report.writes if self._report is not None else ()
+        self._out = Outbox(session, node=node.name, epoch=self.epoch, kinds=kinds)
+        self._status = StatusReport(
+            node.name,
+            outbox=self._out,
+            counts=self._door,
+            mailbox=self.mailbox,
+            clock=self._clock,
+            reads=ports.inputs(node),
+            say=self._say,
+            foreign=self.foreign is not None,
+            missing=(lambda: node.waiting_for) if isinstance(node, Waiting) else None,
+        )
+        of_all: list[type[Message]] = [] if keeps_time is None else [NodeStatus, ClockCommand]
+        for_itself = [Clock] if self._follows else of_all
+        ports.subscribe(session, [*ports.inputs(node), *for_itself], self.mailbox)
+        if keeps_time is not None:
+            self._timekeeping = TimeKeeping(
+                keeps_time, self._clock, epoch=self.epoch, now_us=monotonic_us(), publish=self._out.publish
+            )
+        self._begin()
+
+    def _begin(self) -> None:
+        """The clock is known: the first step has its time."""
+        newest = self._clock.newest
+        if newest is not None:
+            reading = self._clock.read(monotonic_us())
+            phase_ns = INPUTS_ARRIVE_US * 1000 * newest.num // newest.den
+            self._timetable.begin(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
+
+    def _clock_reading(self, now_us: int) -> Reading:
+        return OF_ALL if self.foreign is None else self.foreign.reading(now_us)
+
+    def _received_ns(self, signal: Message, received_us: int) -> int:
+        """When it came; before there is a time, the one that it says itself."""
+        if isinstance(signal, STAMPED) and self._clock.read(received_us) is None:
+            return signal.t_ns
+        return self._now_ns(received_us)
+
+    def _now_ns(self, now_us: int) -> int:
+        reading = self._clock.read(now_us)
+        return 0 if reading is None else reading

@@ -1,0 +1,46 @@
+"""One node as one process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from services.bus.session import BusError, BusOptions, Stopped
+from services.runtime.clock import ClockError
+from services.runtime.heartbeat import SUPERVISED
+from services.runtime.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+
+if TYPE_CHECKING:
+    from services.runtime.runner import Runner
+
+
+def until_stopped(
+    name: str,
+    work: Callable[[StopRequest, Say], None],
+    *,
+    failures: tuple[type[Exception], ...] = (BusError, ClockError),
+) -> int:
+    """Do ``work`` until it is done or a signal stops it. The exit code: 0 done, 1 failed, 130 Ctrl-C.
+
+    An exception of ``failures`` becomes one line on stderr and exit code 1.
+    """
+    say = sayer(name)
+    with stop_on_signals() as request:
+        try:
+            work(request, say)
+        except Stopped:
+            pass
+        except failures as error:
+            say(str(error))
+            return FAILED
+        return request.exit_code
+
+
+def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
+    """Run a node until told to stop or done; the exit code is that of ``until_stopped``."""
+
+    def work(request: StopRequest, say: Say) -> None:
+        state = SUPERVISED.state()
+        make(request, say).serve(bus, state)
+
+    return until_stopped(name, work)

@@ -1,0 +1,69 @@
+"""Entry point of every process of a run: ``python -P -m services.supervisor.entry_point PARENT MODULE CONFIG [PULSE]``.
+
+MODULE has a struct ``Config`` and a function ``main(config) -> exit code``. CONFIG is a file that holds the config as
+JSON; the process is named after it. The process ends with its PARENT (a pid). PULSE is a descriptor, given by a
+supervisor: the pipe for the pulse. The supervisor also writes the state to go on from to the standard input.
+A process that is forked instead calls ``run`` with the same arguments.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from services.supervisor.parent_death import die_with_parent, stop_at_end_of_input
+
+PR_SET_NAME = 15
+RECORDER = "recorder"
+BAD_INPUT = 2
+
+
+def write_config(path: Path, config: msgspec.Struct) -> None:
+    """Write the file that ``run`` reads."""
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(config, enc_hook=os.fspath)))
+
+
+def read_config(path: Path, kind: type[Any]) -> Any:
+    """Read the config of a process. Raises ``OSError``, ``msgspec.DecodeError``."""
+    return msgspec.json.decode(path.read_bytes(), type=kind, dec_hook=lambda wanted, text: wanted(text))
+
+
+def run(parent: str, module: str, config: str, pulse: str = "") -> int:
+    """Become the process and return its exit code: that of ``main``, or 2 where a setting is refused.
+
+    The recorder does not die with its parent: it finishes its file.
+    """
+    name = Path(config).stem
+    if name != RECORDER:
+        die_with_parent(int(parent))
+    name_process(f"ltv-{name}")
+
+    from ltv_mpc.errors import ConfigError
+    from services.runtime.heartbeat import SUPERVISED
+
+    if pulse:
+        SUPERVISED.by(int(pulse), restored=stop_at_end_of_input if name == RECORDER else None)
+    node = importlib.import_module(module)
+    try:
+        code: int = node.main(read_config(Path(config), node.Config))
+    except (ConfigError, msgspec.ValidationError) as error:
+        sys.stderr.write(f"ltv-mpc: {error}\n")
+        return BAD_INPUT
+    return code
+
+
+def name_process(name: str) -> None:
+    """Set the name that ``ps`` and ``top`` show; at most 15 characters."""
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "prctl"):
+        libc.prctl(PR_SET_NAME, name.encode())
+
+
+if __name__ == "__main__":
+    sys.exit(run(*sys.argv[1:]))

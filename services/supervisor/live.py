@@ -1,0 +1,42 @@
+"""What the screen shows of a run at one moment, from what the launcher hears."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from ltv_mpc.messages import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
+from services.reporting.live import LiveView
+from services.run.run_config import Situation
+from services.supervisor.bus_monitor import Watch
+
+
+def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_s: float) -> LiveView:
+    """The newest of everything. ``states`` are the processes' own."""
+    scenario = situation.scenario
+    clock = watch.newest(Clock)
+    t_ns = watch.t_ns()
+    status = {name: word for name in states if (word := watch.newest(NodeStatus, name)) is not None}
+    return LiveView(
+        t_ns=scenario.start_ns if t_ns is None else min(t_ns, scenario.end_ns),
+        start_ns=scenario.start_ns,
+        end_ns=scenario.end_ns,
+        speed=scenario.run.speed if clock is None else clock.speed_num / clock.speed_den,
+        asked_speed=scenario.run.speed if clock is None else clock.asked_speed,
+        wall_s=wall_s,
+        phase=_phase(clock, t_ns, scenario.end_ns),
+        truth=watch.newest(Truth),
+        estimate=watch.newest(Estimate),
+        plan=watch.newest(Plan),
+        applied=watch.newest(Applied),
+        timing=watch.newest(CycleTiming),
+        status=status,
+        state=states,
+    )
+
+
+def _phase(clock: Clock | None, t_ns: int | None, end_ns: int) -> str:
+    if clock is None or t_ns is None or clock.state is ClockState.WAITING:
+        return "starting"
+    if clock.state is ClockState.PAUSED:
+        return "stopping" if t_ns >= end_ns else "paused"
+    return "afloat" if t_ns < 0 else "diving"

@@ -1,0 +1,1 @@
+"""Offline tools: studies, checks and benchmarks that never run beside a vehicle."""

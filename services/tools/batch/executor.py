@@ -1,0 +1,223 @@
+"""Executor of a batch: jobs on this machine's cores, in threads, or on the workers of a Dask cluster.
+
+A job that is lost with its worker is done again, alone, so that it is known which job ends its worker. The third time
+that happens to one job it is given up. Nothing else is repeated.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from typing import Protocol, TypeVar
+
+from ltv_mpc.errors import ConfigError, one_line
+from services.supervisor.parent_death import die_with_parent
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+MAX_LOSSES = 3
+"""A job is given up when it has lost its worker so often while it ran alone."""
+
+LOOK_S = 0.2
+"""Interval at which a stop request is noticed."""
+
+AHEAD = 3
+"""Jobs submitted for each worker: the next one is there when one ends."""
+
+CLUSTER_PATIENCE_S = 30.0
+"""For a scheduler's answer, and for its first worker."""
+
+
+class WorkerLost(RuntimeError):
+    """A job has ended its worker each time."""
+
+
+def core_count() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def each(
+    work: Callable[[T], R],
+    jobs: Sequence[T],
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    threads: bool = False,
+    stop: Callable[[], bool] = lambda: False,
+    lost: Callable[[T], R] | None = None,
+) -> Iterator[tuple[int, R]]:
+    """Do all jobs; give each one's index and result as it ends.
+
+    Raises what a job raises, and ends all others then, as it does when the reader closes it or ``stop`` returns True.
+
+    Parameters
+    ----------
+    work, jobs
+        Pickled, unless they run in threads: ``work`` is a function of a module.
+    workers
+        Processes or threads; None: one a core. One process is this one, unless ``lost`` is given.
+    cluster
+        Address of a Dask scheduler, whose workers do the jobs. Raises ``ConfigError`` where it cannot be reached.
+    threads
+        For jobs that only wait for processes that they start. A job that has begun is waited for.
+    lost
+        Result of a job that is given up; without it ``WorkerLost`` is raised.
+    """
+    count = min(len(jobs), workers or core_count())
+    if not jobs:
+        return
+    if cluster is None and count == 1 and lost is None:
+        for place, job in enumerate(jobs):
+            if stop():
+                return
+            yield place, work(job)
+        return
+    pool: _Pool = _Cluster(cluster) if cluster is not None else _Threads(count) if threads else _Processes(count)
+    waiting, suspects = deque(range(len(jobs))), deque[int]()
+    losses: Counter[int] = Counter()  # of jobs that were suspected, each alone
+    running: dict[Future[R], int] = {}
+    broken = False
+    try:
+        while (waiting or suspects or running) and not stop():
+            if broken and not running:
+                pool.renew()
+                broken = False
+            alone = bool(suspects) or any(place in losses for place in running.values())
+            queue, at_once = (suspects, 1) if alone else (waiting, AHEAD * pool.workers)
+            while queue and not broken and len(running) < at_once:
+                try:
+                    running[pool.executor.submit(work, jobs[queue[0]])] = queue[0]
+                    queue.popleft()
+                except BrokenExecutor:  # since the last look: the running jobs say so by themselves
+                    broken = True
+            for future in wait(running, timeout=LOOK_S, return_when=FIRST_COMPLETED).done:
+                place, error = running.pop(future), future.exception()
+                if error is None:
+                    yield place, future.result()
+                    continue
+                if not pool.lost(error):
+                    raise error
+                broken = True
+                if losses[place] < MAX_LOSSES:
+                    suspects.append(place)
+                elif lost is None:
+                    raise WorkerLost(f"job {place} of {len(jobs)}: its process was lost {MAX_LOSSES} times")
+                else:
+                    yield place, lost(jobs[place])
+                losses[place] += 1
+    finally:
+        pool.close(early=bool(running))
+
+
+class _Pool(Protocol):
+    """A ``concurrent.futures`` executor that can be replaced after a loss."""
+
+    workers: int
+    executor: Executor
+
+    def lost(self, error: BaseException) -> bool:
+        """Return True if ``error`` of a job means that its worker has ended."""
+        ...
+
+    def renew(self) -> None:
+        """Make ``executor`` work again after a loss; called when no job is running."""
+        ...
+
+    def close(self, *, early: bool) -> None:
+        """Release everything; ``early``: some jobs have not ended."""
+        ...
+
+
+class _Processes:
+    """Processes of this machine, which end with this one however it ends."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self._others = set(multiprocessing.active_children())
+        self.renew()
+
+    def renew(self) -> None:
+        # spawn: a forked child would inherit threads of BLAS and of a bus session
+        context = multiprocessing.get_context("spawn")
+        self.executor: Executor = ProcessPoolExecutor(
+            self.workers, mp_context=context, initializer=_begin, initargs=(os.getpid(),)
+        )
+
+    def lost(self, error: BaseException) -> bool:
+        """With one worker the whole pool is gone."""
+        return isinstance(error, BrokenExecutor)
+
+    def close(self, *, early: bool) -> None:
+        self.executor.shutdown(wait=not early, cancel_futures=True)
+        if early:
+            for process in set(multiprocessing.active_children()) - self._others:
+                process.terminate()
+
+
+def _begin(parent: int) -> None:
+    """Begin a worker: an interrupt from the terminal is handled by its parent alone."""
+    die_with_parent(parent)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+class _Threads:
+    """Threads of this process."""
+
+    def __init__(self, workers: int) -> None:
+        self.workers = workers
+        self.executor: Executor = ThreadPoolExecutor(workers)
+
+    def renew(self) -> None:
+        """Nothing is ever lost."""
+
+    def lost(self, _error: BaseException) -> bool:
+        return False
+
+    def close(self, *, early: bool) -> None:
+        self.executor.shutdown(cancel_futures=early)
+
+
+class _Cluster:
+    """The workers of a Dask scheduler."""
+
+    def __init__(self, address: str) -> None:
+        """Connect, and wait for a first worker. Raises ``ConfigError``."""
+        try:
+            from distributed import Client
+        except ImportError:
+            problem = "needs distributed: install the extra campaign"
+            raise ConfigError("option --cluster", "", problem, value=address) from None
+        try:
+            self._client = Client(address, timeout=f"{CLUSTER_PATIENCE_S:g}s", set_as_default=False)
+            self._client.wait_for_workers(1, timeout=CLUSTER_PATIENCE_S)
+        except (OSError, ValueError) as error:
+            raise ConfigError("option --cluster", "", one_line(str(error)), value=address) from None
+        self.workers = sum(info["nthreads"] for info in self._client.scheduler_info(n_workers=-1)["workers"].values())
+        # Not pure: the same settings are not taken for the same result by the scheduler's memory.
+        self.executor: Executor = self._client.get_executor(pure=False)
+
+    def renew(self) -> None:
+        """The scheduler has workers left, or waits for new ones."""
+
+    def lost(self, error: BaseException) -> bool:
+        """The scheduler has handed it to other workers some times already."""
+        from distributed import CancelledError, KilledWorker
+
+        return isinstance(error, KilledWorker | CancelledError)
+
+    def close(self, *, early: bool) -> None:  # noqa: ARG002  # what has not ended is cancelled with its client
+        self._client.close()

@@ -1,0 +1,24 @@
+"""A lock-step run as a job of a batch: a scenario and settings, which pickle and resolve anywhere."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
+from sim.evaluation.summary import Summary
+
+
+class Job(NamedTuple):
+    """One run: a scenario's NAME or FILE, and settings on top of it, each KEY=VALUE."""
+
+    scenario: str
+    settings: tuple[str, ...]
+
+    def situation(self) -> Situation:
+        """Resolve what the run is made of. Raises ``ConfigError``."""
+        return resolve(self.scenario, [Override("batch", self.settings)])
+
+    def summary(self) -> Summary:
+        """Run it here, in lock step. Raises ``ConfigError``."""
+        return lockstep_run.run(self.situation())

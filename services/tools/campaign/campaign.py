@@ -1,0 +1,138 @@
+"""A campaign from its file to its results: in a folder that it goes on with where it was interrupted.
+
+DIR/
+    results.jsonl      the rows as they came; another campaign or version is refused in its folder
+    campaign.toml      the file, resolved, and what made it
+    base/              the scenario with all its files, before any field is varied
+    results.parquet    all rows, and timing.parquet what was measured (table.py)
+    report.html        tables and pictures, where plotly is installed
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cached_property, partial
+from pathlib import Path
+
+import msgspec
+import tomli_w
+
+from ltv_mpc.errors import ConfigError
+from services.run.provenance import made_by
+from services.run.run_config import resolve
+from services.tools.batch import results_store
+from services.tools.batch.executor import MAX_LOSSES, each
+from services.tools.batch.results_store import ResultsStore
+from services.tools.campaign import trial
+from services.tools.campaign.design import Point, points, value_at
+from services.tools.campaign.file import Campaign, Range
+from services.tools.campaign.keys import Value
+from services.tools.campaign.trial import Base, Row, Trial, row_of, situation, version_of
+
+FILE, BASE = "campaign.toml", "base"
+
+
+class Plan(msgspec.Struct, frozen=True, dict=True):
+    """What is to be done, checked."""
+
+    campaign: Campaign
+    base: Base
+    made_by: dict[str, str]
+
+    @cached_property
+    def points(self) -> list[Point]:
+        """Of the design."""
+        return points(self.campaign)
+
+    @property
+    def version(self) -> str:
+        """What every worker must be."""
+        return version_of(self.made_by)
+
+    @property
+    def runs(self) -> int:
+        """In all."""
+        return len(self.points) * self.campaign.seeds.count
+
+    def trials(self) -> Iterator[Trial]:
+        """Seed by seed within each point."""
+        seeds = self.campaign.seeds
+        for number, point in enumerate(self.points):
+            settings, factors = self.settings(point), self.factors(point)
+            for k in range(seeds.count):
+                yield Trial(number, seeds.first + k, settings, factors, point)
+
+    def settings(self, point: Point) -> dict[str, Value]:
+        """The fields that this point gives a value."""
+        own = {key: value for key, value in point.items() if key not in self.campaign.scale}
+        return {**self.campaign.settings, **own}
+
+    def factors(self, point: Point) -> dict[str, float]:
+        """By what it multiplies fields."""
+        made: dict[str, float] = {}
+        for name, powers in self.campaign.scale.items():
+            for key, power in powers.items() if name in point else ():
+                made[key] = made.get(key, 1.0) * float(point[name]) ** power
+        return made
+
+
+def plan(campaign: Campaign, source: str) -> Plan:
+    """Resolve the base, lay the points, and try each value of each field once. Raises ``ConfigError``."""
+    made = Plan(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), made_by())
+    _try(made, {}, "[set]", source)
+    for table, keys in (("vary", campaign.vary), ("cross", campaign.cross)):
+        for key, over in keys.items():
+            for value in (value_at(key, over, 0.0), value_at(key, over, 1.0)) if isinstance(over, Range) else over:
+                _try(made, {key: value}, f"[{table}] {key}", source)
+    return made
+
+
+def _try(made: Plan, point: Point, field: str, source: str) -> None:
+    try:
+        situation(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
+    except ConfigError as error:
+        raise ConfigError(source, field, str(error)) from None
+
+
+@contextmanager
+def opened(folder: Path, made: Plan, *, force: bool = False) -> Iterator[ResultsStore]:
+    """The campaign's folder, a new one or its own, for as long as nobody else has it. Raises ``ConfigError``."""
+    with results_store.open_store(folder, msgspec.to_builtins(made), force=force) as store:
+        for name, content in made.base:
+            path = folder / BASE / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content, encoding="utf-8")
+        described = {**msgspec.to_builtins(made.campaign), "made_by": made.made_by}
+        (folder / FILE).write_text(tomli_w.dumps(described), encoding="utf-8")
+        yield store
+
+
+def run(
+    made: Plan,
+    store: ResultsStore,
+    *,
+    workers: int | None,
+    cluster: str | None,
+    hear: Callable[[Row], None],
+    stop: Callable[[], bool],
+) -> None:
+    """Do what is missing. ``hear`` is told each row as it comes."""
+    missing = [one for one in made.trials() if one.key not in store.keys]
+
+    def lost(one: Trial) -> Row:
+        return row_of(one, made.version, f"its process was lost {MAX_LOSSES} times")
+
+    work = partial(trial.run, made.base, made.version)
+    for place, row in each(work, missing, workers=workers, cluster=cluster, stop=stop, lost=lost):
+        store.append(missing[place].key, row)
+        hear(row)
+
+
+def reopened(folder: Path) -> tuple[Plan, Iterator[Row]]:
+    """The campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
+    settings, results = results_store.read(folder / results_store.NAME)
+    try:
+        return msgspec.convert(settings, Plan), (row for _, row in results)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"results {folder}", "", f"is no campaign: {error}") from None

@@ -1,0 +1,222 @@
+"""A campaign's file: which scenario, which fields vary over what, and over which seeds.
+
+    title = "which horizon in which current"
+    scenario = "descent"                                  # NAME or FILE, as for `ltv-mpc sim`
+    minimise = "true_error_m.mean"                        # any figure of summary.json
+
+    [seeds]
+    count = 20                                            # the same for every point: differences are paired
+
+    [design]
+    kind = "grid"                                         # or "random", "sobol", with points = 64
+
+    [set]
+    run.perfect_state = true
+
+    [vary]
+    controller.horizon_s = [2.5, 5.0, 10.0]
+    water.correlation_length_m = { low = 2.0, high = 30.0, scale = "log" }      # not in a grid
+    vehicle.thruster.port.arm_m = [0.05, 0.2]             # a field of the vehicle's file
+    size = { low = 0.5, high = 2.0, scale = "log" }       # a factor: [scale.size] says of what
+
+    [cross]                                               # every point of the design with each of these
+    controller.solver = ["osqp", "riccati"]
+
+    [scale.size]                                          # base value times size to this power
+    vehicle.dry_mass_kg = 3
+    vehicle.thruster.port.arm_m = 1
+
+Keys are those of a run's scenario.toml, and those of its vehicle's and reference's files (keys.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import reduce
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import msgspec
+from msgspec import Meta
+
+from ltv_mpc import config, settings_schema
+from ltv_mpc.errors import ConfigError
+from services.tools.campaign.keys import Value, kind_of, known
+from sim.evaluation.summary import Summary
+
+MOST_RUNS = 10_000_000
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class Range(_Table, frozen=True, kw_only=True):
+    """Every number between two, both included."""
+
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+
+    def at(self, share: float) -> float:
+        """The number that ``share``, 0 .. 1, of the range lies below."""
+        if self.scale == "log":
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
+
+Choices: TypeAlias = tuple[Value, ...]
+
+
+class Seeds(_Table, frozen=True, kw_only=True):
+    """``first``, ``first`` + 1, and so on."""
+
+    first: Annotated[int, Meta(ge=0, le=2**52)] = 0
+    count: Annotated[int, Meta(ge=1, le=1_000_000)] = 10
+
+
+class Design(_Table, frozen=True, kw_only=True):
+    """How points are laid: every combination; drawn; or a scrambled Sobol sequence, which fills the space evenly."""
+
+    kind: Literal["grid", "random", "sobol"] = "grid"
+    points: Annotated[int, Meta(ge=1, le=1_000_000)] = 64  # of random and sobol; for sobol best a power of two
+    seed: Annotated[int, Meta(ge=0, le=2**32 - 1)] = 0
+
+
+class Campaign(_Table, frozen=True, kw_only=True):
+    """Everything that a campaign is made of; tables by dotted key.
+
+    A name in ``vary`` or ``cross`` that ``scale`` has is no field but a factor f: each key of its table is the base's
+    value times f to the power that stands there.
+    """
+
+    title: str
+    scenario: str = "descent"
+    minimise: str = "true_error_m.mean"
+    seeds: Seeds = Seeds()
+    design: Design = Design()
+    settings: dict[str, Value] = msgspec.field(default_factory=dict, name="set")
+    vary: dict[str, Choices | Range] = msgspec.field(default_factory=dict)
+    cross: dict[str, Choices] = msgspec.field(default_factory=dict)
+    scale: dict[str, dict[str, float]] = msgspec.field(default_factory=dict)
+
+    @property
+    def varied(self) -> dict[str, Choices | Range]:
+        """Everything in which points differ: what the design lays, and what each of its points is crossed with."""
+        return {**self.vary, **self.cross}
+
+
+def load(path: Path) -> Campaign:
+    """Read and check; a scenario's FILE is relative to the campaign's. Raises ``ConfigError``."""
+    source = f"campaign {path}"
+    table = config.read_toml(path, what="campaign")
+    flat = dict(table)
+    for name in ("set", "vary", "cross"):
+        if isinstance(table.get(name), dict):
+            flat[name] = dict(_flat(table[name], ""))
+    if isinstance(table.get("scale"), dict):
+        flat["scale"] = {
+            name: dict(_flat(powers, "")) if isinstance(powers, dict) else powers
+            for name, powers in table["scale"].items()
+        }
+    campaign = config.parse(flat, Campaign, source=source)
+    if config.is_path(campaign.scenario):
+        campaign = msgspec.structs.replace(campaign, scenario=str(path.parent / campaign.scenario))
+    _check(campaign, source)
+    return campaign
+
+
+def figures() -> dict[str, settings_schema.Type]:
+    """The figures of summary.json that a run in lock step has, by dotted key: no measured time is among them."""
+    return {
+        key: kind for key, kind in settings_schema.settings(Summary).items() if key.partition(".")[0] not in NO_FIGURES
+    }
+
+
+NO_FIGURES = frozenset(
+    {
+        "scenario", "mode", "seed", "speed", "speed_reached", "compute_delay_wall_s", "end_to_end_delay_wall_s",
+        "stages_us", "qp_status", "plan_origin",
+    }
+)  # fmt: skip
+"""Of summary.json: what identifies a run, what is measured on the wall, and counts by name, which ``trial.py`` adds."""
+
+
+def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    """Tables in tables as dotted keys; a table with ``low`` is a range."""
+    for key, value in table.items():
+        name = f"{prefix}.{key}" if prefix else key
+        if isinstance(value, dict) and "low" not in value:
+            yield from _flat(value, name)
+        else:
+            yield name, value
+
+
+def _check(campaign: Campaign, source: str) -> None:
+    """What no single field can tell."""
+    for table, keys in (("set", campaign.settings), ("vary", campaign.vary), ("cross", campaign.cross)):
+        factors = campaign.scale if table != "set" else {}
+        for key in keys:
+            if kind_of(key) is None and key not in factors:
+                problem = f"unknown key{settings_schema.nearest(key, [*known(), *factors])}"
+                raise ConfigError(source, f"[{table}] {key}", problem)
+    for table, keys, other in (
+        ("vary", campaign.vary, campaign.settings),
+        ("cross", campaign.cross, campaign.settings),
+        ("cross", campaign.cross, campaign.vary),
+    ):
+        for key in keys.keys() & other.keys():
+            where = "set" if other is campaign.settings else "vary"
+            raise ConfigError(source, f"[{table}] {key}", f"stands in [{where}] too: leave one out")
+    if not campaign.varied:
+        raise ConfigError(source, "[vary]", "must name at least one key: nothing varies")
+    for key, over in campaign.vary.items():
+        _check_values(over, campaign.design.kind, f"[vary] {key}", source)
+    for key, values in campaign.cross.items():
+        _check_values(values, "grid", f"[cross] {key}", source)
+    for name, powers in campaign.scale.items():
+        _check_factor(campaign, name, powers, source)
+    if campaign.minimise not in figures():
+        problem = f"must be a figure of summary.json{settings_schema.nearest(campaign.minimise, figures())}"
+        raise ConfigError(source, "minimise", problem, value=campaign.minimise)
+    sizes = [len(over) for over in campaign.cross.values()]
+    if campaign.design.kind == "grid":
+        sizes += [len(over) for over in campaign.vary.values() if not isinstance(over, Range)]
+    else:
+        sizes.append(campaign.design.points)
+    points = reduce(int.__mul__, sizes, 1)
+    if points * campaign.seeds.count > MOST_RUNS:
+        problem = f"{points} points times {campaign.seeds.count} seeds: at most {MOST_RUNS} runs"
+        raise ConfigError(source, "", problem)
+
+
+def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], source: str) -> None:
+    where = f"[scale.{name}]"
+    if kind_of(name) is not None:
+        raise ConfigError(source, where, "is a field's own name: a factor needs another")
+    over = campaign.varied.get(name)
+    if over is None:
+        raise ConfigError(source, where, f"says what {name} scales, and {name} stands neither in [vary] nor in [cross]")
+    for value in (over.low, over.high) if isinstance(over, Range) else over:
+        if isinstance(value, bool | str) or value <= 0:
+            raise ConfigError(source, f"[vary] {name}", "a factor must be > 0", value=value)
+    for key in powers:
+        if not isinstance(kind_of(key), msgspec.inspect.FloatType):
+            names = [one for one in known() if isinstance(kind_of(one), msgspec.inspect.FloatType)]
+            raise ConfigError(
+                source, f"{where} {key}", f"must be a field with a number{settings_schema.nearest(key, names)}"
+            )
+
+
+def _check_values(over: Choices | Range, design: str, field: str, source: str) -> None:
+    if isinstance(over, Range):
+        if design == "grid":
+            raise ConfigError(source, field, 'must be a list of values where [design] kind = "grid"')
+        if not over.low < over.high:
+            raise ConfigError(source, f"{field}.high", f"must be > low = {over.low:g}", value=over.high)
+        if over.scale == "log" and over.low <= 0:
+            raise ConfigError(source, f"{field}.low", 'must be > 0 where scale = "log"', value=over.low)
+    elif not over:
+        raise ConfigError(source, field, "must have at least one value")
+    elif len(set(over)) < len(over):
+        raise ConfigError(source, field, "must not have a value twice")

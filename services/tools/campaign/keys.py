@@ -1,0 +1,90 @@
+"""The fields that a campaign may set, by dotted key: a run's scenario.toml, its vehicle's file, its reference's.
+
+controller.horizon_s            water.sd_mps            run.compute_delay_s
+vehicle.surge.mass_kg           vehicle.thruster.port.max_N
+reference.descent_rate_mps
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
+
+import msgspec
+
+from ltv_mpc import config, settings_schema
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.references import Reference
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.run.run_config import Situation
+from sim.scenario import Scenario
+
+Value: TypeAlias = bool | int | float | str
+
+VEHICLE, REFERENCE = "vehicle", "reference"
+
+
+def kind_of(key: str) -> settings_schema.Type | None:
+    """The type of a field that a campaign may set; None where there is no such field."""
+    return _KINDS.get(key)
+
+
+def known() -> list[str]:
+    """Every key."""
+    return list(_KINDS)
+
+
+def value_of(situation: Situation, key: str) -> Value | None:
+    """What the situation has at ``key``; None where its table is left out."""
+    table, _, rest = key.partition(".")
+    owners = {VEHICLE: situation.vehicle, REFERENCE: situation.reference}
+    plain = msgspec.to_builtins(owners.get(table, situation.scenario))
+    for step in (rest if table in owners else key).split("."):
+        plain = plain.get(step) if isinstance(plain, dict) else None
+    return plain if isinstance(plain, bool | int | float | str) else None
+
+
+def of(owner: str, settings: Mapping[str, Value]) -> dict[str, Value]:
+    """Those of ``vehicle`` or ``reference``, by the key within its file."""
+    return {key.removeprefix(f"{owner}."): value for key, value in settings.items() if key.startswith(f"{owner}.")}
+
+
+def of_scenario(settings: Mapping[str, Value]) -> dict[str, Value]:
+    """The others."""
+    return {key: value for key, value in settings.items() if not key.startswith((f"{VEHICLE}.", f"{REFERENCE}."))}
+
+
+def with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str) -> Any:
+    """``struct``, which is of ``kind``, with other values at dotted keys. Raises ``ConfigError``."""
+    table = msgspec.to_builtins(struct)
+    for key, value in values.items():
+        *outer, last = key.split(".")
+        inner = table
+        for name in outer:
+            if inner.get(name) is None:
+                raise ConfigError("campaign", f"{owner}.{key}", f"the scenario's {owner} has no such table")
+            inner = inner[name]
+        inner[last] = value
+    return config.parse({k: v for k, v in table.items() if v is not None}, kind, source=f"campaign: {owner}")
+
+
+def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, settings_schema.Type]]:
+    """Scalar fields, those of tables that may be left out too."""
+    for key, found in settings_schema.settings(kind).items():
+        inner = getattr(found, "types", ())
+        tables = [x for x in inner if isinstance(x, msgspec.inspect.StructType)]
+        if tables:
+            yield from _optional_too(tables[0].cls, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", found
+
+
+_KINDS: dict[str, settings_schema.Type] = {
+    **{
+        key: kind
+        for key, kind in settings_schema.settings(Scenario).items()
+        if key not in ("made_by", "title", "run.seed")
+    },
+    **dict(_optional_too(Vehicle, f"{VEHICLE}.")),
+    **{key: kind for one in Reference.__args__ for key, kind in _optional_too(one, f"{REFERENCE}.")},
+}

@@ -1,0 +1,96 @@
+"""Points of a campaign against each other: means over seeds with intervals, and differences paired by seed.
+
+mean        of a figure over a point's seeds
+interval    95 %, percentile bootstrap over seeds (Efron & Tibshirani 1993, ch. 13), 2000 resamples, seeded
+difference  to another point: of the same seeds, whose water and noises are the same, so that what they have in common
+            drops out; its interval likewise
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.messages import Array
+from services.tools.campaign.trial import Row
+
+RESAMPLES = 2000
+CONFIDENCE = 0.95
+
+
+class Interval(msgspec.Struct, frozen=True, kw_only=True):
+    """A mean and where it lies at 95 %; no interval from a single value."""
+
+    mean: float
+    low: float | None
+    high: float | None
+
+
+class Standing(msgspec.Struct, frozen=True, kw_only=True):
+    """One point of the design."""
+
+    point: int
+    settings: dict[str, bool | int | float | str]
+    runs: int
+    failed: int
+    value: Interval | None  # of the figure; None where no run has it
+    over_best: Interval | None = None  # by how much it is larger than the best point's; None for that point itself
+
+
+class Scores(NamedTuple):
+    """A figure by point and seed."""
+
+    values: dict[int, dict[int, float]]
+    settings: dict[int, dict[str, bool | int | float | str]]
+    failed: dict[int, int]
+
+
+def scores(rows: Iterable[Row], figure: str, keys: Iterable[str]) -> Scores:
+    """``rows`` with at least the columns point, seed, failed, ``figure`` and ``keys``."""
+    keys = tuple(keys)
+    made = Scores({}, {}, {})
+    for row in rows:
+        point = row["point"]
+        made.settings.setdefault(point, {key: row[key] for key in keys})
+        made.values.setdefault(point, {})
+        made.failed.setdefault(point, 0)
+        if row["failed"] is not None or row[figure] is None:
+            made.failed[point] += 1
+        else:
+            made.values[point][row["seed"]] = row[figure]
+    return made
+
+
+def ranked(of: Scores, most: int | None = None) -> list[Standing]:
+    """The best first, those without any value last; ``most``: only so many."""
+    means = {point: float(np.mean(list(values.values()))) for point, values in of.values.items() if values}
+    order = sorted(means, key=lambda point: (means[point], point))
+    order += sorted(of.values.keys() - means.keys())
+    best = of.values[order[0]] if order else {}
+    return [_standing(of, point, best if point != order[0] else None) for point in order[:most]]
+
+
+def _standing(of: Scores, point: int, best: Mapping[int, float] | None) -> Standing:
+    values = of.values[point]
+    paired = [values[seed] - best[seed] for seed in sorted(values.keys() & best.keys())] if best else []
+    return Standing(
+        point=point,
+        settings=of.settings[point],
+        runs=len(values) + of.failed[point],
+        failed=of.failed[point],
+        value=interval(np.array([values[seed] for seed in sorted(values)])) if values else None,
+        over_best=interval(np.array(paired)) if paired else None,
+    )
+
+
+def interval(values: Array) -> Interval:
+    """Of the mean of values (K,), K >= 1; the same for the same values."""
+    mean = float(values.mean())
+    if len(values) < 2:
+        return Interval(mean=mean, low=None, high=None)
+    drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
+    low, high = np.quantile(values[drawn].mean(axis=1), [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+    return Interval(mean=mean, low=float(low), high=float(high))

@@ -1,0 +1,148 @@
+"""One run of a campaign, wherever it is done: what it is given, and the row that comes of it.
+
+A worker may be on another host, so a trial brings the base with it: the texts of a run's own settings files, which each
+worker writes into a folder once.
+"""
+
+from __future__ import annotations
+
+import atexit
+import platform
+import shutil
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import msgspec
+
+import services
+from ltv_mpc.control import solvers
+from ltv_mpc.errors import ConfigError, one_line, shown
+from ltv_mpc.messages import PlanOrigin, SolveStatus
+from ltv_mpc.references import Reference
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.run.provenance import made_by
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
+from services.tools.campaign import keys
+from services.tools.campaign.design import Point
+from services.tools.campaign.file import figures
+from services.tools.campaign.keys import Value
+from sim.evaluation.summary import Summary
+
+Base: TypeAlias = tuple[tuple[str, str], ...]
+"""Path in a run's folder, text: what ``Situation.files`` holds."""
+
+Row: TypeAlias = dict[str, Any]
+
+COUNTS: Mapping[str, tuple[str, ...]] = {
+    "qp_status": tuple(status.value for status in SolveStatus),
+    "plan_origin": tuple(origin.value for origin in PlanOrigin),
+}
+"""Of summary.json: counts by name, each a column of its own, 0 where there is none."""
+
+TIMING = ("host", "ended", "wall_s")
+"""What is measured: it goes into another file than what is computed."""
+
+
+class Trial(NamedTuple):
+    """One point of the design with one seed."""
+
+    point: int
+    seed: int
+    settings: Point  # fields with another value than the base's
+    factors: Mapping[str, float]  # by what fields are multiplied then
+    varied: Point  # in what the design's points differ: columns of the row
+
+    @property
+    def key(self) -> str:
+        """Its name among all of a campaign's."""
+        return f"point {self.point}, seed {self.seed}"
+
+
+def run(base: Base, version: str, trial: Trial) -> Row:
+    """Make the trial's row: that of a run which could not be made says why, in ``failed``."""
+    ours = version_of(made_by())
+    if ours != version:
+        raise RuntimeError(f"this worker has version {ours}, the campaign {version}")
+    if not services.ONE_BLAS_THREAD:
+        names = "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1"
+        raise RuntimeError(f"this worker's BLAS may have several threads, other bits: start it with {names}")
+    started = time.perf_counter()
+    try:
+        result = flat(lockstep_run.run(situation(base, trial.settings, trial.factors, trial.seed)))
+    except Exception as error:  # of this run alone: the campaign goes on, and says so
+        problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
+        return row_of(trial, version, one_line(problem)[:500])
+    return row_of(trial, version) | result | {"wall_s": time.perf_counter() - started}
+
+
+def row_of(trial: Trial, version: str, failed: str = "") -> Row:
+    """A row without figures."""
+    nothing = dict.fromkeys([*figures(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
+    timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
+    who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
+    return {**who, **trial.varied, **nothing, **timing}
+
+
+def version_of(table: Mapping[str, str]) -> str:
+    """The version and the commit that made a row."""
+    return f"{table['ltv_mpc']} {table['commit']}"
+
+
+def situation(base: Base, settings: Mapping[str, Value], factors: Mapping[str, float], seed: int) -> Situation:
+    """What a trial runs. Raises ``ConfigError``."""
+    plain = _with_settings(base, settings, seed)
+    if not factors:
+        return plain
+    scaled = dict(settings)
+    for key, factor in factors.items():
+        value = keys.value_of(plain, key)
+        if value is None:
+            raise ConfigError("campaign", key, "has no value in the base that could be scaled")
+        scaled[key] = float(value) * factor
+    return _with_settings(base, scaled, seed)
+
+
+def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> Situation:
+    own = [f"{key}={_toml(value)}" for key, value in keys.of_scenario(settings).items()]
+    here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
+    if of_vehicle := keys.of(keys.VEHICLE, settings):
+        here = replace(here, vehicle=keys.with_values(here.vehicle, Vehicle, of_vehicle, keys.VEHICLE))
+        solvers.make(here.vehicle, here.scenario.controller)
+    if of_reference := keys.of(keys.REFERENCE, settings):
+        here = replace(here, reference=keys.with_values(here.reference, Reference, of_reference, keys.REFERENCE))
+    return here
+
+
+def flat(summary: Summary) -> Row:
+    """The figures by column."""
+    plain = msgspec.to_builtins(summary)
+    row: Row = {}
+    for key in figures():
+        outer, _, inner = key.partition(".")
+        row[key] = plain[outer][inner] if inner else plain[outer]
+    for table, names in COUNTS.items():
+        row |= {f"{table}.{name}": plain[table].get(name, 0) for name in names}
+    return row
+
+
+def _toml(value: Value) -> str:
+    return shown(value) if isinstance(value, bool) else str(value) if not isinstance(value, float) else repr(value)
+
+
+@lru_cache(maxsize=4)
+def _folder(base: Base) -> Path:
+    """The base's files in a folder of this process, until its end."""
+    folder = Path(tempfile.mkdtemp(prefix="ltv-mpc-campaign-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for name, text in base:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return folder

@@ -1,0 +1,394 @@
+"""What is wrong with this machine, and how to mend it: one small check for each thing that a run stands on.
+
+At its top this file imports the standard library alone: a package that is missing or broken is a finding, no traceback.
+"""
+
+from __future__ import annotations
+
+import enum
+import importlib
+import os
+import re
+import shutil
+import socket
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+from services.run.provenance import made_by
+
+DISTRIBUTION = "auv-ltv-mpc"
+OURS = ("ltv_mpc", "sim", "services")
+ROOT = Path(__file__).resolve().parents[2]
+"""Where this project's packages lie, a checkout or site-packages."""
+
+PYTHONS = ((3, 11), (3, 14))
+FEWEST_CORES = 2
+COARSEST_CLOCK_S = 1e-3
+WORST_SLEEP_S = 5e-3
+"""Beyond what is asked for, in the median: a step of the plant comes every 10 ms."""
+LITTLE_SPACE, TOO_LITTLE_SPACE = 1_000_000_000, 100_000_000
+"""Bytes; a recorded descent of 200 s has 15 MB."""
+FEWEST_FILES = 256
+TOOLS = ("dev", "bench", "docs", "mutation")
+"""Extras that are for this project's own work."""
+
+MODULES = {"eclipse-zenoh": "zenoh", "tomli-w": "tomli_w", "prometheus-client": "prometheus_client"}
+"""Import names that are not their distribution's."""
+
+
+class Level(enum.StrEnum):
+    """How bad."""
+
+    OK = "ok"
+    WARNING = "warning"  # it works, worse than it could
+    PROBLEM = "problem"  # a run will fail
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line: what was looked at, how it is, and how to mend it where it is not well."""
+
+    check: str
+    level: Level
+    found: str
+    mend: str = ""
+
+
+def ok(check: str, found: str) -> Finding:
+    """All is well."""
+    return Finding(check, Level.OK, found)
+
+
+def warning(check: str, found: str, mend: str) -> Finding:
+    """It works, worse than it could."""
+    return Finding(check, Level.WARNING, found, mend)
+
+
+def problem(check: str, found: str, mend: str) -> Finding:
+    """A run will fail."""
+    return Finding(check, Level.PROBLEM, found, mend)
+
+
+def examine() -> list[Finding]:
+    """Every check. One that cannot be made is a problem of its own."""
+    found = []
+    for check in CHECKS:
+        try:
+            found.append(check())
+        except Exception as error:  # whatever it is: the other checks go on
+            text = " ".join(str(error).split()) or type(error).__name__
+            name = check.__name__.replace("_", " ")
+            found.append(problem(name, f"cannot be looked at: {text}", "make clean && make setup"))
+    return found
+
+
+# --- what is installed -----------------------------------------------------------------------------------------------
+
+
+def python() -> Finding:
+    """Its version."""
+    (low, high), version = PYTHONS, sys.version_info[:2]
+    said = ".".join(map(str, sys.version_info[:3]))
+    if low <= version < high:
+        return ok("python", f"{said}, {sys.executable}")
+    newest = f"{high[0]}.{high[1] - 1}"
+    return problem("python", said, f"install Python {low[0]}.{low[1]} to {newest}, then make clean && make setup")
+
+
+def project() -> Finding:
+    """Version and commit of this project."""
+    made = made_by()
+    said = f"{made['ltv_mpc']}, commit {made['commit'][:12]}, in {ROOT}"
+    if requirements() is None:
+        return warning("project", f"{said}; its packages are not installed", f"pip install -e {ROOT}")
+    return ok("project", said)
+
+
+def packages() -> Finding:
+    """What the core needs: there, of the right version, and it can be imported."""
+    there, wrong = [], []
+    for name, bounds, extra in requirements() or ():
+        if extra:
+            continue
+        version = installed(name)
+        if version is None:
+            wrong.append((f"{name} is missing", f"{name}{bounds}"))
+        elif not within(version, bounds):
+            wrong.append((f"{name} is {version}, must be {bounds}", f"{name}{bounds}"))
+        elif said := import_error(MODULES.get(name, name)):
+            wrong.append((f"{name} {version} cannot be imported ({said})", f"--force-reinstall {name}"))
+        else:
+            there.append(f"{name} {version}")
+    if wrong:
+        needed = " ".join(f'"{what}"' if " " not in what else what for _, what in wrong)
+        return problem("packages", "; ".join(said for said, _ in wrong), f"pip install {needed}")
+    return ok("packages", ", ".join(there))
+
+
+def extras() -> Finding:
+    """What is not needed by all: never a problem."""
+    by_extra: dict[str, list[str]] = {}
+    for name, _, extra in requirements() or ():
+        if extra and extra not in TOOLS:
+            by_extra.setdefault(extra, [])
+            if installed(name) is None:
+                by_extra[extra].append(name)
+    there = ", ".join(extra for extra, missing in by_extra.items() if not missing) or "none"
+    lacking = [f"{extra} (pip install {' '.join(missing)})" for extra, missing in by_extra.items() if missing]
+    return ok("extras", there + (f"; not installed: {', '.join(lacking)}" if lacking else ""))
+
+
+def names() -> Finding:
+    """That ``ltv_mpc``, ``sim`` and ``services`` are this project's: packages of other people are called so too."""
+    owners = {name: sorted(set(owners_of(name)) - {DISTRIBUTION}) for name in OURS}
+    taken = {name: others for name, others in owners.items() if others}
+    if taken:
+        said = "; ".join(f"{name} also belongs to {', '.join(others)}" for name, others in taken.items())
+        others = sorted({other for found in taken.values() for other in found})
+        return problem("names", said, f"pip uninstall {' '.join(others)}")
+    elsewhere = {name: folder for name in OURS if (folder := folder_of(name)) != ROOT}
+    if elsewhere:
+        said = "; ".join(f"{name} is taken from {folder or 'nowhere'}" for name, folder in elsewhere.items())
+        return problem("names", said, f"rename that folder, or start elsewhere; pip install -e {ROOT}")
+    return ok("names", f"{', '.join(OURS)} are this project's alone")
+
+
+# --- the machine ----------------------------------------------------------------------------------------------------
+
+
+def cores() -> Finding:
+    """How many, and how busy they are."""
+    count, busy = core_count(), os.getloadavg()[0]
+    said = f"{count} cores, load {busy:.2f}"
+    if count < FEWEST_CORES:
+        return warning("cores", said, "a run at real time (--speed 1) or --lockstep needs less")
+    if busy > count:
+        return warning("cores", said, "more wants to run than can: times come out long; end what is not needed")
+    return ok("cores", said)
+
+
+def clock() -> Finding:
+    """The monotonic clock's resolution, and by how much a sleep of 1 ms is longer."""
+    resolution_s, late_s = time.get_clock_info("monotonic").resolution, oversleep_s()
+    said = f"resolution {resolution_s * 1e9:.0f} ns, a sleep of 1 ms is {late_s * 1e3:.2f} ms longer"
+    if resolution_s > COARSEST_CLOCK_S:
+        return problem("clock", said, "another clock source: /sys/devices/system/clocksource/clocksource0")
+    if late_s > WORST_SLEEP_S:
+        return warning("clock", said, "steps come every 10 ms: end what is not needed, or run at a lower --speed")
+    return ok("clock", said)
+
+
+def open_files() -> Finding:
+    """How many files a process may have open."""
+    import resource
+
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= soft < FEWEST_FILES:
+        return warning("open files", f"at most {soft} a process", f"ulimit -n {4 * FEWEST_FILES}")
+    return ok("open files", f"at most {soft} a process")
+
+
+def space() -> Finding:
+    """Room where runs are written, and leave to write there."""
+    here, free = Path.cwd(), shutil.disk_usage(Path.cwd()).free
+    said = f"{free / 1e9:.1f} GB free in {here}"
+    if not writable(here):
+        return warning("space", f"{here} cannot be written", "start in another folder, or give each run an --out DIR")
+    if free < TOO_LITTLE_SPACE:
+        return problem("space", said, "free some, or start in a folder on another disk")
+    if free < LITTLE_SPACE:
+        return warning("space", said, "a recorded descent has 15 MB: remove old folders below runs/")
+    return ok("space", said)
+
+
+def temporary() -> Finding:
+    """A folder for temporary files."""
+    try:
+        folder = Path(tempfile.gettempdir())
+    except FileNotFoundError:
+        return problem("temporary files", "no folder can be written", "set TMPDIR to one that can")
+    return ok("temporary files", str(folder))
+
+
+def loopback() -> Finding:
+    """That processes can reach each other over 127.0.0.1."""
+    try:
+        echoed = echo()
+    except OSError as error:
+        mend = "bring the loopback interface up (ip link set lo up), or allow it in the firewall or sandbox"
+        return problem("loopback", f"127.0.0.1 cannot be used: {error.strerror or error}", mend)
+    router = "somebody listens" if router_answers() else "nobody listens"
+    return ok("loopback", f"{echoed} bytes there and back; {router} at 127.0.0.1:7447, the usual router's place")
+
+
+# --- what a run computes with ---------------------------------------------------------------------------------------
+
+
+def solver() -> Finding:
+    """Solve a QP of two variables whose solution is known with OSQP.
+
+    min x'x/2 - x1 - x2, 0 <= x <= 0.5: x = (0.5, 0.5).
+    """
+    x = solution()
+    if not all(abs(xi - 0.5) <= 1e-3 for xi in x):
+        mend = "pip install --force-reinstall osqp; until then --set controller.solver=riccati"
+        return problem("solver", f"osqp gives {x} for (0.5, 0.5)", mend)
+    return ok("solver", "osqp solves a QP")
+
+
+def compiled() -> Finding:
+    """The cache of compiled code."""
+    from ltv_mpc.jit import CACHE, CACHE_IS_KEPT
+    from services.supervisor.jit_cache import is_warm
+
+    if not CACHE_IS_KEPT:
+        mend = "make ~/.cache writable, or set XDG_CACHE_HOME to a folder that is: each run compiles anew until then"
+        return warning("compiled code", f"no folder can keep it; for now {CACHE}", mend)
+    if not is_warm():
+        return warning("compiled code", f"not there yet: {CACHE}", "the first run compiles it, a minute; or make setup")
+    return ok("compiled code", f"ready in {CACHE}")
+
+
+CHECKS: tuple[Callable[[], Finding], ...] = (
+    *(python, project, packages, extras, names),
+    *(cores, clock, open_files, space, temporary, loopback),
+    *(solver, compiled),
+)
+"""In the order in which they are printed: what others stand on first."""
+
+
+# --- what the checks look at ----------------------------------------------------------------------------------------
+
+
+def requirements() -> list[tuple[str, str, str]] | None:
+    """Name, bounds and extra of each distribution that this one asks for; None where this one is not installed."""
+    try:
+        texts = metadata.requires(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
+        return None
+    return [parsed for text in texts if (parsed := requirement(text)) is not None]
+
+
+def requirement(text: str) -> tuple[str, str, str] | None:
+    """``osqp<1.2,>=1.1; extra == "x"`` as name, bounds, extra."""
+    found = re.fullmatch(r"""([\w.-]+)(?:\[[^]]*])?\s*\(?([^;)]*)\)?\s*(?:;.*extra == ['"]([\w-]+)['"].*)?""", text)
+    return None if found is None else (found[1], found[2].replace(" ", ""), found[3] or "")
+
+
+def installed(name: str) -> str | None:
+    """The version of a distribution."""
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def within(version: str, bounds: str) -> bool:
+    """Whether ``1.1.3`` fulfils ``<1.2,>=1.1``; a comparison that is not known does not count."""
+    holds = {">=": lambda a, b: a >= b, "<": lambda a, b: a < b, ">": lambda a, b: a > b, "<=": lambda a, b: a <= b}
+    for bound in filter(None, bounds.split(",")):
+        found = re.fullmatch(r"(>=|<=|<|>)([\d.]+)", bound)
+        if found is not None and not holds[found[1]](_numbers(version), _numbers(found[2])):
+            return False
+    return True
+
+
+def _numbers(version: str) -> list[int]:
+    numbers = [int(part) for part in re.match(r"[\d.]*", version)[0].split(".") if part]  # type: ignore[index]
+    while numbers and not numbers[-1]:  # 1.0 is 1
+        numbers.pop()
+    return numbers
+
+
+def import_error(module: str) -> str:
+    """Why a module cannot be imported; empty where it can."""
+    try:
+        importlib.import_module(module)
+    except Exception as error:  # a broken extension raises what it likes
+        return " ".join(str(error).split())[:120] or type(error).__name__
+    return ""
+
+
+def owners_of(package: str) -> Iterable[str]:
+    """Distributions that say that a top-level package is theirs."""
+    return _distributions().get(package, ())
+
+
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    return metadata.packages_distributions()  # reads the list of every installed file
+
+
+def folder_of(package: str) -> Path | None:
+    """The folder in which a top-level package lies that ``import`` would take."""
+    spec = find_spec(package)
+    places = list(spec.submodule_search_locations or ()) if spec is not None else []
+    return Path(places[0]).resolve().parent if places else None
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def oversleep_s() -> float:
+    """Median of how much longer a sleep of 1 ms is."""
+    return statistics.median(_oversleeps())
+
+
+def _oversleeps(count: int = 15) -> Iterator[float]:
+    for _ in range(count):
+        began = time.perf_counter()
+        time.sleep(1e-3)
+        yield time.perf_counter() - began - 1e-3
+
+
+def writable(folder: Path) -> bool:
+    """Whether a file can be made there."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def echo() -> int:
+    """Bytes sent over a connection on loopback and read at its other end. Raises ``OSError``."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(2.0)
+        with socket.create_connection(server.getsockname(), timeout=2.0) as client:
+            client.sendall(b"ltv-mpc")
+            near, _ = server.accept()
+            with near:
+                near.settimeout(2.0)
+                return len(near.recv(100))
+
+
+def router_answers() -> bool:
+    """Whether somebody listens where a router is looked for."""
+    try:
+        socket.create_connection(("127.0.0.1", 7447), timeout=0.5).close()
+    except OSError:
+        return False
+    return True
+
+
+def solution() -> tuple[float, ...]:
+    """Return OSQP's x of the QP of ``solver``."""
+    import numpy as np
+    from scipy.sparse import csc_array, eye_array
+
+    from ltv_mpc.control.qp.problem import QP
+    from ltv_mpc.control.solvers.qpsolvers_backend import solve_qp
+
+    unit = csc_array(eye_array(2))
+    qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
+    return tuple(float(x) for x in solve_qp(qp).x)

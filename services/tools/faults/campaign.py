@@ -1,0 +1,330 @@
+"""The whole campaign: faults drawn, runs made in lock step on all cores and in processes side by side, each judged.
+
+What has been found of a run is appended to a results store as it ends; a campaign that goes on makes what is missing.
+
+DIR/
+    results.jsonl     a line a run: what was seen of its faults; of a seed without faults (without-*), its errors
+    bus-*, node-*     runs of processes, as long as they last; those stay in which a promise was not kept
+    faults.json       the whole, at the end
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from ltv_mpc.errors import ConfigError
+from services.run.provenance import made_by
+from services.tools.batch.executor import each
+from services.tools.batch.results_store import ResultsStore, decode
+from services.tools.campaign.trial import version_of
+from services.tools.faults import bench, draw, lockstep_runs, process_runs, recorded
+from services.tools.faults.attacks import ATTACKS
+from services.tools.faults.draw import Pace, Run
+from services.tools.faults.fault import Place, Seen
+from services.tools.faults.judge import Errors, errors, judge
+from services.tools.faults.kinds import KINDS, NAMES, Kind
+from services.tools.faults.process_verdict import OfProcesses
+from services.tools.faults.process_verdict import judge as judge_processes
+from services.tools.faults.result import problems
+
+SEVERAL, SEVERAL_QUICK = 8, 10
+SEVERAL_IN_PROCESSES = 5
+"""Faults a run."""
+
+A_SEED = 100
+"""Faults for each seed of the scenario: every seed needs a run without faults."""
+
+SEEDS_IN_PROCESSES = 2
+SHARE_IN_PROCESSES = 0.2
+
+PACE = Pace(afloat_s=30.0, first_s=50.0, after_s=61.0)
+PACE_IN_PROCESSES = Pace(afloat_s=10.0, first_s=20.0, after_s=61.0)
+QUICK = Pace(afloat_s=3.0, first_s=5.0, after_s=2.5, longest_s=2.0, pause_s=0.3)
+QUICK_IN_PROCESSES = Pace(afloat_s=4.0, first_s=5.0, after_s=2.5, longest_s=1.5, pause_s=0.3)
+"""Without a judgement of the error that is left a minute later. What is done to processes themselves is left out, if
+not asked for: a run in which they are started anew takes a minute by itself.
+"""
+
+LAST_S = 10.0
+"""In processes the run goes on so much longer after what is asked of the last fault: 70 s after its end."""
+
+CORES_A_RUN = 0.4
+LOAD = 0.7
+"""What a run of processes at twice real time takes of a core where it is not measured, and how much of all of them runs
+may take: what is asked by the wall is not asked of a machine that has more to do than it can.
+"""
+
+Tell = Callable[[int], None]
+
+
+class Unmeasured(RuntimeError):
+    """What faults are to be held against could not be measured."""
+
+
+class Plan(NamedTuple):
+    """How many faults of which classes, in lock step and in processes."""
+
+    inside: tuple[Kind, ...]
+    outside: tuple[Kind, ...]
+    n_inside: int
+    n_outside: int
+
+    @property
+    def total(self) -> int:
+        """All of them."""
+        return self.n_inside + self.n_outside
+
+    def settings(self, *, seed: int, quick: bool) -> dict[str, Any]:
+        """What decides which faults these are, and the version of what injects them and is injected into."""
+        return {
+            "classes": [f"{kind.name} in {kind.place}" for kind in (*self.inside, *self.outside)],
+            "in_lockstep": self.n_inside,
+            "in_processes": self.n_outside,
+            "seed": seed,
+            "quick": quick,
+            "version": version_of(made_by()),
+        }
+
+
+def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
+    """From the command's words: classes, names joined by commas, all if empty. Raises ``ConfigError``."""
+    wanted = [name.strip() for name in classes.split(",") if name.strip()]
+    for name in wanted:
+        if name not in NAMES:
+            raise ConfigError("option --classes", "", f"must be of {', '.join(NAMES)}", value=name)
+    wanted = wanted or [name for name in NAMES if not (quick and name in ATTACKS)]
+    places = {"both": set(Place), **{place.value: {place} for place in Place}}
+    if where not in places:
+        raise ConfigError("option --where", "", "must be lockstep, processes or both", value=where)
+    kinds = [kind for kind in KINDS if kind.name in wanted and kind.place in places[where]]
+    if not kinds:
+        raise ConfigError("option --where", "", f"no class of {', '.join(wanted)} is injected there", value=where)
+    here = tuple(kind for kind in kinds if kind.place is Place.LOCKSTEP)
+    there = tuple(kind for kind in kinds if kind.place is Place.PROCESSES)
+    in_processes = 0 if not there else n if not here else min(n, max(round(n * SHARE_IN_PROCESSES), len(there)))
+    return Plan(here, there, n - in_processes, in_processes)
+
+
+def run(asked: Plan, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None) -> list[Seen]:
+    """Make all runs that ``store`` lacks; what was seen of all faults. ``progress`` is told of faults done."""
+    names: list[str] = []
+    if asked.n_inside:
+        names += in_lockstep(asked.inside, asked.n_inside, store, seed=seed, quick=quick, progress=progress)
+    if asked.n_outside:
+        names += in_processes(asked.outside, asked.n_outside, store, seed=seed, quick=quick, progress=progress)
+    found = dict(store.results())
+    return [one for name in names for one in decode(found[name], list[Seen])]
+
+
+def without_faults(store: ResultsStore) -> dict[str, Errors]:
+    """The errors of all runs without faults, by their names."""
+    found = {key: decode(result, Errors) for key, result in store.results() if key.startswith(WITHOUT)}
+    return {key: found[key]._replace(true_m=found[key].true_m.reshape(-1, 2)) for key in sorted(found)}
+
+
+# --- in lock step ----------------------------------------------------------------------------------------------------
+
+
+class Job(NamedTuple):
+    """A run, and the errors of its seed without faults; None: they are not judged."""
+
+    run: Run
+    baseline: Errors | None
+
+
+def judged(job: Job) -> list[Seen]:
+    """Run it here, in lock step."""
+    return judge(job.run, lockstep_runs.observe(job.run), job.baseline)
+
+
+def undisturbed(run: Run) -> Errors:
+    """The errors of a run without faults."""
+    return errors(lockstep_runs.observe(run).log)
+
+
+def in_lockstep(
+    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+) -> list[str]:
+    """``n`` faults of these classes, in lock step on all cores that this process may use; a few quick ones in itself,
+    sooner than other processes would have started. The names of the runs.
+    """
+    pace, workers = (QUICK, 1) if quick else (PACE, None)
+    several = SEVERAL_QUICK if quick else SEVERAL
+    runs = draw.runs(kinds, n, seed=seed, several=several, seeds=max(1, n // A_SEED), pace=pace)
+    names = [f"lockstep-{i:03d}" for i in range(len(runs))]
+    missing = [i for i, name in enumerate(names) if name not in store.keys]
+    progress(sum(len(run.faults) for i, run in enumerate(runs) if i not in missing))
+    if missing and not quick:
+        alone = [run for run in _alone(runs) if _without("lockstep", run.seed) not in store.keys]
+        for place, result in each(undisturbed, alone, workers=workers):
+            store.append(_without("lockstep", alone[place].seed), result)
+    baselines = {} if quick else without_faults(store)
+    jobs = [Job(runs[i], baselines.get(_without("lockstep", runs[i].seed))) for i in missing]
+    for place, seen in each(judged, jobs, workers=workers):
+        store.append(names[missing[place]], seen)
+        progress(len(jobs[place].run.faults))
+    return names
+
+
+WITHOUT = "without-"
+
+
+def _without(way: str, seed: int) -> str:
+    """The name of the run of a seed without faults."""
+    return f"{WITHOUT}{way}-{seed}"
+
+
+def _alone(runs: Sequence[Run]) -> list[Run]:
+    """For each seed a run without faults, as long as its longest one with."""
+    longest: dict[int, Run] = {}
+    for run in sorted(runs, key=lambda run: run.duration_s):
+        longest[run.seed] = run
+    return [msgspec.structs.replace(longest[seed], faults=()) for seed in sorted(longest)]
+
+
+# --- in processes ----------------------------------------------------------------------------------------------------
+
+Make = Callable[[Run, Path], OfProcesses]
+
+
+class Task(NamedTuple):
+    """A run of processes to be made."""
+
+    name: str
+    way: str  # of ``WAYS``
+    run: Run
+
+
+def in_processes(
+    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+) -> list[str]:
+    """``n`` faults of these classes in real processes, each run in a folder of its own beside the store. The names of
+    the runs.
+    """
+    folder = store.path.parent
+    tasks = [task for way in WAYS for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
+    missing = [task for task in tasks if task.name not in store.keys]
+    progress(sum(len(task.run.faults) for task in tasks if task not in missing))
+    vehicle = lockstep_runs.situation(tasks[0].run).vehicle
+    cores = CORES_A_RUN if quick else None
+    if missing and not quick:
+        alone = [
+            Task(name, way, run)
+            for way in WAYS
+            for run in _alone([task.run for task in tasks if task.way == way])
+            if (name := _without(way, run.seed)) not in store.keys
+        ]
+
+        def keep_errors(task: Task, ended: OfProcesses) -> None:
+            if not (recording := ended.folder / "run.mcap").exists():
+                raise Unmeasured(f"{ended.folder}: the run without faults has no recording ({ended.uncontrolled})")
+            store.append(task.name, errors(recorded.read(recording, vehicle).log))
+            remove(ended.folder)
+
+        cores = _side_by_side(alone, folder, keep_errors, cores)
+    baselines = {} if quick else without_faults(store)
+
+    def keep(task: Task, ended: OfProcesses) -> None:
+        seen = judge_processes(ended, vehicle, baselines.get(_without(task.way, task.run.seed)))
+        store.append(task.name, seen)
+        progress(len(task.run.faults))
+        if not any(map(problems, seen)):
+            remove(ended.folder)
+
+    _side_by_side(missing, folder, keep, cores)
+    return [task.name for task in tasks]
+
+
+def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -> list[Task]:
+    """The runs of a way, which has those of the ``n`` faults that are of its classes."""
+    own = [kind for kind in kinds if (kind.name in ATTACKS) is (way == "node")]
+    to_nodes = sum(kind.name in ATTACKS for kind in kinds) * n // len(kinds)
+    count = to_nodes if way == "node" else n - to_nodes
+    if not own or not count:
+        return []
+    pace = QUICK_IN_PROCESSES if quick else PACE_IN_PROCESSES
+    runs = draw.runs(own, count, seed=seed, several=SEVERAL_IN_PROCESSES, seeds=SEEDS_IN_PROCESSES, pace=pace)
+    longer_s = 0.0 if quick else LAST_S
+    return [
+        Task(f"{way}-{i:03d}", way, msgspec.structs.replace(run, duration_s=run.duration_s + longer_s))
+        for i, run in enumerate(runs)
+    ]
+
+
+def _side_by_side(
+    tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None], cores: float | None
+) -> float | None:
+    """As many at a time as the machine bears; ``ended`` is called with each as it ends.
+
+    ``cores``: that one takes; None: the first is made alone and tells, if there are more. Gives what is known then.
+    """
+    if cores is None and len(tasks) > 1:
+        first, *tasks = tasks
+        before = _work_s(), time.monotonic()
+        ended(first, _make(folder, first))
+        cores = (_work_s() - before[0]) / (time.monotonic() - before[1])
+    if not tasks:
+        return cores
+    workers = at_a_time(cores or CORES_A_RUN)
+    for place, result in each(partial(_make, folder), tasks, workers=workers, threads=True):
+        ended(tasks[place], result)
+    return cores
+
+
+def at_a_time(cores_a_run: float) -> int:
+    """Runs side by side, of which each takes so many cores."""
+    return max(1, math.floor(LOAD * (os.cpu_count() or 1) / max(cores_a_run, 0.01) + 1e-9))
+
+
+def _make(folder: Path, task: Task) -> OfProcesses:
+    return WAYS[task.way](task.run, _empty(folder / task.name))
+
+
+def _work_s() -> float:
+    """Processor time of all processes that this one has started and that have ended, and of theirs."""
+    of = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return of.ru_utime + of.ru_stime
+
+
+def _empty(folder: Path) -> Path:
+    """Without what an interrupted run has left there."""
+    remove(folder)
+    return folder
+
+
+def remove(folder: Path) -> None:
+    """A run of processes, and what it said."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.with_suffix(".log").unlink(missing_ok=True)
+
+
+def under_supervisor(run: Run, folder: Path) -> OfProcesses:
+    """``ltv-mpc sim``, its processes attacked."""
+    ended = process_runs.supervised(run, folder)
+    uncontrolled = "" if ended.code == 0 else f"exit code {ended.code}: {ended.words}"
+    return OfProcesses(run, folder, ended.injected, (), uncontrolled)
+
+
+def behind_injector(run: Run, folder: Path) -> OfProcesses:
+    """Processes with an injector between."""
+    of = bench.situation(run, speed=process_runs.SPEED)
+    patience_s = process_runs.START_S + 2.0 * (run.duration_s + run.afloat_s) / process_runs.SPEED
+    account = bench.run(of, run.faults, folder, patience_s=patience_s)
+    injected = [process_runs.Injected(fault, 0, round(fault.start_s * 1e9)) for fault in run.faults]
+    failed = {name: code for name, code in account.codes.items() if code != 0}
+    uncontrolled = f"exit codes {failed}: {account.words}" if failed else ""
+    return OfProcesses(run, folder, injected, account.harmed, uncontrolled)
+
+
+WAYS: dict[str, Make] = {"bus": behind_injector, "node": under_supervisor}
+"""How runs of processes are made: those whose messages are harmed, and those that are attacked themselves."""

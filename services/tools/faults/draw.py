@@ -1,0 +1,115 @@
+"""Which faults are injected, when and how large: a function of the campaign's seed.
+
+Faults are dealt to classes in turn and to targets in turn, so that n of them are spread evenly; times, durations and
+sizes are drawn. A run has several, one after the other: each is over, and a minute has passed, before the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from services.tools.faults.fault import Fault
+from services.tools.faults.kinds import AFLOAT, Kind
+
+LAST_S = 75.0
+"""From a permanent fault's start to the run's end."""
+
+PERMANENT = 0.3
+"""Share of the faults that may last which do."""
+
+AFLOAT_S = (-24.0, -16.0)
+"""When one of an instrument that works afloat begins; it is over before the descent."""
+
+
+class Pace(NamedTuple):
+    """How long a run is afloat, when its first fault under water begins, how long after a fault's end the next one
+    does, at least and by how much more at most, and how long one may last. Where it is not afloat for long nothing is
+    broken there.
+    """
+
+    afloat_s: float
+    first_s: float
+    after_s: float
+    longest_s: float = math.inf
+    pause_s: float = 3.0
+
+    def targets(self, kind: Kind) -> Sequence[str]:
+        """Of a class."""
+        return [target for target in kind.targets if target not in AFLOAT or self.afloat_s > -AFLOAT_S[0]]
+
+
+class Run(msgspec.Struct, frozen=True, kw_only=True):
+    """One run: the scenario's seed, its faults in order of time, how long it lasts, and how long it floats before."""
+
+    seed: int
+    faults: tuple[Fault, ...]
+    duration_s: float
+    afloat_s: float = 30.0
+
+
+def runs(kinds: Sequence[Kind], n: int, *, seed: int, several: int, seeds: int, pace: Pace) -> list[Run]:
+    """``n`` faults of these classes in runs of ``several``, the runs over ``seeds`` seeds of the scenario."""
+    rng = np.random.default_rng([seed, len(kinds), n])
+    # Each class begins with another of its targets, so that few faults of many classes meet all targets.
+    drawn = [_drawn(kinds[i % len(kinds)], i // len(kinds) + i % len(kinds), rng, pace) for i in range(n)]
+    order = rng.permutation(n)
+    afloat = [drawn[i] for i in order if drawn[i].target in AFLOAT]
+    lasting = [drawn[i] for i in order if _lasts(drawn[i], pace)]
+    others = [drawn[i] for i in order if not _lasts(drawn[i], pace) and drawn[i].target not in AFLOAT]
+    count = max(math.ceil(n / several), len(afloat), len(lasting))
+    # Dealt in turn: at most one of each that must come first or last in a run.
+    return [
+        _run(seed * 1000 + i % seeds, [*afloat[i::count], *others[i::count], *lasting[i::count]], rng, pace)
+        for i in range(count)
+    ]
+
+
+def _lasts(fault: Fault, pace: Pace) -> bool:
+    """Whether it is the last of its run: what it does to the estimate would be held against those after it, where that
+    is judged at all.
+    """
+    return fault.permanent or (fault.target == "imu" and math.isinf(pace.longest_s))
+
+
+def _drawn(kind: Kind, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:
+    targets = pace.targets(kind)
+    target = targets[turn % len(targets)]
+    low, high = kind.size
+    size = float(rng.uniform(low, high))
+    if low < 0:  # either way, small ones as likely as large ones
+        size = math.copysign(math.exp(rng.uniform(math.log(0.3), math.log(high))), size)
+    duration_s = min(float(rng.uniform(*kind.duration_s)), pace.longest_s)
+    if target in AFLOAT:
+        duration_s = min(duration_s, -AFLOAT_S[1] - 1.0)
+    return Fault(
+        kind=kind.name,
+        target=target,
+        start_s=0.0,
+        end_s=duration_s,
+        size=size,
+        seed=int(rng.integers(2**31)),
+        permanent=kind.may_last
+        and target not in AFLOAT
+        and math.isinf(pace.longest_s)
+        and bool(rng.random() < PERMANENT),
+    )
+
+
+def _run(seed: int, faults: Sequence[Fault], rng: np.random.Generator, pace: Pace) -> Run:
+    placed = []
+    next_s = pace.first_s
+    for fault in faults:
+        start_s = (
+            float(rng.uniform(*AFLOAT_S)) if fault.target in AFLOAT else next_s + float(rng.uniform(0, pace.pause_s))
+        )
+        end_s = start_s + (LAST_S if fault.permanent else fault.end_s)
+        placed.append(msgspec.structs.replace(fault, start_s=start_s, end_s=end_s))
+        if fault.target not in AFLOAT:
+            next_s = end_s if fault.permanent else end_s + pace.after_s
+    duration_s = max(next_s, pace.first_s + pace.after_s)
+    return Run(seed=seed, faults=tuple(placed), duration_s=duration_s, afloat_s=pace.afloat_s)

@@ -1,0 +1,298 @@
+"""Faults on the bus: it stands between two routers, the node under test alone at the second one.
+
+    everyone else -- router A -- inject -- router B -- node under test
+
+What the node under test reads is copied from A to B, what it writes from B to A, byte for byte, in the order in which
+it came; but for the messages of a key that a fault concerns while it lasts. Of those it is said at A, as events, when
+a fault begins and ends, and how many messages it has harmed. Times are vehicle times.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import heapq
+import json
+import sys
+from collections.abc import Callable, Iterable, Sequence
+
+import msgspec
+
+from ltv_mpc.messages import Clock, Handed, Injection, Message, NodeStatus, RunEvent
+from ltv_mpc.node import Arrival
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import Door
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, Publisher, Session, Stopped, open_session
+from services.bus.topics import BY_SIGNAL, TOPICS, Topic, topic_at
+from services.bus.wire import Header, WireError, crc, decode, encode
+from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.runtime.serve import until_stopped
+from services.runtime.stopping import Say, StopRequest
+from services.tools.faults.schedule import problem
+from sim.faults.interval import Spell
+from sim.faults.message_faults import Harmed, Transit
+from sim.scheduler import Delivery
+
+NAME = "inject"
+WAIT_S = 0.05
+"""At most so long it waits for a frame before it looks whether it is to stop."""
+
+ANYONE = "*"
+
+
+class Interference:
+    """What comes of frames on their way; it knows time and bytes, and no bus."""
+
+    def __init__(self, injections: Iterable[Injection] = ()) -> None:
+        self.asked: list[Injection] = []
+        self._transit = Transit((), encode=_as_received, admit=_nobody)
+        for injection in injections:
+            self.add(injection)
+
+    def add(self, injection: Injection) -> None:
+        """One more, from now on."""
+        topic = topic_at(injection.key)
+        assert topic is not None  # by ``schedule.problem``
+        spell = Spell(injection.start_t_ns, injection.end_t_ns)
+        self._transit.add(Harmed((topic.signal,), injection.harm, spell, injection.size, injection.seed))
+        self.asked.append(injection)
+
+    @property
+    def harmed(self) -> list[int]:
+        """Messages that each fault has harmed, in the order in which the faults came."""
+        return self._transit.harmed
+
+    def carry(self, topic: Topic, payload: bytes, t_ns: int) -> list[tuple[int, bytes]]:
+        """When what comes of a frame that is here at ``t_ns`` goes on, and the bytes of it.
+
+        A frame that cannot be read goes on as it is.
+        """
+        if not self._transit.knows(topic.signal):
+            return [(t_ns, payload)]
+        try:
+            signal, header = decode(topic.signal, payload)
+        except WireError:
+            return [(t_ns, payload)]
+        message = _Carried(signal, header.epoch, header.sequence, t_ns, payload, signal, header)
+        return [(delivery.at_ns, _bytes(delivery)) for delivery in self._transit.carry("", "", message)]
+
+
+class _Carried(Arrival, frozen=True, eq=False):
+    """An arrival that remembers the frame that it came as."""
+
+    payload: bytes
+    sent: Message
+    header: Header
+
+
+def _as_received(message: Arrival) -> bytes:
+    assert isinstance(message, _Carried)
+    return message.payload
+
+
+def _bytes(delivery: Delivery) -> bytes:
+    message = delivery.message
+    assert isinstance(message, _Carried)
+    if delivery.payload is not None:
+        return delivery.payload
+    return message.payload if message.signal is message.sent else encode(message.signal, message.header)
+
+
+def _nobody(_: str, __: Delivery) -> Arrival | str:
+    raise AssertionError("the doors are the readers' own")
+
+
+class _Side:
+    """One router: what comes from it goes into the mailbox, if it is of this side's keys."""
+
+    def __init__(self, session: Session, mailbox: Mailbox, takes: Callable[[str], bool]) -> None:
+        self._session = session
+        self._mailbox = mailbox
+        self._takes = takes
+        self._publishers: dict[str, Publisher] = {}
+
+    def subscribe(self, key: str, topic: Topic) -> None:
+        """Hear it."""
+        self._session.subscribe(key, topic, self)
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
+        """Called on Zenoh's thread; what was put here by oneself comes back, and is none of this side's keys."""
+        if self._takes(key):
+            self._mailbox.offer(topic, key, payload)
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Say it here."""
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            publisher = self._publishers[key] = self._session.publisher(key)
+        publisher.put(payload)
+
+
+class Injector:
+    """Copies between the two routers until told to stop."""
+
+    def __init__(self, node: str, injections: Iterable[Injection], *, stop: StopRequest, say: Say) -> None:
+        """``node`` is the one under test, alone at B."""
+        self._interference = Interference()
+        self._mailbox = Mailbox()
+        self._stop = stop
+        self._say = say
+        stop.wakes(self._mailbox.wake)
+        self._node = node
+        self._clock = VehicleClock()
+        self._door = Door()
+        self._on_the_way: list[tuple[int, int, str, bytes]] = []  # due (ns), count, key, frame
+        self._count = 0
+        self._marks: list[tuple[int, int, str]] = []  # events to come: when, of which fault, what
+        self._out: Outbox
+        self._sides: tuple[_Side, _Side]
+        for injection in injections:
+            self._add(injection)
+
+    @property
+    def account(self) -> list[dict[str, object]]:
+        """Each fault, and how many messages it has harmed."""
+        asked = zip(self._interference.asked, self._interference.harmed, strict=True)
+        return [{**msgspec.to_builtins(injection), "harmed": harmed} for injection, harmed in asked]
+
+    def serve(self, a: BusOptions, b: BusOptions) -> None:
+        """Open both sides, copy, close. Raises ``BusError``, ``Stopped``."""
+        with (
+            open_session(a, stop=self._stop, say=self._say) as at_a,
+            open_session(b, stop=self._stop, say=self._say) as at_b,
+        ):
+            own, others = _written_by(self._node), _read_by(self._node)
+            side_a = _Side(at_a, self._mailbox, lambda key: key not in own)
+            side_b = _Side(at_b, self._mailbox, lambda key: key in own)
+            self._sides = side_a, side_b
+            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent, Handed))
+            for key, topic in others.items():
+                side_a.subscribe(key, topic)
+            side_a.subscribe(BY_SIGNAL[Injection].key, BY_SIGNAL[Injection])
+            for key, topic in own.items():
+                side_b.subscribe(key, topic)
+            self._own = own
+            self._say(f"ready: {self._node} at the second router")
+            while not self._stop():
+                self._tend()
+                frame = self._mailbox.take(self._wait_s())
+                if frame is not None:
+                    self._take(frame)
+
+    def _take(self, frame: Frame) -> None:
+        assert frame.topic is not None
+        if frame.topic.signal is Injection:
+            self._asked(frame)
+            return
+        if frame.topic.signal is Clock:
+            with contextlib.suppress(WireError, ClockError):  # its followers say so
+                self._clock.hear(decode(Clock, frame.payload)[0])
+        now_ns = self._now_ns()
+        if now_ns is None:  # nothing happens before there is a time
+            self._send(frame.key, frame.payload)
+            return
+        come = self._interference.carry(frame.topic, frame.payload, now_ns)
+        for payload in unlike_at_a(frame.payload, come, now_ns, said_at_b=frame.key in self._own):
+            text = base64.b64encode(payload).decode()
+            self._out.publish(Handed(t_ns=now_ns, key=frame.key, crc=crc(payload), payload_base64=text))
+        for due_ns, payload in come:
+            if due_ns <= now_ns:
+                self._send(frame.key, payload)
+            else:
+                self._count += 1
+                heapq.heappush(self._on_the_way, (due_ns, self._count, frame.key, payload))
+
+    def _asked(self, frame: Frame) -> None:
+        """A fault that somebody wants while it runs."""
+        try:
+            injection, _ = self._door.admit(frame)
+        except WireError as error:
+            self._say(f"refused: {error}")
+            return
+        assert isinstance(injection, Injection)
+        if (found := problem(injection)) is not None:
+            self._say(f"refused: {' '.join(found)}")
+        else:
+            self._add(injection)
+
+    def _add(self, injection: Injection) -> None:
+        number = len(self._interference.asked)
+        self._interference.add(injection)
+        heapq.heappush(self._marks, (injection.start_t_ns, number, "begins"))
+        heapq.heappush(self._marks, (injection.end_t_ns, number, "ends"))
+
+    def _tend(self) -> None:
+        """What is due: frames that were held back, and words on faults."""
+        now_ns = self._now_ns()
+        if now_ns is None:
+            return
+        while self._on_the_way and self._on_the_way[0][0] <= now_ns:
+            _, _, key, payload = heapq.heappop(self._on_the_way)
+            self._send(key, payload)
+        while self._marks and self._marks[0][0] <= now_ns:
+            _, number, what = heapq.heappop(self._marks)
+            asked, harmed = self._interference.asked[number], self._interference.harmed[number]
+            text = f"{asked.harm} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
+            self._out.publish(RunEvent(t_ns=now_ns, node=NAME, kind="injected", text=text))
+
+    def _send(self, key: str, payload: bytes) -> None:
+        a, b = self._sides
+        (a if key in self._own else b).put(key, payload)
+
+    def _now_ns(self) -> int | None:
+        return self._clock.read(monotonic_us())
+
+    def _wait_s(self) -> float:
+        dues = [heap[0][0] for heap in (self._on_the_way, self._marks) if heap]
+        due_us = self._clock.due_us(min(dues)) if dues else None
+        return WAIT_S if due_us is None else min(max((due_us - monotonic_us()) / 1e6, 0.0), WAIT_S)
+
+
+def unlike_at_a(payload: bytes, come: Sequence[tuple[int, bytes]], now_ns: int, *, said_at_b: bool) -> list[bytes]:
+    """Frames at B that nobody hears at A, or not yet: ``come`` is what comes of ``payload``, and when it goes on.
+
+    A recording made at A holds with them all that the node under test was given and said.
+    """
+    if said_at_b:
+        return [] if (now_ns, payload) in come else [payload]
+    return [other for _, other in come if other != payload]
+
+
+def _written_by(node: str) -> dict[str, Topic]:
+    """Its keys; of a topic that every node writes its own."""
+    return {
+        (f"{topic.key}/{node}" if topic.written_by == ANYONE else topic.key): topic
+        for topic in TOPICS
+        if topic.written_by in (node, ANYONE)
+    }
+
+
+def _read_by(node: str) -> dict[str, Topic]:
+    """What it hears of others; a plant also hears the status of all."""
+    heard = {topic.key: topic for topic in TOPICS if node in topic.read_by or ANYONE in topic.read_by}
+    if node == BY_SIGNAL[Clock].written_by:
+        heard[f"{BY_SIGNAL[NodeStatus].key}/*"] = BY_SIGNAL[NodeStatus]
+    own = _written_by(node)
+    return {key: topic for key, topic in heard.items() if key not in own}
+
+
+class Config(msgspec.Struct, frozen=True, kw_only=True):
+    """What the injector process needs to start."""
+
+    node: str  # under test
+    injections: tuple[Injection, ...]
+    at_a: BusOptions  # where everyone else is
+    at_b: BusOptions  # where the node under test is
+
+
+def main(config: Config) -> int:
+    """Inject until told to stop; the account of what was harmed is the last line on stdout, as JSON."""
+
+    def work(request: StopRequest, say: Say) -> None:
+        injector = Injector(config.node, config.injections, stop=request, say=say)
+        with contextlib.suppress(Stopped):
+            injector.serve(config.at_a, config.at_b)
+        sys.stdout.write(json.dumps(injector.account) + "\n")
+
+    return until_stopped(NAME, work)

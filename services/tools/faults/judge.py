@@ -1,0 +1,177 @@
+"""What is asked of a run with faults, and what came of it: one ``Seen`` a fault, from the run's messages alone.
+
+reaction   by the class (``reactions.py``)
+error      largest true horizontal error from the fault's start until a minute after its end
+grown      by how much it moved, at most, from what it was when the fault began; what is lost has a bound for it
+recovery   mean tracking error 30 to 60 s after its end over that of the same seed without any fault: the larger of its
+           means in the same half minute and under water in all. A vehicle that holds its place is off it by a few
+           centimetres that come and go: of two half minutes of one run without faults the one is more than twice the
+           other in some 10 % of cases (``chance``), so that the same half minute alone would call that many not
+           recovered of which nothing is wrong. It is reported beside (``window_ratio``).
+outside    time for which position or velocity was outside 3 sigma (chi-square of two degrees of freedom), neither
+           the report nor the health said anything, and the same seed without faults was inside
+"""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from ltv_mpc.messages import Array, Health
+from services.tools.faults import kinds
+from services.tools.faults.draw import Run
+from services.tools.faults.fault import RECOVERED, Place, Seen
+from services.tools.faults.lockstep_runs import Log, Observed
+from services.tools.faults.reactions import Case, reaction, uncounted
+
+THREE_SIGMA = 11.829
+"""Chi-square of two degrees of freedom at the 0.27 % that a normal one leaves outside 3 sigma."""
+
+AFTER_NS = (30_000_000_000, 60_000_000_000)
+FLAG_NS = 1_100_000_000
+"""A report of the localisation comes each second: so long a flag may be under way."""
+
+
+class Errors(NamedTuple):
+    """At the estimates' times after t = 0: tracking error (m), the true error north and east (m), (K, 2), and whether
+    the truth is outside 3 sigma.
+    """
+
+    t_ns: Array
+    tracking_m: Array
+    true_m: Array
+    outside: npt.NDArray[np.bool_]
+
+
+def errors(log: Log) -> Errors:
+    """From estimates, truth and targets."""
+    estimate, squares = np.array(log.estimate).reshape(-1, 5), np.array(log.squares).reshape(-1, 8)
+    known = estimate[:, 0] > 0
+    at, there = estimate[known, 0], estimate[known, 1:]
+    truth = np.array(log.truth)
+    true = np.column_stack([np.interp(at, truth[:, 0], truth[:, i]) for i in range(1, 5)])
+    if not log.target or not len(at):
+        nothing = np.empty(0)
+        return Errors(nothing, nothing, np.empty((0, 2)), nothing.astype(np.bool_))
+    since = np.array([t for t, _ in log.target])
+    places = np.array([place for _, place in log.target])
+    target = places[np.clip(np.searchsorted(since, at, side="right") - 1, 0, None)]
+    zero = np.array([np.interp(0.0, truth[:, 0], truth[:, i]) for i in (1, 2)])
+    begun = np.array([np.interp(0.0, estimate[:, 0], estimate[:, i]) for i in (1, 2)])
+    off = there - true
+    P = squares[known].reshape(-1, 2, 2, 2)  # instant, position or velocity, row, column
+    far = np.column_stack([_mahalanobis(off[:, 2 * i : 2 * i + 2], P[:, i]) for i in (0, 1)])
+    return Errors(
+        t_ns=at,
+        tracking_m=np.hypot(*(there[:, :2] - target).T),
+        true_m=(true[:, :2] - zero) - (target - begun),
+        outside=np.any(far > THREE_SIGMA, axis=1),
+    )
+
+
+def _mahalanobis(off: Array, P: Array) -> Array:
+    """off^T P^-1 off of each row, shapes (K, 2), (K, 2, 2); infinite where P is no covariance."""
+    det = P[:, 0, 0] * P[:, 1, 1] - P[:, 0, 1] * P[:, 1, 0]
+    a, b = off.T
+    square = P[:, 1, 1] * a * a - (P[:, 0, 1] + P[:, 1, 0]) * a * b + P[:, 0, 0] * b * b
+    with np.errstate(all="ignore"):
+        return np.where(det > 0, square / det, math.inf)
+
+
+def judge(run: Run, of: Observed, baseline: Errors | None) -> list[Seen]:
+    """Each fault of the run that was injected before the run ended. Without a baseline the error is not judged."""
+    seen, here = [], errors(of.log)
+    for place, fault in enumerate(run.faults):
+        case = Case(fault, round(fault.start_s * 1e9), round(fault.end_s * 1e9), of.harmed.get(place, 0), of)
+        if case.start_ns < of.until_ns:
+            seen.append(judged(run.seed, case, here, baseline))
+    return blamed(seen)
+
+
+def blamed(seen: Sequence[Seen]) -> list[Seen]:
+    """A run ends once: that is held against the first fault that was not met in time, or against the last."""
+    late = [place for place, one in enumerate(seen) if one.uncontrolled and one.late]
+    to_blame = late[0] if late else len(seen) - 1
+    return [
+        one if place == to_blame else msgspec.structs.replace(one, uncontrolled="") for place, one in enumerate(seen)
+    ]
+
+
+def judged(run_seed: int, case: Case, here: Errors, baseline: Errors | None, place: Place = Place.LOCKSTEP) -> Seen:
+    """One fault. ``here``: the errors of its run."""
+    of, fault = case.of, case.fault
+    judged_ns = min(case.end_ns + AFTER_NS[1], of.until_ns)
+    ended_here = bool(of.uncontrolled) and of.until_ns <= judged_ns
+    reacted = reaction(case)
+    within = (here.t_ns >= case.start_ns) & (here.t_ns <= judged_ns)
+    off = here.true_m[within]
+    ratios: tuple[float | None, float | None] = (None, None)
+    if baseline is not None and not fault.permanent and not ended_here:
+        ratios = _ratios(case, here, baseline)
+    return Seen(
+        fault=fault,
+        place=place,
+        run_seed=run_seed,
+        harmed=case.harmed,
+        reaction_s=reacted.seconds,
+        late=reacted.late,
+        worst_error_m=float(np.hypot(*off.T).max()) if within.any() else None,
+        grown_m=float(np.hypot(*(off - off[0]).T).max()) if within.any() else None,
+        bound_m=kinds.bound_m(fault),
+        ratio=ratios[0],
+        window_ratio=ratios[1],
+        outside_s=0.0 if baseline is None else _outside_s(case, here, baseline, judged_ns),
+        uncounted=uncounted(case),
+        bad_thrusts=sum(bad for t, bad, *_ in of.log.applied if case.start_ns <= t <= judged_ns),
+        uncontrolled=of.uncontrolled if ended_here else "",
+    )
+
+
+def _ratios(case: Case, here: Errors, baseline: Errors) -> tuple[float, float]:
+    """``ratio`` and ``window_ratio``; infinite where there was nothing to measure after the fault."""
+    first, last = (case.end_ns + after for after in AFTER_NS)
+    after, usual = (
+        float(of.tracking_m[within].mean()) if (within := (of.t_ns >= first) & (of.t_ns <= last)).any() else math.inf
+        for of in (here, baseline)
+    )
+    return after / max(usual, float(baseline.tracking_m.mean())), after / usual
+
+
+def chance(baselines: Iterable[Errors]) -> float | None:
+    """Of pairs of half minutes of one run without faults, at least half a minute apart, the share in which the one's
+    mean tracking error is more than ``RECOVERED`` times the other's; None: no run is long enough.
+    """
+    over = pairs = 0
+    length_ns = AFTER_NS[1] - AFTER_NS[0]
+    for of in baselines:
+        starts = np.arange(0, int(of.t_ns[-1]) - length_ns + 1, length_ns) if len(of.t_ns) else np.empty(0)
+        means = [float(of.tracking_m[(of.t_ns >= start) & (of.t_ns < start + length_ns)].mean()) for start in starts]
+        for one, other in itertools.permutations(means, 2):
+            pairs += 1
+            over += one > RECOVERED * other
+    return over / pairs if pairs else None
+
+
+def _outside_s(case: Case, here: Errors, baseline: Errors, judged_ns: int) -> float:
+    within = (here.t_ns >= case.start_ns) & (here.t_ns <= judged_ns) & here.outside
+    anyway = set(baseline.t_ns[baseline.outside].tolist())
+    reports = case.of.log.reports
+    times = [report.t_ns for report in reports]
+    plans = case.of.log.plans
+    cycles = [plan.cycle_ns for plan in plans]
+    silent = 0
+    for t_ns in here.t_ns[within].tolist():
+        if t_ns in anyway:
+            continue
+        first, last = bisect.bisect_left(times, t_ns - FLAG_NS), bisect.bisect_right(times, t_ns + FLAG_NS)
+        said = any(not report.nominal or report.wrong for report in reports[first:last])
+        plan = plans[min(bisect.bisect_left(cycles, t_ns), len(plans) - 1)]
+        silent += not (said or plan.health is not Health.NOMINAL)
+    return silent * float(np.median(np.diff(here.t_ns))) * 1e-9 if silent else 0.0

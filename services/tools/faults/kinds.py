@@ -1,0 +1,146 @@
+"""The classes of faults: what each does, to whom, how long and how much, and what is asked of the reaction.
+
+Sizes are drawn from ``size`` by the class's own meaning: a share of the messages, seconds, a factor; see
+``sim/faults``. Durations are in vehicle seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import msgspec
+
+from ltv_mpc.messages import (
+    AdcpPing,
+    Applied,
+    CompassHeading,
+    Estimate,
+    GnssFix,
+    ImuSample,
+    Message,
+    Plan,
+    PressureDepth,
+    TdcpFix,
+)
+from services.tools.faults.fault import Fault, Place
+
+LOCKSTEP, PROCESSES = Place.LOCKSTEP, Place.PROCESSES
+
+SAME_CYCLE = "the same cycle"
+AFTER_THRESHOLD = "the first cycle after its threshold"
+FLAGGED = "flagged, or inside 3 sigma"
+IMPULSE = "10 N s of lost impulse"
+DEAD = "2 s of wall time"
+
+INSTRUMENTS: Mapping[str, type[Message]] = {
+    "imu": ImuSample,
+    "adcp": AdcpPing,
+    "compass": CompassHeading,
+    "pressure": PressureDepth,
+    "gnss": GnssFix,
+    "tdcp": TdcpFix,
+}
+AFLOAT = ("gnss", "tdcp")
+"""Of use, and so to be broken, before the descent only."""
+
+MESSAGES: Mapping[str, tuple[type[Message], ...]] = {
+    "estimate": (Estimate,),
+    "plan": (Plan,),
+    "applied": (Applied,),
+    "imu": (ImuSample,),
+    "adcp": (AdcpPing,),
+    "sensors": (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix),
+}
+
+ALL = tuple(INSTRUMENTS)
+WIRES = ("estimate", "plan", "applied", "imu", "adcp")
+LINKS = ("estimate", "plan", "applied")
+STAMPERS = (*LINKS, "sensors")
+RESTARTABLE = ("estimator", "controller", "recorder")
+THRUSTERS = ("port", "starboard", "both")
+
+
+class Kind(msgspec.Struct, frozen=True):
+    """One row: a class of faults in one place."""
+
+    name: str
+    place: Place
+    targets: tuple[str, ...]
+    duration_s: tuple[float, float]
+    size: tuple[float, float]
+    limit: str  # of the reaction
+    may_last: bool = False  # some of them are permanent
+
+
+KINDS = (
+    #    name                   place      targets                       duration   size           limit
+    Kind("sensor_off",          LOCKSTEP,  ALL,                          (3, 15),   (1, 1),      AFTER_THRESHOLD, True),
+    Kind("sensor_stuck",        LOCKSTEP,  ALL,                          (2, 12),   (1, 1),        FLAGGED),
+    Kind("sensor_garbage",      LOCKSTEP,  ALL,                          (1, 10),   (0.1, 1),      FLAGGED),
+    Kind("sensor_wrong",        LOCKSTEP,  ALL,                          (2, 12),   (0.5, 3),      FLAGGED),
+    Kind("sensor_slow",         LOCKSTEP,  ALL,                          (3, 15),   (3, 10),       FLAGGED),
+    Kind("sensor_delayed",      LOCKSTEP,  ALL,                          (3, 15),   (0.05, 2),     FLAGGED),
+    Kind("sensor_intermittent", LOCKSTEP,  ALL,                          (3, 15),   (0.2, 2),      FLAGGED),
+    Kind("message_loss",        LOCKSTEP,  WIRES,                        (1, 8),    (0.2, 1),      AFTER_THRESHOLD),
+    Kind("message_delay",       LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 2),     AFTER_THRESHOLD),
+    Kind("message_reorder",     LOCKSTEP,  WIRES,                        (1, 8),    (0.1, 0.8),    SAME_CYCLE),
+    Kind("message_duplicate",   LOCKSTEP,  WIRES,                        (1, 8),    (0.1, 1),      SAME_CYCLE),
+    Kind("message_corruption",  LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 1),     SAME_CYCLE),
+    Kind("message_stale",       LOCKSTEP,  ("estimate", "plan"),         (1, 8),    (1, 1),        AFTER_THRESHOLD),
+    Kind("not_a_number",        LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 1),     SAME_CYCLE),
+    Kind("clock_jump",          LOCKSTEP,  STAMPERS,                     (1, 8),    (-3600, 3600), AFTER_THRESHOLD),
+    Kind("solver_failure",      LOCKSTEP,  ("fails", "lies", "raises"),  (0.3, 3),  (1, 1),        SAME_CYCLE),
+    Kind("solver_overrun",      LOCKSTEP,  ("controller",),              (2, 8),    (0.35, 1.5),   AFTER_THRESHOLD),
+    Kind("thruster_loss",       LOCKSTEP,  THRUSTERS,                    (10, 40),  (0.3, 1),      IMPULSE, True),
+    Kind("second_commander",    LOCKSTEP,  ("plant",),                   (0.5, 5),  (0.2, 1),      SAME_CYCLE),
+    Kind("external_force",      LOCKSTEP,  ("vehicle",),                 (1, 8),    (20, 200),     FLAGGED),
+    Kind("message_loss",        PROCESSES, LINKS,                        (1, 6),    (0.2, 1),      AFTER_THRESHOLD),
+    Kind("message_delay",       PROCESSES, LINKS,                        (1, 6),    (0.05, 1),     AFTER_THRESHOLD),
+    Kind("message_reorder",     PROCESSES, LINKS,                        (1, 6),    (0.1, 0.8),    SAME_CYCLE),
+    Kind("message_duplicate",   PROCESSES, LINKS,                        (1, 6),    (0.1, 1),      SAME_CYCLE),
+    Kind("message_corruption",  PROCESSES, LINKS,                        (1, 6),    (0.05, 1),     SAME_CYCLE),
+    Kind("process_crash",       PROCESSES, RESTARTABLE,                  (0, 0),    (1, 1),        DEAD),
+    Kind("process_hang",        PROCESSES, RESTARTABLE,                  (0, 0),    (1, 1),        DEAD),
+    Kind("process_slow",        PROCESSES, RESTARTABLE,                  (2, 8),    (0.3, 0.9),    AFTER_THRESHOLD),
+    Kind("disk_full",           PROCESSES, ("recorder",),                (0, 0),    (1, 1),        DEAD),
+    Kind("router_killed",       PROCESSES, ("router",),                  (0, 0),    (1, 1),        DEAD),
+)  # fmt: skip
+"""Every class; one of messages on their way has a row in each place."""
+
+ADRIFT_M = 15.0
+"""0.2 m/s of water for 75 s: a vehicle that nothing drives goes with it."""
+
+INERTIAL_M = 25.0
+"""3 sigma of an inertial unit alone for 75 s, its level and biases as the profiler has told of them before."""
+
+AIDED_M = 2.0
+"""With the profiler: 3 sigma of a velocity of 5 mm/s over two minutes."""
+
+BOUNDS_M: Mapping[tuple[str, str], float] = {
+    ("sensor_off", "imu"): ADRIFT_M,
+    ("sensor_off", "adcp"): INERTIAL_M,
+    ("sensor_off", "compass"): AIDED_M,
+    ("sensor_off", "pressure"): AIDED_M,
+    ("sensor_off", "gnss"): AIDED_M,
+    ("sensor_off", "tdcp"): AIDED_M,
+    ("thruster_loss", "port"): ADRIFT_M,
+    ("thruster_loss", "starboard"): ADRIFT_M,
+    ("thruster_loss", "both"): ADRIFT_M,
+}
+"""By class and target: how far what is lost may move the true horizontal error (m) while it is gone, 75 s where it is
+for good, and in the minute after.
+"""
+
+NAMES = tuple(dict.fromkeys(kind.name for kind in KINDS))
+
+
+def of(name: str, place: Place) -> Kind:
+    """The row of a class in a place."""
+    return next(kind for kind in KINDS if kind.name == name and kind.place is place)
+
+
+def bound_m(fault: Fault) -> float | None:
+    """Of the true error, where an instrument is lost or something is lost for good; None: none is asked for."""
+    if fault.permanent or fault.kind == "sensor_off":
+        return BOUNDS_M[fault.kind, fault.target]
+    return None

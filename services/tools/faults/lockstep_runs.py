@@ -1,0 +1,331 @@
+"""Faults in lock step: one run with its faults injected from outside, and what its messages showed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.messages import (
+    Applied,
+    Disturbance,
+    Estimate,
+    FilterStatus,
+    Harm,
+    Health,
+    LocalisationReport,
+    Message,
+    ModelCheck,
+    Pair,
+    Plan,
+    PlanOrigin,
+    Rejected,
+    SensorStatus,
+    Truth,
+)
+from ltv_mpc.node import Arrival, Node
+from ltv_mpc.validation import refusal
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus import topics, wire
+from services.bus.mailbox import Frame
+from services.bus.message_validation import Door
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
+from services.tools.faults.draw import Run
+from services.tools.faults.fault import Fault
+from services.tools.faults.kinds import INSTRUMENTS, MESSAGES
+from sim.faults import world
+from sim.faults.instruments import Broken, FailingSensors, Failure
+from sim.faults.interval import Spell
+from sim.faults.message_faults import Harmed, Transit
+from sim.faults.solver import Now, Timed, Trouble, Troubled, troubled
+from sim.scheduler import Delivery, LockStep, Step
+
+SCENARIO = "hover"
+
+INTRUDERS_EPOCH = 7
+"""Of the second commander's messages: it is another process than the controller."""
+
+LOOK_NS = 500_000_000
+"""Between two looks at what the doors count."""
+
+SLEW_ROUNDING = 1e-6
+"""N/s of the largest slew between two reports, a difference of commands over 10 ms."""
+
+
+class PlanSeen(NamedTuple):
+    """A plan as it was published."""
+
+    published_ns: int
+    cycle_ns: int
+    origin: PlanOrigin
+    health: Health
+    finite: bool
+
+
+class GateSeen(NamedTuple):
+    """What the actuators said of the plan that they accepted last, and of how well plans keep up."""
+
+    t_ns: int
+    received_ns: int
+    cycle_ns: int
+    health: Health
+
+
+class ReportSeen(NamedTuple):
+    """The localisation's word about itself; ``wrong``: its sensors that are not well, by status."""
+
+    t_ns: int
+    nominal: bool
+    wrong: Mapping[str, SensorStatus]
+
+
+@dataclass
+class Log:
+    """What a run's steps and messages showed, in order; an observer of its lock step."""
+
+    vehicle: Vehicle
+    tap: Callable[[Message], None] = lambda _: None
+    truth: list[tuple[int, float, float, float, float]] = field(default_factory=list)  # t, n, e, v_n, v_e
+    estimate: list[tuple[int, float, float, float, float]] = field(default_factory=list)
+    squares: list[tuple[float, ...]] = field(default_factory=list)  # covariances (2, 2) of position, of velocity
+    target: list[tuple[int, Pair]] = field(default_factory=list)
+    plans: list[PlanSeen] = field(default_factory=list)
+    cycles: list[int] = field(default_factory=list)  # starts
+    applied: list[tuple[int, bool, int, int, int]] = field(default_factory=list)  # t, bad, epoch, refused, late
+    gate: list[GateSeen] = field(default_factory=list)
+    rejected: list[tuple[int, str, str]] = field(default_factory=list)  # t, reader, key
+    reports: list[ReportSeen] = field(default_factory=list)
+    alarms: list[tuple[int, bool]] = field(default_factory=list)  # of the model: when it was said, and whether
+    asked: list[tuple[int, float, float]] = field(default_factory=list)  # of port and starboard by the propellers: t, N
+    heard: list[tuple[int, int]] = field(default_factory=list)  # estimates let in by the controller: when, of when
+
+    def __post_init__(self) -> None:
+        self._box = np.array([[t.min_N, t.max_N] for t in self.vehicle.thrusters])
+        self._slew = np.array([t.slew_N_per_s for t in self.vehicle.thrusters])
+
+    def stepped(self, step: Step) -> None:
+        """Cycles of the controller, and what it heard before them."""
+        if step.node != "controller":
+            return
+        self.cycles.append(step.at_ns)
+        self.heard += [(a.received_t_ns, a.signal.t_ns) for a in step.inbox if isinstance(a.signal, Estimate)]
+
+    def published(self, node: str, message: Arrival) -> None:
+        """Every message, as its writer published it."""
+        self.tap(message.signal)
+        match message.signal:
+            case Truth() as s:
+                self.truth.append((s.t_ns, *s.position_m[:2], *s.velocity_mps[:2]))
+            case Estimate() as s:
+                self.estimate.append((s.t_ns, s.north_m, s.east_m, s.velocity_north_mps, s.velocity_east_mps))
+                P = np.full((6, 6), np.inf) if s.covariance is None else s.covariance
+                self.squares.append((*P[:2, :2].ravel().tolist(), *P[2:4, 2:4].ravel().tolist()))
+            case Plan() as s if node == "controller":
+                self._planned(s, message.received_t_ns)
+            case Applied() as s:
+                if s.plan_sequence >= 0:
+                    self.gate.append(GateSeen(s.t_ns, s.plan_received_t_ns, s.plan_cycle_t_ns, s.health))
+                self.asked.append((s.t_ns, *s.thrust_N[:2]))
+                self.applied.append((s.t_ns, self._bad(s), s.plan_epoch, s.plans_refused, s.plans_late))
+            case Rejected() as s:
+                self.rejected.append((message.received_t_ns, node, s.key))
+            case ModelCheck() as s:
+                self.alarms.append((message.received_t_ns, s.alarm))
+            case LocalisationReport() as s:
+                wrong = {x.sensor: x.status for x in s.sensors if x.status is not SensorStatus.OK}
+                self.reports.append(ReportSeen(s.t_ns, s.status is FilterStatus.NOMINAL, wrong))
+            case _:
+                pass
+
+    def _planned(self, plan: Plan, at_ns: int) -> None:
+        finite = bool(np.isfinite(plan.thrust_N).all())
+        seen = PlanSeen(at_ns, plan.cycle_t_ns, plan.origin, plan.health, finite)
+        self.plans.append(seen)
+        if plan.reference_m is not None:
+            self.target.append((plan.cycle_t_ns, plan.reference_m))
+
+    def _bad(self, applied: Applied) -> bool:
+        """Whether the command in force is outside box or slew, or no number. Written so that NaN is bad."""
+        command, slew = np.array(applied.command_N), np.array(applied.command_slew_N_per_s)
+        inside = (command >= self._box[:, 0]) & (command <= self._box[:, 1]) & (slew <= self._slew + SLEW_ROUNDING)
+        return not bool(inside.all() and np.isfinite(applied.thrust_N).all())
+
+
+class Doors:
+    """One door a reader, as in processes: damaged bytes are decoded there, and sequences held against each other."""
+
+    def __init__(self) -> None:
+        self._doors: dict[str, Door] = {}
+        self.let_in: list[int] = []
+        """When a damaged frame was let in, because nothing in it was out of order."""
+
+    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
+        """What is let in, or why not."""
+        message, kind = delivery.message, type(delivery.message.signal)
+        door = self._doors.setdefault(reader, Door())
+        key = topics.key_of(kind, reader)
+        try:
+            if delivery.payload is not None:
+                signal, header = door.admit(Frame(topics.BY_SIGNAL[kind], key, delivery.payload, 0))
+                self.let_in.append(delivery.at_ns)
+                return Arrival(signal, header.epoch, header.sequence, delivery.at_ns)
+            if (reason := refusal(message.signal)) is not None:
+                return reason
+            shared = topics.BY_SIGNAL[kind].written_by == topics.OPERATOR or kind is Plan  # as ``Door.admit`` has it
+            door.in_order(f"{key}@{message.epoch}" if shared else key, _header(message))
+        except wire.WireError as error:
+            return str(error)
+        return message
+
+    @property
+    def dropped(self) -> int:
+        """Messages that the doors know to have been lost."""
+        return sum(door.dropped for door in self._doors.values())
+
+
+class Bus(Transit):
+    """Transit by the wire's own bytes and doors; a second commander is another process."""
+
+    def __init__(self, faults: Sequence[Harmed]) -> None:
+        self.doors = Doors()
+        super().__init__(faults, encode=encoded, admit=self.doors.admit)
+
+    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:
+        """As it is carried, with the writer's epoch."""
+        if writer == world.Intruder.name:
+            message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
+        return super().carry(writer, reader, message)
+
+
+def encoded(message: Arrival) -> bytes:
+    """A message as it travels."""
+    return wire.encode(message.signal, _header(message))
+
+
+def _header(message: Arrival) -> wire.Header:
+    return wire.Header(epoch=message.epoch, sequence=message.sequence, sent_monotonic_us=0)
+
+
+class Observed(NamedTuple):
+    """One run: what was seen, how many messages each fault harmed, and how it ended if not by itself."""
+
+    log: Log
+    harmed: dict[int, int]  # by the fault's place in the run
+    let_in: list[int] | None  # damaged frames: when; None: nobody looked
+    dropped: list[tuple[int, int]]  # when, and how many losses the doors knew of by then
+    uncontrolled: str
+    until_ns: int
+    unheard: int = 0  # plans that were published, and lost on their way to whoever observed
+
+
+def situation(run: Run) -> Situation:
+    """The scenario with the run's seed, as long as it lasts."""
+    settings = (f"run.seed={run.seed}", f"run.duration_s={run.duration_s}", f"run.surface_time_s={run.afloat_s}")
+    return resolve(SCENARIO, [Override("campaign", settings)])
+
+
+def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Observed:
+    """Make the run in this process. ``tap`` is given every signal that is published."""
+    of = situation(run)
+    log = Log(of.vehicle, tap=tap)
+    now = Now()
+    harmed = [(i, harm) for i, fault in enumerate(run.faults) if (harm := _harm(fault)) is not None]
+    bus = Bus([harm for _, harm in harmed])
+    with troubled([t for t in map(_trouble, run.faults) if t is not None], now):
+        lockstep = LockStep(
+            _nodes(of, run.faults, now),
+            start_ns=of.scenario.start_ns,
+            compute_delay_ns=_overrun(run.faults),
+            observe=log,
+            stepped=log.stepped,
+            latest=lockstep_run.LATEST,
+            refused=lockstep_run.refused,
+            between=bus,
+        )
+        uncontrolled, until_ns = "", of.scenario.end_ns
+        dropped: list[tuple[int, int]] = []
+        try:
+            for t_ns in (*range(of.scenario.start_ns, of.scenario.end_ns, LOOK_NS), of.scenario.end_ns):
+                lockstep.advance(t_ns)
+                dropped.append((t_ns, bus.doors.dropped))
+        except Exception as error:  # whatever it is: that is what is looked for
+            uncontrolled = f"{type(error).__name__}: {error}"
+            until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
+    return Observed(
+        log=log,
+        harmed=dict(zip((i for i, _ in harmed), bus.harmed, strict=True)),
+        let_in=bus.doors.let_in,
+        dropped=dropped,
+        uncontrolled=uncontrolled,
+        until_ns=until_ns,
+    )
+
+
+def _nodes(of: Situation, faults: Sequence[Fault], now: Now) -> list[Node]:
+    """Those of the run, with what is broken around them and what disturbs them first."""
+    plant, sensors, *aboard = lockstep_run.nodes(of)
+    *others, controller = aboard
+    broken = [b for b in map(_broken, faults) if b is not None]
+    disturbances = [d for fault in faults if (d := _disturbance(fault)) is not None]
+    intrusions = [
+        world.Intrusion(_spell(fault), world.within(of.vehicle, (fault.size, -fault.size, 0.0)))
+        for fault in faults
+        if fault.kind == "second_commander"
+    ]
+    return [
+        world.Disturber(disturbances),
+        world.Intruder(intrusions),
+        plant,
+        FailingSensors(sensors, broken),
+        *others,
+        Timed(controller, now),
+    ]
+
+
+def _spell(fault: Fault) -> Spell:
+    return Spell(round(fault.start_s * 1e9), round(fault.end_s * 1e9))
+
+
+def _broken(fault: Fault) -> Broken | None:
+    what, _, failure = fault.kind.partition("_")
+    if what != "sensor":
+        return None
+    return Broken(INSTRUMENTS[fault.target], Failure(failure), _spell(fault), fault.size, fault.seed)
+
+
+def _harm(fault: Fault) -> Harmed | None:
+    harm = fault.kind.removeprefix("message_")
+    if harm not in set(Harm):
+        return None
+    return Harmed(MESSAGES[fault.target], Harm(harm), _spell(fault), fault.size, fault.seed)
+
+
+def _trouble(fault: Fault) -> Troubled | None:
+    return Troubled(Trouble(fault.target), _spell(fault)) if fault.kind == "solver_failure" else None
+
+
+def _disturbance(fault: Fault) -> tuple[int, Disturbance] | None:
+    start_ns, end_ns = _spell(fault)
+    if fault.kind == "thruster_loss":
+        left = 1.0 - fault.size
+        scale = {"port": (left, 1.0, 1.0), "starboard": (1.0, left, 1.0), "both": (left, left, 1.0)}[fault.target]
+        return start_ns, Disturbance(until_t_ns=end_ns, thrust_scale=scale)
+    if fault.kind == "external_force":
+        towards = np.random.default_rng(fault.seed).uniform(0.0, 2.0 * np.pi)
+        force = (fault.size * float(np.cos(towards)), fault.size * float(np.sin(towards)), 0.0)
+        return start_ns, Disturbance(until_t_ns=end_ns, force_N=force)
+    return None
+
+
+def _overrun(faults: Sequence[Fault]) -> Callable[[int], int]:
+    """How long a cycle that starts then computes (ns)."""
+    slow = [(_spell(fault), round(fault.size * 1e9)) for fault in faults if fault.kind == "solver_overrun"]
+
+    def delay_ns(t_ns: int) -> int:
+        return next((delay for spell, delay in slow if spell.holds(t_ns)), 0)
+
+    return delay_ns

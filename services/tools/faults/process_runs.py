@@ -1,0 +1,167 @@
+"""Faults in real processes: a run of ``ltv-mpc sim``, or one behind an injector, and what its recording showed.
+
+Both go at twice real time. What is done to a run is done by this process, when the run's own clock says that it is
+time; the run knows nothing of it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from ltv_mpc.messages import Clock, ClockState
+from services.bus.roles import DISPLAY
+from services.bus.session import BusOptions, open_session
+from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.wire import WireError, decode
+from services.processes import plant
+from services.runtime.clock import ClockError, VehicleClock, monotonic_us
+from services.supervisor.entry_point import read_config
+from services.tools.faults import attacks
+from services.tools.faults.draw import Run
+from services.tools.faults.fault import Fault
+from services.tools.faults.lockstep_runs import SCENARIO
+from services.tools.faults.subprocess_tools import Process, Started
+
+SPEED = 2.0
+START_S = 90.0
+"""At most so long a run may take to begin, on a machine that does other things too."""
+
+LOOK_S = 0.02
+END_S = 30.0
+"""Of wall time after a run's end, until its processes have ended too."""
+
+
+LAST_LINES, LONGEST_WORDS = 4, 500
+"""Of what a run said."""
+
+
+class Injected(NamedTuple):
+    """A fault as it was done: when, by the host's monotonic clock and by the run's; ``why`` it was not, if so.
+
+    Of a full disk ``at_us`` is when there was room again.
+    """
+
+    fault: Fault
+    at_us: int
+    at_ns: int
+    why: str = ""
+
+
+class Ended(NamedTuple):
+    """A run of processes: its folder, its exit code, its last words, and what was done to it."""
+
+    folder: Path
+    code: int | None  # None: it had to be ended
+    words: str
+    injected: list[Injected]
+
+
+class _Time:
+    """The run's own clock."""
+
+    def __init__(self) -> None:
+        self._clock = VehicleClock()
+        self.state = ClockState.WAITING
+
+    def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  (there is one key)
+        """Called on the bus's thread."""
+        try:
+            said, _ = decode(Clock, payload)
+            self._clock.hear(said)
+            self.state = said.state
+        except (WireError, ClockError):
+            return
+
+    def now_ns(self) -> int | None:
+        """Vehicle time; None before there is one."""
+        return self._clock.read(monotonic_us()) if self.state is not ClockState.WAITING else None
+
+
+def arguments(run: Run, folder: Path) -> list[str]:
+    """The command line of its simulation, as a person types it."""
+    return [
+        "services.cli",
+        *("sim", SCENARIO, "--out", str(folder), "--json"),
+        *("--speed", repr(SPEED), "--duration-s", repr(run.duration_s), "--surface-time-s", repr(run.afloat_s)),
+        *("--set", f"run.seed={run.seed}"),
+    ]
+
+
+def supervised(run: Run, folder: Path) -> Ended:
+    """``ltv-mpc sim`` with its supervisor, and its processes killed, stopped, slowed, starved of disk."""
+    log = folder.with_suffix(".log")
+    with Started() as started:
+        process = started.start(arguments(run, folder), log, results=False)
+        injected = _attack(run.faults, process, folder)
+        code = _end_of(process, run)
+    return Ended(folder, code, _words(log), injected)
+
+
+def _words(log: Path) -> str:
+    """What it said last, but for how the run went."""
+    lines = log.read_text(errors="replace").splitlines()
+    said = [line.strip() for line in lines if line.strip() and not line.startswith(("t ", "report: ", str(log.parent)))]
+    return "; ".join(said[-LAST_LINES:])[-LONGEST_WORDS:]
+
+
+def _end_of(process: Process, run: Run) -> int | None:
+    """Its exit code; None where it did not come to its end."""
+    until = time.monotonic() + (run.duration_s + run.afloat_s) * 2.0 / SPEED + START_S + END_S
+    while time.monotonic() < until:
+        if (code := process.poll()) is not None:
+            return code
+        time.sleep(0.1)
+    return None
+
+
+def _attack(faults: Sequence[Fault], process: Process, folder: Path) -> list[Injected]:
+    injected: list[Injected] = []
+    with ExitStack() as sessions:
+        if (clock := _clock_of(process, folder, sessions)) is None:
+            return injected
+        for fault in faults:
+            start_ns, end_ns = round(fault.start_s * 1e9), round(fault.end_s * 1e9)
+            while process.poll() is None and (clock.now_ns() or start_ns - 1) < start_ns:
+                time.sleep(LOOK_S)
+            if process.poll() is not None:
+                break
+            at_us, at_ns, why = monotonic_us(), clock.now_ns() or start_ns, ""
+            try:
+                pid = attacks.pid_of(fault.target, process.pid)
+                attacks.attack(fault, pid, lasts=lambda end_ns=end_ns: (clock.now_ns() or end_ns) < end_ns)  # type: ignore[misc]
+            except (attacks.NotFound, ProcessLookupError) as error:
+                why = str(error)
+            if fault.kind == "disk_full":  # nobody can write before there is room again
+                at_us = monotonic_us()
+            injected.append(Injected(fault, at_us, at_ns, why))
+    return injected
+
+
+def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | None:
+    """The clock of a run, by the place of its router as its own config has it; None: it never began."""
+    until = time.monotonic() + START_S
+    clock, connected = _Time(), False
+    while process.poll() is None and time.monotonic() < until:
+        if not connected and (options := _bus_of(folder)) is not None:
+            session = sessions.enter_context(open_session(options, stop=lambda: False, say=lambda _: None))
+            session.subscribe(BY_SIGNAL[Clock].key, BY_SIGNAL[Clock], clock)
+            connected = True
+        if clock.now_ns() is not None:
+            return clock
+        time.sleep(LOOK_S)
+    return None
+
+
+def _bus_of(folder: Path) -> BusOptions | None:
+    """How the run in ``folder`` is reached, once its plant has been started."""
+    try:
+        config: plant.Config = read_config(folder / "logs" / "plant.json", plant.Config)
+    except (OSError, msgspec.DecodeError):  # not there yet, or not all of it
+        return None
+    return msgspec.structs.replace(config.bus, role=DISPLAY)

@@ -1,0 +1,268 @@
+"""Whether what had to react did so in time: one rule for each thing that is asked, by class of fault.
+
+Of every fault: a finite command each cycle, a health of the controller that is what the age of the newest estimate asks
+for, and one of the actuators that says when plans are missing. Beyond that ``RULES`` says what is asked of each class.
+A rule looks at a run's messages and at nothing inside a node.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.messages import Health, PlanOrigin
+from services.bus.topics import BY_SIGNAL
+from services.tools.faults.fault import Fault
+from services.tools.faults.kinds import AFLOAT, INSTRUMENTS, MESSAGES
+from services.tools.faults.lockstep_runs import INTRUDERS_EPOCH, Observed
+
+LEVELS = ((Health.FAILSAFE, 6, 3.0), (Health.HOLD, 4, 1.5), (Health.DEGRADED, 3, 0.5))
+"""Health by the age of the newest estimate: worse than this many periods and seconds, worst first."""
+
+SEVERITY = {Health.NOMINAL: 0, Health.DEGRADED: 1, Health.HOLD: 2, Health.FAILSAFE: 3}
+
+FUTURE_NS = 50_000_000
+"""An estimate stamped further ahead of its arrival tells nothing of how old what is known is."""
+
+SPACINGS = 9
+"""Of which the period of estimates is the median."""
+
+REPLACEMENTS, LEAST_SILENCE_S = 5, 0.5
+"""Half periods without a plan after which the second replacement is missing, and the least that counts."""
+
+APPLIED_NS = 100_000_000
+SILENT_PERIODS = 3
+REPORT_NS = 1_000_000_000
+CYCLE_NS = 300_000_000
+
+ALARM_NEWTON_S = 10.0
+"""N s of impulse that a lost thruster may cost before the model's alarm."""
+
+CHECK_NS = 1_000_000_000
+"""Between two words on the model."""
+
+
+class Reaction(NamedTuple):
+    """How long after it was due it came, and why that was late; None: nothing was due, or it cannot be timed."""
+
+    seconds: float | None
+    late: str = ""
+
+
+class Case(NamedTuple):
+    """One fault in its run."""
+
+    fault: Fault
+    start_ns: int
+    end_ns: int
+    harmed: int  # messages
+    of: Observed
+    back: Reaction | None = None  # of a process that was ended or stopped: when it was back, in wall time
+
+
+def reaction(case: Case) -> Reaction:
+    """The slowest of what is asked of every fault and of what is asked of its class."""
+    if case.back is not None:
+        return case.back
+    rules = (_a_command_each_cycle, _health_by_age, _plans_keep_up, *RULES.get(case.fault.kind, ()))
+    reactions = [rule(case) for rule in rules]
+    took = [one.seconds for one in reactions if one.seconds is not None]
+    return Reaction(max(took) if took else None, "; ".join(one.late for one in reactions if one.late))
+
+
+def uncounted(case: Case) -> int:
+    """Messages that the fault harmed in a way that their reader must count, and did not."""
+    match case.fault.kind:
+        case "not_a_number" | "message_duplicate" | "message_reorder":
+            return max(0, case.harmed - _refused(case))
+        case "message_corruption" if case.of.let_in is None:
+            return 0  # what decodes to a message that is fit is none that its reader could know
+        case "message_corruption":
+            let_in = sum(case.start_ns <= t <= case.end_ns for t in case.of.let_in or ())
+            return max(0, case.harmed - let_in - _refused(case))
+        case "message_loss":
+            before = [count for t, count in case.of.dropped if t <= case.start_ns]
+            after = [count for t, count in case.of.dropped if t <= case.end_ns + 2 * REPORT_NS]
+            return max(0, case.harmed - (after[-1] - before[-1]))
+        case _:
+            return 0
+
+
+def _refused(case: Case) -> int:
+    """Frames of the harmed keys that doors refused, until the last that the fault had made can have come."""
+    keys = {BY_SIGNAL[kind].key for kind in MESSAGES[case.fault.target]}
+    until_ns = case.end_ns + 2 * REPORT_NS
+    return sum(key in keys and case.start_ns <= t <= until_ns for t, _, key in case.of.log.rejected)
+
+
+# --- of every fault --------------------------------------------------------------------------------------------------
+
+
+def _a_command_each_cycle(case: Case) -> Reaction:
+    """Each cycle ends in a plan, finite, of that cycle."""
+    log = case.of.log
+    first_ns = log.plans[0].cycle_ns if log.plans else math.inf
+    until_ns = min(case.end_ns + REPORT_NS, case.of.until_ns - 2 * REPORT_NS)  # of the last the plan is under way
+    made = {plan.cycle_ns for plan in log.plans if plan.finite}
+    without = [t for t in log.cycles if max(case.start_ns, first_ns) <= t <= until_ns and t not in made]
+    missing = len(without) - case.of.unheard
+    return Reaction(None, f"{missing} cycles without a finite command" if missing > 0 else "")
+
+
+def _health_by_age(case: Case) -> Reaction:
+    """At each cycle the health is what the age of the newest estimate asks for, or worse."""
+    log = case.of.log
+    plans = {plan.cycle_ns: plan for plan in log.plans}
+    took: float | None = None
+    heard, stamps = iter([*log.heard, (10**19, 0)]), [-(10**18)]
+    received_ns, stamp_ns = next(heard)
+    for cycle_ns in log.cycles:
+        while received_ns <= cycle_ns:
+            if stamps[-1] < stamp_ns <= received_ns + FUTURE_NS:
+                stamps.append(stamp_ns)
+            received_ns, stamp_ns = next(heard)
+        plan = plans.get(cycle_ns)
+        if plan is None or not case.start_ns <= cycle_ns <= case.end_ns + 2 * REPORT_NS:
+            continue
+        level, over_ns = _asked_for(cycle_ns - stamps[-1], stamps)
+        if SEVERITY[plan.health] < SEVERITY[level]:
+            age_s = (cycle_ns - stamps[-1]) * 1e-9
+            return Reaction(None, f"{plan.health} with an estimate {age_s:.2f} s old: {level} is asked for")
+        if 0 < over_ns <= CYCLE_NS:
+            took = max(took or 0.0, over_ns * 1e-9)
+    return Reaction(took)
+
+
+def _asked_for(age_ns: int, stamps: list[int]) -> tuple[Health, int]:
+    """The least bad health for an estimate of this age, and by how much the age is over its threshold."""
+    spacings = sorted(np.diff(stamps[-SPACINGS - 1 :]).tolist())
+    period_ns = int(spacings[len(spacings) // 2]) if len(stamps) > 2 else 0
+    for level, periods, seconds in LEVELS:
+        over_ns = age_ns - max(periods * period_ns, round(seconds * 1e9))
+        if over_ns > 0:
+            return level, over_ns
+    return Health.NOMINAL, 0
+
+
+def _plans_keep_up(case: Case) -> Reaction:
+    """While two planned replacements are missing the actuators' report is not nominal."""
+    took: float | None = None
+    cycles: list[int] = []
+    for seen in case.of.log.gate:
+        if not cycles or seen.cycle_ns != cycles[-1]:
+            cycles.append(seen.cycle_ns)
+        if not case.start_ns <= seen.t_ns <= case.end_ns + 2 * REPORT_NS:
+            continue
+        spacings = sorted(np.diff(cycles[-SPACINGS - 1 :]).tolist())
+        period_ns = int(spacings[len(spacings) // 2]) if spacings else CYCLE_NS
+        over_ns = seen.t_ns - seen.received_ns - max(REPLACEMENTS * period_ns // 2, round(LEAST_SILENCE_S * 1e9))
+        if over_ns > 0 and seen.health is Health.NOMINAL:
+            silent_s = (seen.t_ns - seen.received_ns) * 1e-9
+            return Reaction(None, f"the actuators are nominal {silent_s:.2f} s after the last plan they accepted")
+        if 0 < over_ns <= APPLIED_NS:
+            took = max(took or 0.0, over_ns * 1e-9)
+    return Reaction(took)
+
+
+# --- by class --------------------------------------------------------------------------------------------------------
+
+
+def _silence_flagged(case: Case) -> Reaction:
+    """The first report after three missing messages says that the instrument is silent."""
+    name, fault = case.fault.target, case.fault
+    if name == "imu":
+        return Reaction(None)  # without it there is neither estimate nor report: the health says so
+    threshold_ns = case.start_ns + SILENT_PERIODS * BY_SIGNAL[INSTRUMENTS[name]].period_ns
+    until_ns = min(case.end_ns, 0) if name in AFLOAT else case.end_ns
+    due = [report for report in case.of.log.reports if threshold_ns + REPORT_NS < report.t_ns <= until_ns]
+    if not due:
+        return Reaction(None)
+    said = next((r for r in case.of.log.reports if threshold_ns < r.t_ns <= until_ns and name in r.wrong), None)
+    if said is None:
+        return Reaction(None, f"silent for {fault.end_s - fault.start_s:.1f} s, and no report says so")
+    seconds = (said.t_ns - threshold_ns) * 1e-9
+    late = f"said {seconds:.1f} s after its threshold" if said.t_ns > due[0].t_ns else ""
+    return Reaction(seconds, late)
+
+
+def _refused_at_the_door(case: Case) -> Reaction:
+    """Every harmed frame is refused and counted as it arrives."""
+    missing = uncounted(case)
+    return Reaction(0.0 if case.harmed else None, f"{missing} of {case.harmed} frames not refused" if missing else "")
+
+
+def _another_origin(case: Case) -> Reaction:
+    """A cycle whose solver is in trouble says so by its plan's origin; the second one after it is solved again."""
+    plans = [plan for plan in case.of.log.plans if plan.cycle_ns >= case.start_ns]
+    during = [plan for plan in plans if plan.cycle_ns < case.end_ns]
+    if any(plan.origin is PlanOrigin.SOLVED for plan in during):
+        return Reaction(None, "a plan of a solver in trouble says that it is solved")
+    after = [plan for plan in plans if plan.cycle_ns >= case.end_ns][1:2]
+    if any(plan.origin is not PlanOrigin.SOLVED for plan in after):
+        return Reaction(0.0, "not solved in the second cycle after the trouble")
+    return Reaction(0.0 if during else None)
+
+
+def _misses_counted(case: Case) -> Reaction:
+    """Each plan that came after its start is a deadline miss in the plant's next report."""
+    before = [late for t, *_, late in case.of.log.applied if t <= case.start_ns]
+    after = [late for t, *_, late in case.of.log.applied if t <= case.end_ns + 3 * REPORT_NS]
+    slow = [p for p in case.of.log.plans if case.start_ns <= p.cycle_ns < case.end_ns]
+    if slow and after[-1] == before[-1]:
+        return Reaction(None, f"{len(slow)} slow cycles, and no deadline miss is counted")
+    return Reaction(0.0 if slow else None)
+
+
+def _not_followed(case: Case) -> Reaction:
+    """No plan of a second commander is ever the one in force, and the first one is refused in the same cycle."""
+    during = [row for row in case.of.log.applied if case.start_ns <= row[0] <= case.end_ns + REPORT_NS]
+    if any(epoch == INTRUDERS_EPOCH for _, _, epoch, *_ in during):
+        return Reaction(None, "the plant follows the second commander")
+    refused = [t for t, reader, key in case.of.log.rejected if reader == "plant" and t >= case.start_ns]
+    before = [count for t, *_, count, _ in case.of.log.applied if t < case.start_ns]
+    refused += [t for t, *_, count, _ in during if count > before[-1]]
+    if not refused:
+        return Reaction(None, "nobody says that a second commander was refused")
+    return Reaction(max(0.0, (min(refused) - case.start_ns) * 1e-9))
+
+
+def _alarm_in_time(case: Case) -> Reaction:
+    """Once the lost thrust has cost ``ALARM_NEWTON_S`` of impulse the next word on the model is an alarm."""
+    of, lost_Ns, last_ns = case.fault, 0.0, case.start_ns
+    shares = (of.size if of.target != "starboard" else 0.0, of.size if of.target != "port" else 0.0)
+    due_ns = None
+    for t_ns, port_N, starboard_N in case.of.log.asked:
+        if case.start_ns < t_ns <= min(case.end_ns, case.of.until_ns):
+            lost_Ns += (t_ns - last_ns) * 1e-9 * (shares[0] * abs(port_N) + shares[1] * abs(starboard_N))
+            last_ns = t_ns
+            if lost_Ns >= ALARM_NEWTON_S:
+                due_ns = t_ns
+                break
+    said = next((t for t, alarm in case.of.log.alarms if alarm and case.start_ns <= t <= case.end_ns + REPORT_NS), None)
+    if due_ns is None or due_ns + CHECK_NS > case.end_ns:
+        return Reaction(None)
+    if said is None:
+        return Reaction(
+            None, f"no alarm, {ALARM_NEWTON_S:g} N s were lost {(due_ns - case.start_ns) * 1e-9:.1f} s after it began"
+        )
+    seconds = (said - due_ns) * 1e-9
+    return Reaction(
+        seconds, f"alarm {seconds:.1f} s after {ALARM_NEWTON_S:g} N s were lost" if said > due_ns + CHECK_NS else ""
+    )
+
+
+RULES: Mapping[str, tuple[Callable[[Case], Reaction], ...]] = {
+    "sensor_off": (_silence_flagged,),
+    "message_reorder": (_refused_at_the_door,),
+    "message_duplicate": (_refused_at_the_door,),
+    "message_corruption": (_refused_at_the_door,),
+    "not_a_number": (_refused_at_the_door,),
+    "solver_failure": (_another_origin,),
+    "solver_overrun": (_misses_counted,),
+    "second_commander": (_not_followed,),
+    "thruster_loss": (_alarm_in_time,),
+}
+"""What is asked of a class beyond what is asked of all."""

@@ -1,0 +1,99 @@
+"""What a run of processes showed: its recording, read as the observer of a lock step would have seen it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from ltv_mpc.messages import Estimate, NodeStatus, Plan, Rejected, StepRecord, Truth
+from ltv_mpc.node import Arrival
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import WireError
+from services.recording.reader import Recording
+from services.recording.sequence_gaps import Gaps
+from services.tools.faults.lockstep_runs import Log
+
+CONTROLLER, PLANT = "controller", "plant"
+ESTIMATE, PLAN, TRUTH = (BY_SIGNAL[kind].key for kind in (Estimate, Plan, Truth))
+
+
+class Taken(NamedTuple):
+    """A message that a node's step took."""
+
+    key: str
+    epoch: int
+    sequence: int
+
+
+class Sent(NamedTuple):
+    """A message as it went out: ``at_us`` by the host's monotonic clock."""
+
+    key: str
+    epoch: int
+    sequence: int
+    at_us: int
+
+
+class Recorded(NamedTuple):
+    """One run of processes, from its recording."""
+
+    log: Log
+    taken: frozenset[Taken]  # by plant and controller
+    sent: list[Sent]  # estimates, plans and truths
+    words: list[NodeStatus]  # all of them, in order
+    last: dict[int, NodeStatus]  # by epoch, of those that have said their last word
+    messages: Counter[int]  # recorded, by epoch; one that is there twice is one
+    unreadable: int  # recorded too: harmed on their way, and refused by whoever read them
+    until_ns: int
+
+
+def read(path: Path, vehicle: Vehicle) -> Recorded:
+    """All of a recording."""
+    log = Log(vehicle)
+    sent: list[Sent] = []
+    words: list[NodeStatus] = []
+    last: dict[int, NodeStatus] = {}
+    messages: Counter[int] = Counter()
+    sources: dict[tuple[str, int], Gaps] = {}
+    steps: list[StepRecord] = []
+    stamps: dict[tuple[int, int], int] = {}
+    until_ns = unreadable = 0
+    for message in Recording(path):
+        if message.kind is None:
+            continue
+        try:
+            signal, header = message.typed()
+        except WireError:
+            unreadable += 1
+            continue
+        key, t_ns = message.key, message.t_ns
+        until_ns = max(until_ns, t_ns)
+        if sources.setdefault((key, header.epoch), Gaps()).saw(header.sequence):
+            messages[header.epoch] += 1
+        match signal:
+            case StepRecord() if signal.node in (CONTROLLER, PLANT):
+                steps.append(signal)
+            case NodeStatus():
+                words.append(signal)
+                if signal.finished:
+                    last[header.epoch] = signal
+            case Estimate() | Plan() | Truth():
+                sent.append(Sent(key, header.epoch, header.sequence, header.sent_monotonic_us))
+                if isinstance(signal, Estimate):
+                    stamps[header.epoch, header.sequence] = signal.t_ns
+            case _:
+                pass
+        node = signal.node if isinstance(signal, Rejected) else CONTROLLER
+        log.published(node, Arrival(signal, header.epoch, header.sequence, t_ns))
+    for step in steps:
+        if step.node == CONTROLLER:
+            log.cycles.append(step.t_ns)
+            log.heard += [
+                (entry.received_t_ns, stamps[entry.epoch, entry.sequence])
+                for entry in step.inbox
+                if entry.key == ESTIMATE and (entry.epoch, entry.sequence) in stamps
+            ]
+    taken = frozenset(Taken(entry.key, entry.epoch, entry.sequence) for step in steps for entry in step.inbox)
+    return Recorded(log, taken, sent, words, last, messages, unreadable, until_ns)

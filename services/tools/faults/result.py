@@ -1,0 +1,143 @@
+"""The campaign's figures: one row a class, and the faults for which a promise was not kept. No simulation here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from services.tools.faults.fault import RECOVERED, Place, Seen
+from services.tools.faults.kinds import KINDS
+
+UNSAID_S = 10.0
+"""A window of innovations: so long an error may be outside 3 sigma before somebody must have said so."""
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One class. None: not measured."""
+
+    fault: str
+    limit: str  # of the reaction, in words
+    injected: int
+    in_processes: int
+    reaction_median_s: float | None
+    reaction_worst_s: float | None
+    late: int
+    worst_error_m: float | None
+    worst_ratio: float | None
+    not_recovered: int
+    grown_m: float | None  # of what is lost: how far the true error moved at most,
+    bound_m: float | None  # the largest bound of that,
+    beyond_bound: int  # and how often the fault's own bound was exceeded
+    unsaid: int  # longer than UNSAID_S outside 3 sigma, and nothing said so
+    uncounted: int
+    bad_thrusts: int
+    uncontrolled: int
+
+
+class Campaign(msgspec.Struct, frozen=True, kw_only=True):
+    """faults.json."""
+
+    seed: int
+    quick: bool  # safety and reactions alone: what comes of the error later is not judged
+    classes: int
+    injected: int
+    in_processes: int
+    uncontrolled_exits: int
+    bad_thrusts: int
+    uncounted_losses: int
+    late_reactions: int
+    not_recovered: int
+    window_over: int  # faults with a ``window_ratio`` over the same limit,
+    window_asked: int  # of so many that have one,
+    window_chance: float | None  # and the share of half minutes without any fault that are, by chance
+    beyond_bound: int
+    unsaid: int
+    wall_s: float
+    load: float  # of the machine over its last minute, for each core: what is asked by the wall needs one below 1
+    rows: tuple[Row, ...]
+    not_kept: tuple[Seen, ...]  # each fault for which a promise was not kept
+
+
+def campaign(
+    seen: Sequence[Seen], *, seed: int, quick: bool, wall_s: float, load: float, window_chance: float | None = None
+) -> Campaign:
+    """The figures of all that was seen."""
+    windows = [s.window_ratio for s in seen if s.window_ratio is not None]
+    names = dict.fromkeys(kind.name for kind in KINDS)
+    rows = tuple(row for name in names if (row := _row(name, [s for s in seen if s.fault.kind == name])).injected)
+    return Campaign(
+        seed=seed,
+        quick=quick,
+        classes=len(rows),
+        injected=len(seen),
+        in_processes=sum(row.in_processes for row in rows),
+        uncontrolled_exits=sum(row.uncontrolled for row in rows),
+        bad_thrusts=sum(row.bad_thrusts for row in rows),
+        uncounted_losses=sum(row.uncounted for row in rows),
+        late_reactions=sum(row.late for row in rows),
+        not_recovered=sum(row.not_recovered for row in rows),
+        window_over=sum(not ratio <= RECOVERED for ratio in windows),
+        window_asked=len(windows),
+        window_chance=window_chance,
+        beyond_bound=sum(row.beyond_bound for row in rows),
+        unsaid=sum(row.unsaid for row in rows),
+        wall_s=wall_s,
+        load=load,
+        rows=rows,
+        not_kept=tuple(s for s in seen if problems(s)),
+    )
+
+
+def problems(seen: Seen) -> list[str]:
+    """Promises that were not kept for this fault, in words."""
+    found = [seen.uncontrolled and f"ended: {seen.uncontrolled}", seen.late]
+    found.append(f"{seen.bad_thrusts} bad thrusts" if seen.bad_thrusts else "")
+    found.append(f"{seen.uncounted} messages that nobody counted" if seen.uncounted else "")
+    found.append(f"tracking error {seen.ratio:.1f} times that without it" if _not_recovered(seen) else "")
+    found.append(f"true error moved by {seen.grown_m:.1f} m, bound {seen.bound_m:g} m" if _beyond_bound(seen) else "")
+    found.append(f"outside 3 sigma for {seen.outside_s:.0f} s, unsaid" if seen.outside_s > UNSAID_S else "")
+    return [text for text in found if text]
+
+
+def _not_recovered(seen: Seen) -> bool:
+    return seen.ratio is not None and not seen.ratio <= RECOVERED
+
+
+def _beyond_bound(seen: Seen) -> bool:
+    return seen.bound_m is not None and seen.grown_m is not None and not seen.grown_m <= seen.bound_m
+
+
+def _row(name: str, seen: Sequence[Seen]) -> Row:
+    took = sorted(s.reaction_s for s in seen if s.reaction_s is not None)
+    return Row(
+        fault=name,
+        limit=next(kind.limit for kind in KINDS if kind.name == name),
+        injected=len(seen),
+        in_processes=sum(s.place is Place.PROCESSES for s in seen),
+        reaction_median_s=took[len(took) // 2] if took else None,
+        reaction_worst_s=took[-1] if took else None,
+        late=sum(bool(s.late) for s in seen),
+        worst_error_m=_worst(s.worst_error_m for s in seen),
+        worst_ratio=_worst(s.ratio for s in seen),
+        not_recovered=sum(_not_recovered(s) for s in seen),
+        grown_m=_worst(s.grown_m for s in seen if s.bound_m is not None),
+        bound_m=_worst(s.bound_m for s in seen),
+        beyond_bound=sum(map(_beyond_bound, seen)),
+        unsaid=sum(s.outside_s > UNSAID_S for s in seen),
+        uncounted=sum(s.uncounted for s in seen),
+        bad_thrusts=sum(s.bad_thrusts for s in seen),
+        uncontrolled=sum(bool(s.uncontrolled) for s in seen),
+    )
+
+
+def _worst(values: Iterable[float | None]) -> float | None:
+    """The largest, but the last finite one where a ratio is infinite: JSON has no infinity."""
+    known = [value for value in values if value is not None and math.isfinite(value)]
+    return max(known) if known else None
+
+
+def kept(of: Campaign) -> bool:
+    """Whether every promise was."""
+    return not of.not_kept

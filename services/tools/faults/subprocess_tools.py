@@ -1,0 +1,56 @@
+"""Processes that a campaign starts, as a person would from a terminal; none of them outlives it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from services.supervisor.parent_death import Guard
+
+Process = subprocess.Popen[bytes]
+
+
+class Started:
+    """A context manager: what is still there at its end is killed, and, if this process dies before, soon after."""
+
+    def __init__(self) -> None:
+        self._guard = Guard()
+        self._processes: list[Process] = []
+
+    def __enter__(self) -> Started:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            self._guard.release(process.pid)
+        self._guard.close()
+
+    def start(self, words: Sequence[str], log: Path, *, results: bool) -> Process:
+        """Start ``python -m WORDS``, its stderr in ``log``; ``results``: what it writes on standard output too."""
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", *words],
+                stdin=subprocess.DEVNULL,
+                stdout=output if results else subprocess.DEVNULL,
+                stderr=subprocess.STDOUT if results else output,
+                start_new_session=True,
+            )
+        self._guard.watch(process.pid)
+        self._processes.append(process)
+        return process
+
+
+def end(process: Process, within_s: float) -> int | None:
+    """Ask it to stop; its exit code, or None where it had to be killed."""
+    process.terminate()
+    with suppress(subprocess.TimeoutExpired):
+        return process.wait(within_s)
+    process.kill()
+    process.wait()
+    return None

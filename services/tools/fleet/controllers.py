@@ -1,0 +1,146 @@
+"""Many controllers in one process: each vehicle has its node, its door and its memory, and shares nothing with others.
+
+A cycle begins when its estimate arrives. Where the process falls behind, a vehicle's newest estimate counts, and those
+that it overtook are counted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from ltv_mpc.control.config import ControllerConfig
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import Action, Applied, Command, Estimate, Plan
+from ltv_mpc.node import Arrival
+from ltv_mpc.references import Point
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import Door
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import WireError
+from services.processes.controller import rehearse
+from services.supervisor.parent_death import die_with_parent
+from services.tools.fleet.place import Fleet, Wire, begin, namespace, now_ns
+from sim.evaluation.metrics import quantiles
+from sim.evaluation.summary import Quantiles
+
+
+class Controllers(msgspec.Struct, frozen=True, kw_only=True):
+    """What a controllers' process has measured."""
+
+    vehicles: int
+    cycles: int
+    overtaken: int  # estimates that no cycle was made on
+    rejected: int
+    dropped: int
+    cycle_ms: Quantiles  # decoding, cycle, encoding, publishing: median, p99, max
+    cpu_s: float
+
+
+def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
+    """The process: the controllers of these vehicles."""
+    die_with_parent(parent)
+    vehicle = Vehicle.load(fleet.vehicle)
+    config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
+    point = Point(north_m=0.0, east_m=0.0, depth_m=10.0)
+    rehearse(vehicle, point, config)
+    with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
+        mailbox = Mailbox()
+        helms = {number: _Helm(ControllerNode(vehicle, point, config), session, mailbox, number) for number in numbers}
+        wire.send(_run(fleet, helms, mailbox, begin(wire)))
+
+
+class _Helm:
+    """One vehicle's controller on the shared session."""
+
+    def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
+        self.node = node
+        self.door = Door()
+        self.overtaken = 0  # estimates
+        self._frames: list[Frame] = []
+        self._armed = False
+        under = namespace(number)
+        self.out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), under=under)
+        for kind in (Applied, Estimate):
+            session.subscribe(f"{under}/{BY_SIGNAL[kind].key}", BY_SIGNAL[kind], mailbox)
+
+    def hear(self, frame: Frame) -> None:
+        """To be looked at by the next cycle: of estimates by then the newest alone, and no other is decoded."""
+        self._frames.append(frame)
+
+    def cycle(self, start_ns: int) -> None:
+        """On what has arrived."""
+        frames, self._frames = self._frames, []
+        newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
+        arrivals = [] if self._armed else [Arrival(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
+        self._armed = True
+        for k, frame in enumerate(frames):
+            if _is_estimate(frame) and k != newest:
+                self.overtaken += 1
+                continue
+            try:
+                signal, header = self.door.admit(frame)
+            except WireError:  # counted by the door
+                continue
+            received_ns = frame.received_monotonic_us * 1000 - start_ns
+            arrivals.append(Arrival(signal, header.epoch, header.sequence, received_ns))
+        (outputs,) = self.node.steps([(now_ns(start_ns), arrivals)])
+        for signal in outputs:
+            if isinstance(signal, Plan):
+                self.out.publish(signal)
+
+
+def _is_estimate(frame: Frame) -> bool:
+    return frame.topic is not None and frame.topic.signal is Estimate
+
+
+def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int) -> Controllers:
+    begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
+    of = {f"{namespace(n)}/{BY_SIGNAL[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
+    waiting: dict[_Helm, None] = {}  # in the order in which an estimate came for them
+    busy_ms: list[float] = []
+    before: tuple[float, Counter[str]] | None = None
+    while (t_ns := now_ns(start_ns)) < end_ns:
+        if before is None and t_ns >= begin_ns:
+            before = time.process_time(), _counts(helms.values())
+            busy_ms.clear()
+        frame = mailbox.take(0.0 if waiting else min((end_ns - t_ns) / 1e9, 0.1))
+        started_ns = time.perf_counter_ns()
+        while frame is not None:
+            of[frame.key].hear(frame)
+            if _is_estimate(frame):
+                waiting.setdefault(of[frame.key])
+            frame = mailbox.take(0.0)
+        if not waiting:
+            continue
+        helm = next(iter(waiting))
+        del waiting[helm]
+        helm.cycle(start_ns)
+        busy_ms.append((time.perf_counter_ns() - started_ns) / 1e6)
+    cpu_s, counted = before or (0.0, Counter[str]())
+    since = _counts(helms.values())
+    since.subtract(counted)
+    return Controllers(
+        vehicles=len(helms),
+        cycles=len(busy_ms),
+        overtaken=since["overtaken"],
+        rejected=since["rejected"],
+        dropped=since["dropped"],
+        cycle_ms=quantiles(busy_ms),
+        cpu_s=time.process_time() - cpu_s,
+    )
+
+
+def _counts(helms: Iterable[_Helm]) -> Counter[str]:
+    """Of all, so far; an estimate that was overtaken is missing in the door's sequence, and was not lost on the way."""
+    counts: Counter[str] = Counter()
+    for helm in helms:
+        overtaken = {"overtaken": helm.overtaken, "dropped": helm.door.dropped - helm.overtaken}
+        counts.update(overtaken, rejected=helm.door.rejected)
+    return counts

@@ -1,0 +1,229 @@
+"""All vehicles of a fleet in one light process: their motion, their actuators' gates, and their estimates.
+
+No estimators: an estimate is the truth, with a current profile as long as a localisation filter's. Each vehicle hovers
+in a current of its own that it is told of.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import msgspec
+import numpy as np
+
+from ltv_mpc import frames
+from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
+from ltv_mpc.safety.plan_gate import Gate, Verdict
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.message_validation import Door
+from services.bus.outbox import Outbox, new_epoch
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import WireError
+from services.supervisor.parent_death import die_with_parent
+from services.tools.fleet.place import Fleet, Wire, begin, namespace, now_ns
+from sim import motion
+from sim.evaluation.metrics import quantiles
+from sim.evaluation.summary import Quantiles
+from sim.plant import level_to_ned
+
+STEP_NS = 10_000_000
+CELLS = 71
+"""Depths of a profile, as the filter's of 70 m."""
+DEPTHS = np.array([0.0, 100.0])
+SPEED_MPS = 0.1
+"""Of the currents."""
+OFF_M = 0.3
+"""How far off its point each begins, at most, each way."""
+
+
+class Plants(msgspec.Struct, frozen=True, kw_only=True):
+    """What the plants' process has measured."""
+
+    estimates: int
+    plans: int
+    late: int  # plans that came after their start
+    refused: int
+    dropped: int  # plans that never came, by their numbers
+    latency_ms: Quantiles  # from an estimate's validity to its plan's arrival: median, p99, max
+    mean_error_m: float  # distance from the points, over the last half
+    cpu_s: float
+
+
+def main(fleet: Fleet, wire: Wire, parent: int) -> None:
+    """The process."""
+    die_with_parent(parent)
+    vehicle = Vehicle.load(fleet.vehicle)
+    plants = [_Plant(vehicle, number) for number in range(fleet.vehicles)]
+    plants[0].copy().go(0, 2 * STEP_NS)  # have the kernel compiled
+    with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
+        mailbox = Mailbox()
+        made = _World(fleet, plants, session, mailbox)
+        wire.send(made.run(begin(wire), mailbox))
+
+
+class _World:
+    def __init__(self, fleet: Fleet, plants: list[_Plant], session: Session, mailbox: Mailbox) -> None:
+        self._fleet, self._plants = fleet, plants
+        epoch, topic = new_epoch(), BY_SIGNAL[Plan]
+        self._out = [
+            Outbox(session, node="plant", epoch=epoch, kinds=(Estimate, Applied), under=namespace(i))
+            for i in range(len(plants))
+        ]
+        self._of = {f"{namespace(i)}/{topic.key}": i for i in range(len(plants))}
+        for key in self._of:
+            session.subscribe(key, topic, mailbox)
+        self._door = Door()
+        self._latencies_ns: list[int] = []
+        self._errors_m: list[float] = []
+        self._plans = self._estimates = self._late = self._refused = 0
+
+    def run(self, start_ns: int, mailbox: Mailbox) -> Plants:
+        fleet, count = self._fleet, len(self._plants)
+        begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
+        cpu_s: float | None = None
+        turn, k = 0, 0
+        while (due_ns := fleet.due_ns(turn, k)) < end_ns:
+            while (left_ns := due_ns - now_ns(start_ns)) > 0:
+                frame = mailbox.take(left_ns / 1e9)
+                if frame is not None:
+                    self._take(frame, frame.received_monotonic_us * 1000 - start_ns, counts=due_ns >= begin_ns)
+            if cpu_s is None and due_ns >= begin_ns:
+                cpu_s = time.process_time()
+            self._tick(turn, due_ns, counts=due_ns >= begin_ns, settled=due_ns >= (begin_ns + end_ns) // 2)
+            turn = (turn + 1) % count
+            k += turn == 0
+        return Plants(
+            estimates=self._estimates,
+            plans=self._plans,
+            late=self._late,
+            refused=self._refused,
+            dropped=self._door.dropped,
+            latency_ms=quantiles([x / 1e6 for x in self._latencies_ns]),
+            mean_error_m=float(np.mean(self._errors_m)) if self._errors_m else math.nan,
+            cpu_s=time.process_time() - (cpu_s or 0.0),
+        )
+
+    def _tick(self, number: int, t_ns: int, *, counts: bool, settled: bool) -> None:
+        plant, out = self._plants[number], self._out[number]
+        plant.go(plant.t_ns, t_ns)
+        out.publish(plant.report(t_ns))
+        out.publish(plant.estimate(t_ns))
+        self._estimates += counts
+        if settled:
+            self._errors_m.append(plant.off_m)
+
+    def _take(self, frame: Frame, t_ns: int, *, counts: bool) -> None:
+        try:
+            plan, header = self._door.admit(frame)
+        except WireError:
+            self._refused += 1
+            return
+        assert isinstance(plan, Plan)
+        verdict = self._plants[self._of[frame.key]].offer(plan, header.epoch, header.sequence, t_ns)
+        if counts:
+            self._plans += 1
+            self._late += verdict is Verdict.LATE
+            self._refused += verdict not in (Verdict.ACCEPTED, Verdict.LATE)
+            self._latencies_ns.append(t_ns - plan.estimate_t_ns)
+
+
+class _Plant:
+    """One vehicle."""
+
+    def __init__(self, vehicle: Vehicle, number: int) -> None:
+        draw = np.random.default_rng(number)
+        self._vehicle, self._number = vehicle, number
+        self._body = motion.pack(vehicle, vehicle.coefficients())
+        self._gate = Gate(vehicle)
+        north, east, heading = draw.uniform(-OFF_M, OFF_M), draw.uniform(-OFF_M, OFF_M), draw.uniform(-3.0, 3.0)
+        self._state = np.array([north, east, 0.0, 0.0, heading, 0.0, 10.0, 0.0])
+        self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
+        way = draw.uniform(-math.pi, math.pi)
+        self._current = SPEED_MPS * math.cos(way), SPEED_MPS * math.sin(way)
+        depth = np.arange(float(CELLS))
+        self._profile = CurrentProfile(
+            depth_m=depth,
+            north_mps=np.full(CELLS, self._current[0]),
+            east_mps=np.full(CELLS, self._current[1]),
+            sd_mps=np.full(CELLS, 0.01),
+        )
+        self.t_ns = 0
+        self._command = (0.0, 0.0, 0.0)
+        self._accepted: tuple[Plan, int, int, int] | None = None
+
+    def copy(self) -> _Plant:
+        """Another like it."""
+        return _Plant(self._vehicle, self._number)
+
+    @property
+    def off_m(self) -> float:
+        """Distance from its point, the origin."""
+        return math.hypot(self._state[0], self._state[1])
+
+    def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> Verdict:
+        """A plan has arrived."""
+        verdict = self._gate.offer(plan, epoch, sequence, t_ns)
+        if verdict in (Verdict.ACCEPTED, Verdict.LATE):
+            self._accepted = plan, epoch, sequence, t_ns
+        return verdict
+
+    def go(self, from_ns: int, until_ns: int) -> None:
+        """The motion, in steps of 10 ms, under the commands that the gate lets through."""
+        times = [*range(from_ns, until_ns, STEP_NS), until_ns] if until_ns > from_ns else [from_ns]
+        commands = np.empty((len(times), 3))
+        commands[0] = self._command
+        if len(times) > 1:
+            commands[1:] = self._gate.commands_at(times[1:])
+        self._command = tuple(commands[-1].tolist())
+        water = np.array([self._current, self._current])
+        motion.drive(
+            self._body,
+            self._state,
+            self._revolutions,
+            self._thrust,
+            np.array(times) * 1e-9,
+            commands,
+            DEPTHS,
+            water,
+            water,
+            0.0,
+        )
+        self.t_ns = until_ns
+
+    def estimate(self, t_ns: int) -> Estimate:
+        """The truth."""
+        n, e, u, v, psi, r, z, w = self._state.tolist()
+        north, east = level_to_ned(u, v, psi)
+        return Estimate(
+            t_ns=t_ns,
+            north_m=n,
+            east_m=e,
+            heading_rad=frames.wrap_angle(psi),
+            yaw_rate_radps=r,
+            velocity_north_mps=north + self._current[0],
+            velocity_east_mps=east + self._current[1],
+            depth_m=z,
+            velocity_down_mps=w,
+            current=self._profile,
+        )
+
+    def report(self, t_ns: int) -> Applied:
+        """What its thrusters do."""
+        plan, epoch, sequence, received_ns = self._accepted or (None, 0, -1, 0)
+        x, y, z = self._thrust.tolist()
+        return Applied(
+            t_ns=t_ns,
+            thrust_N=(x, y, z),
+            command_N=self._command,
+            command_slew_N_per_s=(0.0, 0.0, 0.0),
+            plan_epoch=epoch,
+            plan_sequence=sequence,
+            plan_cycle_t_ns=0 if plan is None else plan.cycle_t_ns,
+            plan_received_t_ns=received_ns,
+            plan_late=False,
+            plans_late=self._gate.plans_late,
+            plans_refused=self._gate.plans_refused,
+        )

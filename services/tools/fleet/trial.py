@@ -1,0 +1,210 @@
+"""One fleet on this machine: a router, one process of plants, some of controllers; what each took, what gave way."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from services.bus.session import BusOptions, open_session
+from services.supervisor.parent_death import die_with_parent
+from services.tools.fleet import controllers, plants
+from services.tools.fleet.controllers import Controllers
+from services.tools.fleet.place import Fleet, Wire
+from services.tools.fleet.plants import Plants
+from sim.evaluation.summary import Quantiles
+
+LEAD_S = 0.5
+"""From the last "ready" to t = 0."""
+READY_S = 600.0
+"""A first start compiles."""
+BUSY = 0.9
+"""Share of a core from which a process, and of all cores from which the machine, counts as the limit."""
+FEW = 0.01
+"""Share of cycles that may miss their deadline before something counts as having given way."""
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One trial's figures. Busy: processor time over wall time, 1 is a whole core."""
+
+    vehicles: int
+    rate_hz: float
+    seconds: float
+    controller_processes: int
+    plans: int
+    missed: int  # estimates without a plan of their own in time: overtaken, or answered after the next was due
+    missed_share: float
+    latency_ms: Quantiles  # estimate's validity to plan's arrival: median, p99, max
+    cycle_ms: Quantiles  # of one controller, with decoding and encoding; the worst process's
+    mean_error_m: float
+    busy: dict[str, float]  # router, plants, controllers (the busiest process), all
+    controller_busy_per_vehicle: float
+    plant_busy_per_vehicle: float
+    rejected: int
+    dropped: int
+    limit: str  # what gave way first; "none"
+
+
+TELL_S = 0.5
+"""How often it is told how far a trial is."""
+
+
+class TrialFailed(RuntimeError):
+    """A process of the fleet ended without its figures."""
+
+
+def run(fleet: Fleet, processes: int, *, told: Callable[[float], None] = lambda _share: None) -> Row:
+    """Start all, measure, stop all. ``told``: which share of its time is over. Raises ``TrialFailed``."""
+    processes = min(processes, fleet.vehicles)
+    with _started() as start:
+        way = start("router", _router, fleet.router)
+        # One after the other: what the first has compiled the others find.
+        minds = [
+            start(f"controllers {first + 1}", controllers.main, fleet, tuple(range(first, fleet.vehicles, processes)))
+            for first in range(processes)
+        ]
+        world = start("plants", plants.main, fleet)
+        start_ns = time.monotonic_ns() + round(LEAD_S * 1e9)
+        for child in (*minds, world):
+            child.send(start_ns)
+        measured_ns = start_ns + round(fleet.warm_up_s * 1e9)
+        end_ns = measured_ns + round(fleet.seconds * 1e9)
+
+        def tell(left_ns: int) -> None:
+            told(1.0 - left_ns / (end_ns - start_ns))
+
+        _sleep_until(measured_ns, lambda left_ns: tell(left_ns + end_ns - measured_ns))
+        before_s = way.cpu_s()
+        _sleep_until(end_ns, tell)
+        routed_s = way.cpu_s() - before_s
+        wait_s = 10.0 + fleet.seconds
+        return _row(fleet, [mind.receive(wait_s) for mind in minds], world.receive(wait_s), routed_s)
+
+
+def _row(fleet: Fleet, minds: list[Controllers], world: Plants, routed_s: float) -> Row:
+    busy = {
+        "router": routed_s / fleet.seconds,
+        "plants": world.cpu_s / fleet.seconds,
+        "controllers": max(mind.cpu_s for mind in minds) / fleet.seconds,
+    }
+    thinking = sum(mind.cpu_s for mind in minds) / fleet.seconds
+    busy["all"] = busy["router"] + busy["plants"] + thinking
+    missed = max(world.estimates - world.plans, 0) + world.late
+    share = missed / max(world.estimates, 1)
+    slowest = max(minds, key=lambda mind: mind.cycle_ms.p99 or 0.0)
+    return Row(
+        vehicles=fleet.vehicles,
+        rate_hz=fleet.rate_hz,
+        seconds=fleet.seconds,
+        controller_processes=len(minds),
+        plans=world.plans,
+        missed=missed,
+        missed_share=share,
+        latency_ms=world.latency_ms,
+        cycle_ms=slowest.cycle_ms,
+        mean_error_m=world.mean_error_m,
+        busy=busy,
+        controller_busy_per_vehicle=thinking / fleet.vehicles,
+        plant_busy_per_vehicle=busy["plants"] / fleet.vehicles,
+        rejected=sum(mind.rejected for mind in minds) + world.refused,
+        dropped=sum(mind.dropped for mind in minds) + world.dropped,
+        limit=_limit(busy, share),
+    )
+
+
+def _limit(busy: dict[str, float], missed_share: float) -> str:
+    """What gave way first: a process that has no more to give, else the machine; "none" while all is in time."""
+    if missed_share <= FEW:
+        return "none"
+    full = [name for name in ("controllers", "plants", "router") if busy[name] >= BUSY]
+    if full:
+        return max(full, key=lambda name: busy[name])
+    return "all cores" if busy["all"] >= BUSY * (os.cpu_count() or 1) else "not the processors"
+
+
+# --- processes -------------------------------------------------------------------------------------------------------
+
+
+class _Child:
+    """A process of the trial and its pipe."""
+
+    def __init__(self, name: str, process: SpawnProcess, pipe: Connection) -> None:
+        self._name, self.process, self._pipe = name, process, pipe
+
+    def send(self, start_ns: int) -> None:
+        self._pipe.send(start_ns)
+
+    def receive(self, timeout_s: float) -> Any:
+        """Its next word. Raises ``TrialFailed`` if it has ended or stays silent."""
+        try:
+            if self._pipe.poll(timeout_s):
+                return self._pipe.recv()
+        except EOFError:
+            self.process.join(5.0)
+            raise TrialFailed(f"{self._name} has ended with exit code {self.process.exitcode}") from None
+        raise TrialFailed(f"{self._name} has said nothing for {timeout_s:.0f} s")
+
+    def cpu_s(self) -> float:
+        """Processor time so far."""
+        try:
+            fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def stop(self) -> None:
+        """End it if it has not ended by itself."""
+        if self.process.is_alive():
+            self.process.terminate()
+        self.process.join(5.0)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        self._pipe.close()
+
+
+@contextmanager
+def _started() -> Iterator[Callable[..., _Child]]:
+    """A function that starts a process and waits until it is ready; at the end all are stopped, the first one last."""
+    context = multiprocessing.get_context("spawn")
+    children: list[_Child] = []
+
+    def start(name: str, target: Callable[..., None], *args: object) -> _Child:
+        ours, theirs = context.Pipe()
+        process = context.Process(target=target, args=(*args, theirs, os.getpid()), name=name, daemon=True)
+        process.start()
+        theirs.close()  # theirs alone: its end is then the pipe's
+        children.append(_Child(name, process, ours))
+        children[-1].receive(READY_S)
+        return children[-1]
+
+    try:
+        yield start
+    finally:
+        for child in reversed(children):
+            child.stop()
+
+
+def _router(endpoint: str, wire: Wire, parent: int) -> None:
+    """The router's process: ready when it listens."""
+    die_with_parent(parent)
+    with open_session(BusOptions(listen=(endpoint,), mode="router"), stop=lambda: False, say=lambda _text: None):
+        wire.send("ready")
+        with contextlib.suppress(EOFError):
+            wire.recv()
+
+
+def _sleep_until(instant_ns: int, tell: Callable[[int], None]) -> None:
+    """``tell``: how long it is still, now and then."""
+    while (left_ns := instant_ns - time.monotonic_ns()) > 0:
+        tell(left_ns)
+        time.sleep(min(left_ns / 1e9, TELL_S))

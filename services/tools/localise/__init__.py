@@ -1,0 +1,1 @@
+"""Localisation of a recorded dive (`ltv-mpc localise`)."""

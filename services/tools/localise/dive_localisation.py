@@ -1,0 +1,231 @@
+"""A recorded dive, localised: the track of the command line's one start, and the study over many starts.
+
+Which ensembles: from the first one, or from the first at or below ``--start-depth-m``, to the end, as long as the
+instrument's settings stay and no gap is longer than two minutes. Noise is taken from all of them. The study's starts
+are all of the file's first such stretch, wherever the track begins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.currents import write_profile
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.localisation.pd0 import reader
+from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
+from ltv_mpc.localisation.pd0.records import Ensemble, Settings
+from ltv_mpc.localisation.recorded_dive import study
+from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
+from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
+from ltv_mpc.localisation.recorded_dive.truth import Ground, dead_reckoned
+from ltv_mpc.messages import Array
+from services.tools.localise.dive_result import InstrumentRow, Localised, LostBytes, StudyRow, TrackRow
+
+MOST_STARTS = 60
+COLUMNS = (
+    *("t_ns", "t_s", "depth_m", "north_m", "east_m", "sigma_m", "velocity_north_mps", "velocity_east_mps"),
+    *("bottom_north_m", "bottom_east_m"),
+)
+"""Of track.csv: positions from the first ensemble; those of bottom track are the truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The result, and what pictures and tables are made from."""
+
+    result: Localised
+    ensembles: Sequence[BeamEnsemble]  # of the track
+    track: Track
+    truth_m: Array  # (N, 2), bottom track's, NaN where it is not known
+    constant_velocity_mps: Array | None
+
+
+def localise(
+    path: Path,
+    *,
+    fixes: int = 10,
+    start_depth_m: float | None = None,
+    parameters: DiveParameters | None = None,
+    told: Callable[[float], None] = lambda _share: None,
+) -> Outcome:
+    """Read, filter, compare. ``told``: which share of it is done. Raises ``ConfigError``."""
+    parameters = parameters or DiveParameters()
+    recording = reader.read(path)
+    first = _first(recording.ensembles, start_depth_m, recording.source)
+    end, why = stretch(recording.ensembles, first, parameters.longest_gap_s)
+    settings = recording.ensembles[first].settings
+    seen = [to_beams(e) for e in recording.ensembles]
+    dive = seen[first:end]
+    instrument = Instrument.of(dive, settings, parameters)
+    track = run(dive, instrument, parameters, fixes=fixes)
+    ground = dead_reckoned(dive)
+    result = Localised(
+        file=str(path),
+        bytes=recording.size,
+        ensembles=len(recording.ensembles),
+        lost_bytes=recording.lost_bytes,
+        lost_places=recording.lost_places,
+        losses=tuple(LostBytes(offset=x.offset, length=x.length, why=x.why) for x in recording.losses),
+        surface_fixes=fixes,
+        instrument=_instrument(settings, instrument),
+        track=_track(track, dive, recording.ensembles[first].number),
+        error=_error(dive, ground, track, fixes),
+        study=_study(recording.ensembles, seen, parameters, fixes, told),
+        notes=tuple(_notes(settings, dive, track, why)),
+        parameters=parameters,
+    )
+    held = study.constant_velocity(dive[:fixes])
+    return Outcome(result, dive, track, _truth(ground), held)
+
+
+def stretch(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
+    """Behind the last ensemble of the dive that holds ``first``, and why it ends there; empty at the file's end."""
+    for k in range(first + 1, len(ensembles)):
+        gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
+        if gap > longest_gap_s:
+            return k, f"the dive ends at ensemble {ensembles[k - 1].number}: a gap of {gap:.0f} s follows"
+        if not ensembles[k].settings.alike(ensembles[first].settings):
+            return k, f"the dive ends at ensemble {ensembles[k - 1].number}: the instrument's settings change there"
+    return len(ensembles), ""
+
+
+def write(outcome: Outcome, folder: Path) -> str:
+    """localise.json, track.csv, currents.csv and localise.png into ``folder``; a line on what could not be made."""
+    plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
+    (folder / "localise.json").write_bytes(plain + b"\n")
+    (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
+    write_profile(folder / "currents.csv", outcome.track.water)
+    try:
+        from services.reporting import dive_picture
+    except ImportError:
+        return "no picture: matplotlib is not installed (extra viz)"
+    dive_picture.draw(outcome, folder / "localise.png")
+    return ""
+
+
+def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: str) -> int:
+    if start_depth_m is None:
+        return 0
+    for k, ensemble in enumerate(ensembles):
+        if ensemble.depth_m >= start_depth_m:
+            return k
+    deepest = max(e.depth_m for e in ensembles)
+    problem = f"no ensemble of {source} is as deep: the deepest is at {deepest:.1f} m"
+    raise ConfigError("option --start-depth-m", "", problem, value=start_depth_m)
+
+
+def _instrument(settings: Settings, instrument: Instrument) -> InstrumentRow:
+    return InstrumentRow(
+        frequency_kHz=settings.frequency_kHz,
+        beam_angle_deg=round(math.degrees(settings.beam_angle_rad), 6),
+        looks="up" if settings.upward else "down",
+        coordinates=settings.coordinates.name.lower(),
+        bins_mapped=settings.bins_mapped,
+        cells=settings.cells,
+        cell_m=settings.cell_m,
+        first_cell_m=settings.first_cell_m,
+        pings=settings.pings,
+        beam_sd_mps=float(np.median(instrument.beam_sd_mps)),
+    )
+
+
+def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
+    north, east = track.position_m[-1].tolist()
+    return TrackRow(
+        start_ensemble=number,
+        start_depth_m=dive[0].depth_m,
+        ensembles=len(dive),
+        duration_s=float(track.t_s[-1]),
+        fixes=track.fixes,
+        end_north_m=north,
+        end_east_m=east,
+        end_sigma_m=float(np.sqrt(np.linalg.eigvalsh(track.position_covariance[-1])[-1])),
+        cells_used=track.cells_used,
+        cells_screened=track.cells_screened,
+        cells_rejected=track.cells_rejected,
+        nis=track.nis,
+    )
+
+
+def _error(dive: Sequence[BeamEnsemble], ground: Ground, track: Track, fixes: int) -> study.Trial | None:
+    end = study.window_end(ground, 0)
+    return None if end is None else study.graded(dive, ground, track, start=0, end=end, fixes=fixes)
+
+
+def _study(
+    ensembles: Sequence[Ensemble],
+    seen: Sequence[BeamEnsemble],
+    parameters: DiveParameters,
+    fixes: int,
+    told: Callable[[float], None],
+) -> StudyRow | None:
+    end, _ = stretch(ensembles, 0, parameters.longest_gap_s)
+    dive = seen[:end]
+    ground = dead_reckoned(dive)
+    instrument = Instrument.of(dive, ensembles[0].settings, parameters)
+    rows = []
+    starts = study.starts(dive)[:MOST_STARTS]
+    for done, start in enumerate(starts):
+        told(done / len(starts))
+        trial = study.trial(dive, ground, instrument, parameters, start=start, fixes=fixes)
+        if trial is not None:
+            rows.append(trial)
+    if not rows:
+        return None
+    median = float(np.median([row.error_m for row in rows]))
+    errors = [x for row in rows if (x := row.constant_velocity_error_m) is not None]
+    held = float(np.median(errors)) if errors else None
+    return StudyRow(
+        starts=len(rows),
+        median_error_m=median,
+        median_constant_velocity_error_m=held,
+        ratio=median / held if held else None,
+        inside_3_sigma=sum(row.inside_3_sigma for row in rows) / len(rows),
+        each=tuple(rows),
+    )
+
+
+def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: str) -> list[str]:
+    notes = [why] if why else []
+    if track.fixes == 0:
+        notes.append("no fix by bottom track: the velocity at the start is unknown, and so is the track")
+    if not any(np.isfinite(e.bottom_mps[:2]).all() for e in dive):
+        notes.append("no bottom track in the dive: nothing to compare the track with")
+    if settings.heading_alignment_rad or settings.heading_bias_rad:
+        notes.append(
+            "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings"
+        )
+    if track.cells_used == 0:
+        notes.append("not one cell of water could be used: the track is that of the fixes alone")
+    return notes
+
+
+def _truth(ground: Ground) -> Array:
+    """Bottom track's position at every ensemble, from the first."""
+    nowhere = np.full(2, np.nan)
+    shown = [ground.displacement(0, k) for k in range(len(ground.t_s))]
+    return np.array([nowhere if x is None else x for x in shown])
+
+
+def _table(outcome: Outcome) -> str:
+    """track.csv; an empty cell is what bottom track does not know."""
+    track = outcome.track
+    lines = [",".join(COLUMNS)]
+    for k, ensemble in enumerate(outcome.ensembles):
+        sigma = math.sqrt(float(np.linalg.eigvalsh(track.position_covariance[k])[-1].clip(0)))
+        numbers = (
+            track.t_s[k],
+            ensemble.depth_m,
+            *track.position_m[k],
+            sigma,
+            *track.velocity_mps[k],
+            *outcome.truth_m[k],
+        )
+        lines.append(",".join([str(ensemble.t_ns), *("" if math.isnan(x) else f"{x:.4f}" for x in numbers)]))
+    return "\n".join(lines) + "\n"

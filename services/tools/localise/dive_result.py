@@ -1,0 +1,77 @@
+"""What the localisation of a recorded dive came to: localise.json and what ``--json`` prints."""
+
+from __future__ import annotations
+
+import msgspec
+
+from ltv_mpc.localisation.recorded_dive import study
+from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
+
+
+class LostBytes(msgspec.Struct, frozen=True, kw_only=True):
+    """A place in the file that is no ensemble."""
+
+    offset: int
+    length: int
+    why: str
+
+
+class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
+    """What the file says of its instrument, and the noise found in it."""
+
+    frequency_kHz: int
+    beam_angle_deg: float
+    looks: str
+    coordinates: str
+    bins_mapped: bool
+    cells: int
+    cell_m: float
+    first_cell_m: float
+    pings: int
+    beam_sd_mps: float  # of the middle one of the cells that were used
+
+
+class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
+    """The track from the one start."""
+
+    start_ensemble: int
+    start_depth_m: float
+    ensembles: int
+    duration_s: float
+    fixes: int
+    end_north_m: float
+    end_east_m: float
+    end_sigma_m: float  # along the worst axis
+    cells_used: int
+    cells_screened: int
+    cells_rejected: int
+    nis: float
+
+
+class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
+    """Over all starts that have a truth."""
+
+    starts: int
+    median_error_m: float
+    median_constant_velocity_error_m: float | None  # None without a fix
+    ratio: float | None
+    inside_3_sigma: float  # share
+    each: tuple[study.Trial, ...]
+
+
+class Localised(msgspec.Struct, frozen=True, kw_only=True):
+    """What the command says. ``error`` and ``study`` are None where the file holds no truth for them."""
+
+    file: str
+    bytes: int
+    ensembles: int
+    lost_bytes: int
+    lost_places: int
+    losses: tuple[LostBytes, ...]
+    surface_fixes: int
+    instrument: InstrumentRow
+    track: TrackRow
+    error: study.Trial | None
+    study: StudyRow | None
+    notes: tuple[str, ...]
+    parameters: DiveParameters

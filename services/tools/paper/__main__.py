@@ -1,0 +1,167 @@
+"""Make the paper's figures and tables: docs/figures/, the tables of docs/paper.md, and the README's picture.
+
+    python -P -m services.tools.paper [--seeds N] [--measured DIR] ...
+
+Everything is made anew in lock step, with fixed seeds; times alone are measured on this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import typer
+
+from ltv_mpc.errors import ConfigError
+from services.reporting.figures import paper, readme
+from services.reporting.figures.renderer import Run
+from services.reporting.terminal import share_for
+from services.run import folder
+from services.tools import page_tables
+from services.tools.paper import descents, tables, timing, water
+from services.tools.paper.settings import RECORDED
+from services.tools.profile import machine
+
+TABLES = ("descents", "seeds", "timing", "water")
+FIGURES = "figures.json"
+
+
+class Options(NamedTuple):
+    """What is asked for."""
+
+    out: Path = Path("docs/figures")  # PNG and figures.json
+    runs: Path = Path("runs/figures")  # recordings and SVG
+    page: Path = Path("docs/paper.md")
+    readme: Path = Path("docs/descent.png")
+    measured: Path = Path("../shared/data")
+    seeds: int = 10
+    cycles: int = 600  # timed at each horizon
+    duration_s: float = 200.0
+    surface_s: float = descents.SURFACE_S
+    workers: int | None = None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code 2 where an option or a file is wrong, before anything is run."""
+    try:
+        options = parsed(arguments)
+        page = checked(options)
+        made = make(options)
+        options.page.write_text(page_tables.renewed(page, made.tables), encoding="utf-8")
+    except ConfigError as error:
+        typer.echo(str(error), err=True)
+        return 2
+    typer.echo(str(options.out))
+    return 0
+
+
+def parsed(arguments: Sequence[str] | None) -> Options:
+    """The command line."""
+    default = Options()
+    parser = argparse.ArgumentParser(
+        prog="python -P -m services.tools.paper",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    for name, words in (
+        ("out", "PNG and figures.json"),
+        ("runs", "recordings and SVG"),
+        ("page", "whose tables are renewed"),
+        ("readme", "the README's picture"),
+        ("measured", "measured currents; without them Fig 3 has the made-up ones alone"),
+    ):
+        parser.add_argument(f"--{name}", type=Path, metavar="PATH", help=f"{words}; default {getattr(default, name)}")
+    for name, words in (
+        ("seeds", "of the averages"),
+        ("cycles", "timed at each horizon"),
+        ("workers", "processes; default one a core"),
+    ):
+        parser.add_argument(f"--{name}", type=int, metavar="N", help=words)
+    parser.add_argument("--duration-s", type=float, metavar="T", help=f"of a descent; default {default.duration_s:g}")
+    parser.add_argument("--surface-s", type=float, metavar="T", help=f"before it; default {default.surface_s:g}")
+    given = {name: value for name, value in vars(parser.parse_args(arguments)).items() if value is not None}
+    return default._replace(**given)
+
+
+def checked(options: Options) -> str:
+    """The page's text, after everything that can be wrong was looked at. Raises ``ConfigError``."""
+    for name, least, most in (("seeds", 1, 10_000), ("cycles", 10, 100_000), ("workers", 1, 1000)):
+        value = getattr(options, name)
+        if value is not None and not least <= value <= most:
+            raise ConfigError(f"option --{name}", "", f"must be {least} to {most}", value=value)
+    try:
+        page = options.page.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError("option --page", "", f"cannot be read: {error}", value=str(options.page)) from None
+    for name in TABLES:
+        page_tables.between(page, name)
+    for setting in RECORDED:
+        descents.Flight(setting, options.runs, options.duration_s, options.surface_s).situation()
+    for path in (options.out, options.runs, options.readme.parent):
+        folder.opened(path, force=True)
+    return page
+
+
+def make(options: Options) -> tables.Figures:
+    """Runs, figures and figures.json. Raises ``ConfigError``."""
+    profiles, missing = water.measured(options.measured)
+    for path in missing:
+        typer.echo(f"Fig 3 goes without {path}: no such file", err=True)
+    with _steps("descents", descents.count(options.seeds)) as step:
+        recorded = descents.recorded(
+            options.runs, options.duration_s, options.surface_s, workers=options.workers, progress=step
+        )
+        averaged = descents.averaged(options.seeds, options.duration_s, workers=options.workers, progress=step)
+    with _steps("cycles, timed", 2 * options.cycles) as step:
+        timed = timing.timed(options.cycles, progress=step)
+    made_up = [water.made_up(seed) for seed in range(water.SEEDS)]
+    runs: dict[str, list[Run]] = {key: [run] for key, (run, _) in recorded.items()} | {
+        paper.MADE_UP: [water.profile_run(one) for one in made_up[: water.SHOWN_SEEDS]],
+        paper.MEASURED: [water.profile_run(one) for one in profiles],
+        paper.STRUCTURE: [water.structure_run(made_up, profiles)],
+        paper.TIMING: [timing.run(timed)],
+    }
+    draw(options, runs, [one.name for one in profiles])
+    figures = tables.Figures(
+        made_with=f"seed {descents.SEED} recorded, seeds 0 to {options.seeds - 1} averaged,"
+        f" {options.duration_s:g} s after {options.surface_s:g} s afloat",
+        machine=machine.line(timed.machine),
+        tables=(
+            tables.descents({key: summary for key, (_, summary) in recorded.items()}),
+            tables.seeds(averaged),
+            tables.timing(timed),
+            tables.water(made_up, profiles),
+        ),
+    )
+    figures.write(options.out / FIGURES)
+    return figures
+
+
+def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence[str]) -> None:
+    """Every figure as PNG and SVG, and the README's picture."""
+    for sheet in paper.sheets(measured):
+        paper.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
+    shown = [run for key in (paper.NONE, paper.OURS_SHORT, paper.OURS_LONG) for run in runs[key]]
+    readme.write(shown, options.readme)
+
+
+@contextmanager
+def _steps(what: str, total: int) -> Iterator[Callable[[], None]]:
+    """A bar on stderr that is told of each step."""
+    done = 0
+    with share_for(f"{total} {what}") as told:
+
+        def step() -> None:
+            nonlocal done
+            done += 1
+            told(done / total)
+
+        yield step
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,99 @@
+"""The descents: one seed with everything in it, recorded, for the figures; many seeds with the state known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from services.reporting.figures.renderer import Run
+from services.reporting.plots.recorded import read
+from services.run import folder
+from services.run.run_config import Override, Situation, resolve
+from services.tools import lockstep_run
+from services.tools.batch.executor import each
+from services.tools.batch.job import Job
+from services.tools.paper.settings import AVERAGED, KNOWN, RECORDED, SCENARIO, Setting
+from sim.evaluation.summary import Summary
+
+SEED = 1
+SURFACE_S = 30.0
+"""Of the recorded ones: thirty TDCP fixes before the descent."""
+
+AHEAD = ("horizon", "ahead")
+"""Tables of the newest plan: of a run that has ended they say nothing."""
+
+
+class Flight(NamedTuple):
+    """A descent that is recorded: its setting, and how long."""
+
+    setting: Setting
+    out: Path
+    duration_s: float
+    surface_s: float = SURFACE_S
+
+    def situation(self) -> Situation:
+        """What it is made of. Raises ``ConfigError``."""
+        return resolve(
+            SCENARIO,
+            [
+                Override("option --surface-s", [f"run.surface_time_s={self.surface_s!r}"]),
+                Override("option --duration-s", [f"run.duration_s={self.duration_s!r}"]),
+                Override("figures", [f"run.seed={SEED}", *self.setting.keys]),
+            ],
+        )
+
+
+def fly(flight: Flight) -> Summary:
+    """Make the run and its folder, whatever was there."""
+    situation = flight.situation()
+    return lockstep_run.run(situation, folder.make(situation.name, situation.files, out=flight.out, force=True))
+
+
+def recorded(
+    runs: Path, duration_s: float, surface_s: float, *, workers: int | None, progress: Callable[[], None]
+) -> dict[str, tuple[Run, Summary]]:
+    """Each recorded setting as it is drawn, and what it came to, by its key."""
+    flights = [Flight(setting, runs / setting.key, duration_s, surface_s) for setting in RECORDED]
+    summaries: dict[str, Summary] = {}
+    for place, summary in each(fly, flights, workers=workers):
+        summaries[flights[place].setting.key] = summary
+        progress()
+    return {
+        flight.setting.key: (shown(flight, summaries[flight.setting.key]), summaries[flight.setting.key])
+        for flight in flights
+    }
+
+
+def shown(flight: Flight, summary: Summary) -> Run:
+    """The run as figures draw it."""
+    picture = read(flight.out / folder.RECORDING)
+    name = f"horizon {summary.horizon_s:.1f} s" if flight.setting.lateral else flight.setting.name
+    past = {table: columns for table, columns in picture.tables.items() if table not in AHEAD}
+    return Run(name, past, picture.values, picture.marks)
+
+
+def averaged(
+    seeds: int, duration_s: float, *, workers: int | None, progress: Callable[[], None]
+) -> dict[str, list[Summary]]:
+    """The summaries of seeds 0 to ``seeds`` - 1 of each averaged setting, in the order of the seeds, by its key."""
+    length = f"run.duration_s={duration_s!r}"
+    jobs = [
+        (setting.key, Job(SCENARIO, (f"run.seed={seed}", length, *KNOWN, *setting.keys)))
+        for setting in AVERAGED
+        for seed in range(seeds)
+    ]
+    found: list[Summary | None] = [None] * len(jobs)
+    for place, summary in each(Job.summary, [job for _, job in jobs], workers=workers):
+        found[place] = summary
+        progress()
+    of: dict[str, list[Summary]] = {setting.key: [] for setting in AVERAGED}
+    for (key, _), done in zip(jobs, found, strict=True):
+        assert done is not None  # a job that raised has ended the batch
+        of[key].append(done)
+    return of
+
+
+def count(seeds: int) -> int:
+    """How many descents both make."""
+    return len(RECORDED) + seeds * len(AVERAGED)

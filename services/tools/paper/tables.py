@@ -1,0 +1,176 @@
+"""The tables that docs/paper.md quotes: made here, kept in figures.json, and written into the page at their marks."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+
+from services.reporting.figures.paper import NONE
+from services.tools.page_tables import Table
+from services.tools.paper.settings import AVERAGED, COMPUTING_S, RECORDED
+from services.tools.paper.timing import Timed
+from services.tools.paper.water import Profile, rms_difference_mps
+from sim.evaluation.summary import Summary
+
+LAGS_M = (8.0, 24.0)
+"""At which every profile has differences: the coarsest has cells of 8 m."""
+
+
+# --- what stands in them ---------------------------------------------------------------------------------------------
+
+
+def descents(summaries: Mapping[str, Summary]) -> Table:
+    """The recorded runs: what the figures show."""
+    return Table(
+        name="descents",
+        head=(
+            *("one descent, full loop", "horizon (s)", "delay (s)", "tracking (m)", "localisation (m)"),
+            *("true error (m)", "mean abs F (N)", "saturated (%)"),
+        ),
+        digits=(0, 1, 2, 3, 3, 3, 1, 1),
+        rows=tuple(
+            (
+                name,
+                *_setting(key, [summaries[key]]),
+                summaries[key].tracking_error_m.mean,
+                summaries[key].localisation_error_m.mean,
+                summaries[key].true_error_m.mean,
+                *_effort([summaries[key]]),
+            )
+            for key, name, _ in RECORDED
+        ),
+    )
+
+
+def seeds(summaries: Mapping[str, Sequence[Summary]]) -> Table:
+    """Many seeds with the state known: what the controller alone does."""
+    none = [_error(summary) for summary in summaries[NONE]]
+    return Table(
+        name="seeds",
+        head=(
+            *(f"mean of seeds 0 to {len(none) - 1}, state known", "horizon (s)", "delay (s)", "error (m)"),
+            *("of the worst seed (m)", "seeds better than no control", "mean abs F (N)", "saturated (%)"),
+        ),
+        digits=(0, 1, 2, 3, 3, 0, 1, 1),
+        rows=tuple(
+            (
+                name,
+                *_setting(key, summaries[key]),
+                statistics.fmean(errors := [_error(summary) for summary in summaries[key]]),
+                max(errors),
+                None if key == NONE else float(sum(a < b for a, b in zip(errors, none, strict=True))),
+                *_effort(summaries[key]),
+            )
+            for key, name, _ in AVERAGED
+        ),
+    )
+
+
+def timing(timed: Timed) -> Table:
+    """The paper's computing times beside this controller's on this machine."""
+    return Table(
+        name="timing",
+        head=(
+            f"{timed.machine['cores']} cores, {_load(timed)}",
+            "the paper, 2012 (ms)",
+            "median (ms)",
+            "p99 (ms)",
+            "largest (ms)",
+            "cycles",
+        ),
+        digits=(0, 0, 3, 3, 3, 0),
+        rows=tuple(
+            (
+                f"{cycle.horizon_s:g} s: {cycle.samples.stages} stages, {cycle.reach_s:.1f} s",
+                COMPUTING_S[cycle.horizon_s] * 1e3,
+                cycle.cycle_us.median / 1e3,
+                cycle.cycle_us.p99 / 1e3,
+                cycle.cycle_us.max / 1e3,
+                float(len(cycle.samples.cycle_us)),
+            )
+            for cycle in timed.cycles
+        ),
+    )
+
+
+def _load(timed: Timed) -> str:
+    """Of the machine meanwhile: how many processes ran or waited to, in the last minute."""
+    loads = [timed.machine[when] for when in ("load_before", "load_after")]
+    return "load " + " to ".join(f"{load[0]:.1f}" for load in loads if isinstance(load, list))
+
+
+def water(made_up: Sequence[Profile], measured: Sequence[Profile]) -> Table:
+    """How strong the currents are, and how much they differ between two depths; one axis, cm/s."""
+    return Table(
+        name="water",
+        head=(
+            *("current", "depths (m)", "rms (cm/s)", "about its mean (cm/s)"),
+            *(f"rms difference over {lag:g} m (cm/s)" for lag in LAGS_M),
+        ),
+        digits=(0, 0, 1, 1, 1, 1),
+        rows=(_strength(f"made up, {len(made_up)} seeds", made_up), *(_strength(one.name, [one]) for one in measured)),
+    )
+
+
+def _strength(name: str, profiles: Sequence[Profile]) -> tuple[str | float | None, ...]:
+    """Mean squares over the profiles."""
+    depth = profiles[0].depth_m
+    rms = _root_mean([float((one.velocity_mps**2).mean()) for one in profiles])
+    spread = _root_mean([float(one.velocity_mps.var(axis=0).mean()) for one in profiles])
+    differences = [_differences(profiles, lag) for lag in LAGS_M]
+    return name, f"{depth[0]:g} to {depth[-1]:g}", rms, spread, *differences
+
+
+def _differences(profiles: Sequence[Profile], lag_m: float) -> float | None:
+    known = [rms for one in profiles if (rms := rms_difference_mps(one, lag_m)) is not None]
+    return _root_mean([rms**2 for rms in known]) if known else None
+
+
+def _root_mean(squares: Sequence[float]) -> float:
+    """In cm/s, of (m/s)^2."""
+    return 100.0 * math.sqrt(statistics.fmean(squares))
+
+
+def _setting(key: str, summaries: Sequence[Summary]) -> tuple[float | None, float | None]:
+    """Horizon and delay; no control has neither."""
+    if key == NONE:
+        return None, None
+    return summaries[0].horizon_s, summaries[0].compute_delay_s.median
+
+
+def _effort(summaries: Sequence[Summary]) -> tuple[float, float]:
+    """Mean |F|, and the share of the time at a limit in per cent."""
+    mean = _mean(summaries, lambda summary: summary.thrust.mean_abs_N)
+    return mean, 100.0 * _mean(summaries, lambda summary: summary.thrust.saturated_fraction)
+
+
+def _error(summary: Summary) -> float:
+    return summary.true_error_m.mean or 0.0
+
+
+def _mean(summaries: Sequence[Summary], of: Callable[[Summary], float | None]) -> float:
+    return statistics.fmean(of(summary) or 0.0 for summary in summaries)
+
+
+# --- where they stand ------------------------------------------------------------------------------------------------
+
+
+class Figures(msgspec.Struct, frozen=True, kw_only=True):
+    """figures.json."""
+
+    made_with: str  # options that change numbers
+    machine: str  # on which the times were measured
+    tables: tuple[Table, ...]
+
+    def write(self, path: Path) -> None:
+        """As JSON."""
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=1) + b"\n")
+
+    @classmethod
+    def load(cls, path: Path) -> Figures:
+        """What was written."""
+        return msgspec.json.decode(path.read_bytes(), type=cls)

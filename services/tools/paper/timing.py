@@ -1,0 +1,65 @@
+"""How long a cycle takes here, at the paper's two horizons: for the timing table, and by stage for its figure."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ltv_mpc.control.config import ControllerConfig
+from services.reporting.figures.renderer import Run
+from services.reporting.plots.collector import STAGES
+from services.reporting.plots.table import Columns, short
+from services.tools.paper.settings import COMPUTING_S, LONG_S
+from services.tools.profile import problems as problems
+from services.tools.profile.machine import Machine, load, machine
+from services.tools.profile.measure import Samples, SolverByName, measure
+from services.tools.profile.run import WARM_UP, Spread
+
+SHIPPED = ControllerConfig()
+SOLVER = SolverByName(SHIPPED.solver)
+"""That of the controller as it is shipped."""
+
+
+class Cycle(NamedTuple):
+    """At one horizon of the paper."""
+
+    horizon_s: float  # the paper's
+    reach_s: float  # in whole stages
+    paper_s: float
+    cycle_us: Spread
+    samples: Samples
+
+
+class Timed(NamedTuple):
+    """Both horizons, and where."""
+
+    cycles: list[Cycle]
+    machine: Machine
+
+
+def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
+    """So many cycles at each horizon, on the problems of ``ltv-mpc profile``."""
+    before = load()
+    found = []
+    for horizon_s, paper_s in COMPUTING_S.items():
+        config = ControllerConfig(horizon_s=horizon_s)
+        episodes = problems.simulated(config.stages, cycles, seed)
+        warm_up = problems.simulated(config.stages, 1, seed)[0]._replace(cycles=min(WARM_UP, cycles))
+        (samples,) = measure(episodes, [SOLVER], warm_up=warm_up, order=random.Random(seed), progress=progress)
+        found.append(Cycle(horizon_s, config.reach_s, paper_s, Spread.of(samples.cycle_us), samples))
+    return Timed(found, machine(before))
+
+
+def run(of: Timed) -> Run:
+    """The cycles of the longer horizon one after the other, as figures draw them."""
+    (long,) = (cycle for cycle in of.cycles if cycle.horizon_s == LONG_S)
+    samples = long.samples
+    columns: Columns = {
+        "t_s": [short(i * SHIPPED.period_s) for i in range(len(samples.cycle_us))],
+        "cycle_ms": [short(us / 1e3) for us in samples.cycle_us],
+    }
+    for stage, names in zip(("predict", "linearise", "build", "solve"), STAGES, strict=False):
+        laps = [samples.stage_us[name] for name in names if name in samples.stage_us]
+        columns[f"{stage}_ms"] = [short(sum(lap) / 1e3) or None for lap in zip(*laps, strict=True)]
+    return Run("timing", {"latency": columns})

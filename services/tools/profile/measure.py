@@ -1,0 +1,255 @@
+"""Candidates side by side: each cycle of a closed loop is solved by every one of them, in an order drawn anew.
+
+One controller drives the loop. Before each cycle every candidate is handed the driver's memory, so that prediction,
+guess and linearisation are the same for all; warm starts are each solver's own. So all have the same problems under the
+same load of the machine, and their ratios mean something where single figures do not.
+"""
+
+from __future__ import annotations
+
+import gc
+import random
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+import piqp
+from scipy.sparse import csc_matrix
+
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.horizon_limits import HorizonLimits
+from ltv_mpc.control.linearisation import Linearisation
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.solvers.interface import Answer, Solver
+from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
+from ltv_mpc.node import Stopwatch, no_stopwatch
+from services.runtime.stopwatch import StageTimer
+from services.tools.profile.piqp_yardstick import PiqpYardstick
+from services.tools.profile.problems import Episode, seconds
+
+STAGES = ("predict", "linearise", "build", "update", "solve", "read")
+
+EXACT = 1e-10
+"""Absolute tolerance of the solution that thrusts are compared with: four orders below what is compared."""
+
+
+class Contestant(Protocol):
+    """What is measured."""
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch) -> Controller:
+        """A new controller for an episode. Raises ``ConfigError``."""
+        ...
+
+
+class SolverByName(NamedTuple):
+    """A solver that ``[controller] solver`` can name."""
+
+    name: str
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
+        """Return the episode's controller with this solver. Raises ``ConfigError`` if there is no such solver."""
+        config = msgspec.structs.replace(episode.config, solver=self.name)
+        return Controller(episode.vehicle, episode.reference, config, stopwatch=stopwatch)
+
+
+class Piqp(NamedTuple):
+    """PIQP by its own interface (``piqp_yardstick.py``)."""
+
+    tolerance: float | None = None  # absolute and relative; None: PIQP's own
+
+    @property
+    def name(self) -> str:
+        """Return its name in tables; ``piqp`` alone is the one of qpsolvers."""
+        return "PIQP native" if self.tolerance is None else f"PIQP native {self.tolerance:g}"
+
+    def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
+        """Return the episode's controller with PIQP as its solver."""
+        controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
+        controller.solve_with(lambda _own: PiqpYardstick(controller.config, limits_of(episode), self.tolerance))
+        return controller
+
+
+def limits_of(episode: Episode) -> HorizonLimits:
+    """Of the episode's vehicle between two knots."""
+    return HorizonLimits.of(episode.vehicle, seconds(1), episode.config.limits.most)
+
+
+class Samples:
+    """What was measured of one contestant at one horizon: an entry a cycle."""
+
+    def __init__(self, stages: int) -> None:
+        self.stages = stages  # N
+        self.cycle_us: list[float] = []
+        self.stage_us: dict[str, list[float]] = {stage: [] for stage in STAGES}
+        self.iterations: list[int] = []
+        self.thrust_error_N: list[float] = []  # of the first free knot; NaN: there was no finite answer
+        self.status: Counter[SolveStatus] = Counter()
+
+
+def measure(
+    episodes: Sequence[Episode],
+    contestants: Sequence[Contestant],
+    *,
+    warm_up: Episode,
+    order: random.Random,
+    progress: Callable[[], None],
+) -> list[Samples]:
+    """The samples of each contestant over all episodes, which have one horizon; ``progress`` hears of each cycle."""
+    stages = warm_up.config.stages
+    _run(warm_up, contestants, [Samples(stages) for _ in contestants], order, lambda: None)
+    samples = [Samples(stages) for _ in contestants]
+    for episode in episodes:
+        _run(episode, contestants, samples, order, progress)
+    return samples
+
+
+def _run(
+    episode: Episode,
+    contestants: Sequence[Contestant],
+    samples: Sequence[Samples],
+    order: random.Random,
+    progress: Callable[[], None],
+) -> None:
+    candidates = [_Candidate(who, episode, into) for who, into in zip(contestants, samples, strict=True)]
+    bench = _Bench(episode, candidates, order, progress)
+    with _collections_held_back():
+        episode.feed(bench, lambda: bench.measured >= episode.cycles)
+
+
+@contextmanager
+def _collections_held_back() -> Iterator[None]:
+    """As in the service, a collection of garbage is not part of a cycle: the bench collects between cycles."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+class _Bench(ControllerNode):
+    """Stands in the controller's place: the driver's plans go out, the candidates' are measured."""
+
+    def __init__(
+        self, episode: Episode, candidates: Sequence[_Candidate], order: random.Random, progress: Callable[[], None]
+    ) -> None:
+        super().__init__(episode.vehicle, episode.reference, episode.config)
+        self.measured = 0
+        self._candidates = candidates
+        self._exact = _Exact(episode)
+        self._order = order
+        self._progress = progress
+        self._begun = False
+
+    def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
+        """One cycle of everybody."""
+        driver = self.controller
+        plans = [
+            (candidate, candidate.plan(driver, estimate, t_ns))
+            for candidate in self._order.sample(self._candidates, len(self._candidates))
+        ]
+        plan = driver.plan(estimate, t_ns=t_ns)
+        if plan.solve.status is not SolveStatus.NOT_RUN:
+            if self._begun:  # the first cycle starts from a crude guess
+                for candidate, its in plans:
+                    candidate.keep(its, self._exact)
+                self.measured += 1
+                self._progress()
+            self._begun = True
+        gc.collect(1)
+        return plan
+
+
+class _Candidate:
+    """A controller whose cycles are measured."""
+
+    def __init__(self, contestant: Contestant, episode: Episode, into: Samples) -> None:
+        self.timer = StageTimer()
+        self.controller = contestant.controller(episode, self.timer)
+        self._witness: _Witness
+        self.controller.solve_with(self._watched)
+        self._into = into
+        self._cycle_us = 0.0
+
+    def _watched(self, solver: Solver) -> Solver:
+        self._witness = _Witness(solver)
+        return self._witness
+
+    def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
+        """One cycle, measured."""
+        controller, timer = self.controller, self.timer
+        controller.restore(driver.save(t_ns), t_ns)
+        started_ns = time.monotonic_ns()
+        timer.start()
+        plan = controller.plan(estimate, t_ns=t_ns)
+        self._cycle_us = (time.monotonic_ns() - started_ns) / 1000
+        return plan
+
+    def keep(self, plan: Plan, exact: _Exact) -> None:
+        """Write down the cycle that ``plan`` made."""
+        into = self._into
+        into.cycle_us.append(self._cycle_us)
+        for stage, sample in into.stage_us.items():
+            sample.append(self.timer.stage_us.get(stage, 0.0))
+        into.iterations.append(plan.solve.iterations)
+        into.status[plan.solve.status] += 1
+        error = np.abs(self._witness.answer.commands[1] - exact.commands(self._witness)[1]).max()
+        into.thrust_error_N.append(float(error) if np.isfinite(error) else np.nan)
+
+
+class _Witness:
+    """A solver that remembers what it was asked last, and what it said."""
+
+    lin: Linearisation
+    target: Array
+    answer: Answer
+
+    def __init__(self, solver: Solver) -> None:
+        self._solver = solver
+        self.shift, self.forget, self.update = solver.shift, solver.forget, solver.update
+
+    def build(self, lin: Linearisation, target: Array) -> None:
+        self.lin, self.target = lin, target
+        self._solver.build(lin, target)
+
+    def solve(self) -> Answer:
+        self.answer = self._solver.solve()
+        return self.answer
+
+
+class _Exact:
+    """The commands at the knots that solve a problem to a tolerance far below every candidate's."""
+
+    def __init__(self, episode: Episode) -> None:
+        config = episode.config
+        self._form = SparseForm(config.knots, limits_of(episode), settled(config, episode.vehicle).weights)
+        self._along: tuple[bytes, bytes, bytes] | None = None
+        self._commands: Array = np.empty(0)
+
+    def commands(self, asked: _Witness) -> Array:
+        """(N+1, 2) of what was asked; of the problem that was asked last at no further cost."""
+        lin = asked.lin
+        along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.target).tobytes())
+        if along != self._along:
+            self._along = along
+            self._commands = self._solved(lin, asked.target)
+        return self._commands
+
+    def _solved(self, lin: Linearisation, target: Array) -> Array:
+        qp = self._form.build(lin, target)
+        equal = qp.l == qp.u
+        A = csc_matrix(qp.A)
+        solver = piqp.SparseSolver()
+        solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = EXACT
+        solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0.0
+        solver.setup(csc_matrix(qp.P), qp.q, A[equal], qp.l[equal], A[~equal], qp.l[~equal], qp.u[~equal])
+        solver.solve()
+        return self._form.commands(lin, np.array(solver.result.x))

@@ -1,0 +1,121 @@
+"""A latency profile as a picture: how the times of a cycle are distributed, and how they grow with the horizon."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from services.tools.profile import machine
+from services.tools.profile.measure import Samples
+from services.tools.profile.run import Measured, Row
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#999999")
+"""Okabe and Ito; markers tell them apart in grey."""
+
+MARKERS = "osD^vP*X"
+
+COLUMNS = 3
+
+
+class _Line(NamedTuple):
+    """A row and its samples, and how they are drawn."""
+
+    row: Row
+    samples: Samples
+    colour: str
+    marker: str
+
+
+def draw(measured: Measured, out: Path) -> None:
+    """Write the picture: a panel for each horizon, and one for the growth with N where there is more than one."""
+    plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
+    lines = _lines(measured)
+    horizons = sorted({line.row.stages for line in lines})
+    panels = len(horizons) + (len(horizons) > 1)
+    columns = 2 if panels == 4 else min(panels, COLUMNS)
+    rows = -(-panels // columns)
+    figure, grid = plt.subplots(
+        rows, columns, figsize=(0.8 + 3.6 * columns, 1.0 + 3.2 * rows), layout="constrained", squeeze=False
+    )
+    axes = grid.ravel()
+    for panel, stages in zip(axes, horizons, strict=False):
+        _distribution(panel, [line for line in lines if line.row.stages == stages])
+    if len(horizons) > 1:
+        _growth(axes[panels - 1], lines)
+    for unused in axes[panels:]:
+        unused.set_axis_off()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(machine.line(measured.profile.machine), fontsize=7)
+    figure.savefig(out, dpi=160)
+    plt.close(figure)
+
+
+def _lines(measured: Measured) -> list[_Line]:
+    rows = measured.profile.rows
+    names = list(dict.fromkeys(row.solver for row in rows))
+    return [
+        _Line(row, samples, COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)])
+        for row, samples in zip(rows, measured.samples, strict=True)
+        for i in [names.index(row.solver)]
+    ]
+
+
+def _distribution(panel: Axes, lines: Sequence[_Line]) -> None:
+    """1 - the empirical distribution function: on log axes the tail is as wide as the middle."""
+    for row, samples, colour, marker in lines:
+        times = np.sort(samples.cycle_us)
+        longer = 1.0 - np.arange(len(times)) / len(times)
+        marks = np.searchsorted(-longer, [-0.5, -0.1, -0.01]).clip(max=len(times) - 1)
+        panel.step(
+            times,
+            longer,
+            where="pre",
+            color=colour,
+            marker=marker,
+            markevery=marks.tolist(),
+            label=row.solver,
+            linewidth=1.1,
+            markersize=4,
+        )
+    panel.set(xscale="log", yscale="log", xlabel="time of a cycle (µs)", ylabel="share of cycles that take longer")
+    _plain(panel.xaxis)
+    panel.set_title(f"{lines[0].row.stages} stages, {lines[0].row.horizon_s:.1f} s", fontsize=9)
+    panel.grid(alpha=0.25, which="both", linewidth=0.4)
+
+
+def _growth(panel: Axes, lines: Sequence[_Line]) -> None:
+    for name in dict.fromkeys(line.row.solver for line in lines):
+        own = sorted((line for line in lines if line.row.solver == name), key=lambda line: line.row.stages)
+        N = [line.row.stages for line in own]
+        style: dict[str, Any] = {"color": own[0].colour, "marker": own[0].marker, "linewidth": 1.1, "markersize": 4}
+        panel.plot(N, [line.row.cycle_us.median for line in own], "-", **style)
+        panel.plot(N, [line.row.cycle_us.p99 for line in own], ":", **style)
+    N = sorted({line.row.stages for line in lines})
+    lowest = 0.8 * min(line.row.cycle_us.median for line in lines if line.row.stages == N[0])
+    panel.plot(N, [lowest * n / N[0] for n in N], color="#999999", linewidth=0.8, linestyle="--")
+    end = (N[-1], lowest * N[-1] / N[0])
+    panel.annotate("in proportion to N", end, ha="right", va="top", fontsize=7, color="#666666")
+    panel.set(xscale="log", yscale="log", xlabel="stages N", ylabel="time of a cycle (µs)")
+    _plain(panel.yaxis)
+    panel.set_xticks(N, [str(n) for n in N])
+    panel.xaxis.set_minor_locator(NullLocator())
+    panel.set_title("median, and p99 dotted", fontsize=9)
+    panel.grid(alpha=0.25, which="both", linewidth=0.4)
+
+
+def _plain(axis: Axis) -> None:
+    """Numbers in full at 1, 2 and 5 of each decade."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,162 @@
+"""How long a controller cycle takes on this machine: by solver and horizon, beside PIQP by its own interface.
+
+A ratio is of whole control steps, on the same problems in the same run; it means something between rows whose thrusts
+are equally near the exact solution.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+
+import msgspec
+import numpy as np
+
+from ltv_mpc.errors import ConfigError
+from services.tools.profile import problems as problems
+from services.tools.profile.machine import Machine, load, machine
+from services.tools.profile.measure import Piqp, Samples, SolverByName, measure
+from services.tools.profile.problems import Episode, seconds
+
+YARDSTICK = Piqp()
+"""Always measured: what every other row is a ratio of."""
+
+RELAXED = Piqp(tolerance=1e-6)
+"""Always measured, too: the yardstick at the quality that is asked of the others, 0.1 N in 99 % of the cycles."""
+
+WARM_UP = 20
+"""Cycles of a descent that are solved before any is measured: cold caches, and what is set up at first use."""
+
+MOST_STAGES = 400
+
+
+class Spread(msgspec.Struct, frozen=True, kw_only=True):
+    """Of a sample over all cycles."""
+
+    median: float
+    p90: float
+    p99: float
+    max: float
+
+    @classmethod
+    def of(cls, sample: Sequence[float]) -> Spread:
+        """NaN is left out."""
+        known = np.array([x for x in sample if x == x])
+        if not len(known):
+            return cls(median=0.0, p90=0.0, p99=0.0, max=0.0)
+        median, p90, p99, most = np.quantile(known, [0.5, 0.9, 0.99, 1.0]).tolist()
+        return cls(median=median, p90=p90, p99=p99, max=most)
+
+
+class Ratio(msgspec.Struct, frozen=True, kw_only=True):
+    """Time of a cycle over that of the yardstick, at the same horizon in the same run."""
+
+    median: float
+    p99: float
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One solver at one horizon."""
+
+    solver: str
+    stages: int
+    horizon_s: float
+    cycles: int
+    cycle_us: Spread
+    stage_us: dict[str, Spread]
+    iterations: Spread
+    thrust_error_N: Spread  # first free knot, from the exact solution of the same QP
+    status: dict[str, int]
+    ratio: Ratio
+
+
+class Profile(msgspec.Struct, frozen=True, kw_only=True):
+    """What was measured, on which problems and where."""
+
+    rows: list[Row]
+    problems: dict[str, int]  # cycles of each kind at each horizon
+    machine: Machine
+
+
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """The profile, and the samples that it sums up, in the order of its rows."""
+
+    profile: Profile
+    samples: list[Samples]
+
+
+# --- what is asked for -----------------------------------------------------------------------------------------------
+
+
+def parse_horizons(text: str) -> list[int]:
+    """``17,34`` as numbers of stages. Raises ``ConfigError``."""
+    parts = [part.strip() for part in text.split(",")]
+    stages = [int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts]
+    for part, number in zip(parts, stages, strict=True):
+        if not 1 <= number <= MOST_STAGES:
+            problem = f"must be numbers of stages of {seconds(1):g} s, 1 to {MOST_STAGES}, as in 17,34"
+            raise ConfigError("option --horizons", "", problem, value=part)
+    return list(dict.fromkeys(stages))
+
+
+def parse_solvers(text: str, episode: Episode) -> list[SolverByName]:
+    """Read ``osqp,riccati`` as solvers, each tried on ``episode``. Raises ``ConfigError``."""
+    solvers = [SolverByName(name) for name in dict.fromkeys(part.strip() for part in text.split(","))]
+    for solver in solvers:
+        try:
+            solver.controller(episode)
+        except ConfigError as error:
+            raise ConfigError("option --solvers", "", error.problem, value=solver.name) from None
+    return solvers
+
+
+# --- measuring -------------------------------------------------------------------------------------------------------
+
+
+def run(
+    by_horizon: Sequence[Sequence[Episode]],
+    solvers: Sequence[SolverByName],
+    *,
+    seed: int,
+    progress: Callable[[], None],
+) -> Measured:
+    """Measure PIQP and each solver on the episodes of each horizon. Raises ``ConfigError`` if no cycle was solved."""
+    contestants: tuple[Piqp | SolverByName, ...] = (YARDSTICK, RELAXED, *solvers)
+    order = random.Random(seed)
+    rows, samples = [], []
+    load_before = load()
+    for episodes in by_horizon:
+        stages = episodes[0].config.stages
+        (warm_up,) = problems.simulated(stages, 1, seed)[:1]
+        warm_up = warm_up._replace(cycles=WARM_UP)
+        measured = measure(episodes, contestants, warm_up=warm_up, order=order, progress=progress)
+        if not measured[0].cycle_us:
+            raise ConfigError("option --run", "", "holds no cycle of the controller that was solved")
+        rows += _rows(contestants, measured)
+        samples += measured
+    kinds = dict.fromkeys((episode.kind for episode in by_horizon[0]), 0)
+    for episode in by_horizon[0]:
+        kinds[episode.kind] += episode.cycles
+    profile = Profile(rows=rows, problems=kinds, machine=machine(load_before))
+    return Measured(profile=profile, samples=samples)
+
+
+def _rows(contestants: Sequence[Piqp | SolverByName], measured: Sequence[Samples]) -> list[Row]:
+    yardstick = Spread.of(measured[contestants.index(YARDSTICK)].cycle_us)
+    return [_row(who.name, samples, yardstick) for who, samples in zip(contestants, measured, strict=True)]
+
+
+def _row(solver: str, samples: Samples, yardstick: Spread) -> Row:
+    cycle = Spread.of(samples.cycle_us)
+    return Row(
+        solver=solver,
+        stages=samples.stages,
+        horizon_s=seconds(samples.stages),
+        cycles=len(samples.cycle_us),
+        cycle_us=cycle,
+        stage_us={stage: Spread.of(times) for stage, times in samples.stage_us.items()},
+        iterations=Spread.of(samples.iterations),
+        thrust_error_N=Spread.of(samples.thrust_error_N),
+        status={str(status): count for status, count in samples.status.most_common()},
+        ratio=Ratio(median=cycle.median / yardstick.median, p99=cycle.p99 / yardstick.p99),
+    )

@@ -1,0 +1,61 @@
+"""A latency profile for people: a table of cycles, one of their stages, and the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from services.tools.profile import machine
+from services.tools.profile.measure import STAGES
+from services.tools.profile.run import Profile, Row
+
+NAMES = f"{'horizon':<18} {'solver':<17}"
+
+
+def text(profile: Profile) -> str:
+    """Times in microseconds, errors in newtons."""
+    kinds = ", ".join(f"{count} {kind}" for kind, count in profile.problems.items())
+    return "\n".join(
+        [
+            *_cycles(profile.rows),
+            "",
+            *_stages(profile.rows),
+            "",
+            f"cycles at each horizon: {kinds}; solvers interleaved, their order drawn anew each cycle",
+            "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over that of"
+            " PIQP native, by its own interface",
+            machine.line(profile.machine),
+        ]
+    )
+
+
+def _cycles(rows: Sequence[Row]) -> list[str]:
+    lines = [
+        f"{'':<36} {'cycle (us)':^35}  {'of PIQP':^11}  {'iterations':^11}  {'thrust off (N)':^23}",
+        f"{NAMES} {'median':>8} {'p90':>8} {'p99':>8} {'max':>8}  {'median':>6} {'p99':>5}"
+        f"  {'median':>6} {'p99':>4}  {'median':>7} {'p99':>7} {'max':>7}  status",
+    ]
+    for row in rows:
+        c, i, e = row.cycle_us, row.iterations, row.thrust_error_N
+        lines.append(
+            f"{_names(row)} {c.median:>8.0f} {c.p90:>8.0f} {c.p99:>8.0f} {c.max:>8.0f}"
+            f"  {row.ratio.median:>6.2f} {row.ratio.p99:>5.2f}  {i.median:>6.0f} {i.p99:>4.0f}"
+            f"  {_newton(e.median)} {_newton(e.p99)} {_newton(e.max)}"
+            f"  {', '.join(f'{name} {count}' for name, count in row.status.items())}"
+        )
+    return lines
+
+
+def _stages(rows: Sequence[Row]) -> list[str]:
+    heads = " ".join(f"{stage:>9}" for stage in STAGES)
+    lines = [f"{'':<36} stages of a cycle, medians (us)", f"{NAMES} {heads}"]
+    lines += [f"{_names(row)} " + " ".join(f"{row.stage_us[stage].median:>9.1f}" for stage in STAGES) for row in rows]
+    return lines
+
+
+def _names(row: Row) -> str:
+    horizon = f"{row.stages} stages, {row.horizon_s:.1f} s"
+    return f"{horizon:<18} {row.solver:<17}"
+
+
+def _newton(error: float) -> str:
+    return f"{error:>7.1e}" if 0 < error < 1e-3 else f"{error:>7.3f}"

@@ -1,0 +1,84 @@
+"""What a vehicle file would do: performance, a horizon and weights that fit it, and what looks wrong."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.horizon_selection import horizon_of
+from ltv_mpc.control.scaling import scales_of, weights_of
+from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.performance import Performance, performance
+from ltv_mpc.vehicle.plausibility import doubts
+
+
+class Check(msgspec.Struct, frozen=True, kw_only=True):
+    """``vehicle check --json``."""
+
+    name: str
+    description: str
+    dives: bool
+    performance: Performance
+    speed_scale_mps: float
+    time_scale_s: float
+    horizon_s: float  # proposed; that of `controller` where none is given
+    weights: Weights  # in use wherever [controller.weights] names none
+    warnings: list[str]
+
+
+def check(vehicle: Vehicle) -> Check:
+    """All that can be said of a vehicle before it is in the water."""
+    can, scales = performance(vehicle), scales_of(vehicle)
+    return Check(
+        name=vehicle.name,
+        description=vehicle.description,
+        dives=vehicle.dives,
+        performance=can,
+        speed_scale_mps=scales.speed_mps,
+        time_scale_s=scales.time_s,
+        horizon_s=horizon_of(vehicle, can),
+        weights=weights_of(vehicle),
+        warnings=doubts(vehicle, can),
+    )
+
+
+def table(of: Check) -> str:
+    """For people."""
+    can, w = of.performance, of.weights
+    rows = [
+        ("top speed ahead", _value(can.top_speed_ahead_mps, "m/s")),
+        ("top speed astern", _value(can.top_speed_astern_mps, "m/s")),
+        ("turning rate to starboard", _degrees(can.turning_rate_starboard_radps)),
+        ("turning rate to port", _degrees(can.turning_rate_port_radps)),
+        ("turn by 90 deg, rest to rest", _value(can.turn_90deg_s, "s")),
+        (
+            "stops from top speed",
+            f"{_value(can.stopping_distance_m, 'm')} in {_value(can.stopping_time_s, 's')}, full astern",
+        ),
+        ("strongest current, bow into it", f"{_value(can.strongest_current_bow_mps, 'm/s')}: full ahead"),
+        ("strongest current, stern into it", f"{_value(can.strongest_current_stern_mps, 'm/s')}: full astern"),
+        ("current from the side", "none: it turns into it first, and drifts meanwhile"),
+        ("time constant of surge", _value(can.surge_s, "s")),
+        ("time constant of sway", f"{_value(can.sway_s, 's')} from a tenth of top speed"),
+        ("time constant of yaw", _value(can.yaw_s, "s")),
+        ("time constant of a thruster", f"{_value(can.thruster_s, 's')}, slew and lag"),
+        ("proposed horizon", f"{of.horizon_s:g} s: --horizon-s {of.horizon_s:g}"),
+        ("scales of the weights", f"V {of.speed_scale_mps:.3g} m/s, T {of.time_scale_s:.3g} s"),
+        ("weights", f"position {w.position_per_m2:g} /m2, at the end {w.terminal_position_per_m2:g} /m2"),
+        ("", f"velocity at the end {w.terminal_velocity_s2_per_m2:g} s2/m2"),
+        ("", f"thrust {w.thrust:g}, its change {w.thrust_change:g}"),
+    ]
+    kind = "dives" if of.dives else "surface craft"
+    lines = [f"{of.name} ({kind}): {of.description}", *(f"  {name:<34}{value}" for name, value in rows)]
+    lines += [f"  warning: {warning}" for warning in of.warnings] or ["  nothing looks wrong"]
+    return "\n".join(lines)
+
+
+def _value(number: float | None, unit: str) -> str:
+    return "none" if number is None else f"{number:.3g} {unit}"
+
+
+def _degrees(rate: float | None) -> str:
+    return "none: nothing brakes it" if rate is None else f"{math.degrees(abs(rate)):.3g} deg/s"

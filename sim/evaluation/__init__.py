@@ -1,0 +1,1 @@
+"""Evaluation of a run against the simulated truth."""

@@ -1,0 +1,188 @@
+"""Is an estimate as good as its covariance says? Normalised squared errors against chi-square, over many runs.
+
+NEES    e^T P^-1 e of true minus estimated, absolute errors;  NIS  r^T S^-1 r of an innovation before any gate
+Band    at each instant the sum over the runs is chi-square of (sum of their degrees of freedom), if the filter is
+        consistent: it lies between the quantiles 2.5 % and 97.5 % at 95 % of the instants in the long run.
+        Errors that hardly change, as of constant biases, are one draw in each run: all instants in or all out.
+Seen    cells of the water that a beam has measured so far: the two nodes around each of its cells.
+Source  Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 5.4.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.special import gammaincinv
+
+from ltv_mpc.frames import rotation, rotation_log
+from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.messages import Array
+
+Mask = npt.NDArray[np.bool_]
+
+
+class TrueState(NamedTuple):
+    """What the filter estimates, as it is. Sizes follow the sensors file; biases that do not exist are not read."""
+
+    position_m: Array  # (3,)
+    velocity_mps: Array  # (3,)
+    rotation: Array  # (3, 3)
+    gyro_bias_radps: Array  # (3,)
+    accelerometer_bias_mps2: Array  # (3,)
+    beam_bias_mps: Array  # (4,)
+    near_bias_mps: Array  # (4,)
+    mounting: Array  # (3, 3)
+    compass_bias_rad: float
+    water_mps: Array  # (G, 2) of the filter's cells (``cells.py``)
+
+
+class Consistency(NamedTuple):
+    """Of one quantity over R runs at T instants."""
+
+    total: Array  # (T,) sum of squares over the runs
+    dof: npt.NDArray[np.int64]  # (T,)
+    low: Array  # (T,) the band
+    high: Array
+
+    @property
+    def in_band(self) -> float:
+        """Share of instants inside."""
+        return float(np.mean((self.low <= self.total) & (self.total <= self.high)))
+
+    @property
+    def per_dof(self) -> float:
+        """Mean square per degree of freedom: 1 if consistent, more if too sure of itself."""
+        return float(self.total.sum() / self.dof.sum())
+
+
+def squared(error: Array, covariance: Array) -> float:
+    """e^T P^-1 e. ``LinAlgError`` where P is not positive definite."""
+    # P = D C D with correlations C: water (m/s) and gyro biases (rad/s) differ by 1e4 in size
+    variance = np.diagonal(covariance)
+    d = np.sqrt(np.where(variance > 0, variance, 1.0))
+    L, info = dpotrf(covariance / np.outer(d, d), lower=1)
+    if info != 0:
+        raise LinAlgError("covariance is not positive definite")
+    y, _ = dtrtrs(L, error / d, lower=1)
+    return float(y @ y)
+
+
+def band(dof: npt.ArrayLike, probability: float = 0.95) -> tuple[Array, Array]:
+    """Chi-square quantiles that hold ``probability`` between them, in equal tails."""
+    k = 0.5 * np.asarray(dof, dtype=np.float64)
+    tail = 0.5 * (1.0 - probability)
+    return np.asarray(2.0 * gammaincinv(k, tail)), np.asarray(2.0 * gammaincinv(k, 1.0 - tail))
+
+
+def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float = 0.95) -> Consistency:
+    """Of squares (R, T) with their degrees of freedom (R, T), 0 where a run has none.
+
+    Instants without any are left out. Raises ``ValueError`` where none is left.
+    """
+    total, degrees = np.sum(squares, axis=0), np.sum(dof, axis=0)
+    some = degrees > 0
+    if not some.any():
+        raise ValueError("no instant has a degree of freedom")
+    low, high = band(degrees[some], probability)
+    return Consistency(total[some], degrees[some], low, high)
+
+
+def errors(truth: TrueState, belief: Belief) -> Array:
+    """True minus estimated, in the filter's order and conventions, (n,); what ``TrueState`` does not have stays 0."""
+    layout, x = belief.layout, belief.x
+    e = np.zeros(layout.size)
+    water = truth.water_mps[_window(belief)]
+    e[POSITION] = truth.position_m - x[POSITION]
+    e[VELOCITY] = truth.velocity_mps - x[VELOCITY]
+    e[ATTITUDE] = rotation_log(np.ascontiguousarray(truth.rotation @ belief.R.T))  # R_true = exp(phi^) R
+    e[GYRO_BIAS] = truth.gyro_bias_radps - x[GYRO_BIAS]
+    e[ACCELEROMETER_BIAS] = truth.accelerometer_bias_mps2 - x[ACCELEROMETER_BIAS]
+    for states, value in (
+        (layout.beam_bias, truth.beam_bias_mps),
+        (layout.near_bias, truth.near_bias_mps),
+        (layout.compass_bias, np.array([truth.compass_bias_rad])),
+        (layout.north, water[:, 0]),
+        (layout.east, water[:, 1]),
+    ):
+        if states.stop > states.start:
+            e[states] = value - x[states]
+    if layout.mounting.stop > layout.mounting.start:
+        e[layout.mounting] = rotation_log(np.ascontiguousarray(truth.mounting @ belief.mounting.T))
+    return e
+
+
+def quantities(belief: Belief, seen: Mask) -> dict[str, npt.NDArray[np.int64]]:
+    """States by the name of what they are, those that exist; of the water the nodes that are ``seen`` (G,)."""
+    layout = belief.layout
+
+    def of(*slices: slice) -> npt.NDArray[np.int64]:
+        return np.concatenate([np.arange(a.start, a.stop) for a in slices])
+
+    cells = np.flatnonzero(seen[_window(belief)])
+    states = {
+        "position": of(POSITION),
+        "velocity": of(VELOCITY),
+        "heading": of(ATTITUDE)[2:],
+        "tilt": of(ATTITUDE)[:2],
+        "gyro_bias": of(GYRO_BIAS),
+        "accelerometer_bias": of(ACCELEROMETER_BIAS),
+        "adcp_bias": of(layout.beam_bias, layout.near_bias),
+        "compass_bias": of(layout.compass_bias),
+        "mounting": of(layout.mounting),
+        "cells": np.concatenate([layout.north.start + cells, layout.east.start + cells]),
+    }
+    return {name: i for name, i in states.items() if len(i)}
+
+
+def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float, int]]:
+    """Square and degrees of freedom by quantity. What the filter is sure of (variance 0) has no place in it."""
+    e, P = errors(truth, belief), belief.P
+    result = {}
+    for name, states in quantities(belief, seen).items():
+        i = states[np.diagonal(P)[states] > 0]
+        if len(i):
+            result[name] = squared(e[i], P[np.ix_(i, i)]), len(i)
+    return result
+
+
+def drawn(truth: TrueState, suite: Suite) -> dict[str, tuple[float, int]]:
+    """Squares of the true biases against the sensors file's own deviations, with their degrees of freedom.
+
+    Over few runs they say how far from 1 a NEES may lie by the seeds alone: what is hardly observed keeps its draw.
+    """
+    imu, adcp = suite.imu, suite.adcp
+    askew = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
+    biases = {
+        "gyro_bias": [(truth.gyro_bias_radps, imu.gyro_bias_sd_radps)],
+        "accelerometer_bias": [(truth.accelerometer_bias_mps2, imu.accelerometer_bias_sd_mps2)],
+        "adcp_bias": [(truth.beam_bias_mps, adcp.beam_bias_sd_mps), (truth.near_bias_mps, adcp.near_bias_sd_mps)],
+        "compass_bias": [(np.array([truth.compass_bias_rad]), suite.compass.bias_sd_rad)],
+        "mounting": [(askew, adcp.mounting_known_to_rad)],
+    }
+    result = {}
+    for name, parts in biases.items():
+        scaled = [value / sd for value, sd in parts if sd > 0]
+        if scaled:
+            every = np.concatenate(scaled)
+            result[name] = float(every @ every), len(every)
+    return result
+
+
+def _window(belief: Belief) -> slice:
+    """Nodes of the grid that are states."""
+    cells = belief.layout.north.stop - belief.layout.north.start
+    return slice(belief.column.first, belief.column.first + cells)
+
+
+def nodes_around(depths_m: Array, cell_m: float, nodes: int) -> Mask:
+    """Nodes of the grid 0, h, 2h, ... between which ``depths_m`` lie, (nodes,)."""
+    k = np.floor(np.ravel(depths_m) / cell_m).astype(int)
+    k = k[(k >= 0) & (k <= nodes - 2)]
+    seen = np.zeros(nodes, dtype=bool)
+    seen[k] = seen[k + 1] = True
+    return seen

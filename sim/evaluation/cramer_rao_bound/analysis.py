@@ -1,0 +1,229 @@
+"""The bound itself: information about the errors, gathered along a true trajectory (the posterior Cramer-Rao bound).
+
+J (n, n) is the information about all errors of one instant. Measurements add to it, in any order: J := J + H^T H.
+From one instant to the next the joint information of the moving errors x before and y after is
+    [[J_xx + Phi^T Q^-1 Phi, -Phi^T Q^-1, J_xs], [., Q^-1, 0], [., ., J_ss]]        s: the errors that stand still
+and x is marginalised (Schur). Where a position is still wanted later, at a satellite epoch or at t = 0, it is not
+marginalised but joins s: no clone of a covariance is made. J^-1 is the bound on the errors' covariance.
+From t = 0 on the moving position is d = p - p_0: a drift of 0.2 m beside a position that is known to 5 m.
+Drift   of published positions, e(t) - e(0), where e(0) is not corrected afterwards:
+            cov = cov(d | data to t) + cov(p_0 | data to 0) - cov(p_0 | data to t)
+        since what is learnt of p_0 after t = 0 is independent of what is not known yet at t.
+Source  Tichavsky, Muravchik & Nehorai 1998, IEEE T-SP 46(5); exact where the model is linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.messages import Array
+from sim.evaluation.cramer_rao_bound.model import (
+    EPOCH,
+    MOVING,
+    POSITION,
+    START,
+    WATER,
+    ErrorModel,
+    Instant,
+    Trajectory,
+    at,
+)
+from sim.evaluation.cramer_rao_bound.schedule import TOGETHER_S, schedule
+
+CORE = 15
+"""Position, velocity, attitude, gyro bias, accelerometer bias."""
+
+
+class Bound(NamedTuple):
+    """At the instants asked for. What was taken as known has zeros."""
+
+    t_s: Array  # (M,)
+    covariance: Array  # (M, 15, 15) of position, velocity, attitude, gyro bias, accelerometer bias
+    drift: Array  # (M, 3, 3) of position since t = 0; 0 before it
+
+    @property
+    def drift_rms_m(self) -> Array:
+        """Of one horizontal axis, (M,)."""
+        return np.sqrt(0.5 * (self.drift[:, 0, 0] + self.drift[:, 1, 1]))
+
+    @property
+    def velocity_rms_mps(self) -> Array:
+        """Of one horizontal axis, (M,)."""
+        return np.sqrt(0.5 * (self.covariance[:, 3, 3] + self.covariance[:, 4, 4]))
+
+
+def bound(
+    suite: Suite,
+    config: EstimatorConfig,
+    trajectory: Trajectory,
+    *,
+    at_s: Sequence[float],
+    surface_time_s: float,
+    known: Collection[str] = (),
+    without: Collection[str] = (),
+) -> Bound:
+    """The bound at ``at_s`` for the sensors of ``suite`` along ``trajectory``, from ``-surface_time_s`` on.
+
+    ``known``: errors that do not exist (``model.NAMES``). ``without``: sensors that are not there (``"gnss"``,
+    ``"tdcp"``, ``"adcp"``, ``"pressure"``, ``"compass"``). Measurements count at their validity times, whatever their
+    latency; bottom track, LBL and USBL are not in it, nor is a water prior from a file. ``ValueError`` where ``at_s``
+    has a time before the first satellite fix; ``LinAlgError`` where what is left determines too little.
+    """
+    model = ErrorModel(suite, config, known)
+    events = schedule(suite, [*at_s, 0.0], surface_time_s, without)
+    if min(at_s) < events[0].t_s - TOGETHER_S:
+        raise ValueError(f"nothing is known before the first satellite fix at {events[0].t_s:g} s: {min(at_s):g} s")
+    information = _Information(model, config.current_change_mps_per_rts)
+    wanted = sorted(at_s)
+    cores, drifts = [], []
+    start: Array | None = None  # covariance of the position at t = 0 by what was known then
+    seen_epoch = False
+    for i, (t, kinds, depths) in enumerate(events):
+        now = at(trajectory, t)
+        for rows in _rows(model, now, trajectory.water_mps, kinds, depths, first=i == 0, epoch=seen_epoch):
+            information.add(rows)
+        if t == 0.0:
+            start = information.covariance(POSITION)
+        while wanted and abs(wanted[0] - t) <= TOGETHER_S:
+            wanted.pop(0)
+            cores.append(information.covariance(slice(0, CORE)))
+            drifts.append(information.drift(start) if start is not None and t > 0 else np.zeros((3, 3)))
+        if i + 1 < len(events):
+            ahead = events[i + 1].t_s
+            if "gnss" in kinds and t < 0.0:  # the last one, at t = 0, is kept as the start
+                information.forget(EPOCH)
+                keep: slice | None = EPOCH
+                seen_epoch = True
+            else:
+                keep = START if t == 0.0 else None
+            Phi, Q = model.growth(now, at(trajectory, ahead), ahead - t)
+            information.move(Phi, Q, ahead - t, keep)
+    return Bound(np.array(sorted(at_s)), np.array(cores), np.array(drifts))
+
+
+def _rows(
+    model: ErrorModel,
+    now: Instant,
+    water: Array,
+    kinds: frozenset[str],
+    depths: int,
+    *,
+    first: bool,
+    epoch: bool,
+) -> list[Array]:
+    rows = []
+    if first:
+        rows.append(model.levelling(now))
+    if "gnss" in kinds:
+        rows.append(model.gnss(now))
+    if "tdcp" in kinds and epoch:
+        rows.append(model.tdcp())
+    if "adcp" in kinds:
+        rows.append(model.adcp(now, water))
+    if "compass" in kinds:
+        rows.append(model.compass(now))
+    if depths:
+        rows.append(model.pressure(now, depths))
+    return rows
+
+
+class _Information:
+    """J of the errors that exist at this instant."""
+
+    def __init__(self, model: ErrorModel, water_walk: float) -> None:
+        self._J = model.prior()
+        self._present = model.free.copy()
+        self._present[EPOCH] = self._present[START] = False
+        self._relative = False  # the moving position is that since t = 0
+        self._walk = water_walk
+        self._moving = np.arange(model.size) < MOVING
+        if water_walk > 0:
+            self._moving[WATER:] = True
+
+    def add(self, rows: Array) -> None:
+        """J + H^T H."""
+        if self._relative:
+            rows[:, START] += rows[:, POSITION]  # p = d + p_0
+        self._J += rows.T @ rows
+
+    def forget(self, states: slice) -> None:
+        """Marginalise what is not needed any more."""
+        gone = np.zeros_like(self._present)
+        gone[states] = self._present[states]
+        if gone.any():
+            left = self._present & ~gone
+            i, j = np.flatnonzero(left), np.flatnonzero(gone)
+            self._J[np.ix_(i, i)] = _without(self._J[np.ix_(i, i)], self._J[np.ix_(j, i)], self._J[np.ix_(j, j)])
+            self._present = left
+        self._J[states] = 0.0
+        self._J[:, states] = 0.0
+
+    def move(self, Phi: Array, Q: Array, dt: float, keep: slice | None) -> None:
+        """To the next instant; the position of this one stays as ``keep``, as ``START`` for d to count from."""
+        n = len(self._J)
+        x = np.flatnonzero(self._present & self._moving)
+        s = np.flatnonzero(self._present & ~self._moving)
+        core = x[x < MOVING]
+        c, q = len(core), len(x)
+        step, spread = np.eye(q), np.eye(q) * self._walk**2 * dt
+        step[:c, :c], spread[:c, :c] = Phi[np.ix_(core, core)], Q[np.ix_(core, core)]
+        kept = np.zeros(q, dtype=bool)
+        clone = np.empty(0, dtype=int)
+        if keep is not None:
+            kept = x < POSITION.stop
+            clone = keep.start + x[kept]
+            self._present[clone] = True
+        if keep == START:
+            self._relative = True
+            step[:, kept] = 0.0  # d after the step does not depend on where it began
+        inverse = np.linalg.inv(spread)
+        back = inverse @ step  # Q^-1 Phi
+        # What remains, in this order: the moving errors after, the kept position, what stands still.
+        y, old = slice(0, q), self._J[np.ix_(x, x)] + step.T @ back
+        k = slice(q, q + len(clone))
+        rest = slice(k.stop, k.stop + len(s))
+        after = np.zeros((rest.stop, rest.stop))
+        after[y, y] = inverse
+        after[rest, rest] = self._J[np.ix_(s, s)]
+        after[k, k] = old[np.ix_(kept, kept)]
+        after[y, k] = -back[:, kept]
+        after[k, y] = after[y, k].T
+        after[k, rest] = self._J[np.ix_(x[kept], s)]
+        after[rest, k] = after[k, rest].T
+        cross = np.hstack([-back.T[~kept], old[np.ix_(~kept, kept)], self._J[np.ix_(x[~kept], s)]])
+        order = np.concatenate([x, clone, s])
+        self._J = np.zeros((n, n))
+        self._J[np.ix_(order, order)] = _without(after, cross, old[np.ix_(~kept, ~kept)])
+
+    def covariance(self, states: slice) -> Array:
+        """The bound on the named errors; zeros where they do not exist."""
+        return self._covariance(np.eye(len(self._J))[states])
+
+    def drift(self, start: Array) -> Array:
+        """Of published positions since t = 0. ``start`` is cov(p_0 | data to 0)."""
+        own, then = np.eye(len(self._J))[POSITION], np.eye(len(self._J))[START]
+        return self._covariance(own - then) + start - self._covariance(then)
+
+    def _covariance(self, of: Array) -> Array:
+        """Of linear combinations (w, n) of errors, POSITION meaning p."""
+        if self._relative:
+            of = of.copy()
+            of[:, START] += of[:, POSITION]
+        present = np.flatnonzero(self._present)
+        unit = of[:, present].T
+        C: Array = unit.T @ cho_solve(cho_factor(self._J[np.ix_(present, present)], lower=True), unit)
+        return 0.5 * (C + C.T)
+
+
+def _without(A: Array, B: Array, C: Array) -> Array:
+    """Schur: A - B^T C^-1 B."""
+    L = np.linalg.cholesky(C)
+    W = solve_triangular(L, B, lower=True)
+    S: Array = A - W.T @ W
+    return 0.5 * (S + S.T)

@@ -1,0 +1,246 @@
+"""The error model of the bound, linearised about the truth: how errors grow, and what each sensor says of them.
+
+Errors  true minus assumed, of position and velocity (NED), gyro and accelerometer bias (body), compass bias, beam and
+        near-range bias of each beam, and the water north and east at the nodes of the estimator's grid; the attitude's
+        is phi in NED with R_true = exp(phi^) R, the mounting's is mu in body axes with M_true = exp(mu^) M.
+Growth  continuous,  x' = F x + G n,  with specific force a = v' - g + 2 W x v (NED) and Earth rate W:
+            p' = v,   v' = -a x phi - R b_a - 2 W x v - R n_a,   phi' = -W x phi - R b_g - R n_g,   b' = -b/tau + n_b
+        discretised over dt by Van Loan:  exp([[-F, G S G^T], [0, F^T]] dt) = [[., Phi^-1 Q], [0, Phi^T]]
+Rows    y = h . x + n, each divided by its standard deviation; information is h h^T.
+Source  Groves 2013, chapter 14 (error equations in a local frame); Van Loan 1978, IEEE T-AC 23(3). Nothing here is
+        shared with the filter but the sensors file, the [estimator] table and the frames' conventions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import expm
+
+from ltv_mpc.frames import earth_rate, gravity, rotation, skew
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.sensor_config import Adcp, Suite
+from ltv_mpc.messages import Array
+
+POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
+GYRO_BIAS, ACCELEROMETER_BIAS, COMPASS_BIAS = slice(9, 12), slice(12, 15), slice(15, 16)
+MOVING = 16
+"""The errors that change in time: the first sixteen. Behind them stand those that do not."""
+
+EPOCH, START = slice(16, 19), slice(19, 22)
+"""Position at the last satellite epoch and at t = 0."""
+BEAM_BIAS, NEAR_BIAS, MOUNTING = slice(22, 26), slice(26, 30), slice(30, 33)
+WATER = 33
+"""North at every node, then east."""
+
+NAMES = {
+    "vertical": [2, 5],
+    "tilt": [6, 7],
+    "heading": [8],
+    "gyro_bias": [9, 10, 11],
+    "accelerometer_bias": [12, 13, 14],
+    "compass_bias": [15],
+}
+"""What may be taken as known, for cases of fewer dimensions."""
+
+LEVELLING_S = 0.2
+HEAVE_SD_MPS = 0.1
+"""As the estimator starts: accelerometers averaged over this time, and this of vertical velocity assumed."""
+
+_ANYWHERE = 1e-8
+"""Information about what is not known at all at first (1/m2, 1/rad2)."""
+
+
+class Trajectory(NamedTuple):
+    """True motion, at 10 Hz or faster; linear in between."""
+
+    t_s: Array  # (T,) increasing, 0 at the start of the descent
+    position_m: Array  # (T, 3) NED
+    velocity_mps: Array  # (T, 3) over ground, NED
+    rotation: Array  # (T, 3, 3) body to world
+    water_mps: Array  # (K, 2) north, east at the nodes of the estimator's grid
+
+
+class Instant(NamedTuple):
+    """One point of a trajectory."""
+
+    p: Array
+    v: Array
+    R: Array
+
+
+def at(trajectory: Trajectory, t_s: float) -> Instant:
+    """Linear between the samples, constant beyond them."""
+    t = trajectory.t_s
+    i = min(max(int(np.searchsorted(t, t_s)), 1), len(t) - 1)
+    s = min(max((t_s - t[i - 1]) / (t[i] - t[i - 1]), 0.0), 1.0)
+    p, v, R = ((1.0 - s) * a[i - 1] + s * a[i] for a in trajectory[1:4])
+    return Instant(p, v, R)
+
+
+class ErrorModel:
+    """Of a suite and the estimator's assumptions. ``size`` n; ``free`` (n,) says which errors exist at all."""
+
+    def __init__(self, suite: Suite, config: EstimatorConfig, known: Collection[str] = ()) -> None:
+        """``known``: keys of ``NAMES``. Raises ``KeyError`` for another."""
+        self._suite, self._config = suite, config
+        self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
+        self.nodes = math.ceil(config.deepest_m / config.cell_m - 1e-9) + 1
+        self.size = WATER + 2 * self.nodes
+        imu, adcp = suite.imu, suite.adcp
+        self._sd = np.zeros(self.size)
+        for states, sd in (
+            (GYRO_BIAS, imu.gyro_bias_sd_radps),
+            (ACCELEROMETER_BIAS, imu.accelerometer_bias_sd_mps2),
+            (COMPASS_BIAS, suite.compass.bias_sd_rad),
+            (BEAM_BIAS, adcp.beam_bias_sd_mps),
+            (NEAR_BIAS, adcp.near_bias_sd_mps),
+            (MOUNTING, adcp.mounting_known_to_rad),
+        ):
+            self._sd[states] = sd
+        self.free = self._sd > 0
+        self.free[:9] = True
+        self.free[EPOCH] = self.free[START] = self.free[WATER:] = True
+        for name in known:
+            self.free[NAMES[name]] = False
+        if not self.free[2]:
+            self.free[[EPOCH.stop - 1, START.stop - 1]] = False
+        self._beams = _beams(adcp)
+        self._range = adcp.blanking_m + adcp.cell_m * (
+            0.5 + np.arange(math.floor((adcp.range_m - adcp.blanking_m) / adcp.cell_m + 1e-9))
+        )
+        # A lost beam or an outlier that is recognised says nothing: what a ping says is less by their share.
+        self._beam_weight = (1.0 - adcp.missing_share) * (1.0 - adcp.outlier_share) / adcp.beam_noise_sd_mps**2
+
+    def prior(self) -> Array:
+        """Information before anything is measured, (n, n); none about the clones, which do not exist yet."""
+        J = np.zeros((self.size, self.size))
+        drawn = np.flatnonzero(self._sd)
+        J[drawn, drawn] = 1.0 / self._sd[drawn] ** 2
+        i = np.arange(9)
+        J[i, i] = _ANYWHERE
+        J[5, 5] = 1.0 / HEAVE_SD_MPS**2
+        z, c = self._config.cell_m * np.arange(self.nodes), self._config
+        P = c.current_mean_sd_mps**2 + c.current_sd_mps**2 * np.exp(
+            -np.abs(np.subtract.outer(z, z)) / c.current_correlation_length_m
+        )
+        for start in (WATER, WATER + self.nodes):
+            J[start : start + self.nodes, start : start + self.nodes] = np.linalg.inv(P)
+        return J
+
+    def growth(self, a: Instant, b: Instant, dt: float) -> tuple[Array, Array]:
+        """Phi and Q of the moving errors from ``a`` to ``b``, (16, 16) each."""
+        imu, W = self._suite.imu, self._earth
+        R = 0.5 * (a.R + b.R)
+        force = (b.v - a.v) / dt - gravity() + skew(W) @ (a.v + b.v)
+        F, S = np.zeros((MOVING, MOVING)), np.zeros((MOVING, MOVING))
+        F[POSITION, VELOCITY] = np.eye(3)
+        F[VELOCITY, VELOCITY] = -2.0 * skew(W)
+        F[VELOCITY, ATTITUDE] = -skew(force)
+        F[VELOCITY, ACCELEROMETER_BIAS] = -R
+        F[ATTITUDE, ATTITUDE] = -skew(W)
+        F[ATTITUDE, GYRO_BIAS] = -R
+        S[VELOCITY, VELOCITY] = imu.velocity_random_walk_mps_per_rts**2 * np.eye(3)
+        S[ATTITUDE, ATTITUDE] = imu.angle_random_walk_rad_per_rts**2 * np.eye(3)
+        for states, tau in (
+            (GYRO_BIAS, imu.gyro_bias_tau_s),
+            (ACCELEROMETER_BIAS, imu.accelerometer_bias_tau_s),
+            (COMPASS_BIAS, self._suite.compass.bias_tau_s),
+        ):
+            i = np.arange(states.start, states.stop)
+            F[i, i] = -1.0 / tau
+            S[i, i] = 2.0 * self._sd[states] ** 2 / tau
+        E = expm(np.block([[-F, S], [np.zeros_like(F), F.T]]) * dt)
+        Phi = E[MOVING:, MOVING:].T
+        Q = Phi @ E[:MOVING, MOVING:]
+        return Phi, 0.5 * (Q + Q.T)
+
+    def _rows(self, count: int) -> Array:
+        return np.zeros((count, self.size))
+
+    def levelling(self, now: Instant) -> Array:
+        """Accelerometers say which way is down, if it is the only acceleration:  g z x phi - (R b_a)_h = n."""
+        white = self._suite.imu.velocity_random_walk_mps_per_rts**2 / LEVELLING_S
+        h = self._rows(2)
+        h[:, ATTITUDE] = skew(gravity())[:2]  # -(a x phi) with a = -g
+        h[:, ACCELEROMETER_BIAS] = -now.R[:2]
+        return h / math.sqrt(white + self._config.afloat_acceleration_sd_mps2**2)
+
+    def gnss(self, now: Instant) -> Array:
+        """Antenna's position, p + R l, and velocity."""
+        h = self._rows(4)
+        h[:2, POSITION] = h[2:, VELOCITY] = np.eye(3)[:2]
+        h[:2, ATTITUDE] = -skew(now.R @ np.array(self._suite.gnss.lever_arm_m))[:2]
+        h[:2] /= self._suite.gnss.position_sd_m
+        h[2:] /= self._suite.gnss.velocity_sd_mps
+        return h
+
+    def tdcp(self) -> Array:
+        """Way since the last epoch, p - p_epoch; that the antenna swings about the origin is left out."""
+        h = self._rows(2)
+        h[:, POSITION], h[:, EPOCH] = np.eye(3)[:2], -np.eye(3)[:2]
+        return h / self._suite.tdcp.displacement_sd_m
+
+    def pressure(self, now: Instant, readings: int) -> Array:
+        """Gauge's depth, [p + R l]_d, as often as it was read since the last instant."""
+        h = self._rows(1)
+        h[0, 2] = 1.0
+        h[0, ATTITUDE] = -skew(now.R @ np.array(self._suite.pressure.lever_arm_m))[2]
+        return h * math.sqrt(readings) / self._suite.pressure.depth_sd_m
+
+    def compass(self, now: Instant) -> Array:
+        """Heading of the forward axis f:  phi x f, sideways, over its horizontal length; and the bias."""
+        f = now.R[:, 0]
+        level = f[:2] @ f[:2]
+        h = self._rows(1)
+        h[0, ATTITUDE] = skew(f) @ [-f[1], f[0], 0.0] / level  # (phi x f) . s = phi . (f x s)
+        h[0, COMPASS_BIAS] = 1.0
+        return h / self._suite.compass.heading_sd_rad
+
+    def adcp(self, now: Instant, water: Array) -> Array:
+        """One ping: beam k's cell at range r says  u . (c(z) - v) + bias,  u = R M e_k,  z = p_d + [R (l + r M e_k)]_d.
+
+        What the angular rate adds at the lever arm is left out: 0.1 mm/s for a mounting error of 0.3 deg.
+        """
+        adcp, cell, r = self._suite.adcp, self._config.cell_m, self._range
+        lever = np.array(adcp.lever_arm_m)
+        blocks = []
+        for k, b in enumerate(self._beams):
+            u = now.R @ b
+            arm = (now.R @ lever)[None] + np.outer(r, u)  # (m, 3)
+            depth = (now.p[2] + arm[:, 2]) / cell
+            node = np.floor(depth).astype(int)
+            inside = (node >= 0) & (node <= self.nodes - 2)
+            arm, depth, node, ranges = arm[inside], depth[inside], node[inside], r[inside]
+            m, share = len(node), (depth - node)[:, None]
+            shear = (water[node + 1] - water[node]) / cell  # (m, 2)
+            past = np.hstack([(1.0 - share) * water[node] + share * water[node + 1], np.zeros((m, 1))]) - now.v
+            g = shear @ u[:2]
+            h = self._rows(m)
+            h[:, VELOCITY] = -u
+            h[:, 2] = g
+            # du = phi x u, dz = [phi x arm]_d;  in the body du = mu x b, dz = r [R (mu x b)]_d
+            h[:, ATTITUDE] = past @ skew(u).T
+            h[:, 6] += g * arm[:, 1]
+            h[:, 7] -= g * arm[:, 0]
+            h[:, MOUNTING] = (past @ now.R + np.outer(g * ranges, now.R[2])) @ skew(b).T
+            h[:, BEAM_BIAS.start + k] = 1.0
+            h[:, NEAR_BIAS.start + k] = np.exp(-ranges / adcp.near_bias_length_m)
+            i = np.arange(m)
+            for axis in range(2):
+                first = WATER + axis * self.nodes + node
+                h[i, first] = u[axis] * (1.0 - share[:, 0])
+                h[i, first + 1] = u[axis] * share[:, 0]
+            blocks.append(h)
+        return np.vstack(blocks) * math.sqrt(self._beam_weight)
+
+
+def _beams(adcp: Adcp) -> Array:
+    """M e_k as meant, (4, 3): ahead, astern, to starboard, to port."""
+    away, down = math.sin(adcp.beam_angle_rad), math.cos(adcp.beam_angle_rad)
+    e = np.array([[away, 0, down], [-away, 0, down], [0, away, down], [0, -away, down]])
+    beams: Array = e @ rotation(*adcp.mounting_rad).T
+    return beams

@@ -1,6 +1,0 @@
-"""How well any estimator could know the vehicle: linear covariance analysis of a suite along a true trajectory."""
-
-from sim.grading.bound.analysis import Bound, bound
-from sim.grading.bound.model import Trajectory
-
-__all__ = ["Bound", "Trajectory", "bound"]

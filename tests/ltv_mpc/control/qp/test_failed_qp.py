@@ -1,0 +1,194 @@
+"""A QP that was not solved: the words for it, and its file."""
+
+from __future__ import annotations
+
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+from scipy.sparse import csc_array
+
+from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, references
+from ltv_mpc.control.config import Weights
+from ltv_mpc.control.qp.failed_qp import FailedQp, worst
+from ltv_mpc.control.qp.problem import QP
+from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Solve
+from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
+
+PAPER = Vehicle.load("paper")
+
+
+def built():
+    form = SparseForm(equidistant(5), LIMITS, Weights())
+    return form.build(*motion(3, 5)), form.row_names
+
+
+def test_every_row_has_words_and_a_scale():
+    """A step of one command shows in the rows of that thruster and that stage, by its size in N."""
+    qp, rows = built()
+    assert len(rows) == len(qp.l)
+    for k in range(5):
+        for i, side in enumerate(("port", "starboard")):
+            step = np.zeros(len(qp.q))
+            step[8 + 10 * k + i] = 1.0 / 62.5  # 1 N
+            moved = {
+                row.of: change * row.scale
+                for row, change in zip(rows, qp.A @ step, strict=True)
+                if change and "motion" not in row.of
+            }
+            want = {f"limit of {side} at the end of stage {k + 1}": 1.0, f"slew of {side} in stage {k + 1}": 1.0}
+            if k < 4:
+                want[f"slew of {side} in stage {k + 2}"] = -1.0
+            assert moved == pytest.approx(want)
+
+
+def test_rows_of_the_motion_are_in_the_states_units():
+    qp, rows = built()
+    step = np.zeros(len(qp.q))
+    step[2 * 10 + 2] = 0.1 / 0.3  # surge at the end of stage 3, 0.1 m/s
+    change = dict(zip((row.of for row in rows), (qp.A @ step) * [row.scale for row in rows], strict=True))
+    assert change["the motion (surge) up to the end of stage 3"] == pytest.approx(-0.1)
+
+
+def test_the_worst_row_is_named_with_its_violation_in_newtons():
+    qp, rows = built()
+    x = np.zeros(len(qp.q))
+    i = next(i for i, row in enumerate(rows) if row.of == "slew of starboard in stage 4")
+    qp.l[:], qp.u[:] = -1e3, 1e3
+    qp.u[i] = -0.04
+    assert worst(qp, x, rows) == "slew of starboard in stage 4 violated by 2.5 N"
+    qp.u[i] = 0.0
+    assert worst(qp, x, rows) == ""
+
+
+def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
+    qp, rows = built()
+    row = next(i for i, row in enumerate(rows) if row.of == "limit of port at the end of stage 2")
+    qp.l[row] = qp.u[row] + 0.1
+    qp.q[3] = np.nan
+    qp.u[0] = np.nan
+    said = FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).faults()
+    assert said == [
+        f"q: 1 of {len(qp.q)} numbers are not finite",
+        "u of the motion (north) up to the end of stage 1 is not a number",
+        "limit of port at the end of stage 2: lower bound above the upper one by 6.25 N",
+    ]
+
+
+def test_a_saved_problem_comes_back_as_it_was(tmp_path):
+    qp, rows = built()
+    qp.q[0] = np.nan
+    kept = FailedQp(qp, rows, Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="so"))
+    kept.save(tmp_path / "one.npz")
+    back = FailedQp.load(tmp_path / "one.npz")
+    for name in ("q", "l", "u"):
+        np.testing.assert_array_equal(getattr(back.qp, name), getattr(kept.qp, name))
+    for name in ("P", "A"):
+        np.testing.assert_array_equal(getattr(back.qp, name).toarray(), getattr(kept.qp, name).toarray())
+    assert back.rows == kept.rows
+    assert (back.solve.status, back.solve.iterations, back.solve.why) == (SolveStatus.ITERATION_LIMIT, 400, "so")
+
+
+def broken(tmp_path, name):
+    path = tmp_path / "bad.npz"
+    qp = QP(csc_array(np.eye(2)), np.zeros(2), csc_array(np.eye(2)), np.zeros(2), np.ones(2))
+    rows = built()[1][:2]
+    if name == "absent":
+        return tmp_path / "none.npz"
+    if name == "text":
+        path.write_text("no archive")
+    elif name == "another":
+        np.savez(path, q=np.zeros(2))
+    elif name == "rows":
+        FailedQp(qp, rows[:1], Solve(status=SolveStatus.FAILED)).save(path)
+    elif name == "cut":
+        FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
+        path.write_bytes(path.read_bytes()[:200])
+    elif name == "indices":
+        qp.A.indices[:] = 7
+        FailedQp(qp, rows, Solve(status=SolveStatus.FAILED)).save(path)
+    return path
+
+
+@pytest.mark.parametrize("name", ["absent", "text", "another", "rows", "cut", "indices"])
+def test_a_file_that_holds_none_is_refused_by_name(tmp_path, name):
+    with pytest.raises(ConfigError, match=r"QP file .*\.npz: "):
+        FailedQp.load(broken(tmp_path, name))
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """What a file holds, by name."""
+    path = tmp_path_factory.mktemp("parts") / "one.npz"
+    FailedQp(*built(), Solve(status=SolveStatus.FAILED)).save(path)
+    with np.load(path, allow_pickle=False) as held:
+        return {name: held[name] for name in held.files}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"q": np.array(5.0)},
+        {"l": np.zeros((2, 2))},
+        {"row_of": np.array(5)},
+        {"row_scale": np.zeros(3, dtype="M8[s]")},
+        {"row_scale": np.array([1 + 2j])},
+        {"P_indices": np.array([np.nan, np.inf])},
+        {"A_data": np.array(["nan", "1"])},
+        {"u": np.array([{}, []], dtype=object)},
+    ],
+    ids=lambda wrong: "{0} {1.dtype} {1.shape}".format(*next(iter(wrong.items()))),
+)
+def test_parts_of_another_kind_are_refused_by_name(tmp_path, parts, wrong):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **parts | wrong)
+    with pytest.raises(ConfigError, match=r"QP file .*bad\.npz: "):
+        FailedQp.load(path)
+
+
+def test_a_damaged_file_is_refused_wherever_it_is_damaged(tmp_path, parts):
+    path = tmp_path / "bad.npz"
+    np.savez_compressed(path, **parts)
+    data = path.read_bytes()
+    refused = 0
+    for place in range(30, len(data), 97):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
+        try:
+            FailedQp.load(path)  # of a byte that nobody reads, a time for example
+        except ConfigError:
+            refused += 1
+    assert refused > 20
+
+
+@pytest.mark.parametrize(
+    ("shape", "says"),
+    [("(999999999999,)", r"q\.npy: shape \(999999999999,\) of \d+ bytes"), ("(True,)", "q|integer"), ("'x'", "shape")],
+)
+def test_a_head_that_lies_is_refused_before_anything_is_made(tmp_path, parts, shape, says):
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{name: part for name, part in parts.items() if name != "q"})
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    with ZipFile(path, "a") as archive:
+        archive.writestr("q.npy", b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head + bytes(16))
+    with pytest.raises(ConfigError, match=says):
+        FailedQp.load(path)
+
+
+def test_a_cycle_that_is_not_solved_says_which_row_is_violated_and_keeps_its_problem():
+    """Twelve iterations are not enough 2 m off with the heading wrong; what they came to is inside box and slew."""
+    controller = Controller(
+        PAPER, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(max_iterations=12, tolerance=1e-9)
+    )
+    assert controller.failed is None
+    plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
+    assert plan.origin is PlanOrigin.SOLVED
+    failed = controller.failed
+    assert failed is not None
+    assert failed.solve is plan.solve
+    assert plan.solve.status is SolveStatus.ITERATION_LIMIT
+    assert " violated by " in plan.solve.why
+    assert (np.abs(np.diff(plan.thrust_N[:, :2], axis=0)) <= 30.0 + 1e-9).all()
+    assert failed.faults() == []

@@ -1,0 +1,124 @@
+"""The QP along its stages: the exact optimum, whatever is active and wherever it begins."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.control.config import ControllerConfig, MotionLimits, SettledConfig, Weights
+from ltv_mpc.control.solvers import make, riccati_solver
+from ltv_mpc.control.solvers.riccati_solver import Stagewise
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import SolveStatus
+from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, answer, motion, optimum, unlike_any_motion
+
+CONFIG = SettledConfig()
+EXACT_N = 2e-3
+"""``OFF`` is six tenths of it."""
+
+
+@pytest.mark.parametrize("limits", [LIMITS, LOWERED], ids=["box", "lowered box"])
+@pytest.mark.parametrize("stages", [1, 2, 17, 34])
+@pytest.mark.parametrize("problem", [motion, unlike_any_motion])
+def test_its_commands_are_the_optimum(problem, stages, limits):
+    solver = Stagewise(msgspec.structs.replace(CONFIG, horizon_s=0.3 * stages, period_s=0.3), limits)
+    sweeps = []
+    for seed in range(5):
+        lin, target = problem(seed, stages)
+        ours = answer(solver, lin, target)
+        assert ours.solve.status is SolveStatus.SOLVED
+        assert ours.solve.primal_residual <= 1.01 * riccati_solver.OFF
+        np.testing.assert_array_equal(ours.commands[0], lin.U[0])
+        np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, CONFIG.weights), atol=EXACT_N)
+        sweeps.append(ours.solve.iterations)
+    if stages >= 17 and problem is motion:
+        assert max(sweeps) > riccati_solver.FIRST, "none of these took the interior point"
+    assert max(sweeps) <= riccati_solver.MOST_SWEEPS
+
+
+def test_stages_that_grow_and_gaps():
+    config = msgspec.structs.replace(CONFIG, horizon_s=20.1, most_stages=17)
+    solver = Stagewise(config, LIMITS)
+    for seed in range(3):
+        lin, target = motion(seed, 17, gap=0.02)
+        theirs = optimum(lin, target, LIMITS, config.weights, config.knots)
+        np.testing.assert_allclose(answer(solver, lin, target).commands, theirs, atol=EXACT_N)
+
+
+def test_in_a_closed_loop_the_last_cycle_s_active_limits_mostly_hold(cycles):
+    solver = Stagewise(CONFIG, LIMITS)
+    warm, cold = [], []
+    for cycle in cycles:
+        ours = answer(solver, cycle.lin, cycle.target, cycle.stages)
+        assert ours.solve.status is SolveStatus.SOLVED
+        exact = optimum(cycle.lin, cycle.target, LIMITS, CONFIG.weights)
+        np.testing.assert_allclose(ours.commands, exact, atol=EXACT_N)
+        warm.append(ours.solve.iterations)
+        cold.append(answer(Stagewise(CONFIG, LIMITS), cycle.lin, cycle.target).solve.iterations)
+    assert np.median(warm) == 1
+    assert sum(warm) < 0.9 * sum(cold)
+
+
+def test_a_problem_that_comes_again_takes_one_sweep():
+    solver = Stagewise(CONFIG, LIMITS)
+    lin, target = motion(1, CONFIG.stages)
+    first = answer(solver, lin, target)
+    again = answer(solver, lin, target, 0.0)
+    assert again.solve.iterations == 1 < first.solve.iterations
+    np.testing.assert_allclose(again.commands, first.commands, atol=1e-6)
+
+
+def test_the_iteration_limit_ends_it_and_its_commands_are_still_of_use():
+    config = msgspec.structs.replace(CONFIG, max_iterations=9)
+    solver = Stagewise(config, LIMITS)
+    lin, target = motion(1, CONFIG.stages)
+    ours = answer(solver, lin, target)
+    assert ours.solve.status is SolveStatus.ITERATION_LIMIT
+    assert 9 <= ours.solve.iterations <= 9 + riccati_solver.LATER
+    assert f"{ours.solve.iterations} sweeps" in ours.solve.why
+    assert 0.0 < ours.solve.primal_residual < 1.0
+
+
+@pytest.mark.parametrize("field", ["X", "U", "C", "Phi", "A", "B0", "B1"])
+def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field):
+    good, target = motion(2, CONFIG.stages)
+    bad = type(good).of(*good[:-1])
+    getattr(bad, field)[-1] = np.nan
+    used = Stagewise(CONFIG, LIMITS)
+    answer(used, good, target)
+    failed = answer(used, bad, target)
+    assert failed.solve.status is SolveStatus.NON_FINITE
+    assert field in failed.solve.why
+    np.testing.assert_array_equal(failed.commands, bad.U)
+    ours, theirs = (answer(s, good, target, 1.0) for s in (used, Stagewise(CONFIG, LIMITS)))
+    np.testing.assert_allclose(ours.commands, theirs.commands, atol=EXACT_N)
+
+
+def test_a_cost_that_does_not_say_what_the_commands_should_be_is_refused():
+    flat = Weights(thrust=0.0, thrust_change=0.0, terminal_position_per_m2=0.0, terminal_velocity_s2_per_m2=0.0)
+    lin, target = motion(2, 5)
+    lin.B1[...] = 0.0
+    solve = answer(Stagewise(msgspec.structs.replace(CONFIG, weights=flat, horizon_s=1.5), LIMITS), lin, target).solve
+    assert solve.status is SolveStatus.FAILED
+    assert "does not say" in solve.why
+
+
+def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
+    N = 5
+    rows = np.random.default_rng(2).normal(size=(N, 4))
+    for by in (0.0, 0.4, 1.0, 1.7, 9.0):
+        y = rows.copy()
+        riccati_solver.shift_duals(y, np.arange(N + 1.0), by)
+        at = np.clip(np.arange(N) + by, 0, N - 1)
+        np.testing.assert_allclose(y, np.array([np.interp(at, range(N), rows[:, i]) for i in range(4)]).T)
+    riccati_solver.shift_duals(y, np.arange(N + 1.0), math.nan)
+    np.testing.assert_array_equal(y, 0.0)
+
+
+def test_limits_of_the_motion_are_refused():
+    config = ControllerConfig(solver="riccati", limits=MotionLimits(yaw_rate_radps=0.2))
+    with pytest.raises(ConfigError, match="cannot do limits of the motion"):
+        make(PAPER, config)

@@ -1,0 +1,131 @@
+"""What a hypothesis would do to the belief: by the textbook's gain, and as a filter that hears it does."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.adaptive.failure_signatures import MOST, Signatures
+from ltv_mpc.localisation.adaptive.glr_detector import STEP_NS, STEPS
+from ltv_mpc.localisation.adaptive.process_noise import Adaptation, Change
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter.correction import correct
+from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing
+from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.messages import AdcpPing
+from tests.stepping import step
+
+PAPER = Suite.load("paper")
+CONFIG = EstimatorConfig()
+LAYOUT = Layout.of(PAPER, CONFIG)
+N, K = LAYOUT.size, 6
+SECOND = 1_000_000_000
+
+
+@pytest.fixture
+def belief():
+    rng = np.random.default_rng(0)
+    belief = Belief.blank(LAYOUT, 0)
+    root = rng.standard_normal((N, N)) / 10
+    belief.P = root @ root.T
+    belief.astray = Signatures.of(N, K)
+    belief.astray.error[:] = 0.1 * rng.standard_normal((N, K))
+    belief.astray.score[:] = rng.standard_normal(K)
+    return belief
+
+
+def rows_touching(states, m, seed=1):
+    rng = np.random.default_rng(seed)
+    state = np.array([rng.choice(states, 6, replace=False) for _ in range(m)])
+    return Rows(state, rng.standard_normal((m, 6)), 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
+
+
+@pytest.mark.parametrize(("m", "touched"), [(1, N), (2, N), (4, N), (5, N), (60, N), (120, 60)])
+def test_a_correction_moves_them_by_the_textbooks_gain_and_hears_their_scores(belief, m, touched):
+    """Of 120 rows on 60 states by as many rows that say the same; one row beyond the gate does not count."""
+    rows = rows_touching(touched, m)
+    gate = 1e9
+    if m > 1:
+        rows.residual[1], gate = 1e3, 1e3
+    counts = np.arange(m) != 1
+    H, S = rows.dense(N)[counts], np.diag(rows.variance[counts])
+    E, before = belief.astray.error.copy(), belief.astray.score.copy()
+    S = H @ belief.P @ H.T + S
+    gain = np.linalg.solve(S, H @ belief.P).T
+    assert list(correct(belief, rows, gate).accepted) == list(counts)
+    M = np.eye(N)
+    M[:, HEADING] += swing(belief.x, LAYOUT)
+    np.testing.assert_allclose(belief.astray.error, M @ (E - gain @ H @ E), atol=1e-10)
+    seen = np.linalg.solve(S, H @ E)
+    np.testing.assert_allclose(belief.astray.information, (H @ E).T @ seen, atol=1e-10)
+    np.testing.assert_allclose(belief.astray.score - before, seen.T @ rows.residual[counts], atol=1e-10)
+
+
+@pytest.mark.parametrize("m", [1, 30])
+def test_one_message_adds_at_most_five_deviations(belief, m):
+    rows = rows_touching(N, m)
+    rows.residual[:] = 1e3
+    before = belief.astray.score.copy()
+    correct(belief, rows, 1e9)
+    added = belief.astray.score - before
+    most = MOST * np.sqrt(np.diagonal(belief.astray.information))
+    assert (np.abs(added) <= most * (1 + 1e-12)).all()
+    assert np.abs(added / most).max() > 0.99
+
+
+def test_the_antennas_clone_is_wrong_by_what_position_and_attitude_are(belief):
+    """As the covariance has it: with P = E E^T before, so after."""
+    belief.P = belief.astray.error @ belief.astray.error.T
+    belief.clone_position((0.3, -0.2, 0.5))
+    np.testing.assert_allclose(belief.P, belief.astray.error @ belief.astray.error.T, atol=1e-14)
+
+
+def drifting(dive, slope_mps2, from_s, until_s):
+    """The dive's messages in water that all drifts, north and east alike."""
+    beams = beam_directions(PAPER.adcp.beam_angle_rad)
+    out = []
+    for message in dive.messages:
+        if isinstance(message, AdcpPing):
+            u = beams @ dive.R[dive.at(message.t_ns)].T
+            moved = slope_mps2 * np.clip(message.t_ns * 1e-9 - from_s, 0.0, until_s - from_s)
+            more = np.repeat((u[:, :1] + u[:, 1:2]) * moved, message.beam_velocity_mps.shape[1], axis=1)
+            message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + more)
+        out.append(message)
+    return out
+
+
+def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive, inbox_of, monkeypatch):
+    """Moved, corrected by all sensors, its window gone on: by 2 % of it. It goes on from one instant of the grid to
+    another; nothing is gated or granted.
+    """
+    monkeypatch.setattr(Adaptation, "began", lambda *_: None)
+    monkeypatch.setattr(Adaptation, "seen", lambda *_: Change.NONE)
+    config = msgspec.structs.replace(CONFIG, gate_probability=1.0, kept_m=0.0, deepest_m=100.0)
+    dive = make_dive(PAPER, 43, duration_s=40.0)
+
+    def belief_of(messages):
+        estimator = Estimator(PAPER, config)
+        for message in messages:
+            step(estimator, message.t_ns, inbox_of(message))
+        return estimator.filter.settled()
+
+    def instant(t_s):
+        """The first ping's of the grid's step that begins then."""
+        return next(m.t_ns for m in dive.messages if isinstance(m, AdcpPing) and m.t_ns >= t_s * SECOND)
+
+    began_ns, ended_ns, nu = instant(18.0), instant(30.0), 5e-3
+    without = belief_of(dive.messages)
+    with_drift = belief_of(drifting(dive, nu, began_ns * 1e-9, ended_ns * 1e-9))
+    assert without.column.first > 0  # its window has gone on
+    a, b = (2 * (t_ns // STEP_NS % STEPS) for t_ns in (began_ns, ended_ns))
+    D = np.zeros((2 * STEPS, 2))
+    D[[a, a + 1], [0, 1]], D[[b, b + 1], [0, 1]] = 1.0, -1.0
+    signature = without.astray.error @ D @ np.full(2, nu)
+    moved = with_drift.x[VELOCITY][:2] - without.x[VELOCITY][:2]
+    assert (np.abs(moved) > 0.03).all()
+    np.testing.assert_allclose(moved, -signature[VELOCITY][:2], rtol=0.02)
+    heard = D.T @ (with_drift.astray.score - without.astray.score)
+    np.testing.assert_allclose(heard, D.T @ without.astray.information @ D @ np.full(2, nu), rtol=0.05)

@@ -1,0 +1,65 @@
+"""Whether water drifts on, and whether it is water."""
+
+import numpy as np
+import pytest
+
+from ltv_mpc.frames import rotation
+from ltv_mpc.localisation.adaptive.front_or_gyro_test import Drift
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.state import Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+
+LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+LEVEL = 2e-4
+
+
+def followed(path, *, turning_radps=0.05, seconds=20.0):
+    """20 s of pings of a vehicle that turns, whose water goes along ``path``, (T,) to (T, 2)."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, seconds, 1 / 3)
+    D = path(t, turning_radps) + 2e-3 * rng.standard_normal((len(t), 2))
+    drift, belief = Drift(), Belief.blank(LAYOUT, 0)
+    for k in range(len(t)):
+        belief.t_ns, belief.R = round(t[k] * 1e9), rotation(0.0, 0.0, turning_radps * t[k])
+        drift.add(belief, D[k] - D[k - 1] if k else D[k])
+    assert drift.lasts_s == pytest.approx(t[-1])
+    return drift
+
+
+def front(t, _turning, *, ends_s=99.0):
+    return np.outer(np.clip(t - 6.0, 0.0, ends_s - 6.0), [5e-3, -4e-3])
+
+
+def gyro(t, turning):
+    """30 deg/h about the body's y axis from 4 s on: phi' = R_y b, and v' = f x phi with f = -g down."""
+    fine = np.arange(0.0, t[-1] + 0.01, 0.01)
+    b = np.radians(30.0) / 3600.0 * (fine > 4.0)
+    phi = 0.01 * np.cumsum(b[:, None] * np.stack([-np.sin(turning * fine), np.cos(turning * fine)], axis=1), axis=0)
+    v = 0.01 * 9.81 * np.cumsum(np.stack([phi[:, 1], -phi[:, 0]], axis=1), axis=0)
+    return np.stack([np.interp(t, fine, v[:, axis]) for axis in range(2)], axis=1)
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.05, -0.2])
+def test_a_front_goes_on_as_water_and_a_gyro_as_a_tilt(turning):
+    water, unit = followed(front, turning_radps=turning), followed(gyro, turning_radps=turning)
+    assert water.goes_on(LEVEL)
+    assert not water.is_a_tilt()
+    assert unit.goes_on(LEVEL)
+    assert unit.is_a_tilt()
+
+
+def test_a_front_that_has_passed_does_not_go_on_and_what_the_level_explains_neither():
+    assert not followed(lambda t, turning: front(t, turning, ends_s=14.0)).goes_on(LEVEL)
+    assert not followed(front).goes_on(5 * LEVEL)
+    assert not followed(front, seconds=0.9).goes_on(0.0)
+
+
+def test_a_copy_goes_its_own_way():
+    one = followed(front)
+    other = one.copy()
+    belief = Belief.blank(LAYOUT, round(30e9))
+    for k in range(30):
+        belief.t_ns += k * 10**8
+        other.add(belief, np.zeros(2))
+    assert one.goes_on(LEVEL)
+    assert not other.goes_on(LEVEL)

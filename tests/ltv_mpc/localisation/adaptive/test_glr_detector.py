@@ -1,0 +1,111 @@
+"""Drifts that began lately: the best of all hypotheses, and what all of them together make of the belief."""
+
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS, LIMIT, STEP_NS, STEPS, Onsets
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+
+LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+N = LAYOUT.size
+REACH_NS = 10_000_000_000
+SD = 0.01
+
+
+def begun(steps):
+    """A belief after so many steps of the grid, and its onsets: the errors of each at random."""
+    rng = np.random.default_rng(0)
+    belief, onsets = Belief.blank(LAYOUT, 0), Onsets()
+    belief.astray = Signatures.of(N, COLUMNS)
+    for k in range(steps):
+        belief.t_ns = k * STEP_NS
+        onsets.settle(belief)
+    root = rng.standard_normal((COLUMNS, COLUMNS))
+    belief.astray.information[:] = 1e5 * (root @ root.T + 3 * np.eye(COLUMNS))
+    belief.astray.error[:] = rng.standard_normal((N, COLUMNS))
+    return belief, onsets
+
+
+def slots(k):
+    return [2 * (k % STEPS), 2 * (k % STEPS) + 1]
+
+
+def hypothesis(began, ended=None):
+    """Which columns' sum it is, (K, 2)."""
+    D = np.zeros((COLUMNS, 2))
+    D[slots(began), [0, 1]] = 1.0
+    if ended is not None:
+        D[slots(ended), [0, 1]] = -1.0
+    return D
+
+
+def test_all_water_drifts_from_when_it_began_and_the_oldest_instant_gives_its_place():
+    belief, onsets = Belief.blank(LAYOUT, 0), Onsets()
+    belief.astray = Signatures.of(N, COLUMNS)
+    for k in range(STEPS + 3):
+        belief.t_ns = k * STEP_NS
+        onsets.settle(belief)
+        onsets.grow(1.0)
+        onsets.grow(2.0)
+    belief.t_ns += STEP_NS // 2
+    onsets.settle(belief)
+    E = belief.astray.error
+    for k in range(3, STEPS + 3):
+        north, east = slots(k)
+        lasts_s = 3.0 * (STEPS + 3 - k)
+        for column, axis, nodes in ((north, 0, LAYOUT.north), (east, 1, LAYOUT.east)):
+            expected = np.zeros(N)
+            expected[nodes] = expected[LAYOUT.mean.start + axis] = lasts_s
+            np.testing.assert_allclose(E[:, column], expected)
+
+
+@pytest.mark.parametrize(("truth", "old"), [((2, 5), True), ((4, None), True), ((9, None), False), ((8, 10), False)])
+def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
+    """By a sum over all hypotheses, each by the textbook. Twelve instants; the filter goes back by three of them."""
+    belief, onsets = begun(12)
+    J, E = belief.astray.information, belief.astray.error
+    belief.astray.score[:] = J @ hypothesis(*truth) @ np.array([0.012, -0.02])
+    mean, second, total, best = np.zeros(N), np.zeros((N, N)), 0.0, 0.0
+    every = [hypothesis(i, k) for i in range(12) for k in (None, *range(i + 1, 12))]
+    found = []
+    for D in every:
+        d, own = D.T @ belief.astray.score, D.T @ J @ D
+        covariance = np.linalg.inv(own + np.eye(2) / SD**2)
+        twice = d @ covariance @ d
+        evidence = 0.5 * twice - 0.5 * np.log(np.linalg.det(np.eye(2) + SD**2 * own))
+        found.append((evidence, E @ D @ covariance @ d, E @ D @ covariance @ D.T @ E.T))
+        best = max(best, twice)
+    highest = max(evidence for evidence, _, _ in found)
+    for evidence, move, spread in found:
+        share = np.exp(evidence - highest)
+        total += share
+        mean += share * move
+        second += share * (spread + np.outer(move, move))
+    mean /= total
+    P = second / total - np.outer(mean, mean) + 0.15**2 * np.outer(mean, mean)
+    assert best > LIMIT
+    result = onsets.found(belief, LIMIT, REACH_NS)
+    np.testing.assert_allclose(result.error, mean, atol=2e-3 * np.abs(mean).max())
+    np.testing.assert_allclose(result.root @ result.root.T, P, atol=2e-2 * np.abs(P).max())
+    assert result.old == old
+    before = belief.P.copy()
+    result.make_up(belief)
+    np.testing.assert_allclose(belief.x[VELOCITY], result.error[VELOCITY])
+    np.testing.assert_allclose(belief.P - before, result.root @ result.root.T)
+    assert onsets.found(belief, best + 1.0, REACH_NS) is None
+
+
+def test_nothing_is_found_in_what_is_forgotten_or_where_nothing_is_asked():
+    belief, onsets = begun(12)
+    belief.astray.score[:] = belief.astray.information @ hypothesis(3) @ np.full(2, 0.05)
+    copy = onsets.copy()
+    assert copy.found(belief, LIMIT, REACH_NS) is not None
+    onsets.forget(belief)
+    assert onsets.found(belief, 0.0, REACH_NS) is None
+    assert copy.found(belief, LIMIT, REACH_NS) is None  # of the belief nothing is left
+    blank = Belief.blank(LAYOUT, 0)
+    onsets.settle(blank)
+    assert onsets.found(blank, 0.0, REACH_NS) is None

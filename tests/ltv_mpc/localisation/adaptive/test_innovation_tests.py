@@ -1,0 +1,80 @@
+"""Sums of innovations against chi-square, and against what a single bad message can do to them."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from ltv_mpc.localisation.adaptive.innovation_tests import FALSE_ALARM, MOST, Mean, limit
+
+SECOND = 1_000_000_000
+TAU_S = (1.0, 3.0, 10.0)
+V = np.array([[2e-4, 5e-5], [5e-5, 1e-4]])
+
+
+def heard(rng, messages=60, mean=(0.0, 0.0), V_of=lambda _: V):
+    """One Mean that has heard contrasts of that mean, three a second."""
+    sums = Mean(TAU_S, 2)
+    for k in range(messages):
+        d = np.array(mean) + np.linalg.cholesky(V_of(k)) @ rng.standard_normal(2)
+        sums.add(k * SECOND // 3, d, V_of(k))
+    return sums
+
+
+def test_white_innovations_have_the_chi_square_of_their_degrees_at_every_time_constant():
+    """Also where their variance changes on the way."""
+    rng = np.random.default_rng(0)
+    draws = np.array([heard(rng, V_of=lambda k: V * (1 + k % 7)).chi_square() for _ in range(600)])
+    for one in draws.T:
+        assert kstest(one, chi2(2).cdf).pvalue > 1e-3
+
+
+def test_a_tenth_of_the_noise_of_a_hundred_rows_shows_within_seconds_and_nothing_does_not():
+    """A mean of as much as one message's deviation: after 9 messages 9 times it in a sum of 3 times it."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        assert (heard(rng, mean=np.sqrt(np.diagonal(V)) * 1.5, messages=30).chi_square() > limit(2)).any()
+        assert (heard(rng).chi_square() < limit(2)).all()
+
+
+def test_one_message_however_wrong_does_not_pass_the_limit_and_two_do():
+    sums = Mean(TAU_S, 2)
+    sums.add(0, np.array([1e3, -1e3]), V)
+    assert sums.chi_square() == pytest.approx([MOST**2] * 3)
+    assert limit(2) > MOST**2
+    sums.add(SECOND // 3, np.array([1e3, -1e3]), V)
+    assert (sums.chi_square() > limit(2)).all()
+
+
+def test_the_limit_is_passed_by_chance_as_rarely_as_it_says():
+    assert chi2.sf(limit(2), 2) == pytest.approx(FALSE_ALARM)
+    assert chi2.sf(limit(1), 1) == pytest.approx(FALSE_ALARM)
+
+
+def test_a_copy_goes_its_own_way():
+    sums = heard(np.random.default_rng(2))
+    before, copy = sums.chi_square(), sums.copy()
+    copy.add(21 * SECOND, np.array([0.05, 0.0]), V)
+    np.testing.assert_array_equal(sums.chi_square(), before)
+    assert not np.array_equal(copy.chi_square(), before)
+
+
+def test_before_the_first_message_there_is_nothing():
+    np.testing.assert_array_equal(Mean(TAU_S, 2).chi_square(), np.zeros(3))
+
+
+def test_what_is_no_number_is_none_and_raises_nothing() -> None:
+    for size in (1, 2):
+        sums = Mean(TAU_S, size)
+        sums.add(0, np.full(size, np.nan), np.eye(size))
+        assert np.isnan(sums.chi_square()).all()
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_the_squares_are_those_of_the_inverse(size: int) -> None:
+    rng = np.random.default_rng(3)
+    sums = Mean(TAU_S, size)
+    for k in range(5):
+        half = rng.normal(size=(size, size))
+        sums.add(k * 10**9, 0.1 * rng.normal(size=size), half @ half.T + np.eye(size))
+    expected = [s @ np.linalg.solve(W, s) for s, W in zip(sums.s, sums.W, strict=True)]
+    np.testing.assert_allclose(sums.chi_square(), expected, rtol=1e-10)

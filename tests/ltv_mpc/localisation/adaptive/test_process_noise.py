@@ -1,0 +1,370 @@
+"""Water that does what its prior does not foresee: seen, granted from before it was seen, and only then."""
+
+import math
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.adaptive.glr_detector import Found
+from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, Adaptation, Change
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.messages import AdcpPing, ImuSample
+from tests.stepping import step
+
+PAPER = Suite.load("paper")
+CONFIG = EstimatorConfig()
+BLIND = msgspec.structs.replace(CONFIG, adapts_to_water=False)
+SECOND = 1_000_000_000
+END_S = 45.0
+CELLS = 20
+
+
+def ramp(size_mps, from_s, lasts_s):
+    """All water comes to move by so much more, to the north-east, at all depths."""
+    return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / lasts_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
+
+
+front = ramp(0.14, 20.0, 10.0)
+
+
+def waves(t_s, depth_m):
+    """First mode of a column of 40 m: 5 cm/s in 200 s."""
+    return 0.05 * np.sin(2 * np.pi * t_s / 200.0) * np.cos(np.pi * depth_m / 40.0)
+
+
+def with_water(dive, extra):
+    """The dive's messages, had the water moved by ``extra`` more, north and east alike (paper: mounted as meant)."""
+    beams = beam_directions(PAPER.adcp.beam_angle_rad)
+    out = []
+    for message in dive.messages:
+        if isinstance(message, AdcpPing):
+            k = dive.at(message.t_ns)
+            u = beams @ dive.R[k].T
+            depth = dive.position[k, 2] + np.outer(u[:, 2], message.range_m)
+            more = (u[:, :1] + u[:, 1:2]) * extra(message.t_ns * 1e-9, depth)
+            message = msgspec.structs.replace(message, beam_velocity_mps=message.beam_velocity_mps + more)
+        out.append(message)
+    return out
+
+
+@pytest.fixture(scope="module")
+def dives(make_dive):
+    return [make_dive(PAPER, seed, duration_s=END_S) for seed in (40, 41)]
+
+
+@pytest.fixture(scope="module")
+def run(inbox_of):
+    def run(messages, config=CONFIG, estimator=None):
+        estimator = estimator or Estimator(PAPER, config)
+        for message in messages:
+            step(estimator, message.t_ns, inbox_of(message))
+        estimator.filter.settle()
+        return estimator.filter
+
+    return run
+
+
+class Granted(NamedTuple):
+    change: Change
+    at_ns: int
+    from_ns: int
+    until_ns: int
+
+
+@pytest.fixture
+def granted(monkeypatch):
+    """What has been granted while a filter ran."""
+    log = []
+    grant, restore = Adaptation.grant, Filter.restore
+    back_ns = []
+
+    def spy_restore(self, then):
+        back_ns.append(then.belief.t_ns)
+        return restore(self, then)
+
+    def spy_grant(self, change, until_ns, now_ns):
+        log.append(Granted(change, now_ns, back_ns[-1] if back_ns else now_ns, until_ns))
+        return grant(self, change, until_ns, now_ns)
+
+    monkeypatch.setattr(Filter, "restore", spy_restore)
+    monkeypatch.setattr(Adaptation, "grant", spy_grant)
+    return log
+
+
+def off_by(filter_, dive):
+    """Squared error of the horizontal velocity over what the filter says of it: chi-square of 2 degrees."""
+    e = filter_.belief.x[3:5] - dive.velocity[-1, :2]
+    return e @ np.linalg.solve(filter_.belief.P[3:5, 3:5], e)
+
+
+def same(one, other):
+    return np.array_equal(one.belief.x, other.belief.x) and np.array_equal(one.belief.P, other.belief.P)
+
+
+def test_water_as_foretold_is_filtered_to_the_bit_as_without(dives, run, granted):
+    for dive in dives:
+        assert same(run(dive.messages), run(dive.messages, BLIND))
+    assert granted == []
+
+
+def test_a_front_is_seen_within_seconds_and_the_velocity_then_is_as_good_as_the_filter_says(dives, run, granted):
+    """95 % of chi-square of twice 2 degrees is 9.5; a filter that does not adapt is off by hundreds."""
+    off = 0.0
+    for dive in dives:
+        granted.clear()
+        messages = with_water(dive, front)
+        assert off_by(run(messages, BLIND), dive) > 100
+        off += off_by(run(messages), dive)
+        assert granted[0].change is Change.FAST
+        assert 20 * SECOND < granted[0].at_ns < 26 * SECOND
+    assert off < 9.5
+
+
+@pytest.fixture
+def made_up(monkeypatch):
+    """When something was, while a filter ran (s)."""
+    log, make_up = [], Found.make_up
+    monkeypatch.setattr(
+        Found, "make_up", lambda found, belief: (log.append(belief.t_ns * 1e-9), make_up(found, belief))
+    )
+    return log
+
+
+def test_a_front_that_takes_long_is_granted_for_as_long_as_the_water_drifts(make_dive, run, granted):
+    """0.24 m/s in 16 s: seen in its first seconds, and granted beyond the ten of a short one."""
+    dive = make_dive(PAPER, 40, duration_s=END_S)
+    messages = with_water(dive, ramp(0.24, 20.0, 16.0))
+    filter_ = run(messages)
+    assert [one.change for one in granted] == [Change.FAST]
+    held_ns = granted[0].until_ns
+    assert held_ns < 35 * SECOND  # ten seconds would have ended before it
+    assert filter_.water.change(held_ns + 2 * SECOND) is Change.FAST
+    assert filter_.water.change(41 * SECOND) is Change.NONE
+    assert off_by(filter_, dive) < 9.2
+
+
+@pytest.mark.parametrize(("size", "lasts_s", "seeds"), [(0.08, 12.0, (41, 42)), (0.2, 25.0, (40, 43))])
+def test_a_front_that_no_mean_shows_is_made_up_for(make_dive, run, granted, made_up, size, lasts_s, seeds):
+    """It began longer ago than the filter goes back. 99 % of chi-square of twice 2 degrees is 13.3."""
+    off = 0.0
+    for seed in seeds:
+        made_up.clear()
+        dive = make_dive(PAPER, seed, duration_s=60.0)
+        messages = with_water(dive, ramp(size, 20.0 if lasts_s < 20 else 15.0, lasts_s))
+        assert off_by(run(messages, BLIND), dive) > 100
+        off += off_by(run(messages), dive)
+        assert len(made_up) == 1
+        assert granted[-1].change is Change.FAST
+    assert off < 13.3
+
+
+def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives, run, granted):
+    dive = dives[0]
+    messages = with_water(dive, waves)
+    square = {}
+    for config in (CONFIG, BLIND):
+        belief = run(messages, config).belief
+        nodes = np.arange(14, 30)  # those that are still seen
+        truth = dive.water[nodes, 0] + waves(END_S, nodes)
+        k = belief.layout.north.start + nodes - belief.column.first
+        e = belief.x[k] - truth
+        square[config.adapts_to_water] = e @ np.linalg.solve(belief.P[np.ix_(k, k)], e) / len(nodes)
+    assert Change.SLOW in {one.change for one in granted}
+    assert square[False] > 5
+    assert square[True] < 2.5
+
+
+def test_a_gyro_that_fails_is_not_taken_for_a_front_again_and_again(dives, run, granted):
+    """30 deg/h, thirty times what it is said to have: the filter learns it, and is as good as it says."""
+    dive, fault = dives[0], math.radians(30.0) / 3600.0
+    messages = []
+    for message in dive.messages:
+        if isinstance(message, ImuSample) and message.t_ns > 12 * SECOND:
+            p, q, r = message.angular_rate_radps
+            message = msgspec.structs.replace(message, angular_rate_radps=(p + fault, q, r))
+        messages.append(message)
+    filter_ = run(messages)
+    assert [one.change for one in granted] == [Change.FAST, Change.UNIT]
+    assert off_by(filter_, dive) < 9.2  # 99 % of chi-square of 2 degrees; of FAST alone, some eighty
+    sd = np.sqrt(filter_.belief.P[GYRO_BIAS.start, GYRO_BIAS.start])
+    assert abs(filter_.belief.x[GYRO_BIAS.start] - fault) < 3 * sd < 3 * fault
+
+
+def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_then(dives, run, granted):
+    """Against a filter that is granted it at that instant, and never goes back."""
+    dive = dives[0]
+    messages = with_water(dive, front)
+    adapted = run([m for m in messages if m.t_ns <= 26 * SECOND])
+    assert len(granted) == 1
+    _, at_ns, from_ns, until_ns = granted.pop()
+    assert at_ns - BACK_NS - SECOND < from_ns <= at_ns - BACK_NS
+
+    told = Estimator(PAPER, CONFIG)
+    run([m for m in messages if m.t_ns <= from_ns], estimator=told)
+    told.filter.water.grant(Change.FAST, until_ns, at_ns)
+    assert same(adapted, run([m for m in messages if from_ns < m.t_ns <= 26 * SECOND], estimator=told))
+
+
+def test_a_second_grant_that_goes_back_beyond_the_first_keeps_it(dives, run, monkeypatch):
+    calls = {60: Change.SLOW, 61: Change.FAST}
+    monkeypatch.setattr(Adaptation, "seen", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, Change.NONE))
+    water = run([m for m in dives[0].messages if m.t_ns <= 35 * SECOND]).water
+    assert calls == {}
+    assert water.change(35 * SECOND) is Change.SLOW
+
+
+def test_after_a_while_nothing_is_granted_any_more_and_longer_the_next_time():
+    water = Adaptation(1.0, 0)
+    assert water.hold(Change.FAST, 50 * SECOND) == 60 * SECOND
+    water.grant(Change.FAST, 60 * SECOND, 50 * SECOND)
+    assert water.change(60 * SECOND - 1) is Change.FAST
+    assert water.change(60 * SECOND) is Change.NONE
+    assert water.walk_mps_per_rts(60 * SECOND) == 0.0
+    assert water.hold(Change.FAST, 65 * SECOND) == 85 * SECOND
+    assert water.hold(Change.FAST, 90 * SECOND) == 100 * SECOND
+
+
+U = np.repeat(beam_directions(PAPER.adcp.beam_angle_rad), 10, axis=0)
+CELL = np.tile(np.arange(10), 4)
+S = 1e-4 * np.eye(40)
+
+
+def hear(water, rng, pings, r, first=0):
+    """Pings of white noise about ``r``; what the last one calls for."""
+    for k in range(first, first + pings):
+        water.hear(k * SECOND // 3, U, CELL, r + 0.01 * rng.standard_normal(40), S)
+    return water.seen((first + pings - 1) * SECOND // 3)
+
+
+@pytest.mark.parametrize(
+    ("r", "change", "beyond"),
+    [
+        (0.0 * CELL, Change.NONE, False),
+        (U @ [0.02, -0.01, 0.0], Change.FAST, False),
+        (U @ [0.007, 0.0, 0.0], Change.UNIT, False),
+        ((CELL - 4.5) * (U @ [0.003, 0.0, 0.0]), Change.SLOW, False),
+        (U @ [0.0, 0.0, 0.01], Change.NONE, True),
+        (U @ [0.02, -0.01, 0.01], Change.NONE, True),
+    ],
+    ids=["noise", "velocity", "a velocity of one ping's deviation", "shear", "upward", "velocity and upward"],
+)
+def test_a_velocity_calls_for_much_a_shear_for_little_and_what_moves_up_for_nothing(r, change, beyond):
+    """Water does not move up and down: that is the unit or the profiler, and is said."""
+    water = Adaptation(1.0, 0)
+    assert hear(water, np.random.default_rng(3), 40, r) is change
+    assert water.beyond(13 * SECOND) is beyond
+
+
+def test_outliers_on_every_tenth_row_call_for_nothing():
+    """All of one sign along two beams that look opposite ways: as a velocity they would be 15 cm/s."""
+    water = Adaptation(1.0, 0)
+    r = np.where((CELL == 3) & (np.arange(40) < 20), np.sign(U[:, 0]) * 0.5, 0.0)
+    assert hear(water, np.random.default_rng(8), 12, r) is Change.NONE
+
+
+@pytest.mark.parametrize("change", [Change.FAST, Change.UNIT])
+def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water(change):
+    water = Adaptation(1.0, 0)
+    rng, r = np.random.default_rng(4), U @ [0.02, -0.01, 0.0]
+    assert hear(water, rng, 40, r) is Change.FAST
+    assert not water.beyond(13 * SECOND)
+    water.grant(change, 30 * SECOND, 13 * SECOND)
+    assert hear(water, rng, 1, r, first=40) is Change.NONE
+    assert water.beyond(14 * SECOND)
+    assert not water.beyond(16 * SECOND)
+
+
+def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and_long_after_is_a_front():
+    for again_s, change in ((15, Change.UNIT), (19.5, Change.UNIT), (21, Change.FAST)):
+        water = Adaptation(1.0, 0)
+        water.grant(Change.FAST, 10 * SECOND, 0)
+        r, first = U @ [0.04, -0.01, 0.0], round(3 * again_s)
+        assert hear(water, np.random.default_rng(11), 1, 0.0 * CELL, first=first - 1) is Change.NONE
+        assert hear(water, np.random.default_rng(12), 2, r, first=first) is change
+
+
+def test_what_shows_over_ten_seconds_alone_may_be_the_unit():
+    """Of 30 pings, 0.3 of one's deviation each; of 9 in 3 s it is not seen."""
+    water = Adaptation(1.0, 0)
+    calls = [hear(water, np.random.default_rng(k), 1, U @ [0.0038, 0.0, 0.0], first=k) for k in range(120)]
+    assert next(call for call in calls if call is not Change.NONE) is Change.UNIT
+
+
+def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
+    belief = belief_of_water()
+    water = Adaptation(1.0, 0)
+    water.grant(Change.UNIT, 20 * SECOND, 0)
+    before = belief.P.copy()
+    water.grow(belief, 1.0)
+    first = belief.P - before
+    before = belief.P.copy()
+    water.grow(belief, 1.0)
+    walk = belief.P - before
+
+    opened, layout = first - walk, belief.layout
+    for i in range(3):
+        assert opened[GYRO_BIAS, GYRO_BIAS][i, i] == pytest.approx((5e-4) ** 2)
+    for i in range(2):
+        assert opened[ATTITUDE, ATTITUDE][i, i] == pytest.approx(1e-4)
+    assert opened[ATTITUDE, ATTITUDE][2, 2] == 0.0
+    for axis, nodes in enumerate((layout.north, layout.east)):
+        v, m = VELOCITY.start + axis, layout.mean.start + axis
+        alike = [v, m, *range(nodes.start, nodes.stop)]
+        np.testing.assert_allclose(opened[np.ix_(alike, alike)], 0.09)
+    assert opened[VELOCITY.start, VELOCITY.start + 1] == opened[VELOCITY.start + 2, VELOCITY.start + 2] == 0.0
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    assert np.linalg.eigvalsh(belief.P)[0] > 0
+
+
+def test_a_filter_that_has_just_begun_anew_takes_nothing_for_a_front():
+    rng, r = np.random.default_rng(5), U @ [0.02, -0.01, 0.0]
+    assert hear(Adaptation(1.0, 20 * SECOND), rng, 40, r) is Change.NONE
+    assert hear(Adaptation(1.0, 13 * SECOND), rng, 40, r) is Change.FAST
+
+
+def test_beams_of_one_plane_alone_are_not_asked():
+    water = Adaptation(1.0, 0)
+    two = slice(0, 20)
+    for k in range(40):
+        water.hear(k * SECOND // 3, U[two], CELL[two], np.full(20, 0.1), S[two, two])
+    assert water.seen(13 * SECOND) is Change.NONE
+
+
+def belief_of_water():
+    config = msgspec.structs.replace(CONFIG, deepest_m=float(CELLS - 1))
+    belief = Belief.blank(Layout.of(PAPER, config), 0)
+    belief.P = 1e-4 * np.eye(belief.layout.size)
+    return belief
+
+
+def test_a_step_between_two_cells_is_noticed(dives, run, granted):
+    def step(_, depth_m):
+        return 0.3 * np.clip(depth_m - 24.5, 0.0, 1.0)
+
+    run(with_water(dives[0], step))
+    assert Change.SLOW in {one.change for one in granted}
+
+
+def test_what_is_granted_to_all_is_smooth_over_depth_and_leaves_the_covariance_definite():
+    belief = belief_of_water()
+    water = Adaptation(1.0, 0)
+    before = belief.P.copy()
+    water.grow(belief, 4.0)
+    np.testing.assert_array_equal(belief.P, before)
+    water.grant(Change.FAST, SECOND, 0)
+    water.grow(belief, 4.0)
+    grown, z = belief.P - before, np.arange(CELLS)
+    expected = 4.0 * 0.05**2 * np.exp(-np.abs(z[:, None] - z) / 30.0)
+    for axis in (belief.layout.north, belief.layout.east):
+        np.testing.assert_allclose(grown[axis, axis], expected)
+        grown[axis, axis] = 0.0
+    assert not grown.any()
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    assert np.linalg.eigvalsh(belief.P)[0] > 0

@@ -1,0 +1,296 @@
+"""How the filter starts: where it believes to be, and which of its errors it knows to be one."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_exp, rotation_log
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.alignment import Alignment
+from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS
+from ltv_mpc.localisation.sensor_config import Lbl, Suite
+from ltv_mpc.messages import CompassHeading, GnssFix, ImuSample, PressureDepth
+
+SUITE = Suite.load("realistic")
+CONFIG = EstimatorConfig()
+T0 = -1_000_000_000
+DT_NS = 10_000_000
+ATTITUDE_AT_T0 = rotation(0.03, -0.05, 2.2)
+RATE = np.array([0.05, -0.03, 0.02])
+
+
+def fix(t_ns=T0, north=3.0):
+    return GnssFix(t_ns=t_ns, north_m=north, east_m=-4.0, velocity_north_mps=0.1, velocity_east_mps=-0.2)
+
+
+def compass(t_ns=T0, heading=2.2):
+    return CompassHeading(t_ns=t_ns, heading_rad=heading)
+
+
+def depth(t_ns=T0):
+    return PressureDepth(t_ns=t_ns, depth_m=0.25)
+
+
+def samples(first=1, count=21, bias=(0.0, 0.0, 0.0), t0=T0):
+    """A vehicle that rolls and turns afloat without moving."""
+    out = []
+    for k in range(first, first + count):
+        R = ATTITUDE_AT_T0 @ rotation_exp((k - 0.5) * 0.01 * RATE)
+        f = R.T @ np.array([0, 0, -GRAVITY_MPS2]) + bias
+        out.append(
+            ImuSample(
+                t_ns=t0 + k * DT_NS,
+                interval_ns=DT_NS,
+                angular_rate_radps=tuple(RATE.tolist()),
+                specific_force_mps2=tuple(f.tolist()),
+            )
+        )
+    return out
+
+
+def aligned(messages, suite=SUITE, config=CONFIG):
+    alignment = Alignment(suite, config)
+    for message in messages:
+        alignment.take(message)
+    assert not alignment.waiting_for
+    return alignment.belief()
+
+
+def test_it_says_what_it_waits_for():
+    alignment = Alignment(SUITE, CONFIG)
+    assert alignment.waiting_for == "gnss, compass, pressure"
+    with pytest.raises(RuntimeError, match="waiting for gnss, compass, pressure"):
+        alignment.belief()
+    for message in (fix(), compass(), depth()):
+        alignment.take(message)
+    assert alignment.waiting_for == "imu"
+    for message in samples():
+        alignment.take(message)
+    assert alignment.waiting_for == ""
+
+
+def test_the_belief_stands_at_the_fix_with_what_each_sensor_said():
+    belief, since = aligned([fix(), compass(), depth(), *samples()])
+    assert belief.t_ns == belief.epoch_t_ns == T0
+    np.testing.assert_array_equal(belief.x[:6], [3.0, -4.0, 0.25, 0.1, -0.2, 0.0])
+    np.testing.assert_array_equal(belief.x[belief.layout.epoch], [3.0, -4.0])
+    assert [m.t_ns for m in since] == [T0 + k * DT_NS for k in range(1, 22)]
+
+
+def test_a_vehicle_that_rolls_is_levelled_at_the_time_of_the_fix():
+    """Without turning the samples back the tilt would be half of 0.2 s of rolling: 5 mrad."""
+    belief, _ = aligned([fix(), compass(), depth(), *samples()])
+    np.testing.assert_allclose(roll_pitch_heading(belief.R), roll_pitch_heading(ATTITUDE_AT_T0), atol=1e-5)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_tilt_that_comes_from_an_accelerometer_bias_is_known_to_come_from_it(axis):
+    """The error of the attitude is the one that the covariance expects of that bias: P_phi,b P_bb^-1 b."""
+    bias = np.zeros(3)
+    bias[axis] = 0.01
+    belief, _ = aligned([fix(), compass(), depth(), *samples(bias=bias)])
+    error = rotation_log(ATTITUDE_AT_T0 @ belief.R.T)
+    P = belief.P
+    expected = P[ATTITUDE, ACCELEROMETER_BIAS] @ np.linalg.solve(P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS], bias)
+    assert np.abs(expected[:2]).max() == pytest.approx(0.01 / GRAVITY_MPS2, rel=0.4)
+    np.testing.assert_allclose(error[:2], expected[:2], atol=3e-5)
+
+
+def test_a_heading_that_comes_from_a_compass_bias_is_known_to_come_from_it():
+    bias = 0.03
+    belief, _ = aligned([fix(), compass(heading=2.2 + bias), depth(), *samples()])
+    error = rotation_log(ATTITUDE_AT_T0 @ belief.R.T)[2]
+    c = belief.layout.compass_bias.start
+    expected = belief.P[8, c] / belief.P[c, c] * bias
+    assert error == pytest.approx(expected, rel=0.01)
+
+
+def test_deviations_are_those_of_the_sensors_file():
+    belief, _ = aligned([fix(), compass(), depth(), *samples()])
+    layout, P = belief.layout, belief.P
+    deviation = np.sqrt(np.diag(P))
+    np.testing.assert_allclose(deviation[:3], [5.0, 5.0, 0.01])
+    np.testing.assert_allclose(deviation[3:5], 0.02)
+    white = SUITE.imu.velocity_random_walk_mps_per_rts / math.sqrt(0.21)
+    tilt = math.hypot(SUITE.imu.accelerometer_bias_sd_mps2, white, CONFIG.afloat_acceleration_sd_mps2) / GRAVITY_MPS2
+    np.testing.assert_allclose(deviation[6:8], tilt)
+    assert deviation[8] == pytest.approx(math.radians(math.hypot(1, 2)))
+    np.testing.assert_allclose(deviation[GYRO_BIAS], SUITE.imu.gyro_bias_sd_radps)
+    np.testing.assert_allclose(deviation[ACCELEROMETER_BIAS], SUITE.imu.accelerometer_bias_sd_mps2)
+    np.testing.assert_allclose(deviation[layout.beam_bias], 0.005)
+    np.testing.assert_allclose(deviation[layout.near_bias], 0.015)
+    np.testing.assert_allclose(deviation[layout.mounting], math.radians(0.3))
+    np.testing.assert_allclose(deviation[layout.compass_bias], math.radians(2))
+    np.testing.assert_array_equal(P[layout.epoch], P[:2])
+    np.testing.assert_allclose(P, P.T, atol=1e-18)
+    assert np.linalg.eigvalsh(P).min() > -1e-12  # the clone is the position itself
+
+
+def test_the_heading_and_depth_that_made_the_belief_do_not_correct_it_too():
+    later = [compass(T0 + 100_000_000), depth(T0 + 100_000_000), depth(T0 + 150_000_000)]
+    messages = sorted([fix(), *later, *samples()], key=lambda m: m.t_ns)
+    belief, since = aligned(messages)
+    assert belief.x[2] == 0.25
+    assert not any(isinstance(m, CompassHeading) for m in since)
+    assert [m.t_ns - T0 for m in since if isinstance(m, PressureDepth)] == [150_000_000]
+
+
+def test_a_newer_fix_while_others_are_missing_starts_the_levelling_again():
+    second = 1_000_000_000
+    messages = [fix(), depth(), *samples(), fix(T0 + second, north=7.0), compass(T0 + second), depth(T0 + second)]
+    alignment = Alignment(SUITE, CONFIG)
+    for message in messages:
+        alignment.take(message)
+    assert alignment.waiting_for == "imu"
+    for message in samples(first=101):
+        alignment.take(message)
+    belief, since = alignment.belief()
+    assert (belief.t_ns, belief.x[0]) == (T0 + second, 7.0)
+    assert since[0].t_ns == T0 + 101 * DT_NS
+
+
+def test_a_fix_grows_too_old_while_others_are_missing():
+    alignment = Alignment(SUITE, CONFIG)
+    for message in (fix(), depth(), *samples(count=600)):
+        alignment.take(message)
+    alignment.take(compass(T0 + 6_000_000_000))
+    assert alignment.waiting_for.startswith("gnss")
+
+
+def test_waves_make_the_level_less_certain_but_not_the_bias():
+    rough = msgspec.structs.replace(CONFIG, afloat_acceleration_sd_mps2=0.5)
+    calm, wild = (aligned([fix(), compass(), depth(), *samples()], config=c)[0].P for c in (CONFIG, rough))
+    assert wild[6, 6] > 100 * calm[6, 6]
+    np.testing.assert_array_equal(wild[ATTITUDE, ACCELEROMETER_BIAS], calm[ATTITUDE, ACCELEROMETER_BIAS])
+
+
+def mast(antenna=(2.0, 0.5, -3.0), gauge=(-1.5, 0.2, 0.4)):
+    return msgspec.structs.replace(
+        SUITE,
+        gnss=msgspec.structs.replace(SUITE.gnss, lever_arm_m=antenna),
+        pressure=msgspec.structs.replace(SUITE.pressure, lever_arm_m=gauge),
+    )
+
+
+def test_position_and_velocity_are_the_origins_and_not_the_antennas():
+    """Against the antenna's and the gauge's place and motion, differentiated numerically."""
+    suite = mast()
+    R, v = ATTITUDE_AT_T0, np.array([0.1, -0.2, 0.0])
+
+    def at(lever, t):
+        return np.array([3.0, -4.0, 0.25]) + v * t + R @ rotation_exp(t * RATE) @ np.array(lever)
+
+    antenna = at(suite.gnss.lever_arm_m, 0.0)
+    moving = (at(suite.gnss.lever_arm_m, 1e-6) - at(suite.gnss.lever_arm_m, -1e-6)) / 2e-6
+    seen = GnssFix(
+        t_ns=T0,
+        north_m=antenna[0],
+        east_m=antenna[1],
+        velocity_north_mps=moving[0],
+        velocity_east_mps=moving[1],
+    )
+    pressed = PressureDepth(t_ns=T0, depth_m=at(suite.pressure.lever_arm_m, 0.0)[2])
+    belief, _ = aligned([seen, compass(), pressed, *samples()], suite)
+    np.testing.assert_allclose(belief.x[:6], [3.0, -4.0, 0.25, *v], atol=1e-4)
+    np.testing.assert_allclose(belief.x[belief.layout.epoch], antenna[:2])
+
+
+def test_a_place_that_is_wrong_by_a_tilt_and_a_heading_is_known_to_be_wrong_by_them():
+    """Position and velocity errors that follow from biases are those that the covariance expects of them."""
+    suite = mast()
+    accelerometer, compass_bias = np.array([2e-3, -3e-3, 0.0]), 4e-3
+    messages = [fix(), compass(), depth(), *samples()]
+    wrong = [fix(), compass(heading=2.2 + compass_bias), depth(), *samples(bias=accelerometer)]
+    true, belief = aligned(messages, suite)[0], aligned(wrong, suite)[0]
+    layout, P = belief.layout, belief.P
+    causes = [*range(ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.stop), layout.compass_bias.start]
+    expected = P[:6, causes] @ np.linalg.solve(P[np.ix_(causes, causes)], [*accelerometer, compass_bias])
+    np.testing.assert_allclose(true.x[:6] - belief.x[:6], expected, atol=5e-5)
+    assert np.abs(expected[:2]).min() > 5e-3
+
+
+def test_a_gyro_bias_and_an_antenna_on_a_mast_make_a_velocity():
+    """True minus estimated is R (db x l): the covariance of the belief against that of drawn biases."""
+    suite = mast(antenna=(0.0, 0.0, -3.0))
+    belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
+    drawn = suite.imu.gyro_bias_sd_radps * np.random.default_rng(0).standard_normal((100_000, 3))
+    velocity = np.cross(drawn, [0.0, 0.0, -3.0]) @ belief.R.T
+    expected = velocity.T @ drawn / len(drawn)
+    np.testing.assert_allclose(belief.P[3:5, GYRO_BIAS], expected[:2], atol=3e-2 * np.abs(expected).max())
+
+
+def test_a_covariance_with_levers_is_one():
+    belief, _ = aligned([fix(), compass(), depth(), *samples()], mast())
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    assert np.linalg.eigvalsh(belief.P).min() > -1e-12  # the clone is position and attitude themselves
+
+
+def test_sound_speed_and_mounting_start_as_the_sensors_file_has_them():
+    turned = (0.1, -0.05, 0.785)
+    net = Lbl(
+        period_ns=10_000_000_000,
+        transponders_m=((0.0, 0.0, 50.0),),
+        sound_speed_mps=1480.0,
+        sound_speed_sd_mps=2.96,
+        range_sd_m=1.0,
+        missing_share=0.0,
+        outlier_share=0.0,
+        outlier_m=0.0,
+    )
+    suite = msgspec.structs.replace(SUITE, lbl=net, adcp=msgspec.structs.replace(SUITE.adcp, mounting_rad=turned))
+    belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
+    at = belief.layout.sound_speed
+    assert at.stop - at.start == 1
+    np.testing.assert_allclose(belief.P[at, at], 0.002**2)
+    np.testing.assert_allclose(belief.mounting, rotation(*turned))
+
+
+def test_a_fix_that_comes_late_finds_what_was_measured_since():
+    """0.3 s late: levelled at once, at its own time, with the samples that a fix in time would have had."""
+    late = [depth(), compass(), *samples(count=31), fix(), *samples(first=32, count=3)]
+    belief, since = aligned(late[:34])
+    ordered, _ = aligned([fix(), compass(), depth(), *samples()])
+    assert belief.t_ns == T0
+    np.testing.assert_array_equal(belief.R, ordered.R)
+    np.testing.assert_array_equal(belief.P, ordered.P)
+    assert [m.t_ns for m in since] == [T0 + k * DT_NS for k in range(1, 32)]
+
+
+def test_what_comes_twice_counts_once():
+    once, _ = aligned([fix(), compass(), depth(), *samples()])
+    messages = sorted([fix(), compass(), depth(), *samples()] * 2, key=lambda m: m.t_ns)
+    twice, since = aligned(messages)
+    np.testing.assert_array_equal(twice.R, once.R)
+    assert len(since) == 21
+
+
+def test_a_receiver_faster_than_the_levelling_does_not_keep_the_filter_from_starting():
+    """Ten fixes a second."""
+    often = [fix(T0 + k * 100_000_000) for k in range(10)]
+    messages = sorted(
+        [*often, compass(), depth(), *samples(count=90)], key=lambda m: (m.t_ns, isinstance(m, ImuSample))
+    )
+    alignment = Alignment(SUITE, CONFIG)
+    for message in messages:
+        alignment.take(message)
+        if not alignment.waiting_for:
+            break
+    belief, since = alignment.belief()
+    assert belief.t_ns == T0
+    assert sum(isinstance(m, GnssFix) for m in since) == 2
+
+
+def test_a_message_from_the_future_does_not_keep_the_filter_from_starting():
+    """One wrong clock: what is heard in time is kept all the same."""
+    belief, since = aligned([depth(T0 + 3_600_000_000_000), fix(), compass(), depth(), *samples()])
+    assert belief.x[2] == 0.25
+    assert len(since) == 22
+
+
+def test_without_an_inertial_unit_messages_do_not_pile_up():
+    alignment = Alignment(SUITE, CONFIG)
+    for k in range(6100):
+        alignment.take(depth(T0 + k))
+    assert len(alignment._heard) == 6000

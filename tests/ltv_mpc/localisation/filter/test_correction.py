@@ -1,0 +1,179 @@
+"""One update against the textbook's, and the gate."""
+
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.correction import correct, reduce, update
+from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing
+from ltv_mpc.localisation.filter.state import ATTITUDE, Belief, Layout
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensors.rows import Rows
+
+LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+OPEN = 1e9
+
+
+@pytest.fixture
+def belief():
+    rng = np.random.default_rng(0)
+    belief = Belief.blank(LAYOUT, 0)
+    root = rng.standard_normal((LAYOUT.size, LAYOUT.size)) / 10
+    belief.P = root @ root.T
+    return belief
+
+
+def random_rows(m, seed=1):
+    rng = np.random.default_rng(seed)
+    state = np.array([rng.choice(LAYOUT.size, 6, replace=False) for _ in range(m)])
+    partial = rng.standard_normal((m, 6))
+    partial[:, 4] = 0.0  # padding
+    return Rows(state, partial, 0.1 * rng.standard_normal(m), rng.uniform(0.1, 2.0, m))
+
+
+@pytest.mark.parametrize("m", [1, 2, 4, 5, 60, 120])
+def test_an_update_is_the_textbooks(belief, m):
+    """K = P H^T (H P H^T + R)^-1, and Joseph's form of the covariance, carried over to the estimate that moved."""
+    rows, P = random_rows(m), belief.P.copy()
+    H, R = rows.dense(LAYOUT.size), np.diag(rows.variance)
+    K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    I_KH = np.eye(LAYOUT.size) - K @ H
+    correction = correct(belief, rows, OPEN)
+    assert correction.accepted.all()
+    np.testing.assert_allclose(belief.x, K @ rows.residual, atol=1e-11)
+    expected = I_KH @ P @ I_KH.T + K @ R @ K.T
+    M = np.eye(LAYOUT.size)
+    M[:, HEADING] += swing(belief.x, LAYOUT)
+    expected = M @ expected @ M.T
+    np.testing.assert_allclose(belief.P, expected, atol=1e-11)
+    np.testing.assert_array_equal(belief.P, belief.P.T)
+    np.testing.assert_allclose(correction.nis, rows.residual**2 / np.diag(H @ P @ H.T + R))
+
+
+def test_all_rows_at_once_are_the_same_as_one_after_another(belief):
+    """Exactly so where the heading is known; else the estimate on the way would count."""
+    belief.P[8, :] = belief.P[:, 8] = 0
+    rows, one_by_one = random_rows(40), belief.copy()
+    correct(belief, rows, OPEN)
+    for i in range(40):
+        k = slice(i, i + 1)
+        done = rows.partial[k] @ one_by_one.x[rows.state[i]]  # rows are linear: the residual of now
+        correct(one_by_one, Rows(rows.state[k], rows.partial[k], rows.residual[k] - done, rows.variance[k]), OPEN)
+    linear = np.delete(np.arange(LAYOUT.size), np.arange(ATTITUDE.start, ATTITUDE.stop))
+    np.testing.assert_allclose(one_by_one.x[linear], belief.x[linear], atol=1e-10)
+    np.testing.assert_allclose(one_by_one.P, belief.P, atol=1e-10)
+
+
+def test_a_row_beyond_the_gate_changes_nothing(belief):
+    rows, without = random_rows(30), belief.copy()
+    rows.residual[7] = 1e3
+    keep = np.arange(30) != 7
+    correction = correct(belief, rows, 10.8)
+    correct(without, Rows(rows.state[keep], rows.partial[keep], rows.residual[keep], rows.variance[keep]), OPEN)
+    np.testing.assert_array_equal(correction.accepted, keep)
+    np.testing.assert_allclose(belief.x, without.x, atol=1e-13)
+    np.testing.assert_allclose(belief.P, without.P, atol=1e-13)
+
+
+def test_rows_all_beyond_the_gate_leave_the_belief_as_it_was(belief):
+    rows, before = random_rows(5), belief.copy()
+    rows.residual[:] = 1e3
+    assert not correct(belief, rows, 10.8).accepted.any()
+    np.testing.assert_array_equal(belief.x, before.x)
+    np.testing.assert_array_equal(belief.P, before.P)
+
+
+@pytest.mark.parametrize("m", [1, 3])
+def test_a_doubted_row_is_used_with_as_much_noise_as_makes_it_just_pass(belief, m):
+    rows, other, gate = random_rows(m), belief.copy(), 9.0
+    S = np.diagonal(correct(belief.copy(), rows, OPEN).S)
+    rows.residual[:] = 0.5 * np.sqrt(S)
+    rows.residual[0] = 4.5 * np.sqrt(S[0])
+    more = rows.variance.copy()
+    more[0] += (4.5**2 / gate - 1.0) * S[0]
+    correction = correct(belief, rows, gate, 36.0)
+    correct(other, Rows(rows.state, rows.partial, rows.residual, more), OPEN)
+    assert (correction.accepted.tolist(), correction.doubted) == ([False] + [True] * (m - 1), 1)
+    np.testing.assert_allclose(belief.x, other.x, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(belief.P, other.P, atol=1e-12)
+
+
+def test_no_doubted_row_moves_the_estimate_by_more_than_one_that_passes(belief):
+    row, moved = random_rows(1), []
+    S = correct(belief.copy(), row, OPEN).S[0, 0]
+    for deviations in (2.999, 3.001, 4.0, 5.999, 6.001):
+        row.residual[:] = deviations * np.sqrt(S)
+        after = belief.copy()
+        correct(after, row, 9.0, 36.0)
+        moved.append(np.abs(after.x - belief.x).max())
+    assert moved[0] == pytest.approx(moved[1], rel=1e-2)
+    assert moved[1] > moved[2] > moved[3] > 0.0
+    assert moved[4] == 0.0
+
+
+@pytest.mark.parametrize("m", [1, 3, 20])
+def test_a_covariance_that_is_none_is_reported_and_left_alone(belief, m):
+    belief.P[:] = -10 * belief.P
+    before = belief.copy()
+    correction = correct(belief, random_rows(m), np.inf)
+    assert not correction.definite
+    assert not correction.accepted.any()
+    np.testing.assert_array_equal(belief.P, before.P)
+    np.testing.assert_array_equal(belief.x, before.x)
+
+
+@pytest.mark.parametrize("m", [1, 3, 20])
+@pytest.mark.parametrize("n", [3, 31, 32, 33, 100])
+def test_any_covariance_can_be_updated_without_a_belief(n, m):
+    """Of a filter with states of its own, few or many; sizes about that of a tile."""
+    rng = np.random.default_rng(n + m)
+    root = rng.standard_normal((n, n))
+    P = root @ root.T
+    before = 0.5 * (P + P.T)
+    P = before.copy()
+    state = np.array([rng.choice(n, 3, replace=False) for _ in range(m)])
+    rows = Rows(state, rng.standard_normal((m, 3)), rng.standard_normal(m), rng.uniform(0.5, 2, m))
+    H, R = rows.dense(n), np.diag(rows.variance)
+    K = np.linalg.solve(H @ before @ H.T + R, H @ before).T
+    correction = update(P, rows, OPEN)
+    np.testing.assert_allclose(correction.error, K @ rows.residual, atol=1e-10)
+    np.testing.assert_allclose(P, before - K @ H @ before, atol=1e-9)
+    np.testing.assert_array_equal(P, P.T)
+
+
+@pytest.mark.parametrize("m", [1, 20])
+def test_a_covariance_without_a_heading_is_not_read_beyond_its_end(m):
+    memory = np.full(1000, np.nan)
+    P = memory[:9].reshape(3, 3)
+    P[:] = np.eye(3)
+    rng = np.random.default_rng(m)
+    rows = Rows(np.arange(m)[:, None] % 3, np.ones((m, 1)), rng.standard_normal(m), np.ones(m))
+    update(P, rows, OPEN)
+    measured = np.bincount(np.arange(m) % 3, minlength=3)
+    np.testing.assert_allclose(P, np.diag(1.0 / (1.0 + measured)), atol=1e-12)
+
+
+def test_rows_beyond_the_gate_say_that_nothing_is_to_be_added():
+    P = np.eye(4)
+    rows = Rows(np.array([[0]]), np.ones((1, 1)), np.array([1e3]), np.ones(1))
+    correction = update(P, rows, 10.8)
+    assert not correction.accepted.any()
+    np.testing.assert_array_equal(correction.error, np.zeros(4))
+    np.testing.assert_array_equal(P, np.eye(4))
+
+
+@pytest.mark.parametrize("m", [0, 1, 3, 9])
+def test_what_is_left_is_symmetric_to_the_last_bit(m):
+    """Few rows or many."""
+    rng = np.random.default_rng(m)
+    n = LAYOUT.size
+    root, W, a = rng.standard_normal((n, n)), 0.01 * rng.standard_normal((m, n)), rng.standard_normal(n)
+    a[HEADING] = 0
+    P = root @ root.T
+    P = 0.5 * (P + P.T)
+    M = np.eye(n)
+    M[:, HEADING] += a
+    expected = M @ (P - W.T @ W) @ M.T
+    reduce(P, W, a)
+    np.testing.assert_allclose(P, expected, rtol=1e-10, atol=1e-9)
+    np.testing.assert_array_equal(P, P.T)

@@ -1,0 +1,114 @@
+"""Which states exist, and what adding an error and cloning a position mean."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.frames import rotation, rotation_log
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, Belief, Layout, grid, reach_m
+from ltv_mpc.localisation.sensor_config import Suite
+
+
+def length(states: slice) -> int:
+    return states.stop - states.start
+
+
+def test_a_bias_that_a_suite_does_not_have_is_no_state():
+    paper = Layout.of(Suite.load("paper"), EstimatorConfig())
+    assert [length(s) for s in (paper.beam_bias, paper.near_bias, paper.mounting, paper.compass_bias)] == [0, 0, 0, 0]
+    assert paper.size == CORE + 2 + 2 + 2 * 71
+
+
+def test_every_state_of_a_realistic_suite_has_its_own_place():
+    layout = Layout.of(Suite.load("realistic"), EstimatorConfig())
+    named = [getattr(layout, f) for f in layout.__slots__ if f not in ("nodes", "size")]
+    places = [i for s in named for i in range(s.start, s.stop)]
+    assert sorted(places) == list(range(CORE, layout.size))
+    assert layout.size == CORE + 2 + 4 + 4 + 3 + 1 + 2 + 2 * 71
+
+
+@pytest.mark.parametrize(("deepest", "cell", "last"), [(70.0, 1.0, 70.0), (70.5, 1.0, 71.0), (10.0, 0.1, 10.0)])
+def test_the_waters_grid_reaches_its_deepest_and_no_further(deepest, cell, last):
+    depths = grid(msgspec.structs.replace(EstimatorConfig(), deepest_m=deepest, cell_m=cell))
+    assert depths[0] == 0
+    assert depths[-1] == pytest.approx(last, abs=1e-9)
+    np.testing.assert_allclose(np.diff(depths), cell, rtol=1e-9)
+
+
+def test_attitude_errors_turn_the_body_in_the_world_and_the_instrument_in_the_body():
+    layout = Layout.of(Suite.load("realistic"), EstimatorConfig())
+    belief = Belief.blank(layout, 0)
+    belief.R = rotation(0.1, -0.2, 2.0)
+    belief.mounting = rotation(0.01, 0.02, -0.03)
+    before = belief.copy()
+    error = np.zeros(layout.size)
+    error[ATTITUDE] = [1e-3, 2e-3, -3e-3]
+    error[layout.mounting] = [4e-3, -5e-3, 6e-3]
+    belief.add(error)
+    np.testing.assert_allclose(rotation_log(belief.R @ before.R.T), error[ATTITUDE], atol=1e-12)
+    np.testing.assert_allclose(rotation_log(belief.mounting @ before.mounting.T), error[layout.mounting], atol=1e-12)
+
+
+def test_a_cloned_position_has_the_positions_errors():
+    layout = Layout.of(Suite.load("paper"), EstimatorConfig())
+    belief = Belief.blank(layout, 7)
+    root = np.random.default_rng(0).standard_normal((layout.size, layout.size))
+    belief.P = root @ root.T
+    belief.x[:3] = [3.0, 4.0, 5.0]
+    P = belief.P.copy()
+    belief.clone_position()
+    e = layout.epoch
+    # y = T x with the clone's rows of T those of the position
+    T = np.eye(layout.size)
+    T[e] = 0
+    T[e.start, 0] = T[e.start + 1, 1] = 1
+    np.testing.assert_allclose(belief.P, T @ P @ T.T, rtol=1e-13)
+    np.testing.assert_array_equal(belief.x[e], [3.0, 4.0])
+    assert belief.epoch_t_ns == 7
+
+
+def test_a_copy_is_the_same_and_shares_nothing_that_changes():
+    belief = Belief.blank(Layout.of(Suite.load("realistic"), EstimatorConfig()), 0)
+    belief.x += 1.0
+    belief.P += np.eye(len(belief.P))
+    other = belief.copy()
+    for name in ("x", "R", "mounting", "P"):
+        assert not np.shares_memory(getattr(belief, name), getattr(other, name))
+        np.testing.assert_array_equal(getattr(belief, name), getattr(other, name))
+
+
+@pytest.mark.parametrize(
+    ("roll_pitch_deg", "above", "below"),
+    [((0, 0), 0.0, 15.0), ((20, -20), 0.0, 15.0), ((180, 0), 15.0, 0.0), ((0, -170), 15.0, 0.0), ((0, 90), 15.0, 15.0)],
+)
+def test_nodes_are_wanted_where_a_beam_of_a_rolling_vehicle_can_reach(roll_pitch_deg, above, below):
+    """Beyond the 3 m of a plan and the transducer's 0.5 m. Nose up by 90 deg, beams that looked down look ahead."""
+    roll, pitch = np.radians(roll_pitch_deg)
+    adcp = msgspec.structs.replace(
+        Suite.load("realistic").adcp, lever_arm_m=(0.3, 0.0, -0.4), mounting_rad=(roll, pitch, 0.4), range_m=15.0
+    )
+    np.testing.assert_allclose(reach_m(adcp), (3.5 + above, 3.5 + below))
+
+
+def test_a_window_holds_what_is_kept_and_what_can_be_reached_on_either_side():
+    """Wherever the vehicle is between two nodes: one more at each end, and one for the fence posts."""
+    suite = Suite.load("realistic")
+    config = msgspec.structs.replace(EstimatorConfig(), deepest_m=900.0, kept_m=21.0, cell_m=2.0)
+    above, below = reach_m(suite.adcp)
+    layout = Layout.of(suite, config)
+    cells = length(layout.north)
+    assert 2.0 * (cells - 1) >= 21.0 + above + below + 2 * 2.0
+    assert 2.0 * (cells - 3) < 21.0 + above + below + 2 * 2.0
+    assert length(layout.east) == cells
+    assert layout.nodes == 451
+
+
+def test_a_copy_has_a_column_of_its_own():
+    belief = Belief.blank(Layout.of(Suite.load("paper"), EstimatorConfig()), 0)
+    copy = belief.copy()
+    copy.column.seen[3] = True
+    copy.column.first = 2
+    copy.column.dropped[0] = copy.column.prior.link(0, 1, 0.0)
+    assert not belief.column.seen.any()
+    assert (belief.column.first, belief.column.dropped) == (0, {})

@@ -1,0 +1,156 @@
+"""The prior over depth, the walk in time, and what is published."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.state import Belief, Layout, grid
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.water import current_model
+
+CONFIG = EstimatorConfig()
+LAYOUT = Layout.of(Suite.load("paper"), CONFIG)
+
+
+def prior(config=CONFIG):
+    belief = Belief.blank(LAYOUT, 0)
+    current_model.write_prior(belief, config)
+    return belief
+
+
+def test_the_prior_is_what_a_simulated_gauss_markov_profile_of_unknown_mean_has():
+    """Sample covariance of 40,000 profiles drawn cell by cell from c[k+1] = a c[k] + w."""
+    rng = np.random.default_rng(0)
+    count = 40_000
+    a = math.exp(-1.0 / CONFIG.current_correlation_length_m)
+    c = np.empty((30, count))
+    c[0] = CONFIG.current_sd_mps * rng.standard_normal(count)
+    for k in range(29):
+        c[k + 1] = a * c[k] + CONFIG.current_sd_mps * math.sqrt(1 - a * a) * rng.standard_normal(count)
+    c += CONFIG.current_mean_sd_mps * rng.standard_normal(count)
+    north = prior().P[LAYOUT.north, LAYOUT.north]
+    variance = CONFIG.current_sd_mps**2 + CONFIG.current_mean_sd_mps**2
+    np.testing.assert_allclose(np.cov(c), north[:30, :30], atol=0.03 * variance)
+
+
+def test_north_and_east_are_alike_and_independent():
+    P = prior().P
+    np.testing.assert_array_equal(P[LAYOUT.north, LAYOUT.north], P[LAYOUT.east, LAYOUT.east])
+    assert not P[LAYOUT.north, LAYOUT.east].any()
+
+
+def test_water_that_changes_walks_node_by_node():
+    config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=0.001)
+    belief, before = prior(), prior().P
+    current_model.walk(belief, config, 9.0)
+    grown = belief.P - before
+    np.testing.assert_allclose(np.diag(grown)[LAYOUT.north], 9e-6, rtol=1e-9)
+    np.testing.assert_allclose(np.diag(grown)[LAYOUT.east], 9e-6, rtol=1e-9)
+    assert np.count_nonzero(grown) == 2 * len(grid(config))
+    assert belief.column.walked == pytest.approx(9e-6)
+
+
+def test_a_published_profile_is_the_belief_with_the_larger_deviation_of_its_axes():
+    belief = prior()
+    belief.x[LAYOUT.north] = 0.1
+    belief.x[LAYOUT.east] = -0.2
+    belief.P[LAYOUT.east, LAYOUT.east] *= 4
+    profile = current_model.profile(belief, grid(CONFIG))
+    assert (profile.depth_m[3], profile.north_mps[3], profile.east_mps[3]) == (3.0, 0.1, -0.2)
+    assert profile.sd_mps is not None
+    assert profile.sd_mps[3] == pytest.approx(2 * math.hypot(0.04, 0.1))
+    belief.x[:] = 7.0
+    assert profile.north_mps[3] == 0.1, "a published profile does not change afterwards"
+
+
+SAVED = WaterPrior(
+    depth_m=np.array([5.0, 6.0, 7.0, 15.0]),
+    north_mps=np.array([0.1, 0.2, 0.3, -0.1]),
+    east_mps=np.array([-0.1, -0.2, -0.3, 0.5]),
+    sd_mps=np.array([0.02, 0.03, 0.04, 0.01]),
+    sd_common_mps=0.01,
+)
+
+
+def test_at_the_depths_of_a_saved_profile_the_prior_is_that_profile_and_what_may_have_changed():
+    config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.003)
+    belief = Belief.blank(LAYOUT, 0)
+    current_model.write_prior(belief, config, SAVED)
+    for z, north, east, sd in zip(SAVED.depth_m, SAVED.north_mps, SAVED.east_mps, SAVED.sd_mps, strict=True):
+        n, e = LAYOUT.north.start + int(z), LAYOUT.east.start + int(z)
+        assert (belief.x[n], belief.x[e]) == (pytest.approx(north), pytest.approx(east))
+        assert belief.P[n, n] == belief.P[e, e] == pytest.approx(sd**2 + 0.003**2)
+        assert belief.P[LAYOUT.mean.start, n] == belief.P[e, LAYOUT.mean.start + 1] == pytest.approx(0.01**2)
+
+
+def test_depths_of_a_saved_profile_share_their_common_error_and_what_neighbours_have_alike():
+    config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.0)
+    covariance = current_model.node_prior(config, SAVED).covariance(slice(None))
+    own = np.sqrt(SAVED.sd_mps**2 - 0.01**2)
+    distance = math.exp(-1 / CONFIG.current_correlation_length_m)
+    assert covariance[5, 6] == pytest.approx(0.01**2 + own[0] * own[1] * distance)
+    assert covariance[5, 7] == pytest.approx(0.01**2 + own[0] * own[2] * distance**2)
+
+
+def test_between_distant_depths_of_a_saved_profile_the_water_is_as_open_as_a_gauss_markov_bridge():
+    """The conditional variance given both ends, by Gaussian conditioning on an exactly known profile."""
+    exact = WaterPrior(
+        depth_m=np.array([10.0, 30.0]),
+        north_mps=np.array([0.1, 0.3]),
+        east_mps=np.zeros(2),
+        sd_mps=np.zeros(2),
+        sd_common_mps=0.0,
+    )
+    config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.0)
+    prior = current_model.node_prior(config, exact)
+    z = np.arange(71)
+    K = CONFIG.current_sd_mps**2 * np.exp(-np.abs(z[:, None] - z) / CONFIG.current_correlation_length_m)
+    ends = [10, 30]
+    given = np.diag(K - K[:, ends] @ np.linalg.solve(K[np.ix_(ends, ends)], K[ends]))
+    np.testing.assert_allclose(prior.sd_mps[10:31] ** 2, given[10:31], atol=1e-12)
+    np.testing.assert_allclose(prior.mean_mps[10:31, 0], np.linspace(0.1, 0.3, 21))
+
+
+def test_far_beyond_a_saved_profile_the_prior_is_as_open_as_one_without():
+    deep = msgspec.structs.replace(CONFIG, deepest_m=200.0)
+    saved, without = current_model.node_prior(deep, SAVED), current_model.node_prior(deep)
+    assert saved.covariance(slice(None))[200, 200] == pytest.approx(without.covariance(slice(None))[200, 200])
+    depth = SAVED.depth_m
+    mean = np.trapezoid(SAVED.north_mps, depth) / 10.0
+    assert saved.mean_mps[200, 0] == pytest.approx(mean)
+    assert np.all(np.diff(saved.sd_mps[15:]) > -1e-12), "deviations grow with the distance"
+    end = SAVED.north_mps[-1]
+    assert saved.mean_mps[23, 0] == pytest.approx(mean + math.exp(-1.0) * (end - mean))
+
+
+def test_a_profile_of_one_depth_is_a_prior_too():
+    one = WaterPrior(
+        depth_m=np.array([20.0]),
+        north_mps=np.array([0.3]),
+        east_mps=np.array([0.1]),
+        sd_mps=np.array([0.02]),
+        sd_common_mps=0.02,
+    )
+    prior = current_model.node_prior(CONFIG, one)
+    np.testing.assert_allclose(prior.mean_mps, np.tile([0.3, 0.1], (71, 1)))
+    assert prior.sd_mps[20] == pytest.approx(CONFIG.water_prior_change_sd_mps)
+    assert np.all(np.isfinite(prior.sd_mps))
+
+
+def test_a_dive_that_begins_deep_begins_with_a_window_about_it():
+    config = msgspec.structs.replace(CONFIG, deepest_m=500.0)
+    layout = Layout.of(Suite.load("paper"), config)
+    belief = Belief.blank(layout, 0)
+    belief.x[2] = 300.0
+    current_model.write_prior(belief, config)
+    published = current_model.profile(belief, grid(config))
+    assert published.depth_m[0] == 300.0 - config.kept_m
+    assert published.depth_m[-1] > 330.0
+    assert len(published.depth_m) == layout.north.stop - layout.north.start == len(published.north_mps)
+    belief.x[2] = 499.0
+    current_model.write_prior(belief, config)
+    assert current_model.profile(belief, grid(config)).depth_m[-1] == 500.0

@@ -1,0 +1,305 @@
+"""The window of depths against a filter that keeps every depth, and what is remembered of those it has left."""
+
+import dataclasses
+import itertools
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.state import Belief, Layout, grid, reach_m
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.water.current_model import node_prior, walk, write_prior
+from ltv_mpc.localisation.water.grid_window import follow, given, grown
+from ltv_mpc.localisation.water.survey import learned
+from ltv_mpc.messages import AdcpPing, Estimate
+from tests.stepping import step
+
+WHOLE = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False)
+WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
+
+
+def short_sighted(name, range_m):
+    suite = Suite.load(name)
+    return msgspec.structs.replace(suite, adcp=msgspec.structs.replace(suite.adcp, range_m=range_m))
+
+
+SUITE = short_sighted("realistic", 7.0)
+QUIET = {
+    "senses_earth_rate": False,
+    "gyro_bias_sd_radps": 0.0,
+    "angle_random_walk_rad_per_rts": 1e-9,
+    "accelerometer_bias_tau_s": 1e9,
+}
+"""The inertial unit of ``make_yoyo``, which holds the vehicle level."""
+LEVEL = msgspec.structs.replace(SUITE.adcp, lever_arm_m=(0.0, 0.0, 0.0))
+LAYOUT = Layout.of(SUITE, WINDOW)
+CELLS = LAYOUT.north.stop - LAYOUT.north.start
+
+
+def sink(belief, depth_m):
+    """As the filter does before it uses a message."""
+    belief.x[2] = depth_m
+    follow(belief, *reach_m(SUITE.adcp), WINDOW.cell_m)
+
+
+def states_of(belief, nodes):
+    """Places of the nodes' north, then east."""
+    slots = np.asarray(nodes) - belief.column.first
+    return np.concatenate([belief.layout.north.start + slots, belief.layout.east.start + slots])
+
+
+def test_what_hypotheses_would_do_to_the_belief_goes_with_its_window():
+    """As the estimate itself does, which is linear, down where nobody has been."""
+    rng = np.random.default_rng(5)
+    belief = Belief.blank(LAYOUT, 0)
+    write_prior(belief, WINDOW)
+    other = belief.copy()
+    belief.astray = Signatures.of(LAYOUT.size, 1)
+    belief.astray.error[:, 0] = rng.standard_normal(LAYOUT.size)
+    belief.astray.error[2] = 0.0  # at one depth
+    other.x += belief.astray.error[:, 0]
+    for depth_m in (9.0, 20.0, 31.0):
+        sink(belief, depth_m)
+        sink(other, depth_m)
+        np.testing.assert_allclose(belief.astray.error[:, 0], other.x - belief.x, atol=1e-12)
+    assert belief.column.first > 0
+
+
+@pytest.mark.parametrize("name", ["paper", "realistic"])
+def test_a_filter_that_forgets_depths_behind_it_knows_the_rest_as_one_that_keeps_them(name, make_dive, inbox_of):
+    """12 m down at 0.2 m/s with beams of 5 m: the same vehicle and the same water, to 1e-9, at every estimate."""
+    suite = short_sighted(name, 5.0)
+    dive = make_dive(suite, 4, duration_s=60.0)
+    keeps, forgets = Estimator(suite, WHOLE), Estimator(suite, WINDOW)
+    said = 0
+    for message in dive.messages:
+        pairs = zip(*(step(e, message.t_ns, inbox_of(message)) for e in (keeps, forgets)), strict=True)
+        for a, b in pairs:
+            if not isinstance(a, Estimate):
+                continue
+            said += 1
+            for field in ("north_m", "east_m", "depth_m", "heading_rad", "velocity_north_mps", "velocity_east_mps"):
+                assert getattr(a, field) == pytest.approx(getattr(b, field), abs=1e-9)
+            np.testing.assert_allclose(b.covariance, a.covariance, rtol=1e-9, atol=1e-12)
+            shared = slice(*np.searchsorted(a.current.depth_m, [b.current.depth_m[0], b.current.depth_m[-1] + 0.5]))
+            np.testing.assert_allclose(b.current.north_mps, a.current.north_mps[shared], atol=1e-9)
+            np.testing.assert_allclose(b.current.sd_mps, a.current.sd_mps[shared], atol=1e-9)
+    assert said > 550
+    assert keeps.account == forgets.account
+    whole, window = keeps.filter.belief, forgets.filter.belief
+    assert window.column.first > 1, "or nothing was forgotten"
+    assert window.layout.size < whole.layout.size / 2
+    np.testing.assert_array_equal(window.P, window.P.T)
+    np.testing.assert_array_equal(window.column.seen, whole.column.seen)
+
+
+def test_nothing_of_70_m_is_left_behind_with_the_shipped_settings():
+    for name in ("paper", "realistic"):
+        layout = Layout.of(Suite.load(name), EstimatorConfig())
+        assert layout.north.stop - layout.north.start == layout.nodes == 71
+
+
+def test_the_state_is_as_large_for_500_m_as_for_2000_m():
+    sizes = {
+        Layout.of(SUITE, msgspec.structs.replace(EstimatorConfig(), deepest_m=deepest)).size
+        for deepest in (500.0, 2000.0)
+    }
+    assert len(sizes) == 1
+
+
+@pytest.mark.parametrize("depth_m", [0.0, 0.4, 8.0, 33.9, 61.0, 70.0])
+@pytest.mark.parametrize("from_m", [0.0, 70.0])
+def test_beams_and_plan_find_their_nodes_in_the_window_wherever_the_vehicle_is(from_m, depth_m):
+    belief = Belief.blank(LAYOUT, 0)
+    for depth in (from_m, depth_m):
+        sink(belief, depth)
+    first, last = belief.column.first, belief.column.first + CELLS - 1
+    assert 0 <= first <= max(depth_m - 3.0, 0.0)
+    assert min(depth_m + 7.0 + 3.0, 70.0) <= last <= 70
+
+
+@pytest.fixture
+def uneven():
+    """A prior whose mean and deviation change with depth."""
+    rng = np.random.default_rng(2)
+    prior = node_prior(WHOLE)
+    return dataclasses.replace(
+        prior, mean_mps=rng.standard_normal(prior.mean_mps.shape), sd_mps=rng.uniform(0.5, 2, len(prior.sd_mps))
+    )
+
+
+def started(prior, layout=LAYOUT):
+    """At the surface, with states besides the water that the filter may know something of."""
+    belief = Belief.blank(layout, 0)
+    belief.P[:15, :15] = np.eye(15)
+    belief.P[layout.beam_bias, layout.beam_bias] = np.eye(4)
+    write_prior(belief, WINDOW)
+    nodes = slice(0, layout.north.stop - layout.north.start)
+    belief.column.prior = prior
+    for axis, states in enumerate((layout.north, layout.east)):
+        belief.x[states] = prior.mean_mps[nodes, axis]
+        belief.P[states, states] = prior.covariance(nodes)
+        m = layout.mean.start + axis
+        belief.P[m, m] = belief.P[m, states] = belief.P[states, m] = prior.common_sd_mps**2
+    return belief
+
+
+def test_a_window_that_has_sunk_through_unmeasured_water_has_the_priors_moments(uneven):
+    belief = started(uneven)
+    for depth in np.arange(0.0, 50.0, 0.7):
+        sink(belief, depth)
+    first = belief.column.first
+    assert first > 30
+    nodes = slice(first, first + CELLS)
+    for axis, states in enumerate((LAYOUT.north, LAYOUT.east)):
+        np.testing.assert_allclose(belief.x[states], uneven.mean_mps[nodes, axis], atol=1e-12)
+        np.testing.assert_allclose(belief.P[states, states], uneven.covariance(nodes), atol=1e-12)
+        np.testing.assert_allclose(belief.P[LAYOUT.mean.start + axis, states], uneven.common_sd_mps**2, atol=1e-12)
+    np.testing.assert_allclose(belief.P[LAYOUT.north, LAYOUT.east], 0, atol=1e-12)
+
+
+def measured(belief, node, gain, variance, z):
+    """Conditions the whole belief on z = c_node + gain . [north, heading, beam bias] + noise, by the textbook."""
+    H = np.zeros((2, belief.layout.size))
+    H[[0, 1], states_of(belief, [node])] = 1.0
+    H[:, [0, 8, belief.layout.beam_bias.start]] = gain
+    K = np.linalg.solve(H @ belief.P @ H.T + variance * np.eye(2), H @ belief.P).T
+    belief.x += K @ (z - H @ belief.x)
+    P = belief.P - K @ H @ belief.P
+    belief.P[:] = 0.5 * (P + P.T)
+
+
+def test_what_was_measured_of_depths_left_behind_is_as_if_they_had_been_kept(uneven):
+    """Down, up, down and up again, water and biases measured on the way, position only at the top, before it all.
+
+    Velocity, which a window does not follow so far, is not measured. Compared with the belief that keeps all nodes:
+    every state of the window, every correlation; and what would be saved of all depths.
+    """
+    rng = np.random.default_rng(5)
+    whole_layout = Layout.of(SUITE, WHOLE)
+    window, whole = started(uneven), started(uneven, whole_layout)
+    before = np.arange(LAYOUT.north.start)
+
+    def measure(nodes, by_position):
+        for node in nodes:
+            gain, z = rng.standard_normal((2, 3)), rng.standard_normal(2)
+            gain[:, 0] *= by_position
+            for belief in (window, whole):
+                measured(belief, node, gain, 0.1, z)
+                belief.column.see(np.array([node - 1]))
+
+    measure(range(1, CELLS, 2), by_position=1.0)
+    for depth in (45.0, 0.0, 52.0, 0.0, 20.0):
+        sink(window, depth)
+        first = window.column.first
+        nodes = np.arange(first, first + CELLS)
+        a = np.concatenate([before, states_of(window, nodes)])
+        b = np.concatenate([before, states_of(whole, nodes)])
+        assert sorted(a) == list(range(LAYOUT.size))
+        assert set(window.column.dropped).isdisjoint(nodes)
+        x, P = whole.x.copy(), whole.P
+        x[2] = window.x[2]
+        np.testing.assert_allclose(window.x[a], x[b], atol=1e-6)
+        np.testing.assert_allclose(window.P[np.ix_(a, a)], P[np.ix_(b, b)], atol=1e-6)
+        np.testing.assert_array_equal(window.P, window.P.T)
+        measure(rng.choice(nodes[1:], 6, replace=False), by_position=0.0)
+        a, b = learned(window, grid(WHOLE)), learned(whole, grid(WHOLE))
+        for field in ("depth_m", "north_mps", "east_mps", "sd_mps", "sd_common_mps"):
+            np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-6)
+    assert len(window.column.dropped) > CELLS
+
+
+def test_a_fix_of_position_undoes_what_the_water_was_known_to_share_with_its_error():
+    """Then the position is not the one that the dropped nodes erred with: and P must stay a covariance."""
+    rng = np.random.default_rng(8)
+    belief = started(node_prior(WHOLE))
+    for node in range(CELLS):
+        measured(belief, node, np.array([[1.0, 0, 0], [0, 0, 0]]), 1e-4, rng.standard_normal(2))
+    sink(belief, 30.0)
+    link = belief.column.dropped[3]
+    assert abs(link.B[0, 0]) > 0.2 * np.sqrt(link.C[0, 0] * link.S[0, 0])
+    belief.P[0, :] *= 1e-3  # as fixed to a thousandth of what it was
+    belief.P[:, 0] *= 1e-3
+    sink(belief, 0.0)
+    assert np.linalg.eigvalsh(belief.P)[0] > -1e-12
+
+
+def test_a_depth_is_seen_once_an_accepted_beam_has_measured_beside_it():
+    """Beams of 1 to 5 m at 10.2 m, but for the third cell, whose four readings are wild."""
+    config = msgspec.structs.replace(WHOLE, gate_probability=0.999)
+    belief = Belief.blank(Layout.of(SUITE, config), 0)
+    belief.x[2] = 10.2
+    belief.P[:15, :15] = 1e-6 * np.eye(15)
+    write_prior(belief, config)
+    filter_ = Filter(msgspec.structs.replace(SUITE, adcp=LEVEL), config, belief)
+    assert not belief.column.seen.any()
+    z = np.zeros((4, 5))
+    z[:, 2] = 5.0
+    z[1:, 4] = np.nan
+    filter_.correct(AdcpPing(t_ns=0, range_m=np.arange(1.0, 6.0), beam_velocity_mps=z))
+    assert filter_.account["adcp.gate"] == 4
+    at = 10.2 + np.array([1.0, 2.0, 4.0, 5.0]) * np.cos(LEVEL.beam_angle_rad)
+    assert set(np.flatnonzero(belief.column.seen)) == {*np.floor(at).astype(int), *np.floor(at).astype(int) + 1}
+    assert belief.copy().column.seen is not belief.column.seen
+
+
+def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
+    """By the variance that it and what it hangs on have gained since it was dropped, and by none from before."""
+    config = msgspec.structs.replace(WINDOW, current_change_mps_per_rts=1e-3)
+    gained = []
+    for before_s, after_s in ((50.0, 0.0), (50.0, 100.0)):
+        belief = started(node_prior(WHOLE))
+        walk(belief, config, before_s)
+        for node in range(CELLS):
+            measured(belief, node, np.zeros((2, 3)), 1e-4, np.zeros(2))
+        sink(belief, 12.0)
+        link = belief.column.dropped[0]
+        belief.column.walked += after_s * 1e-6
+        water = given(LAYOUT, 0) >= LAYOUT.north.start
+        assert np.abs(link.A[:, water]).max() > 0.1
+        np.testing.assert_allclose(
+            grown(link, water, belief.column.walked) - link.C,
+            after_s * 1e-6 * (np.eye(2) + link.A[:, water] @ link.A[:, water].T),
+            atol=1e-12,
+        )
+        sink(belief, 0.0)
+        gained.append(belief.P[LAYOUT.north.start, LAYOUT.north.start])
+    assert 1e-4 < gained[1] - gained[0] < 2e-4
+
+
+def test_coming_back_the_filter_is_as_good_as_it_says(make_yoyo):
+    """Down and up again, over 10 seeds: water and velocity; and better than without what it remembers."""
+    suite = msgspec.structs.replace(
+        SUITE,
+        adcp=LEVEL,
+        imu=msgspec.structs.replace(SUITE.imu, **QUIET),
+    )
+    config = msgspec.structs.replace(WINDOW, gate_probability=1.0, deepest_m=40.0)
+    water, velocity, error = [], [], []
+    for seed in range(10):
+        run = make_yoyo(suite, [config, config], seed, (0.0, 25.0, 0.0), heard=forgetful())
+        remembers, forgets = (f.belief for f in run.filters)
+        north = remembers.layout.north
+        window = remembers.column.first + np.arange(north.stop - north.start)
+        nodes = window[remembers.column.seen[window]]
+        states = states_of(remembers, nodes)
+        e = np.concatenate(run.water[nodes].T) - remembers.x[states]
+        water.append(e @ np.linalg.solve(remembers.P[np.ix_(states, states)], e) / len(e))
+        v = [run.velocity[:2] - belief.x[3:5] for belief in (remembers, forgets)]
+        velocity.append(v[0] @ np.linalg.solve(remembers.P[3:5, 3:5], v[0]) / 2)
+        error.append(v)
+    assert 0.8 < np.mean(water) < 1.2
+    assert 0.5 < np.mean(velocity) < 1.6
+    with_memory, without = np.sqrt(np.mean(np.square(error), axis=(0, 2)))
+    assert with_memory < 0.8 * without
+
+
+def forgetful():
+    """Lets the second filter of each pair, which are told apart by their order, lose what it remembers."""
+    order = itertools.count()
+    return lambda filter_: filter_.belief.column.dropped.clear() if next(order) % 2 else None

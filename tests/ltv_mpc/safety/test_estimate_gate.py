@@ -1,0 +1,144 @@
+"""Which estimates are believed: bounds by vehicle, and jumps."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ltv_mpc.messages import Estimate
+from ltv_mpc.safety.estimate_gate import JUMPED, Bounds, Guard
+from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.resistance import steady
+
+PAPER = Vehicle.load("paper")
+HERE = Estimate.at_rest(north_m=1.0, east_m=2.0, heading_rad=0.5, depth_m=5.0)
+PERIOD_NS = 100_000_000
+
+
+def at(k: int, base: Estimate = HERE, **changes: object) -> Estimate:
+    return msgspec.structs.replace(base, t_ns=k * PERIOD_NS, **changes)
+
+
+def settled(**changes: object) -> Guard:
+    guard = Guard(PAPER)
+    assert guard.admit(at(0, **changes)) == ""
+    return guard
+
+
+def test_bounds_are_those_of_the_paper_s_vehicle_by_hand():
+    """sqrt(125 / 500) = 0.5 m/s; 25 N m = 15 r + 200 r^2: r = 0.318; sqrt(93 / 800) = 0.341 m/s."""
+    bounds = Bounds.of(PAPER)
+    assert bounds.speed_mps == pytest.approx(2 * 0.5 + 3.0)
+    assert bounds.yaw_rate_radps == pytest.approx(3 * 0.31803 + 0.5, abs=1e-4)
+    assert bounds.sinking_mps == pytest.approx(2 * math.sqrt(93 / 800) + 1.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-3, 1e3))
+def test_the_steady_speed_is_where_damping_takes_up_the_force(force, linear, quadratic):
+    v = steady(force, linear, quadratic)
+    assert linear * v + quadratic * v * v == pytest.approx(force, rel=1e-6, abs=1e-6)
+    assert steady(force, max(linear, 1e-3), 0.0) == force / max(linear, 1e-3)
+    assert steady(force, 0.0, 0.0) == math.inf
+
+
+@pytest.mark.parametrize(
+    "field",
+    ["north_m", "east_m", "heading_rad", "velocity_north_mps", "velocity_east_mps", "yaw_rate_radps", "depth_m"],
+)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_none_is_refused_and_counted_and_the_one_before_stays(field, value):
+    guard = settled()
+    before = guard.believed
+    assert guard.admit(at(1, **{field: value})) == "a number is not finite"
+    assert guard.believed is before
+    assert guard.refused == {"a number is not finite": 1}
+    assert guard.admit(at(2)) == ""
+
+
+@pytest.mark.parametrize(
+    ("inside", "outside"),
+    [
+        ({"velocity_north_mps": 3.9}, {"velocity_north_mps": 4.1}),
+        (
+            {"velocity_north_mps": -2.8, "velocity_east_mps": 2.8},
+            {"velocity_north_mps": -2.9, "velocity_east_mps": 2.9},
+        ),
+        ({"yaw_rate_radps": -1.4}, {"yaw_rate_radps": -1.5}),
+        ({"velocity_down_mps": 1.6}, {"velocity_down_mps": 1.7}),
+        ({"velocity_down_mps": None, "depth_m": None}, {"velocity_down_mps": math.nan, "depth_m": None}),
+    ],
+)
+def test_what_no_such_vehicle_does_is_refused(inside, outside):
+    guard = Guard(PAPER)
+    assert guard.admit(at(0, **inside)) == ""
+    assert guard.admit(at(1, **outside)) != ""
+    assert guard.believed.t_ns == 0
+
+
+CERTAIN = {"covariance": np.diag([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-6])}
+DRIFTED = {"covariance": np.diag([2.0, 2.0, 1e-4, 1e-4, 0.04, 1e-6])}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "jump", "believed"),
+    [
+        # 4 m/s x 0.1 s + 1 m are always possible
+        (CERTAIN, CERTAIN, {"north_m": 2.39}, True),
+        (CERTAIN, CERTAIN, {"north_m": 2.41}, False),
+        # a fix after a drift of 2 m (1 sigma): 5 x (2 + 0.045) = 10.2 m
+        (DRIFTED, CERTAIN, {"north_m": 11.2}, True),
+        (DRIFTED, CERTAIN, {"north_m": 11.3}, False),
+        # without a covariance: 5 x (5 + 5) m
+        ({}, {}, {"north_m": 50.9}, True),
+        ({}, {}, {"north_m": 51.1}, False),
+        (CERTAIN, CERTAIN, {"heading_rad": 0.5 + 0.64}, True),
+        (CERTAIN, CERTAIN, {"heading_rad": 0.5 + 0.66}, False),
+        (DRIFTED, CERTAIN, {"heading_rad": 0.5 + 1.04}, True),
+        (DRIFTED, CERTAIN, {"heading_rad": 0.5 + 1.06}, False),
+        (CERTAIN, CERTAIN, {"heading_rad": 0.5 + 2 * math.pi}, True),  # unwrapped: the same
+        (CERTAIN, CERTAIN, {"depth_m": 7.1}, True),
+        (CERTAIN, CERTAIN, {"depth_m": 7.2}, False),
+        (CERTAIN, CERTAIN, {"depth_m": None}, True),
+    ],
+)
+def test_a_jump_is_one_that_neither_the_vehicle_nor_the_filter_s_own_doubt_allows(before, after, jump, believed):
+    guard = settled(**before)
+    assert guard.admit(at(1, **after, **jump)) == ("" if believed else JUMPED)
+
+
+def test_the_second_of_two_that_agree_is_believed_and_wild_ones_that_do_not_never_are():
+    guard = settled()
+    assert guard.admit(at(1, north_m=500.0)) == JUMPED
+    assert guard.admit(at(2, north_m=501.0)) == ""
+    for k in range(3, 40):
+        assert guard.admit(at(k, north_m=500.0 + 1000.0 * k)) == JUMPED
+    assert guard.admit(at(40, north_m=501.0)) == ""
+    assert guard.refused == {JUMPED: 38}
+
+
+def test_the_same_estimate_again_is_not_a_second_one():
+    guard = settled()
+    jumped = at(1, north_m=500.0)
+    for _ in range(5):  # as a controller sees it whose cycles are faster than the estimates
+        assert guard.admit(jumped) == JUMPED
+    assert guard.admit(at(1, north_m=500.0)) == JUMPED
+    assert guard.believed.north_m == 1.0
+    assert guard.refused[JUMPED] == 2
+
+
+def test_after_a_long_silence_a_vehicle_may_be_where_it_can_have_gone():
+    guard = settled(**CERTAIN)
+    assert guard.admit(at(100, north_m=40.0, **CERTAIN)) == ""  # 10 s at 4 m/s
+
+
+def test_what_is_refused_for_another_reason_is_no_witness_of_a_jump():
+    guard = settled()
+    assert guard.admit(at(1, north_m=500.0)) == JUMPED
+    assert guard.admit(at(2, north_m=500.0, yaw_rate_radps=math.nan)) != ""
+    assert guard.admit(at(3, north_m=500.0)) == JUMPED

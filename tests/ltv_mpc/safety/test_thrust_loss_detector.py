@@ -1,0 +1,124 @@
+"""The test for a loss of thrust, against another solver and a vehicle of which everything is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from ltv_mpc.safety.thrust_loss_detector import (
+    APART,
+    HIGHEST,
+    LOWEST,
+    TRUST,
+    WINDOWS,
+    learn,
+    least,
+    mixed,
+    weigh,
+    whitened,
+)
+
+NOTHING = np.zeros((4, 4))
+
+
+def cycles(rng: np.random.Generator, count: int, x, loss=(0.0, 0.0)) -> np.ndarray:
+    """Rows of cycles with thrusts that differ, of a vehicle that is ``x`` otherwise than its model."""
+    rows = np.zeros((count, 5, 2))
+    impulse, drag = rng.uniform(5.0, 15.0, (2, count)), rng.uniform(-4.0, 4.0, (count, 2))
+    rows[:, 1] = impulse[0][:, None] * [1.0, 0.5]
+    rows[:, 2] = impulse[1][:, None] * [1.0, -0.5]
+    rows[:, 3] = drag
+    of = [x[0] + loss[0], x[1] + loss[1], x[2]]
+    rows[:, 0] = rng.normal(size=(count, 2)) + np.einsum("i,kia->ka", of, rows[:, 1:4])
+    return rows
+
+
+def known_of(rows: np.ndarray) -> np.ndarray:
+    known = np.zeros((4, 4))
+    for row in rows:
+        learn(known, row)
+    return known
+
+
+@pytest.mark.parametrize("lost", [False, True], ids=["as ever", "lost"])
+@pytest.mark.parametrize("mass", range(LOWEST.shape[1]))
+def test_the_least_squares_are_those_of_another_solver(mass, lost):
+    rng = np.random.default_rng(4 + mass)
+    low, high = LOWEST[:, mass], HIGHEST[:, mass]
+    for _ in range(10):
+        now, then = (np.vstack([rng.normal(size=12), rng.normal(size=(3, 12)) * [[3.0], [2.0], [1.0]]]) for _ in "ab")
+        x = np.zeros(5)
+        ours = least(mixed(now @ now.T, then @ then.T), low, high, lost, x)
+        # f = |z - phi' (l, b) - phi' d|^2 + TRUST |z - phi' (l, b)|^2, l = c + s, c - s: one matrix over [c, s, b, d]
+        mix = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
+        A = np.block([[now[1:].T @ mix, now[1:3].T], [math.sqrt(TRUST) * then[1:].T @ mix, np.zeros((12, 2))]])
+        b = np.concatenate([now[0], math.sqrt(TRUST) * then[0]])
+        most = np.concatenate([high[:3], high[3:] if lost else [1e-9, 1e-9]])
+        theirs = lsq_linear(A, b, (low, most), tol=1e-12)
+        assert ours == pytest.approx(2.0 * theirs.cost, rel=5e-3)  # after ``SWEEPS``
+        assert ours == pytest.approx(((b - A @ x) ** 2).sum(), rel=1e-9)
+
+
+def test_whitened_rows_have_independent_noise_of_unit_variance():
+    n = 7
+    difference = (np.eye(n, n + 1) - np.eye(n, n + 1, 1)) / math.sqrt(2.0)
+    through = whitened(difference)
+    np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
+
+
+def test_nothing_is_weighed_before_two_estimates():
+    assert weigh(np.zeros((1, 5, 2)), NOTHING) == (0.0, 0.0, 0.0)
+
+
+def test_a_loss_shows_sooner_on_a_vehicle_that_is_known_and_as_much_as_it_is():
+    rng = np.random.default_rng(7)
+    x = (0.1, 0.02, -0.05)
+    lost = cycles(rng, 6, x, loss=(0.3, 0.0))
+    unknown, *_ = weigh(lost, NOTHING)
+    evidence, port, starboard = weigh(lost, known_of(cycles(rng, 200, x)))
+    assert evidence > 2.0 * unknown
+    assert port == pytest.approx(0.4, abs=0.1)
+    assert starboard == pytest.approx(0.02, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_was_seen_just_before_a_loss_counts_at_once(seed):
+    rng = np.random.default_rng(seed)
+    before, lost = cycles(rng, 24, (0.05, 0.05, 0.0)), cycles(rng, 4, (0.05, 0.05, 0.0), loss=(0.3, 0.3))
+    alone, *_ = weigh(np.ascontiguousarray(lost[::-1]), NOTHING)
+    both, *_ = weigh(np.ascontiguousarray(np.concatenate([before, lost])[::-1]), NOTHING)
+    assert both > alone + 5.0
+
+
+@pytest.mark.parametrize("edge", [LOWEST, HIGHEST], ids=["low", "high"])
+def test_a_vehicle_at_the_edge_of_what_is_allowed_that_stays_so_is_no_loss(edge):
+    rng = np.random.default_rng(8)
+    c, s, b, *_ = edge[:, 2]
+    rows = cycles(rng, 400, (c + s, c - s, b))
+    known = np.zeros((4, 4))
+    window, highest = WINDOWS[-1], 0.0
+    for k in range(window, len(rows)):
+        learn(known, rows[k - window])
+        highest = max(highest, weigh(np.ascontiguousarray(rows[k - window + 1 : k + 1][::-1]), known)[0])
+    assert highest < 8.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_one_of_two_thrusters_lacks_is_no_mismatch(seed):
+    """Two of one make are wrong by much the same: ``APART``. With 20 % in its place this is 2 to 7 nats."""
+    lost = cycles(np.random.default_rng(seed), 20, (0.0, 0.0, 0.0), loss=(0.3, 0.0))
+    assert weigh(lost, NOTHING)[0] > 12.0
+    apart = cycles(np.random.default_rng(seed), 20, (0.5 * APART, -0.5 * APART, 0.0))
+    assert weigh(apart, NOTHING)[0] < 6.0
+
+
+def test_one_wild_cycle_is_no_evidence():
+    rng = np.random.default_rng(9)
+    rows = cycles(rng, 10, (0.0, 0.0, 0.0))
+    calm, *_ = weigh(rows, NOTHING)
+    rows[3, 0, 0] = 1e6
+    wild, *_ = weigh(rows, NOTHING)
+    assert wild < calm + 5.0

@@ -1,0 +1,63 @@
+"""Compiled code is never stale, and works where nothing can be written."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from ltv_mpc import jit
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def folder_in(tree: Path) -> str:
+    """The cache's folder that a copy of the sources names."""
+    code = "from ltv_mpc import compiled; print(jit.fingerprint())"
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=True
+    )
+    return done.stdout.strip()
+
+
+def test_an_edit_of_a_callee_in_another_file_starts_a_new_cache(tmp_path):
+    """numba's own cache would keep the caller's old machine code."""
+    shutil.copytree(ROOT / "ltv_mpc", tmp_path / "ltv_mpc", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "sim", tmp_path / "sim", ignore=shutil.ignore_patterns("__pycache__"))
+    before = folder_in(tmp_path)
+    assert before == folder_in(tmp_path)
+    callee = tmp_path / "ltv_mpc" / "vehicle" / "dynamics.py"
+    callee.write_text(callee.read_text().replace("+ p.mass_sway * v * r", "- p.mass_sway * v * r"))
+    assert folder_in(tmp_path) != before
+
+
+def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(tmp_path):
+    (tmp_path / "file").touch()
+    environment = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    environment |= {"HOME": str(tmp_path / "file" / "nothing"), "TMPDIR": str(tmp_path)}
+    code = (
+        "import numpy as np\n"
+        "from ltv_mpc import compiled\n"
+        "from ltv_mpc.vehicle.thruster import thrust\n"
+        "assert not jit.CACHE_IS_KEPT\n"
+        "print(jit.CACHE, thrust(2.0, 0.0, 1025.0, 0.25))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(str(tmp_path))
+
+
+def test_a_folder_that_is_given_gets_one_of_these_sources_in_it_and_children_take_it_as_it_is(tmp_path):
+    """A value of the user's for numba must not bring back stale code."""
+    code = "from ltv_mpc import compiled; print(jit.CACHE)"
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-P", "-c", code]
+    first = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
+    assert first == str(tmp_path / "ltv-mpc" / jit.fingerprint())
+    environment["NUMBA_CACHE_DIR"] = first
+    assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip() == first

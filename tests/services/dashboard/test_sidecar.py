@@ -1,0 +1,65 @@
+"""The page of a run that is started here: its address is said, and whatever becomes of it the run goes on."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import sys
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from services.bus.session import BusOptions, open_session
+from services.dashboard import sidecar
+from services.dashboard.serve import NICE
+from services.dashboard.sidecar import Beside
+from services.reporting.plots.recorded import VEHICLE as VEHICLE_FILE
+from tests.services.dashboard.made_up_vehicle import until
+from tests.services.reporting import made_up
+
+
+def page_of(folder: Path) -> tuple[Beside, list[str]]:
+    said: list[str] = []
+    (folder / "logs").mkdir()
+    vehicle = folder / VEHICLE_FILE
+    vehicle.parent.mkdir()
+    vehicle.write_text(made_up.VEHICLE)
+    return Beside(said.append, folder=folder, vehicle=vehicle, open_browser=False), said
+
+
+def gives_way(pid: int) -> None:
+    """To processes of its own session, and with its session to those of others."""
+    assert os.getpriority(os.PRIO_PROCESS, pid) == NICE
+    if (group := Path(f"/proc/{pid}/autogroup")).exists():
+        assert group.read_text().split()[-2:] == ["nice", str(NICE)]
+
+
+def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    page, said = page_of(tmp_path)
+    with open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=said.append):
+        page.start(BusOptions(connect=(endpoint,), namespace="a/run"))
+        try:
+            until(lambda: said, within_s=60.0)
+            (line,) = said
+            url = urlsplit(line.removeprefix("live page: "))
+            assert len(url.fragment) >= 32
+            connection = http.client.HTTPConnection("127.0.0.1", url.port or 0, timeout=20)
+            connection.request("GET", "/")
+            assert connection.getresponse().status == 200
+            connection.close()
+            assert page._process is not None
+            gives_way(page._process.pid)
+        finally:
+            page.stop()
+    page.stop()  # of one that has ended
+    assert (tmp_path / "logs" / "dashboard.log").read_text() == ""
+
+
+def test_without_the_extra_the_run_says_so_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page, said = page_of(tmp_path)
+    monkeypatch.setattr(sidecar, "find_spec", lambda name: None if name == "uvicorn" else sys)
+    page.start(BusOptions(connect=("tcp/127.0.0.1:1",)))
+    page.stop()
+    assert said == ["no live page: uvicorn is not installed, the extra viz brings it"]

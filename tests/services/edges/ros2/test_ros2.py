@@ -1,0 +1,339 @@
+"""The edge to ROS 2: bytes by hand, frames turned and turned back, covariance by sampling, and the process on a bus."""
+
+from __future__ import annotations
+
+import math
+import signal
+import struct
+import subprocess
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus
+from services.bus.mailbox import Mailbox
+from services.bus.session import BusOptions, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, decode, encode
+from services.cli.app import run
+from services.edges.ros2 import cdr
+from services.edges.ros2.edge import Edge, StampedClock
+from services.edges.ros2.odometry import OdometryError, estimate_of
+from services.runtime.stopping import StopRequest
+
+SECOND_NS = 1_000_000_000
+STAMP = (1_700_000_000, 250_000_000)
+
+
+class Cdr:
+    """CDR by its rules: each number at a multiple of its own size behind the header, strings with their NUL."""
+
+    def __init__(self, order: str = "<") -> None:
+        self.order = order
+        self.body = b""
+
+    def number(self, kind: str, value: float) -> Cdr:
+        size = struct.calcsize(kind)
+        self.body += bytes(-len(self.body) % size) + struct.pack(self.order + kind, value)
+        return self
+
+    def text(self, value: str) -> Cdr:
+        raw = value.encode() + b"\0"
+        self.number("I", len(raw))
+        self.body += raw
+        return self
+
+    def payload(self) -> bytes:
+        return (b"\0\1\0\0" if self.order == "<" else b"\0\0\0\0") + self.body
+
+
+def odometry(
+    *,
+    position: tuple[float, ...] = (0.0, 0.0, 0.0),
+    yaw: float = 0.0,
+    quaternion: tuple[float, ...] | None = None,
+    linear: tuple[float, ...] = (0.0, 0.0, 0.0),
+    angular: tuple[float, ...] = (0.0, 0.0, 0.0),
+    pose_covariance: np.ndarray[Any, Any] | None = None,
+    twist_covariance: np.ndarray[Any, Any] | None = None,
+    frame: str = "odom",
+    child: str = "base_link",
+    stamp: tuple[int, int] = STAMP,
+    order: str = "<",
+) -> bytes:
+    """An Odometry, by hand: stamp, frame, child frame, pose, its covariance, twist, its covariance."""
+    message = Cdr(order).number("i", stamp[0]).number("I", stamp[1]).text(frame).text(child)
+    attitude = quaternion or (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+    zeros = np.zeros((6, 6))
+    for block in (
+        position,
+        attitude,
+        (zeros if pose_covariance is None else pose_covariance).ravel(),
+        linear,
+        angular,
+        (zeros if twist_covariance is None else twist_covariance).ravel(),
+    ):
+        for value in block:
+            message.number("d", value)
+    return message.payload()
+
+
+def estimate(**fields: Any) -> Estimate:
+    return estimate_of(cdr.odometry(odometry(**fields)))
+
+
+# --- bytes -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_force_is_a_float64_message_byte_for_byte() -> None:
+    assert cdr.float64(-62.5) == bytes.fromhex("00010000" + "0000000000404fc0")
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_an_odometry_message_is_read_in_either_byte_order(order: str) -> None:
+    read = estimate(position=(3.0, 4.0, -5.0), linear=(1.0, 0.0, 0.0), order=order)
+    assert read.t_ns == 1_700_000_000_250_000_000
+    assert (read.north_m, read.east_m, read.depth_m) == (4.0, 3.0, 5.0)
+
+
+@pytest.mark.parametrize("frame", ["", "o", "od", "odo", "odom", "a_long_name_of_a_frame"])
+def test_names_of_any_length_shift_nothing(frame: str) -> None:
+    assert estimate(position=(3.0, 4.0, -5.0), frame=frame).north_m == 4.0
+
+
+def test_whatever_the_bytes_are_they_are_a_message_or_an_error_with_a_reason() -> None:
+    whole = odometry()
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        broken = bytearray(whole[: rng.integers(0, len(whole) + 1)])
+        for _ in range(rng.integers(0, 4)):
+            if broken:
+                broken[rng.integers(0, len(broken))] = rng.integers(0, 256)
+        edge = Edge()
+        if edge.odometry(bytes(broken), 0) is None:
+            assert (edge.refused, edge.taken) == (1, 0)
+            assert edge.why
+
+
+@pytest.mark.parametrize("payload", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(720), odometry()[:-9], bytes(70_000)])
+def test_what_is_no_odometry_is_refused(payload: bytes) -> None:
+    with pytest.raises(cdr.CdrError):
+        cdr.odometry(payload)
+
+
+# --- frames ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("yaw", "heading", "north", "east"),
+    [(0.0, math.pi / 2, 0.0, 1.0), (math.pi / 2, 0.0, 1.0, 0.0), (math.pi, -math.pi / 2, 0.0, -1.0)],
+)
+def test_a_vehicle_that_goes_ahead_goes_where_it_points(yaw: float, heading: float, north: float, east: float) -> None:
+    """Yaw 0 is east."""
+    read = estimate(yaw=yaw, linear=(1.0, 0.0, 0.0))
+    assert read.heading_rad == pytest.approx(heading)
+    assert (read.velocity_north_mps, read.velocity_east_mps) == pytest.approx((north, east), abs=1e-12)
+
+
+def test_a_turn_to_port_turns_the_heading_back_and_port_is_on_the_left() -> None:
+    read = estimate(yaw=math.pi / 2, linear=(0.0, 1.0, 0.5), angular=(0.0, 0.0, 0.3))  # it points north
+    assert read.yaw_rate_radps == pytest.approx(-0.3)
+    assert read.velocity_east_mps == pytest.approx(-1.0)
+    assert read.velocity_down_mps == pytest.approx(-0.5)
+
+
+finite = st.floats(-100, 100)
+
+
+@given(st.tuples(finite, finite, finite), st.floats(-math.pi, math.pi), st.tuples(finite, finite, finite), finite)
+def test_there_and_back_again_is_where_it_began(
+    position: tuple[float, ...], yaw: float, linear: tuple[float, ...], yaw_rate: float
+) -> None:
+    """Level; the way back is written down from the picture, not from the code."""
+    read = estimate(position=position, yaw=yaw, linear=linear, angular=(0.0, 0.0, yaw_rate))
+    assert read.depth_m is not None
+    assert read.velocity_down_mps is not None
+    assert (read.east_m, read.north_m, -read.depth_m) == pytest.approx(position)
+    back = math.pi / 2 - read.heading_rad
+    assert math.remainder(back - yaw, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    ahead = read.velocity_north_mps * math.cos(read.heading_rad) + read.velocity_east_mps * math.sin(read.heading_rad)
+    starboard = read.velocity_east_mps * math.cos(read.heading_rad) - read.velocity_north_mps * math.sin(
+        read.heading_rad
+    )
+    assert (ahead, -starboard, -read.velocity_down_mps) == pytest.approx(linear, abs=1e-9)
+    assert -read.yaw_rate_radps == pytest.approx(yaw_rate)
+
+
+def turned(q: np.ndarray[Any, Any], d: np.ndarray[Any, Any]) -> tuple[float, ...]:
+    """The attitude q (x, y, z, w) after a further turn d about the world's axes."""
+    angle = float(np.linalg.norm(d))
+    s = math.sin(angle / 2) / angle
+    (a, b, c), w = d * s, math.cos(angle / 2)
+    x, y, z, v = q
+    return (w * x + a * v + b * z - c * y, w * y - a * z + b * v + c * x, w * z + a * y - b * x + c * v,
+            w * v - a * x - b * y - c * z)  # fmt: skip
+
+
+def test_the_covariance_is_that_of_samples_drawn_from_the_messages_own() -> None:
+    rng = np.random.default_rng(1)
+    q = np.array([0.1, -0.2, 0.6, 0.0])
+    q[3] = math.sqrt(1 - q @ q)
+    mean = {"position": np.array([5.0, -7.0, -9.0]), "linear": np.array([1.2, -0.4, 0.3])}
+    rates = np.array([0.05, -0.1, 0.2])
+    a, b = (rng.normal(size=(6, 6)) * 0.005 for _ in range(2))
+    pose, twist = a @ a.T, b @ b.T
+    claimed = estimate(
+        **mean, quaternion=tuple(q), angular=rates, pose_covariance=pose, twist_covariance=twist
+    ).covariance
+    drawn = []
+    for _ in range(4000):
+        p, t = rng.multivariate_normal(np.zeros(6), pose), rng.multivariate_normal(np.zeros(6), twist)
+        e = estimate(
+            position=mean["position"] + p[:3],
+            quaternion=turned(q, p[3:]),
+            linear=mean["linear"] + t[:3],
+            angular=rates + t[3:],
+        )
+        drawn.append((e.north_m, e.east_m, e.velocity_north_mps, e.velocity_east_mps, e.heading_rad, e.yaw_rate_radps))
+    found = np.cov(np.array(drawn).T)
+    # The heading of a tilted vehicle is not quite the turn about the vertical.
+    level = [0, 1, 2, 3, 5]
+    assert claimed is not None
+    scale = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+    np.testing.assert_allclose(
+        (claimed / scale)[np.ix_(level, level)], (found / scale)[np.ix_(level, level)], atol=0.08
+    )
+
+
+def test_of_a_level_vehicle_heading_and_velocity_err_together() -> None:
+    """It goes east at 2 m/s: a heading that is wrong by d to starboard has it go 2 d to the south."""
+    pose = np.zeros((6, 6))
+    pose[5, 5] = 0.01
+    covariance = estimate(linear=(2.0, 0.0, 0.0), pose_covariance=pose).covariance
+    expected = np.zeros((6, 6))
+    expected[4, 4], expected[2, 2], expected[2, 4], expected[4, 2] = 0.01, 0.04, -0.02, -0.02
+    np.testing.assert_allclose(covariance, expected, atol=1e-12)
+
+
+def test_a_covariance_of_zeros_is_one_that_nobody_knows() -> None:
+    assert estimate().covariance is None
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason"),
+    [
+        ({"quaternion": (0.0, 0.0, 0.0, 0.5)}, "length 0.5"),
+        ({"quaternion": (math.nan, 0.0, 0.0, 1.0)}, "length nan"),
+        ({"frame": "odom_ned"}, "frame odom_ned"),
+        ({"child": "base_link_frd"}, "frame base_link_frd"),
+        ({"angular": (1e300, 0.0, 0.0)}, "angular: a value that is no number"),
+        ({"pose_covariance": np.full((6, 6), math.nan)}, "pose.covariance: a value that is no number"),
+    ],
+)
+def test_what_is_no_attitude_another_frame_or_no_number_is_refused(fields: dict[str, Any], reason: str) -> None:
+    with pytest.raises(OdometryError, match=reason):
+        estimate(**fields)
+
+
+@pytest.mark.parametrize(
+    "fields", [{"position": (math.nan, 0.0, 0.0)}, {"linear": (math.inf, 0.0, 0.0)}, {"linear": (1e9, 0.0, 0.0)}]
+)
+def test_what_no_vehicle_can_do_becomes_no_estimate(fields: dict[str, Any]) -> None:
+    edge = Edge()
+    assert edge.odometry(odometry(**fields), 0) is None
+    assert edge.refused == 1
+
+
+# --- time and thrust -------------------------------------------------------------------------------------------------
+
+
+def plan(t0_ns: int) -> Plan:
+    return Plan(
+        cycle_t_ns=t0_ns,
+        t_ns=np.array([t0_ns, t0_ns + SECOND_NS, t0_ns + 2 * SECOND_NS]),
+        thrust_N=np.array([[0.0, 0.0, 0.0], [10.0, -20.0, 5.0], [10.0, -20.0, 5.0]]),
+        states=np.zeros((3, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+    )
+
+
+def test_the_time_is_that_of_the_least_delayed_of_the_last_messages() -> None:
+    clock = StampedClock()
+    assert clock.read(0) is None
+    for k, delay_us in enumerate((400, 100, 900)):
+        clock.heard(5 * SECOND_NS + k * 1_000_000, k * 1_000 + delay_us)
+    assert clock.read(10_000) == 5 * SECOND_NS + 10_000_000 - 100_000
+    clock.heard(36 * SECOND_NS, 31_000_000 + 5_000)  # the others are older than 30 s
+    assert clock.read(31_005_000) == 36 * SECOND_NS
+
+
+def test_a_plan_is_played_by_the_time_of_the_odometry_and_not_beyond_its_end() -> None:
+    edge = Edge()
+    edge.follow(plan(STAMP[0] * SECOND_NS + STAMP[1]))
+    assert edge.thrust_N(7_000_000) is None  # what time it is nobody has said
+    assert edge.odometry(odometry(), 7_000_000) is not None
+    for after_s, thrust in ((0.5, (5.0, -10.0, 2.5)), (1.5, (10.0, -20.0, 5.0)), (2.1, (0.0, 0.0, 0.0))):
+        np.testing.assert_allclose(edge.thrust_N(7_000_000 + round(after_s * 1e6)), thrust)
+
+
+# --- the process -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("ros2 --thrusts /a,/b", "must be three topics"),
+        ("ros2 --thrusts /a,/b,/b", "must be three topics"),
+        ("ros2 --odometry odom", "must be a topic's full name"),
+        ("ros2 --odometry /odom/**", "must be a topic's full name"),
+        ("ros2 --ros-namespace a//b", "must be names joined by /"),
+    ],
+)
+def test_bad_names_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(line.split()) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_the_process_translates_between_the_two_key_spaces(free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    command = [sys.executable, "-P", "-m", "services.cli", "ros2", "--connect", endpoint, "--namespace", "auv/7"]
+    with open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session:
+        estimates, forces = Mailbox(), Mailbox()
+        session.subscribe("auv/7/estimate", BY_SIGNAL[Estimate], estimates)
+        session.subscribe("bridge/thrusters/starboard/thrust", None, forces)
+        edge = subprocess.Popen([*command, "--ros-namespace", "bridge"], stdin=subprocess.DEVNULL)
+        try:
+            put_odometry = session.publisher("bridge/odometry").put
+            put_plan = session.publisher("auv/7/plan").put
+            until, heard, sequence = time.monotonic() + 60.0, None, 0
+            while heard is None:
+                assert time.monotonic() < until, "it never came to that"
+                put_odometry(odometry(position=(3.0, 4.0, -5.0), stamp=divmod(time.monotonic_ns(), SECOND_NS)))
+                heard = estimates.take(0.1)
+            read, _ = decode(Estimate, heard.payload)
+            assert (read.north_m, read.east_m, read.depth_m) == (4.0, 3.0, 5.0)
+            force = None
+            while force != pytest.approx(-20.0):
+                assert time.monotonic() < until, "it never came to that"
+                now = time.monotonic_ns()
+                header = Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
+                put_plan(encode(plan(now - SECOND_NS), header))
+                sequence += 1
+                if (frame := forces.take(0.1)) is not None:
+                    assert frame.payload[:4] == b"\0\1\0\0"
+                    (force,) = struct.unpack("<d", frame.payload[4:])
+            edge.send_signal(signal.SIGTERM)
+            assert edge.wait(30) == 0
+            while (frame := forces.take(0.3)) is not None:
+                (force,) = struct.unpack("<d", frame.payload[4:])
+            assert force == 0.0  # its last word
+        finally:
+            if edge.poll() is None:
+                edge.kill()
+            edge.wait()

@@ -1,0 +1,178 @@
+"""A dive made by hand, whose every number is known: what plots, report and page are tested on.
+
+The vehicle moves north at 0.1 m/s and sinks at 0.2 m/s. The estimate begins 3 m north and 4 m west of it and drifts
+east by 0.01 m/s; the variance of its position is 9 m2 at t = 0 and grows by 0.01 m2/s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ltv_mpc.messages import (
+    Acknowledged,
+    Action,
+    Applied,
+    Authority,
+    Clock,
+    ClockState,
+    Command,
+    CurrentProfile,
+    CycleTiming,
+    Estimate,
+    Message,
+    Plan,
+    PlanOrigin,
+    RunEvent,
+    Solve,
+    SolveStatus,
+    Truth,
+)
+from services.bus.wire import Header
+from services.recording.writer import RunWriter
+from services.runtime.clock import boot_id
+
+S = 1_000_000_000
+OFFSET = (3.0, -4.0)
+DRIFT_EAST_MPS = 0.01
+SPEED_NORTH_MPS = 0.1
+START_VARIANCE_M2 = 9.0
+GROWTH_M2_PER_S = 0.01
+TARGET = (1.0, 2.0)
+CYCLE_NS = 300_000_000
+EPOCH = 7
+
+VEHICLE = (Path(__file__).parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml").read_text()
+
+
+def truth(t_ns: int) -> Truth:
+    t = t_ns / S
+    return Truth(
+        t_ns=t_ns,
+        position_m=(SPEED_NORTH_MPS * t, 0.0, max(0.0, 0.2 * t)),
+        velocity_mps=(SPEED_NORTH_MPS, 0.0, 0.2),
+        attitude_rad=(0.0, 0.0, 0.0),
+        water_velocity_mps=(0.1, 0.0, 0.2),
+        yaw_rate_radps=0.0,
+        current_mps=(0.03, -0.02),
+        thrust_N=(10.0, -10.0, 62.5),
+    )
+
+
+def estimate(t_ns: int) -> Estimate:
+    t = t_ns / S
+    covariance = np.diag([0.0, 0.0, 1e-4, 1e-4, 1e-4, 1e-4])
+    covariance[0, 0] = covariance[1, 1] = START_VARIANCE_M2 + GROWTH_M2_PER_S * max(0.0, t)
+    return Estimate(
+        t_ns=t_ns,
+        north_m=SPEED_NORTH_MPS * t + OFFSET[0],
+        east_m=OFFSET[1] + DRIFT_EAST_MPS * t,
+        heading_rad=0.0,
+        yaw_rate_radps=0.0,
+        velocity_north_mps=SPEED_NORTH_MPS,
+        velocity_east_mps=0.0,
+        depth_m=max(0.0, 0.2 * t),
+        velocity_down_mps=0.2,
+        covariance=covariance,
+        current=CurrentProfile(
+            depth_m=np.array([0.0, 10.0, 20.0]),
+            north_mps=np.array([0.03, 0.02, 0.01]),
+            east_mps=np.array([-0.02, 0.0, 0.02]),
+            sd_mps=np.array([0.01, 0.02, 0.03]),
+        ),
+    )
+
+
+def plan(t_ns: int, *, origin: PlanOrigin = PlanOrigin.SOLVED, target: tuple[float, float] = TARGET) -> Plan:
+    knots = 8
+    times = t_ns + CYCLE_NS // 2 + CYCLE_NS * np.arange(knots)
+    states = np.zeros((knots, 6))
+    states[:, 0] = OFFSET[0] + SPEED_NORTH_MPS * times / S
+    states[:, 1] = OFFSET[1]
+    return Plan(
+        cycle_t_ns=t_ns,
+        t_ns=times,
+        thrust_N=np.tile([20.0, -20.0, 62.5], (knots, 1)),
+        states=states,
+        origin=origin,
+        solve=Solve(status=SolveStatus.SOLVED, iterations=25),
+        why="" if origin is PlanOrigin.SOLVED else "OSQP: iteration limit",
+        reference_m=target,
+        reference_depth_m=40.0,
+    )
+
+
+def applied(t_ns: int) -> Applied:
+    return Applied(
+        t_ns=t_ns,
+        thrust_N=(15.0, -15.0, 62.5),
+        command_N=(15.0, -15.0, 62.5),
+        command_slew_N_per_s=(0.0, 0.0, 0.0),
+        plan_epoch=EPOCH,
+        plan_sequence=0,
+        plan_cycle_t_ns=0,
+        plan_received_t_ns=0,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    )
+
+
+def timing(t_ns: int, *, wall_ms: float = 2.0) -> CycleTiming:
+    stages = {"read": 100.0, "predict": 400.0, "linearise": 200.0, "build": 50.0, "update": 150.0, "solve": 500.0}
+    return CycleTiming(
+        t_ns=t_ns,
+        compute_ns=round(wall_ms * 1e6 * 10),
+        compute_wall_ns=round(wall_ms * 1e6),
+        estimate_age_ns=100_000_000,
+        stage_us={**stages, "publish": 300.0},
+    )
+
+
+def clock(t_ns: int, *, speed: int = 10, state: ClockState = ClockState.RUNNING) -> Clock:
+    return Clock(
+        clock_epoch=EPOCH,
+        clock_sequence=0,
+        host_boot_id=boot_id(),
+        at_monotonic_us=0,
+        vehicle_ns=t_ns,
+        speed_num=speed,
+        speed_den=1,
+        asked_speed=float(speed),
+        state=state,
+    )
+
+
+ARM = Command(command_id=1, action=Action.ARM)
+ARMED = Acknowledged(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
+EVENT = RunEvent(t_ns=5 * S, node="plant", kind="test", text="</script><b>a mark</b>")
+
+
+def dive(until_s: float = 20.0) -> Iterator[tuple[str, Message, int]]:
+    """Writer, signal, vehicle time of publication; from a second before t = 0."""
+    yield "plant", clock(-S), -S
+    yield "operator", ARM, -S
+    yield "controller", ARMED, -S
+    for t_ns in range(-S, round(until_s * S) + 1, 50_000_000):
+        yield "plant", truth(t_ns), t_ns
+        if t_ns % 100_000_000 == 0:
+            yield "plant", applied(t_ns), t_ns
+            yield "estimator", estimate(t_ns), t_ns
+        if t_ns % CYCLE_NS == 0:
+            yield "controller", plan(t_ns), t_ns
+            yield "controller", timing(t_ns), t_ns
+        if t_ns == EVENT.t_ns:
+            yield "plant", EVENT, t_ns
+
+
+def record(path: Path, until_s: float = 20.0) -> Path:
+    """The dive as a recording."""
+    metadata = {"mode": "services", "seed": "3", "config/vehicle.toml": VEHICLE, "scenario.toml": 'title = "made up"\n'}
+    with RunWriter(path, start_ns=-S, metadata=metadata, flush_s=None) as writer:
+        sequences: dict[type, int] = {}
+        for node, signal, t_ns in dive(until_s):
+            sequence = sequences[type(signal)] = sequences.get(type(signal), -1) + 1
+            writer.write(node, signal, Header(epoch=EPOCH, sequence=sequence), t_ns)
+    return path

@@ -1,0 +1,154 @@
+"""Pictures say what the descriptions say: series, units, limits; of a dive whose every number is known."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from services.reporting.figures import paper, readme, renderer, sheet
+from services.reporting.figures.renderer import Run, draw, from_zero
+from services.reporting.plots import catalogue, palette
+from services.reporting.plots.catalogue import PLOTS
+from services.reporting.plots.description import Plot, Style
+from services.reporting.plots.recorded import read
+from tests.services.reporting import made_up
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    picture = read(made_up.record(tmp_path_factory.mktemp("run") / "run.mcap"))
+    return Run("a dive", picture.tables, picture.values, picture.marks)
+
+
+def drawn(plot: Plot, *runs: Run) -> Axes:
+    axes = Figure(figsize=(sheet.COLUMN_IN, 2.0)).subplots()
+    draw(axes, plot, runs)
+    return axes
+
+
+def said(axes: Axes) -> list[str]:
+    legend = axes.get_legend()
+    return [] if legend is None else [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.name)
+def test_a_plot_of_one_run_has_every_series_in_its_colour_and_says_its_units(plot: Plot, dive: Run) -> None:
+    axes = drawn(plot, dive)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (plot.x.label, plot.y.label)
+    assert said(axes) == list(dict.fromkeys(one.label for one in (*plot.series, *plot.levels) if one.label))
+    bands = [series for series in plot.series if series.style is Style.BAND]
+    assert len(axes.patches) == len(bands)
+    lines = iter(axes.lines)
+    for series in plot.series:
+        if series.style is Style.BAND:
+            continue
+        line = next(lines)
+        table = dive.tables[series.table]
+        assert line.get_color() == series.colour
+        for found, name in zip(line.get_data(), (series.x, series.y), strict=True):
+            np.testing.assert_array_equal(np.asarray(found), np.array(table[name], dtype=float))
+
+
+@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.name)
+def test_of_several_runs_what_is_compared_is_drawn_for_each(plot: Plot, dive: Run) -> None:
+    compared = [series for series in plot.series if series.compared]
+    axes = drawn(plot, dive, dive._replace(name="another"))
+    lines = [line for line in axes.lines if line.get_marker() == "None"]
+    assert [line.get_color() for line in lines] == [colour for colour in palette.RUNS[:2] for _ in compared]
+    assert said(axes)[:2] == ["a dive", "another"]
+    if len(compared) > 1:
+        assert said(axes)[2:] == [series.label for series in compared]
+
+
+def test_runs_that_began_elsewhere_begin_at_zero_in_a_plan_from_above(dive: Run) -> None:
+    for line in drawn(catalogue.TRACK, dive, dive).lines:
+        x, y = (np.asarray(column, dtype=float) for column in line.get_data())
+        assert (x[0], y[0]) == (0.0, 0.0)
+        if len(x) > 1:
+            assert (x[-1], y[-1]) == pytest.approx((0.0, 2.0), abs=1e-3)
+
+
+def test_depth_grows_downwards_and_a_logarithmic_axis_is_one(dive: Run) -> None:
+    top, bottom = drawn(catalogue.DEPTH, dive).get_ylim()[::-1]
+    assert top < 0.0 < 4.0 < bottom
+    assert drawn(catalogue.LATENCY, dive).get_yscale() == "log"
+
+
+def test_an_axis_shows_at_least_the_span_of_its_description(dive: Run) -> None:
+    flat = Run("still", {"truth": {"t_s": [0.0, 10.0], "depth_m": [2.0, 2.0]}})
+    low, high = sorted(drawn(catalogue.DEPTH, flat).get_ylim())
+    assert high - low >= 1.0
+    assert low < 2.0 < high
+    assert drawn(catalogue.DEPTH, dive).get_xlim()[1] == pytest.approx(20.0, abs=1.0)
+
+
+def test_thrust_limits_are_inside_the_picture_and_named_once(dive: Run) -> None:
+    axes = drawn(catalogue.THRUST, dive)
+    low, high = axes.get_ylim()
+    assert low < -62.5 < 62.5 < high
+    assert said(axes).count("limits") == 1
+    levels = {float(np.asarray(line.get_ydata())[0]) for line in axes.lines if line.get_color() == palette.LIMIT}
+    assert levels == {-62.5, 62.5}
+
+
+def test_events_are_marks_on_a_time_axis_of_one_run_alone(dive: Run) -> None:
+    marks = [line for line in drawn(catalogue.DEPTH, dive).lines if line.get_color() == palette.MARK]
+    assert [float(np.asarray(line.get_xdata())[0]) for line in marks] == [mark.t_s for mark in dive.marks]
+    assert not [line for line in drawn(catalogue.DEPTH, dive, dive).lines if line.get_color() == palette.MARK]
+
+
+def test_figures_begin_where_the_descent_begins() -> None:
+    run = Run(
+        "x", {"track": {"t_s": [-1.0, 0.0, 1.0, None], "north_m": [9.0, 1.0, 2.0, 3.0]}, "profile": {"depth_m": [0.0]}}
+    )
+    assert from_zero(run).tables == {
+        "track": {"t_s": [0.0, 1.0], "north_m": [1.0, 2.0]},
+        "profile": {"depth_m": [0.0]},
+    }
+
+
+def test_gaps_stay_gaps_and_what_is_not_there_is_said() -> None:
+    gap = Run("gap", {"truth": {"t_s": [0.0, 1.0, 2.0], "depth_m": [0.0, None, 2.0]}})
+    (line,) = drawn(catalogue.DEPTH, gap).lines
+    assert np.isnan(np.asarray(line.get_ydata(), dtype=float)[1])
+    axes = drawn(catalogue.LATENCY, gap)
+    assert not axes.lines
+    assert [text.get_text() for text in axes.texts] == [catalogue.LATENCY.empty]
+
+
+def test_a_legend_covers_no_line(dive: Run) -> None:
+    picture = Figure(figsize=(sheet.COLUMN_IN, 2.5), layout="constrained")
+    axes = picture.subplots()
+    with sheet.style():
+        draw(axes, catalogue.LATENCY, [dive])
+        picture.draw_without_rendering()
+    legend = axes.get_legend()
+    assert legend is not None
+    box = legend.get_window_extent()
+    assert box.y0 >= axes.get_window_extent().y1
+    assert box.x1 <= picture.bbox.x1
+
+
+def test_the_readme_s_picture_has_the_spread_around_the_error(dive: Run) -> None:
+    axes = drawn(readme.WITH_SPREAD, from_zero(dive))
+    (band,) = axes.patches
+    top = band.get_path().vertices[:, 1].max()
+    assert top == pytest.approx(2 * np.sqrt(made_up.GROWTH_M2_PER_S * 20), abs=1e-3)
+
+
+def test_every_sheet_of_the_paper_draws_a_description_of_the_catalogue() -> None:
+    known = {plot.name for plot in PLOTS} | {"structure"}
+    sheets = paper.sheets(["a measured one"])
+    assert len({one.name for one in sheets}) == len(sheets)
+    assert {panel.plot.name for one in sheets for panel in one.panels} == known
+    for plot in (paper.DISTANCE, paper.PROFILES):
+        (own,) = (one for one in PLOTS if one.name == plot.name)
+        assert msgspec.structs.replace(plot, y=own.y, empty=own.empty) == own
+
+
+def test_colours_of_runs_and_dashes_of_series_differ() -> None:
+    assert len(set(palette.RUNS)) == len(palette.RUNS)
+    assert len({str(dash) for dash in renderer.COMPARED}) == len(renderer.COMPARED)

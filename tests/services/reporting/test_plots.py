@@ -1,0 +1,186 @@
+"""What is drawn of a run, against a dive whose every number is known."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import PlanOrigin
+from services.reporting.plots import palette
+from services.reporting.plots.catalogue import PLOTS
+from services.reporting.plots.collector import HISTORY, Collector
+from services.reporting.plots.description import Style
+from services.reporting.plots.recorded import read, thrusters
+from services.reporting.plots.table import Table
+from tests.services.reporting import made_up
+from tests.services.reporting.made_up import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
+from tests.services.words import status
+
+COLOURS = [value for name, value in vars(palette).items() if name.isupper() and isinstance(value, str)]
+
+
+@pytest.fixture
+def collector() -> Collector:
+    made = Collector(thrusters({"config/vehicle.toml": made_up.VEHICLE}))
+    for _, signal, _ in made_up.dive():
+        made.hear(signal, EPOCH)
+    return made
+
+
+def test_each_plot_names_columns_that_there_are(collector: Collector) -> None:
+    tables = collector.picture()
+    for plot in PLOTS:
+        for series in plot.series:
+            columns = [series.x, series.y, *filter(None, (series.x_high, series.y_high))]
+            for name in columns:
+                assert any(value is not None for value in tables[series.table][name]), (plot.name, series.label, name)
+            assert len({len(tables[series.table][name]) for name in columns}) == 1
+            assert (series.style is Style.BAND) == bool(series.x_high or series.y_high)
+        for level in plot.levels:
+            assert level.value in collector.values
+
+
+def test_each_plot_says_its_units_and_has_something_to_compare_runs_by() -> None:
+    assert len({plot.name for plot in PLOTS}) == len(PLOTS)
+    for plot in PLOTS:
+        for axis in (plot.x, plot.y):
+            assert re.search(r"\((s|m|m/s|N|ms)\)$", axis.label), (plot.name, axis.label)
+        assert any(series.compared for series in plot.series), plot.name
+
+
+@pytest.mark.parametrize("colour", sorted({*COLOURS, *palette.STAGES, *palette.RUNS} - {"#56b4e9"}))
+def test_lines_are_told_from_white_paper(colour: str) -> None:
+    """Contrast by WCAG's relative luminance; 2.8 is where Okabe and Ito's palest of those used here lies."""
+    channels = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+    assert 1.05 / (np.dot([0.2126, 0.7152, 0.0722], linear) + 0.05) > 2.8
+
+
+def test_errors_are_drifts_since_the_start_and_so_is_their_spread(collector: Collector) -> None:
+    columns = collector.tables["errors"].since(0)
+    t = np.array(columns["t_s"], dtype=float)
+    assert t[0] == 0.0
+    assert t[-1] == 20.0
+    np.testing.assert_allclose(np.array(columns["north_m"], dtype=float), 0.0, atol=1e-4)
+    np.testing.assert_allclose(np.array(columns["east_m"], dtype=float), DRIFT_EAST_MPS * t, atol=1e-4)
+    np.testing.assert_allclose(
+        np.array(columns["plus_2_sigma_m"], dtype=float), 2 * np.sqrt(GROWTH_M2_PER_S * t), atol=1e-4
+    )
+
+
+def test_the_true_track_begins_where_the_vehicle_believed_to_be(collector: Collector) -> None:
+    columns = collector.tables["truth"].since(0)
+    assert (columns["t_s"][0], columns["north_m"][0], columns["east_m"][0]) == (0.0, *OFFSET)
+    assert columns["north_m"][-1] == pytest.approx(OFFSET[0] + 2.0)
+
+
+def test_distances_are_those_to_the_target(collector: Collector) -> None:
+    believed, true = (collector.tables[name].since(0) for name in ("distance", "true_distance"))
+    for columns, drift in ((believed, DRIFT_EAST_MPS), (true, 0.0)):
+        for t, distance in zip(columns["t_s"], columns["distance_m"], strict=True):
+            assert t is not None
+            north, east = OFFSET[0] + 0.1 * t - TARGET[0], OFFSET[1] + drift * t - TARGET[1]
+            assert distance == pytest.approx(math.hypot(north, east), abs=1e-3)
+
+
+def test_a_target_that_moves_is_where_it_is_at_the_estimate_s_time() -> None:
+    """It moves as the vehicle does, 1 m east of it: the distance is that metre, whenever plans come."""
+    collector = Collector()
+    for t_ns in range(0, 6 * S, 100_000_000):
+        collector.hear(made_up.estimate(t_ns), EPOCH)
+        if t_ns % S == 0:
+            first = made_up.plan(t_ns).t_ns[0] / S
+            target = (OFFSET[0] + 0.1 * first, OFFSET[1] + DRIFT_EAST_MPS * first + 1.0)
+            collector.hear(msgspec.structs.replace(made_up.plan(t_ns, target=target), progress=first / 10), EPOCH)
+    columns = collector.tables["distance"].since(0)
+    assert len(columns["t_s"]) > 40
+    np.testing.assert_allclose(np.array(columns["distance_m"], dtype=float)[2:], 1.0, atol=2e-3)
+
+
+def test_every_point_of_the_ellipse_is_two_standard_deviations_away(collector: Collector) -> None:
+    ellipse = collector.picture()["ellipse"]
+    newest = made_up.estimate(20 * S)
+    away = np.array([ellipse["north_m"], ellipse["east_m"]], dtype=float).T - [newest.north_m, newest.east_m]
+    np.testing.assert_allclose(np.sum(away**2, axis=1) / (GROWTH_M2_PER_S * 20), 4.0, rtol=1e-2)
+
+
+def test_the_profile_has_a_band_of_two_standard_deviations(collector: Collector) -> None:
+    profile = collector.picture()["profile"]
+    assert profile["north_low_mps"] == pytest.approx([0.01, -0.02, -0.05])
+    assert profile["east_high_mps"] == pytest.approx([0.0, 0.04, 0.08])
+
+
+def test_the_deadline_is_when_the_plan_takes_effect_in_wall_time(collector: Collector) -> None:
+    """150 ms of the vehicle at ten times real time are 15 ms."""
+    columns = collector.tables["latency"].since(0)
+    assert set(columns["deadline_ms"]) == {15.0}
+    assert set(columns["cycle_ms"]) == {2.0}
+    assert set(columns["predict_ms"]) == {0.5}
+    assert set(columns["build_ms"]) == {0.2}
+
+
+def test_without_a_truth_the_spread_is_that_of_the_position_itself() -> None:
+    collector = Collector()
+    collector.hear(made_up.estimate(0), EPOCH)
+    columns = collector.tables["errors"].since(0)
+    assert (columns["north_m"], columns["plus_2_sigma_m"]) == ([None], [6.0])
+
+
+def test_events_and_changes_are_marks() -> None:
+    collector = Collector()
+    for signal in (
+        *(made_up.ARM, made_up.ARMED, made_up.EVENT, made_up.plan(0), made_up.plan(S, origin=PlanOrigin.SHIFTED)),
+        *(made_up.plan(2 * S, origin=PlanOrigin.SHIFTED), made_up.plan(3 * S), status("plant")),
+    ):
+        collector.hear(signal, EPOCH)
+    collector.hear(status("plant"), EPOCH + 1)  # it does not know the time yet
+    assert [(mark.t_s, mark.node, mark.text) for mark in collector.marks.marks] == [
+        (0.0, "controller", "arm accepted"),
+        (5.0, "plant", made_up.EVENT.text),
+        (1.0, "controller", "plans shifted: OSQP: iteration limit"),
+        (3.0, "controller", "plans solved"),
+        (3.0, "plant", "started again"),
+    ]
+
+
+def test_a_table_stays_small_and_keeps_its_peaks() -> None:
+    table = Table(("t", "x"), limit=50, peak="x")
+    for t in range(10_000):
+        table.add(t, 100.0 if t in (777, 5_000) else 1.0)
+    columns = table.since(0)
+    assert 50 <= len(table) < 100
+    assert [t for t, x in zip(columns["t"], columns["x"], strict=True) if x == 100.0] == [777, 5_000]
+    assert columns["t"] == sorted(columns["t"], key=float)  # type: ignore[arg-type]
+    assert table.generation > 0
+
+
+def test_a_long_recording_is_read_in_few_rows(tmp_path: Path) -> None:
+    picture = read(made_up.record(tmp_path / "run.mcap"), rows=20)
+    for name in HISTORY:
+        assert all(len(column) < 40 for column in picture.tables[name].values()), name
+    assert picture.tables["track"]["t_s"][-1] > 15.0  # type: ignore[operator]
+
+
+def test_a_recording_gives_what_the_signals_give(tmp_path: Path, collector: Collector) -> None:
+    picture = read(made_up.record(tmp_path / "run.mcap"))
+    assert not picture.cut
+    assert picture.values == collector.values
+    assert picture.tables["latency"] == collector.tables["latency"].since(0)
+    for name in ("ellipse", "profile", "horizon", "ahead"):
+        assert picture.tables[name] == collector.picture()[name], name
+    assert picture.marks == tuple(collector.marks.marks)
+
+
+def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -> None:
+    path = made_up.record(tmp_path / "run.mcap", until_s=60.0)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    picture = read(path)
+    assert picture.cut
+    times = picture.tables["track"]["t_s"]
+    assert 5.0 < times[-1] < 60.0  # type: ignore[operator]

@@ -1,0 +1,125 @@
+"""report.html: one file that holds everything, of one run or of several, complete or cut off."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.cli import app
+from services.reporting import static_files
+from tests.services.reporting import made_up
+
+SUMMARY = {"mode": "services", "speed": 10.0, "seed": 3, "cycles": 66, "true_error_m": {"mean": 0.25, "max": None}}
+OTHER = {**SUMMARY, "cycles": 60, "true_error_m": {"mean": 0.5}, "restarts": 2}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folders = tmp_path_factory.mktemp("runs") / "first", tmp_path_factory.mktemp("runs") / "second"
+    for folder, summary in zip(folders, (SUMMARY, OTHER), strict=True):
+        folder.mkdir()
+        made_up.record(folder / "run.mcap")
+        (folder / "summary.json").write_text(json.dumps(summary))
+    return folders
+
+
+def data(text: str) -> dict[str, Any]:
+    match = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, flags=re.S)
+    assert match
+    found: dict[str, Any] = json.loads(match[1])
+    return found
+
+
+def test_a_run_s_report_is_one_small_file_in_its_folder(
+    runs: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert app.run(["report", str(runs[0])]) == 0
+    out = capsys.readouterr().out
+    report = runs[0] / "report.html"
+    assert out.splitlines()[-1] == str(report)
+    assert re.search(r"true error, mean \(m\) +0\.250", out)
+    text = report.read_text()
+    assert report.stat().st_size < 8e6
+    assert not re.search(r"<(script|link|img|iframe)[^>]*(src|href)=.?(http|/|\.)", text)
+    (run,) = data(text)["runs"]
+    assert run["tables"]["thrust"]["port_N"][0] == 15.0
+    assert run["values"]["port_max_N"] == 62.5
+
+
+def test_nothing_of_a_recording_can_become_markup(runs: tuple[Path, Path]) -> None:
+    """An event's text holds a tag and the end of a script."""
+    assert app.run(["report", str(runs[0])]) == 0
+    text = (runs[0] / "report.html").read_text()
+    assert "<b>a mark</b>" not in text
+    assert [mark["text"] for mark in data(text)["runs"][0]["marks"]][-1] == made_up.EVENT.text
+
+
+def test_several_runs_lie_over_each_other_with_their_differences(
+    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert app.run(["report", *map(str, runs), "--out", str(tmp_path / "both"), "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["report"] == str(tmp_path / "both" / "report.html")
+    figures = {row["label"]: row for row in printed["figures"]}
+    assert figures["true error, mean"]["values"] == [0.25, 0.5]
+    assert figures["true error, mean"]["differences"] == [0.25]
+    assert figures["cycles"]["differences"] == [-6]
+    assert figures["restarts"]["differences"] == [None]
+    assert "true error, largest" not in figures
+    shown = data((tmp_path / "both" / "report.html").read_text())["runs"]
+    assert [run["name"] for run in shown] == ["first", "second"]
+    assert len({run["colour"] for run in shown}) == 2
+
+
+def test_of_a_run_that_was_cut_off_the_report_says_so(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    whole = (runs[0] / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[: len(whole) // 2])
+    assert app.run(["report", str(tmp_path)]) == 0
+    text = (tmp_path / "report.html").read_text()
+    assert "the recording was cut off" in text
+    assert data(text)["runs"][0]["tables"]["track"]["t_s"]
+
+
+def test_what_is_no_run_or_already_there_is_refused(
+    runs: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.mcap").write_text("no recording")
+    there = tmp_path / "there.html"
+    there.write_text("mine")
+    for arguments, word in (
+        ([str(tmp_path / "nowhere")], "nowhere"),
+        ([str(tmp_path)], "not an MCAP file"),
+        ([str(runs[0]), "--out", str(there)], "--force"),
+        ([str(runs[0])] * 41, "at most 40"),
+    ):
+        assert app.run(["report", *arguments]) == 2
+        assert word in capsys.readouterr().err
+    assert there.read_text() == "mine"
+    assert not (tmp_path / "report.html").exists()
+
+
+def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(static_files, "find_spec", lambda _: None)
+    static_files.plotly.cache_clear()
+    out = tmp_path / "run"
+    assert app.run(["sim", "--lockstep", "--duration-s", "0.5", "--surface-time-s", "1", "--out", str(out)]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "report.html" in line]
+    assert said == ["no report.html: plotly is not installed, the extra viz brings it"]
+    assert (out / "summary.json").exists()
+    assert not (out / "report.html").exists()
+
+
+def test_a_run_ends_with_its_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run"
+    words = ["sim", "--lockstep", "--duration-s", "1", "--surface-time-s", "1", "--out", str(out), "--json"]
+    assert app.run(words) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["mode"] == "lockstep"
+    assert f"report: {out / 'report.html'}" in captured.err
+    assert data((out / "report.html").read_text())["runs"][0]["tables"]["truth"]["t_s"]

@@ -1,0 +1,48 @@
+"""The last lines of a run: a machine that could not do what was asked for is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.reporting.run_summary_text import how, verdict
+
+NOTHING = {"mean": None, "max": None, "final": None, "median": None, "p99": None}
+THRUST = {"saturated_fraction": None, "max_abs_N": None, "mean_abs_N": None, "max_slew_N_per_s": None}
+SUMMARY: dict[str, Any] = {
+    "scenario": "descent",
+    "mode": "services",
+    "seed": 1,
+    "speed": 10.0,
+    "speed_reached": 9.6,
+    "duration_s": 200.0,
+    **dict.fromkeys(("tracking_error_m", "true_error_m", "localisation_error_m"), NOTHING),
+    **{f"{name}_delay_{unit}": NOTHING for name in ("compute", "end_to_end") for unit in ("s", "wall_s")},
+    "thrust": THRUST,
+    "cycles": 0,
+    "plan_origin": {},
+    "deadline_misses": 0,
+    "plans_refused": 0,
+    "restarts": 0,
+    "messages": {"published": 0, "dropped": 0, "rejected": 0},
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({}, "200.0 s as processes at 10 x real time"),
+        ({"speed_reached": 3.14}, "200.0 s as processes at 3.1 of 10 x real time"),
+        ({"speed_reached": None}, "200.0 s as processes at 10 x real time"),
+        ({"mode": "lockstep", "speed": None, "speed_reached": None}, "200.0 s in lock step"),
+    ],
+)
+def test_the_first_line_says_how_the_run_went(changed: dict[str, Any], words: str) -> None:
+    assert words in verdict(SUMMARY | changed, Path("somewhere")).splitlines()[0]
+
+
+def test_a_run_that_was_cut_off_has_no_speed_to_tell() -> None:
+    assert how({}) == how({"mode": "services"}) == "as processes"
+    assert how({"mode": "lockstep"}) == "in lock step"

@@ -1,0 +1,183 @@
+"""The live screen fits 80 x 24 at its fullest, and says what the messages hold."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from rich.console import Console
+
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from services.reporting.live import LiveView
+from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, progress_for, screen_for
+from tests.services.words import status
+
+LIMITS = [(-62.5, 62.5)] * 3
+S = 1_000_000_000
+
+TRUTH = Truth(
+    t_ns=123 * S,
+    position_m=(3.0, 4.0, 1234.5),
+    velocity_mps=(0.0, 0.0, 0.2),
+    attitude_rad=(0.0, 0.0, -math.pi / 2),
+    water_velocity_mps=(0.0, 0.0, 0.2),
+    yaw_rate_radps=0.0,
+    current_mps=(0.03, 0.04),
+    thrust_N=(-62.5, 31.25, 62.5),
+)
+APPLIED = Applied(
+    t_ns=123 * S,
+    thrust_N=(-62.5, 31.25, 62.5),
+    command_N=(-62.5, 31.25, 62.5),
+    command_slew_N_per_s=(0.0, 0.0, 0.0),
+    plan_epoch=1,
+    plan_sequence=2,
+    plan_cycle_t_ns=122 * S,
+    plan_received_t_ns=122 * S,
+    plan_late=False,
+    plans_late=123456,
+    plans_refused=0,
+)
+PLAN = Plan(
+    cycle_t_ns=122 * S,
+    t_ns=np.array([122 * S, 123 * S]),
+    thrust_N=np.zeros((2, 3)),
+    states=np.zeros((2, 6)),
+    origin=PlanOrigin.SHIFTED,
+    solve=Solve(status=SolveStatus.SOLVED),
+    reference_m=(0.0, 0.0),
+)
+TIMING = CycleTiming(
+    t_ns=122 * S,
+    compute_ns=5_000_000,
+    compute_wall_ns=1_234_500_000,
+    estimate_age_ns=0,
+    stage_us={"predict": 1e3, "linearise": 3e5, "build": 2e5, "update": 1e5, "solve": 1.23456e6, "read": 1.0},
+)
+
+
+def long_status(node: str) -> NodeStatus:
+    waiting_for = "sensors, estimator, controller, recorder to be ready" if node == "plant" else ""
+    counts = dict.fromkeys(("steps", "published", "received"), 99_999_999)
+    lost = dict.fromkeys(("dropped", "rejected"), 9_999_999)
+    return status(node, waiting_for=waiting_for, step_us=123456.0, **counts, **lost)
+
+
+FULL = LiveView(
+    t_ns=123 * S,
+    start_ns=-1 * S,
+    end_ns=1800 * S,
+    speed=123.4,
+    asked_speed=1000.0,
+    wall_s=99999.0,
+    phase="diving",
+    truth=TRUTH,
+    estimate=msgspec.structs.replace(Estimate.at_rest(north_m=2.7, east_m=3.6), t_ns=122_750_000_000),
+    plan=PLAN,
+    applied=APPLIED,
+    timing=TIMING,
+    status={name: long_status(name) for name in ORDER},
+    state=dict.fromkeys(ORDER, "running"),
+)
+EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, asked_speed=10.0, phase="starting")
+
+
+def drawn(view: LiveView) -> list[str]:
+    console = Console(width=80, height=24, file=io.StringIO())
+    screen = LiveScreen("a title that is much longer than a line of a terminal " * 3, LIMITS, console)
+    screen.update(view)
+    screen.close()
+    with console.capture() as capture:
+        console.print(screen.picture(view))
+    return capture.get().splitlines()
+
+
+@pytest.mark.parametrize("view", [FULL, EMPTY], ids=["full", "empty"])
+def test_the_screen_fits_80_by_24(view: LiveView) -> None:
+    lines = drawn(view)
+    assert len(lines) <= 24
+    assert max(len(text) for text in lines) <= 80
+
+
+def test_the_screen_says_what_the_messages_hold() -> None:
+    text = "\n".join(drawn(FULL))
+    assert "1234.50 m" in text  # depth
+    assert "4.500 m from the line" in text  # of the estimate, since it is the first after the start
+    assert "0.000 m localisation" in text
+    assert "270 deg" in text
+    assert "0.050 m/s" in text
+    assert "estimate 0.25 s" in text
+    assert "plan 1.00 s (shifted)" in text
+    assert "late 123456" in text
+    for name in (*ORDER, "port", "starboard", "vertical", "solve"):
+        assert name in text
+
+
+def test_a_bar_is_full_at_the_limit_and_points_where_the_thrust_goes() -> None:
+    assert bar(62.5, -62.5, 62.5, width=9) == "|    +====|"
+    assert bar(-31.25, -62.5, 62.5, width=9) == "|  ==+    |"
+    assert bar(-5.0, -10.0, 62.5, width=9) == "|  ==+    |"  # of what it can push astern
+    assert bar(0.0, -62.5, 62.5, width=9) == "|    +    |"
+    assert bar(-1.0, 0.0, 62.5, width=9) == "|    +    |"  # a thruster that cannot push astern
+    assert len({len(bar(x, -10.0, 62.5)) for x in (-99.0, -5.0, 0.0, 1.0, 99.0)}) == 1
+
+
+def test_where_nobody_looks_there_are_plain_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.delenv("CI", raising=False)
+    pipe, terminal = Console(file=io.StringIO()), Console(file=io.StringIO(), force_terminal=True)
+    assert isinstance(screen_for("x", LIMITS, pipe), PlainScreen)
+    live = screen_for("x", LIMITS, terminal)
+    assert isinstance(live, LiveScreen)
+    live.close()
+    for variable in ("NO_COLOR", "CI"):
+        with monkeypatch.context() as patch:
+            patch.setenv(variable, "1")
+            assert isinstance(screen_for("x", LIMITS, terminal), PlainScreen)
+
+
+def test_a_plain_line_is_one_line_without_control_characters() -> None:
+    file = io.StringIO()
+    screen = PlainScreen(Console(file=file, width=80))
+    screen.update(FULL)
+    screen.update(FULL)  # too soon for another
+    screen.say("[bold]a phase")
+    screen.close()
+    first, second = file.getvalue().splitlines()
+    assert "depth 1234.5 m" in first
+    assert first.isprintable()
+    assert "plant waits for sensors" in first
+    assert second == "[bold]a phase"
+
+
+def test_what_is_waited_for_has_a_bar_with_the_time_left_until_there_is_a_picture() -> None:
+    file = io.StringIO()
+    screen = LiveScreen("x", LIMITS, Console(file=file, width=80, force_terminal=True))
+    screen.wait("compiling", 0.25)
+    waiting = file.getvalue()
+    screen.update(FULL)
+    screen._next = 0.0
+    screen.update(FULL)
+    screen.close()
+    assert "compiling" in waiting
+    assert "25%" in waiting
+    assert "-:--:--" in waiting  # nobody knows yet
+    assert "depth" in file.getvalue()[len(waiting) :]
+
+
+def test_in_a_pipe_what_is_waited_for_is_a_line_now_and_then() -> None:
+    file = io.StringIO()
+    screen = PlainScreen(Console(file=file, width=80))
+    screen.wait("compiling", 0.25)
+    screen.wait("compiling", 0.26)  # too soon for another
+    assert file.getvalue() == "compiling: 25%\n"
+
+
+def test_progress_in_a_pipe_is_silent() -> None:
+    file = io.StringIO()
+    with progress_for(0, 10, Console(file=file)) as told:
+        told(5)
+    assert file.getvalue() == ""

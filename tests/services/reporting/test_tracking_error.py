@@ -1,0 +1,80 @@
+"""Errors on the screen are drifts since the start of the descent, of the truth at the estimate's own time."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus, Truth
+from services.reporting.live import LiveView
+from services.reporting.tracking_error import Distances
+
+S = 1_000_000_000
+
+
+def moment(t_ns: int, *, truth_m: tuple[float, float], estimate_m: tuple[float, float], age_ns: int = 0) -> LiveView:
+    truth = Truth(
+        t_ns=t_ns,
+        position_m=(*truth_m, 1.0),
+        velocity_mps=(0.5, -0.25, 0.2),
+        attitude_rad=(0.0, 0.0, 0.0),
+        water_velocity_mps=(0.0, 0.0, 0.0),
+        yaw_rate_radps=0.0,
+        current_mps=(0.0, 0.0),
+        thrust_N=(0.0, 0.0, 0.0),
+    )
+    estimate = Estimate.at_rest(north_m=estimate_m[0], east_m=estimate_m[1])
+    plan = Plan(
+        cycle_t_ns=t_ns,
+        t_ns=np.array([t_ns, t_ns + S]),
+        thrust_N=np.zeros((2, 3)),
+        states=np.zeros((2, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+        reference_m=(10.0, 20.0),
+    )
+    return LiveView(
+        t_ns=t_ns,
+        start_ns=-S,
+        end_ns=100 * S,
+        speed=1.0,
+        asked_speed=1.0,
+        wall_s=0.0,
+        phase="diving",
+        truth=truth,
+        estimate=msgspec.structs.replace(estimate, t_ns=t_ns - age_ns),
+        plan=plan,
+    )
+
+
+def test_the_error_of_the_first_fix_is_no_drift() -> None:
+    """The line goes through the first estimate, 5 m off; then the vehicle moves 5 m and believes 0.5 m less."""
+    distances = Distances()
+    distances.update(moment(0, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
+    assert (distances.true_error_m, distances.localisation_m) == (0.0, 0.0)
+    distances.update(moment(S, truth_m=(10.0, 20.0), estimate_m=(13.0, 23.5)))
+    assert distances.true_error_m == 5.0
+    assert distances.localisation_m == 0.5
+
+
+def test_an_old_estimate_is_compared_with_the_truth_of_its_own_time() -> None:
+    distances = Distances()
+    distances.update(moment(0, truth_m=(0.0, 0.0), estimate_m=(0.0, 0.0)))
+    distances.update(moment(S, truth_m=(0.5, -0.25), estimate_m=(0.4, -0.2), age_ns=S // 5))
+    assert distances.localisation_m == pytest.approx(0.0, abs=1e-12)
+
+
+def test_before_the_start_nothing_is_known() -> None:
+    distances = Distances()
+    distances.update(moment(-1, truth_m=(1.0, 2.0), estimate_m=(3.0, 4.0)))
+    assert (distances.true_error_m, distances.localisation_m) == (None, None)
+
+
+def test_an_estimate_from_before_the_start_does_not_say_where_the_line_is() -> None:
+    """At ten times real time the first look after the start may still find one, metres off: a fix came after it."""
+    distances = Distances()
+    distances.update(moment(S // 2, truth_m=(0.0, 0.0), estimate_m=(2.0, 2.0), age_ns=S // 2 + 1))
+    assert (distances.true_error_m, distances.localisation_m) == (None, None)
+    distances.update(moment(S, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
+    assert (distances.true_error_m, distances.localisation_m) == (0.0, 0.0)

@@ -1,0 +1,205 @@
+"""What a controller says of itself: the figures, the line on a terminal and in a pipe, the page for Prometheus."""
+
+from __future__ import annotations
+
+import http.client
+import io
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc import ControllerConfig, Vehicle, references
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.messages import (
+    Authority,
+    ClockMode,
+    ControllerStatus,
+    Estimate,
+    Health,
+    Manual,
+    Plan,
+    PlanOrigin,
+    Solve,
+    SolveStatus,
+)
+from ltv_mpc.node import Arrival
+from services.bus.message_validation import Door
+from services.runtime.controller_status import ControllerReport
+from services.runtime.foreign_clock import Reading
+from services.runtime.metrics import Metrics, serving
+from services.runtime.status_line import ERASE, StatusLine
+from services.supervisor import loopback
+from tests.stepping import step
+
+STATUS = ControllerStatus(
+    t_ns=5,
+    estimate_age_ns=40_000_000,
+    applied_age_ns=60_000_000,
+    cycle_median_us=900.0,
+    cycle_p99_us=2100.0,
+    received=450,
+    dropped=1,
+    rejected={'depth "m"\n': 2, "out of order": 3},
+    clock=ClockMode.TWO_WAY,
+    clock_error_ns=900_000,
+    authority=Authority.CONTROLLER,
+    health=Health.NOMINAL,
+    error_m=0.25,
+)
+SHARED = Reading(ClockMode.SHARED, 0, 0)
+S = 1_000_000
+
+
+def plan(north_m: float) -> Plan:
+    return Plan(
+        cycle_t_ns=0,
+        t_ns=np.array([0, 1]),
+        thrust_N=np.zeros((2, 3)),
+        states=np.zeros((2, 6)),
+        origin=PlanOrigin.SOLVED,
+        solve=Solve(status=SolveStatus.SOLVED),
+        reference_m=(north_m, 0.0),
+    )
+
+
+@pytest.fixture
+def node() -> ControllerNode:
+    return ControllerNode(Vehicle.load("paper"), references.load("hover"), ControllerConfig())
+
+
+def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(node: ControllerNode) -> None:
+    shown: list[ControllerStatus] = []
+    report = ControllerReport(node, [lambda status, _: shown.append(status)])
+    first = report.status(0, 0, Door(), SHARED)
+    assert (first.estimate_age_ns, first.cycle_median_us, first.error_m) == (None, None, None)
+    assert (first.authority, first.health) == ("disarmed", "degraded")
+    estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
+    node.hear(Arrival(estimate, 1, 0, estimate.t_ns))
+    node.helm.steer((1e6, 0.0, 0.0), 0)
+    report.heard(estimate)
+    for _ in range(5):
+        report.stepped([plan(0.0)], 9_000, 1 * S)  # forgotten by the time it is asked
+    for k in range(100):
+        report.stepped([plan(0.0)], k + 1, (2 + k // 20) * S)
+    report.stepped([], 10**6, 6 * S)  # no plan: no cycle
+    status = report.status(11 * S + 1, 7_300_000_000, Door(), Reading(ClockMode.ONE_WAY, 5, None))
+    assert status.estimate_age_ns == 300_000_000
+    assert status.applied_age_ns is None
+    assert (status.cycle_median_us, status.cycle_p99_us) == (51.0, 100.0)
+    assert status.error_m == 5.0
+    assert status.health == "nominal"
+    assert (status.clock, status.clock_error_ns) == ("one-way", None)
+    assert status.rejected == {"manual outside the box": 1}
+    assert report.due_us == 12 * S + 1
+    assert shown == [first, status]
+
+
+def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: ControllerNode) -> None:
+    step(node, 0, [Arrival(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
+    assert node.helm.manual_refused == 1
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_the_line_is_replaced_and_words_go_above_it() -> None:
+    out = Terminal()
+    line = StatusLine("controller", "boat/estimate", out)
+    line.show(STATUS, 0)
+    line.say("waiting for applied")
+    line.show(msgspec.structs.replace(STATUS, health=Health.DEGRADED), S)
+    line.close()
+    first, above, second = out.getvalue().split(ERASE)[1:]
+    assert first == (
+        "controller: controller | nominal | estimate 0.04 s old | cycle 0.9 ms (p99 2.1) | error 0.25 m"
+        " | clock two-way, within 0.9 ms | 1 dropped, 5 rejected"
+    )
+    assert above == f"controller: waiting for applied\n{first}"
+    assert second == first.replace("nominal", "degraded") + "\n"
+
+
+def test_in_a_pipe_there_is_a_plain_line_each_ten_seconds() -> None:
+    out = io.StringIO()
+    line = StatusLine("controller", "boat/estimate", out)
+    unheard = msgspec.structs.replace(STATUS, estimate_age_ns=None, clock=ClockMode.SHARED, rejected={}, dropped=0)
+    for second in range(25):
+        line.show(unheard, second * S)
+    line.close()
+    assert out.getvalue().count("\n") == 3
+    assert "\x1b" not in out.getvalue()
+    assert "no estimate yet on boat/estimate" in out.getvalue()
+    assert "clock" not in out.getvalue()
+
+
+def test_without_reports_it_says_that_its_plans_are_taken_as_followed() -> None:
+    out = io.StringIO()
+    StatusLine("controller", "estimate", out).show(msgspec.structs.replace(STATUS, applied_age_ns=None), 0)
+    assert "no applied: plans are taken as followed" in out.getvalue()
+
+
+@pytest.fixture
+def port() -> int:
+    return loopback.free_port()
+
+
+@pytest.fixture
+def metrics(port: int) -> Iterator[Metrics]:
+    held = Metrics()
+    with serving(held, port):
+        yield held
+
+
+def asked(port: int, method: str = "GET", path: str = "/metrics", host: str | None = None) -> tuple[int, str]:
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    try:
+        connection.putrequest(method, path, skip_host=True)
+        connection.putheader("Host", f"127.0.0.1:{port}" if host is None else host)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
+    finally:
+        connection.close()
+
+
+def test_prometheus_reads_every_figure_in_seconds_with_labels_escaped(port: int, metrics: Metrics) -> None:
+    assert asked(port) == (200, "")
+    metrics.show(STATUS, 0)
+    status, body = asked(port)
+    assert status == 200
+    lines = (line.rsplit(" ", 1) for line in body.splitlines() if not line.startswith("#"))
+    samples = {name: float(value) for name, value in lines}
+    assert samples['ltv_mpc_input_age_seconds{key="estimate"}'] == 0.04
+    assert samples['ltv_mpc_cycle_seconds{quantile="0.99"}'] == 0.0021
+    assert samples["ltv_mpc_received_total"] == 450
+    assert samples[r'ltv_mpc_rejected_total{reason="depth \"m\"\n"}'] == 2
+    assert samples["ltv_mpc_clock_error_seconds"] == 0.0009
+    assert samples['ltv_mpc_authority{authority="controller"}'] == 1
+    assert samples['ltv_mpc_authority{authority="manual"}'] == 0
+    assert samples['ltv_mpc_health{health="nominal"}'] == 1
+    assert "ltv_mpc_progress_ratio" not in samples
+    named = {line.split()[2] for line in body.splitlines() if line.startswith("# TYPE")}
+    assert named == {name.partition("{")[0] for name in samples}
+    metrics.show(msgspec.structs.replace(STATUS, clock_error_ns=None), 0)
+    assert "clock_error" not in asked(port)[1]
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "host", "code"),
+    [
+        ("GET", "/metrics", "localhost", 200),
+        ("GET", "/metrics", "evil.example", 403),
+        ("GET", "/metrics", "", 403),
+        ("GET", "/", None, 404),
+        ("GET", "/metrics/../etc/passwd", None, 404),
+        ("POST", "/metrics", None, 501),
+    ],
+)
+def test_nothing_else_is_answered_and_no_other_name_is_taken(
+    port: int, metrics: Metrics, method: str, path: str, host: str | None, code: int
+) -> None:
+    metrics.show(STATUS, 0)
+    assert asked(port, method, path, host)[0] == code

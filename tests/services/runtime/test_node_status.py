@@ -1,0 +1,83 @@
+"""What counts as being behind: waiting in a process always, the way there only where time is hurried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from ltv_mpc.messages import ClockState, GnssFix, NodeStatus, UsblFix
+from services.runtime.clock import Line, VehicleClock
+from services.runtime.node_status import HURRIED_PERIOD_US, LONGEST_WAY_US, MOST_BEHIND_US, StatusReport
+
+MS = 1_000
+SENT, WAY = 10**9, 70 * MS
+
+
+def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> StatusReport:
+    """Of a message that was 70 ms on its way and then waited."""
+    clock = VehicleClock()
+    clock.go_by(Line(0, 0, speed, 1, ClockState.RUNNING))
+    nothing: Any = None
+    report = StatusReport("n", outbox=nothing, counts=nothing, mailbox=nothing, clock=clock, reads=(), say=print)
+    report.due_us = 10**18
+    report.waited(sent_us, SENT + WAY, SENT + WAY + waits_us)
+    return report
+
+
+@pytest.mark.parametrize(
+    ("speed", "sent_us", "waited_us"),
+    [
+        (10, SENT, WAY + 5 * MS),
+        (1, SENT, 5 * MS),  # in real time a long link is a long link
+        (10, 0, 5 * MS),  # not stamped
+        (10, SENT + WAY - LONGEST_WAY_US - 1, 5 * MS),  # stamped by another host's clock
+    ],
+)
+def test_the_way_counts_faster_than_real_time_alone(speed: int, sent_us: int, waited_us: int) -> None:
+    assert behind(speed, sent_us=sent_us).behind_us == waited_us
+
+
+def test_who_is_far_behind_says_so_soon() -> None:
+    assert behind(1, waits_us=MOST_BEHIND_US).due_us == 10**18
+    late_us = MOST_BEHIND_US + 1
+    assert behind(1, waits_us=late_us).due_us == SENT + WAY + late_us + HURRIED_PERIOD_US
+
+
+def test_what_one_long_step_has_kept_waiting_is_no_queue_that_stands() -> None:
+    report = behind(1, waits_us=500 * MS)
+    assert report.behind_us == 500 * MS
+    report.waited(SENT, SENT + WAY, SENT + WAY + 2 * MS)
+    report.waited(SENT, SENT + WAY, SENT + WAY + 300 * MS)
+    assert report.behind_us == 2 * MS
+
+
+@pytest.mark.parametrize(
+    ("missing", "says"),
+    [
+        (None, "sensor/gnss, sensor/usbl"),  # all that it never heard of
+        (lambda: "imu", "imu"),
+        (lambda: "", ""),  # begun: that this vehicle has no acoustic fixes is nothing to wait for
+    ],
+)
+def test_a_node_that_knows_what_it_needs_is_asked(missing: Callable[[], str] | None, says: str) -> None:
+    clock = VehicleClock()
+    clock.go_by(Line(0, 0, 1, 1, ClockState.RUNNING))
+    said: list[NodeStatus] = []
+    outbox: Any = SimpleNamespace(publish=said.append, published=0)
+    counts: Any = SimpleNamespace(received=0, dropped=0, rejected=0)
+    mailbox: Any = SimpleNamespace(overflowed=0)
+    report = StatusReport(
+        "n",
+        outbox=outbox,
+        counts=counts,
+        mailbox=mailbox,
+        clock=clock,
+        reads=(GnssFix, UsblFix),
+        say=lambda _: None,
+        missing=missing,
+    )
+    report.publish(SENT)
+    assert said[0].waiting_for == says

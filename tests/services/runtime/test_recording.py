@@ -1,0 +1,177 @@
+"""The recorder on a real router: what one bad frame may not do to all others."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+
+from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, Rejected, RunEvent
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, encode, plain
+from services.recording import segments
+from services.recording.reader import Recorded, Recording
+from services.recording.segments import SegmentWriter
+from services.recording.writer import RunWriter
+from services.runtime.clock import boot_id, monotonic_us
+from services.runtime.node_status import StatusReport
+from services.runtime.recording import RecordingLoop
+from services.runtime.stopping import StopRequest
+from tests.services.words import status
+
+S = 1_000_000_000
+KEY = BY_SIGNAL[PressureDepth].key
+EPOCH = 77
+
+UNREAD = "read/by/nobody"
+"""A key of no topic: what comes on it is refused and counted."""
+
+
+class Listening(SegmentWriter):
+    """Says that the word of ``AFTER`` has been written: whatever was sent before it on the same link has come."""
+
+    AFTER = "after"
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, start_ns=-S, metadata={})
+        self.heard = threading.Event()
+
+    def write_plain(self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int) -> None:
+        super().write_plain(key, kind, message, t_ns, crc)
+        if message.get("node") == self.AFTER:
+            self.heard.set()
+
+
+def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None]) -> list[Recorded]:
+    """What is recorded of what ``say`` publishes, properly and as bytes on the key of depths."""
+    endpoint = f"tcp/127.0.0.1:{port}"
+    stop = StopRequest()
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session,
+        Listening(path) as writer,
+    ):
+        loop = RecordingLoop(writer, start_ns=-S, stop=stop, say=print)
+        thread = threading.Thread(target=loop.serve, args=(BusOptions(connect=(endpoint,), mode="client"),))
+        thread.start()
+        out = Outbox(session, node="plant", epoch=EPOCH, kinds=(Clock, NodeStatus))
+        deadline = time.monotonic() + 60
+        knock = session.publisher(UNREAD).put
+        while not loop.rejected and time.monotonic() < deadline:  # until it has subscribed, and the router knows
+            knock(b"")
+            time.sleep(0.01)
+        assert loop.rejected
+        say(out, session.publisher(KEY).put)
+        out.publish(status(Listening.AFTER))
+        assert writer.heard.wait(60)
+        stop.ask()
+        thread.join(20)
+        assert not thread.is_alive()
+    return list(Recording(path))
+
+
+def depth(sequence: int, sent_us: int) -> bytes:
+    message = plain(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=0, sent_monotonic_us=0))
+    return bytes(msgpack.packb(message | {"sequence": sequence, "sent_monotonic_us": sent_us}))
+
+
+def clock(at_us: int) -> Clock:
+    return Clock(
+        clock_epoch=EPOCH,
+        clock_sequence=0,
+        host_boot_id=boot_id(),
+        at_monotonic_us=at_us,
+        vehicle_ns=0,
+        speed_num=1,
+        speed_den=1,
+        asked_speed=1.0,
+        state=ClockState.RUNNING,
+    )
+
+
+def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recording(
+    tmp_path: Path, free_port: int
+) -> None:
+    def say(out: Outbox, put: Callable[[bytes], None]) -> None:
+        out.publish(clock(monotonic_us()))
+        put(depth(0, monotonic_us()))
+        put(depth(1, monotonic_us() * 1000))  # nanoseconds: in range, and days ahead
+        put(depth(2, 2**62))
+        put(depth(-1, monotonic_us()))
+        put(depth(2, monotonic_us()))
+
+    messages = record(tmp_path / "run.mcap", free_port, say)
+    depths = [message for message in messages if message.key == KEY]
+    assert [message.plain["sequence"] for message in depths] == [0, 1, 2]
+    assert all(0 <= message.t_ns < 5 * S for message in depths)
+    assert all(message.t_ns < 5 * S for message in messages)
+    reasons = [
+        message.plain["reason"] for message in messages if message.kind is Rejected and message.plain["key"] == KEY
+    ]
+    assert [reason.partition(" = ")[0] for reason in reasons] == ["sent_monotonic_us", "sequence"]
+
+
+def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_path: Path, free_port: int) -> None:
+    """And not twice: the frames after it show a gap in their sequence."""
+
+    def say(_: Outbox, put: Callable[[bytes], None]) -> None:
+        put(encode(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=3, sent_monotonic_us=0)))
+
+    original = StatusReport.publish
+
+    def crowded(report: StatusReport, now_us: int, *, others: str = "", finished: bool = False) -> None:
+        report._mailbox.overflowed = 5
+        original(report, now_us, others=others, finished=finished)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StatusReport, "publish", crowded)
+        messages = record(tmp_path / "run.mcap", free_port, say)
+    own = [message.plain for message in messages if message.key == "status/recorder"]
+    assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3
+
+
+def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_said(
+    tmp_path: Path, free_port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(segments, "RETRY_S", 0.0)
+    original = RunWriter.write_plain
+    refused: list[int] = []
+
+    def write_plain(
+        writer: RunWriter, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None
+    ) -> None:
+        if key == KEY and message["sequence"] == 3 and not refused:
+            refused.append(writer.unsafe + 1)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        original(writer, key, kind, message, t_ns, crc)
+
+    monkeypatch.setattr(RunWriter, "write_plain", write_plain)
+
+    def say(_: Outbox, put: Callable[[bytes], None]) -> None:
+        for sequence in range(8):
+            put(depth(sequence, monotonic_us()))
+        deadline = time.monotonic() + 20
+        while not (tmp_path / "run.2.mcap").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+
+    path = tmp_path / "run.mcap"
+    before = record(path, free_port, say)
+    after = list(Recording(tmp_path / "run.2.mcap"))
+    kept = [message.plain["sequence"] for message in (*before, *after) if message.key == KEY]
+    assert kept[-4:] == [4, 5, 6, 7]
+    assert 3 not in kept
+    assert 8 - len(kept) <= refused[0]  # and words of its own, where any were not flushed yet
+    events = [message.plain["text"] for message in after if message.kind is RunEvent]
+    assert events[0] == f"not recording: {os.strerror(errno.ENOSPC)}; {refused[0]} messages not kept so far"
+    assert events[1] == "recording goes on in run.2.mcap"
+    assert events[2].startswith("lost: ")
+    status = [message.plain for message in after if message.key == "status/recorder"]
+    assert status[-1]["dropped"] == refused[0]

@@ -1,0 +1,537 @@
+"""Pure nodes on a real router on loopback: nothing skipped, nothing lost, every step told before its outputs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import (
+    Action,
+    Applied,
+    Command,
+    CompassHeading,
+    CycleTiming,
+    Estimate,
+    ImuSample,
+    Message,
+    NodeStatus,
+    Plan,
+    PlanOrigin,
+    PressureDepth,
+    Rejected,
+    Solve,
+    SolveStatus,
+    StepRecord,
+    Truth,
+)
+from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
+from services.bus.mailbox import Frame, Mailbox
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, Session, open_session
+from services.bus.topics import BY_SIGNAL
+from services.bus.wire import Header, crc, decode
+from services.runtime.clock import monotonic_us
+from services.runtime.clock_master import KeepsTime
+from services.runtime.runner import Runner
+from services.runtime.stopping import StopRequest
+from tests.stepping import OneByOne
+
+TICK_NS = 10_000_000
+ZERO = (0.0, 0.0, 0.0)
+PATIENCE_S = 20.0
+
+
+class Plant(OneByOne):
+    name = "plant"
+    schedule = Grid(TICK_NS)
+    reads: tuple[type[Message], ...] = (Plan,)
+    writes: tuple[type[Message], ...] = (Truth, Applied)
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        assert all(type(arrival.signal) is Plan for arrival in inbox)
+        truth = Truth(
+            t_ns=t_ns,
+            position_m=ZERO,
+            velocity_mps=ZERO,
+            attitude_rad=ZERO,
+            water_velocity_mps=ZERO,
+            yaw_rate_radps=0.0,
+            current_mps=(0.0, 0.0),
+            thrust_N=ZERO,
+        )
+        return [truth]
+
+
+class Sensors(OneByOne):
+    name = "sensors"
+    schedule = OnMessage((Truth,))
+    reads: tuple[type[Message], ...] = (Truth,)
+    writes: tuple[type[Message], ...] = (Estimate,)
+
+    def __init__(self) -> None:
+        self.last_t_ns: int | None = None
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        """Speaks at every tenth step only."""
+        assert [type(arrival.signal) for arrival in inbox] == [Truth]
+        self.last_t_ns = t_ns
+        return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
+
+
+class Controller(OneByOne):
+    name = "controller"
+    schedule = Cycle(300_000_000)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Message], ...] = (Plan,)
+
+    def __init__(self) -> None:
+        self.inboxes: list[list[Message]] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        self.inboxes.append([arrival.signal for arrival in inbox])
+        return [
+            Plan(
+                cycle_t_ns=t_ns,
+                t_ns=np.array([t_ns, t_ns + 300_000_000]),
+                thrust_N=np.zeros((2, 3)),
+                states=np.zeros((2, 6)),
+                origin=PlanOrigin.SOLVED,
+                solve=Solve(status=SolveStatus.SOLVED),
+            )
+        ]
+
+
+class Commanded(Controller):
+    reads: tuple[type[Message], ...] = (*Controller.reads, Command)
+
+
+class Listener(OneByOne):
+    """Reads what a test publishes by hand."""
+
+    name = "estimator"
+    schedule = OnMessage((ImuSample, PressureDepth, CompassHeading))
+    reads: tuple[type[Message], ...] = (ImuSample, PressureDepth, CompassHeading)
+    writes: tuple[type[Message], ...] = ()
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self.heard: list[Message] = []
+        self._error = error
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        assert t_ns == inbox[-1].signal.t_ns  # type: ignore[attr-defined]
+        self.heard += [arrival.signal for arrival in inbox]
+        if self._error is not None:
+            raise self._error
+        return []
+
+
+@pytest.fixture(scope="module")
+def router(free_port: int) -> Iterator[str]:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print):
+        yield endpoint
+
+
+@pytest.fixture
+def bus(router: str, request: pytest.FixtureRequest) -> BusOptions:
+    return BusOptions(connect=(router,), namespace=f"test/{request.node.name}")
+
+
+@contextmanager
+def listening(bus: BusOptions) -> Iterator[tuple[Session, Mailbox]]:
+    with open_session(bus, stop=StopRequest(), say=print) as session:
+        box = Mailbox()
+        session.subscribe("**", None, box)
+        yield session, box
+
+
+@contextmanager
+def running(bus: BusOptions, *runners: Runner) -> Iterator[None]:
+    """Each in a thread, told to stop and waited for at the end."""
+    threads = [threading.Thread(target=runner.serve, args=(bus,)) for runner in runners]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        for runner, thread in zip(runners, threads, strict=True):
+            runner.stop.ask()
+            thread.join(PATIENCE_S)
+        assert not any(thread.is_alive() for thread in threads)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def read(frames: Sequence[Frame]) -> list[tuple[Frame, Message, Header]]:
+    messages = []
+    for frame in frames:
+        assert frame.topic is not None
+        messages.append((frame, *decode(frame.topic.signal, frame.payload)))
+    return messages
+
+
+def drained(box: Mailbox, into: list[Frame]) -> list[Frame]:
+    while (frame := box.take(0.0)) is not None:
+        into.append(frame)
+    return into
+
+
+def finished(frames: Sequence[Frame], nodes: int) -> bool:
+    return sum(s.finished for _, s, _ in read(frames) if isinstance(s, NodeStatus)) == nodes
+
+
+def run(
+    bus: BusOptions,
+    nodes: Sequence[tuple[Node, int]],
+    *,
+    end_ns: int,
+    speed: float,
+    heard: Callable[[], bool] = lambda: True,
+) -> list[Frame]:
+    """All that was said in a run of ``nodes``, each with its compute delay; the first keeps the time.
+
+    They are told to stop when the first has done its last step and ``heard`` says that the others have heard of it.
+    """
+    frames: list[Frame] = []
+    others = tuple(node.name for node, _ in nodes[1:])
+    keeps_time = KeepsTime(start_ns=-100_000_000, end_ns=end_ns, speed=speed, expects=others)
+    runners = [
+        Runner(
+            node,
+            stop=StopRequest(),
+            say=print,
+            keeps_time=keeps_time if i == 0 else None,
+            compute_delay_ns=delay_ns,
+        )
+        for i, (node, delay_ns) in enumerate(nodes)
+    ]
+    with listening(bus) as (_, box):
+        with running(bus, *runners):
+            until(lambda: runners[0].finished and heard())
+        until(lambda: finished(drained(box, frames), len(nodes)))
+    return frames
+
+
+def test_a_run_skips_no_step_loses_no_message_and_tells_each_step_before_its_outputs(bus: BusOptions) -> None:
+    sensors = Sensors()
+    frames = run(
+        bus,
+        [(Plant(), 0), (sensors, 0), (Controller(), 0)],
+        end_ns=2_000_000_000,
+        speed=5,
+        heard=lambda: sensors.last_t_ns == 2_000_000_000,
+    )
+    messages = read(frames)
+
+    ticks = [s.t_ns for _, s, _ in messages if isinstance(s, Truth)]
+    assert ticks == list(range(-100_000_000, 2_000_000_001, TICK_NS))
+
+    # All that each process says it has published is here.
+    heard = Counter(header.epoch for _, _, header in messages)
+    promised = {h.epoch: s.published for _, s, h in messages if isinstance(s, NodeStatus) and s.finished}
+    assert heard == promised
+
+    # Records: numbered without a gap, each before the outputs of its step, each entry a frame that is here.
+    seen = {(frame.key, header.epoch, header.sequence): crc(frame.payload) for frame, _, header in messages}
+    steps: Counter[str] = Counter()
+    newest: dict[str, int] = {}
+    for _, signal, _ in messages:
+        match signal:
+            case StepRecord():
+                assert signal.step == steps[signal.node]
+                steps[signal.node] += 1
+                newest[signal.node] = signal.t_ns
+                for entry in signal.inbox:
+                    assert seen[(entry.key, entry.epoch, entry.sequence)] == entry.crc
+            case Truth():
+                assert newest["plant"] == signal.t_ns
+            case Estimate():
+                assert newest["sensors"] * 1e-9 == signal.north_m
+            case Plan():
+                assert newest["controller"] == signal.cycle_t_ns
+    assert steps["plant"] == steps["sensors"] == len(ticks)
+    assert steps["controller"] == len(cycle_times(messages))
+
+
+def cycle_times(messages: Sequence[tuple[Frame, Message, Header]]) -> list[int]:
+    return [s.cycle_t_ns for _, s, _ in messages if isinstance(s, Plan)]
+
+
+def test_of_a_latest_key_a_cycle_sees_one_message_and_its_own_timing_comes_with_the_next_inbox(bus: BusOptions) -> None:
+    controller = Controller()
+    frames = run(bus, [(Plant(), 0), (Sensors(), 0), (controller, 0)], end_ns=2_000_000_000, speed=5)
+    timings = {s.t_ns: s for _, s, _ in read(frames) if isinstance(s, CycleTiming)}
+    times = cycle_times(read(frames))
+    for number, inbox in enumerate(controller.inboxes):
+        kinds = Counter(type(signal) for signal in inbox)
+        assert kinds[Estimate] <= 1
+        own = [signal for signal in inbox if isinstance(signal, CycleTiming)]
+        assert [s.t_ns for s in own] == times[number - 1 : number]
+    assert set(timings) == set(times)
+    assert all(set(s.stage_us) == {"read", "publish"} for s in timings.values())
+
+
+def test_a_slow_cycle_publishes_after_its_delay_and_the_next_one_waits_for_it(bus: BusOptions) -> None:
+    """0.71 s of vehicle time, longer than the period of 0.3 s: one solve in flight."""
+    delay_ns = 710_000_000
+    controller = Controller()
+    frames = run(bus, [(Plant(), 0), (controller, delay_ns)], end_ns=4_000_000_000, speed=4)
+    messages = read(frames)
+    timings = [s for _, s, _ in messages if isinstance(s, CycleTiming)]
+    assert len(timings) >= 4
+    for timing, following in pairwise(timings):
+        assert timing.compute_ns >= delay_ns
+        assert following.t_ns >= timing.t_ns + timing.compute_ns - 1_000_000
+    for timing in timings[2:]:  # by then the clock has come to its speed
+        assert timing.compute_wall_ns == pytest.approx(timing.compute_ns / 4, rel=0.2)
+
+
+def test_arrival_across_keys_keeps_the_order_of_one_source(bus: BusOptions) -> None:
+    node = Listener()
+    runner = Runner(node, stop=StopRequest(), say=print)
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="test", epoch=5, kinds=node.reads)
+        for i in range(900):
+            match i % 3:
+                case 0:
+                    out.publish(ImuSample(t_ns=i, interval_ns=1, angular_rate_radps=ZERO, specific_force_mps2=ZERO))
+                case 1:
+                    out.publish(PressureDepth(t_ns=i, depth_m=0.0))
+                case _:
+                    out.publish(CompassHeading(t_ns=i, heading_rad=0.0))
+        until(lambda: len(node.heard) == 900)
+    assert [signal.t_ns for signal in node.heard] == list(range(900))  # type: ignore[attr-defined]
+
+
+def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_them(bus: BusOptions) -> None:
+    node = Listener()
+    runner = Runner(node, stop=StopRequest(), say=print)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        raw = session.publisher(BY_SIGNAL[PressureDepth].key)
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        raw.put(b"\xc1")
+        out.publish(PressureDepth(t_ns=0, depth_m=float("nan")))
+        out.publish(PressureDepth(t_ns=1, depth_m=3.0))
+
+        def refusals() -> list[Rejected]:
+            known = [f for f in drained(box, frames) if f.key.startswith("rejected/")]
+            return [s for _, s, _ in read(known) if isinstance(s, Rejected)]
+
+        until(lambda: len(node.heard) == 1 and len(refusals()) == 2)
+        assert [s.node for s in refusals()] == ["estimator", "estimator"]
+        assert "depth_m" in refusals()[1].reason
+    assert [signal.t_ns for signal in node.heard] == [1]  # type: ignore[attr-defined]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_step_that_raises_has_its_record_published_before_the_process_ends(bus: BusOptions) -> None:
+    """So that a replay can raise it again."""
+    runner = Runner(Listener(ArithmeticError("made up")), stop=StopRequest(), say=print)
+    frames: list[Frame] = []
+    with ExitStack() as stack:
+        session, box = stack.enter_context(listening(bus))
+        stack.enter_context(running(bus, runner))
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        Outbox(session, node="test", epoch=5, kinds=(PressureDepth,)).publish(PressureDepth(t_ns=0, depth_m=1.0))
+        until(lambda: finished(drained(box, frames), 1))
+    assert [s.inbox[0].key for _, s, _ in read(frames) if isinstance(s, StepRecord)] == ["sensor/depth"]
+
+
+def test_what_was_on_its_way_when_a_process_is_told_to_stop_is_taken(bus: BusOptions) -> None:
+    class ToldToStop(Listener):
+        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+            if not self.heard:  # the request, which wakes, then a message
+                runner.stop.ask()
+                out.publish(PressureDepth(t_ns=1, depth_m=1.0))
+            return super().step(t_ns, inbox)
+
+    node = ToldToStop()
+    runner = Runner(node, stop=StopRequest(), say=print)
+    with listening(bus) as (session, box):
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        with running(bus, runner):
+            until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+            out.publish(PressureDepth(t_ns=0, depth_m=1.0))
+            until(lambda: len(node.heard) == 2)
+
+
+class Slow(OneByOne):
+    """A cycle that lasts longer than its period; ``during`` is what happens in the first one."""
+
+    name = "estimator"
+    schedule = Cycle(10_000_000)
+    reads: tuple[type[Message], ...] = (PressureDepth,)
+    writes: tuple[type[Message], ...] = ()
+
+    def __init__(self, during: Callable[[], None]) -> None:
+        self.inboxes: list[list[int]] = []
+        self._during = during
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        assert all(arrival.received_t_ns <= t_ns for arrival in inbox)
+        self.inboxes.append([arrival.sequence for arrival in inbox])
+        if len(self.inboxes) == 1:
+            self._during()
+        return []
+
+
+def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: BusOptions) -> None:
+    def burst() -> None:
+        out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
+        for t_ns in range(50):
+            out.publish(PressureDepth(t_ns=t_ns, depth_m=0.0))
+        until(lambda: len(runner.mailbox) == 50)
+        time.sleep(0.02)  # past the next cycle's time
+
+    node = Slow(burst)
+    keeps_time = KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=())
+    runner = Runner(node, stop=StopRequest(), say=print, keeps_time=keeps_time)
+    with listening(bus) as (session, _), running(bus, runner):
+        until(lambda: len(node.inboxes) > 2)
+    assert node.inboxes[:3] == [[], list(range(50)), []]
+
+
+class Flooded(OneByOne):
+    """Notes when its cycles begin."""
+
+    name = "estimator"
+    schedule = Cycle(100_000_000)
+    reads: tuple[type[Message], ...] = (PressureDepth,)
+    writes: tuple[type[Message], ...] = ()
+
+    def __init__(self) -> None:
+        self.times_ns: list[int] = []
+
+    def step(self, t_ns: int, _inbox: Inbox) -> list[Message]:
+        self.times_ns.append(t_ns)
+        return []
+
+
+def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
+    """Rubbish on an input: each frame is refused, and the next one is there already."""
+    node, topic = Flooded(), BY_SIGNAL[PressureDepth]
+    runner = Runner(
+        node, stop=StopRequest(), say=print, keeps_time=KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=())
+    )
+    take = runner.mailbox.take
+
+    def never_empty(_timeout_s: float) -> Frame | None:
+        return take(0.0) or Frame(topic, topic.key, b"rubbish", monotonic_us())
+
+    runner.mailbox.take = never_empty  # type: ignore[method-assign]
+    with running(bus, runner):
+        until(lambda: len(node.times_ns) > 5)
+
+
+def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_before_it_is_refused(
+    bus: BusOptions,
+) -> None:
+    """Stamped in Unix time by a side that answers each plan, as its own clock has it."""
+    offset_ns = 1_763_740_800_000_000_000
+    runner = Runner(Commanded(), stop=StopRequest(), say=print, foreign=True)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Estimate, Applied, Command))
+        out.publish(Command(command_id=1, action=Action.ARM))
+        until(lambda: any(isinstance(s, Rejected) for _, s, _ in read(drained(box, frames))))
+
+        def said(answers: bool) -> bool:
+            now_ns = offset_ns + time.monotonic_ns()
+            out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=now_ns))
+            plans = [(h, s) for _, s, h in read(drained(box, frames)) if isinstance(s, Plan)]
+            if plans and answers:
+                header, plan = plans[-1]
+                out.publish(answer(header, plan, now_ns))
+            time.sleep(0.05)
+            mode = None if runner.foreign is None else runner.foreign.reading(monotonic_us()).mode
+            return mode == ("two-way" if answers else "one-way") and len(plans) >= 2
+
+        until(lambda: said(answers=False))
+        until(lambda: said(answers=True))
+        assert runner.foreign is not None
+        reading = runner.foreign.reading(monotonic_us())
+        assert reading.error_ns is not None
+        assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
+    (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, Rejected))
+    assert rejected.key == "command"
+    assert "no time yet" in rejected.reason
+    for _, plan, header in read(frames):
+        if isinstance(plan, Plan):
+            assert -1e9 < plan.cycle_t_ns - (offset_ns + header.sent_monotonic_us * 1000) <= 0
+
+
+def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
+    return Applied(
+        t_ns=t_ns,
+        thrust_N=ZERO,
+        command_N=ZERO,
+        command_slew_N_per_s=ZERO,
+        plan_epoch=header.epoch,
+        plan_sequence=header.sequence,
+        plan_cycle_t_ns=plan.cycle_t_ns,
+        plan_received_t_ns=t_ns,
+        plan_late=False,
+        plans_late=0,
+        plans_refused=0,
+    )
+
+
+def test_an_estimate_stamped_an_hour_off_is_refused_and_the_node_never_sees_it(bus: BusOptions) -> None:
+    controller = Controller()
+    runner = Runner(controller, stop=StopRequest(), say=print, foreign=True)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Estimate,))
+
+        def spoken(ahead_ns: int = 0) -> None:
+            stamp = time.monotonic_ns() + ahead_ns
+            out.publish(msgspec.structs.replace(Estimate.at_rest(), t_ns=stamp))
+            time.sleep(0.05)
+
+        def planned() -> int:
+            return sum(isinstance(s, Plan) for _, s, _ in read(drained(box, frames)))
+
+        until(lambda: not spoken() and planned() >= 1)
+        spoken(3_600_000_000_000)
+        until(lambda: not spoken() and planned() >= 3)
+    assert [s.key for _, s, _ in read(frames) if isinstance(s, Rejected)] == ["estimate"]
+    stamps = [s.t_ns for inbox in controller.inboxes for s in inbox if isinstance(s, Estimate)]
+    assert max(stamps) - min(stamps) < 600_000_000_000
+
+
+class Rare(Commanded):
+    schedule = Cycle(3_600_000_000_000)
+
+
+def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:
+    keeps_time = KeepsTime(start_ns=1, end_ns=10**15, speed=1.0, expects=())
+    controller = Rare()
+    runner = Runner(controller, stop=StopRequest(), say=print, keeps_time=keeps_time)
+    frames: list[Frame] = []
+    with listening(bus) as (session, box), running(bus, runner):
+        until(lambda: any(isinstance(s, NodeStatus) and s.t_ns > 1 for _, s, _ in read(drained(box, []))))
+        out = Outbox(session, node="operator", epoch=5, kinds=(Command,))
+        out.publish(Command(command_id=1, action=Action.STOP))
+        until(lambda: any(isinstance(s, Plan) for _, s, _ in read(drained(box, frames))))
+    (record,) = (s for _, s, _ in read(frames) if isinstance(s, StepRecord))
+    assert record.cause == "command"
+    assert [entry.key for entry in record.inbox] == ["command"]
+    assert len(controller.inboxes) == 1

@@ -1,0 +1,269 @@
+"""Children that are forked are the supervisor's own: their words, their end, and nobody is left of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from services.bus.session import BusOptions
+from services.processes import plant
+from services.supervisor import forkserver, orphan_cleanup
+from services.supervisor.child_processes import Crew
+from services.supervisor.entry_point import write_config
+from services.supervisor.forkserver import ForkServer
+from services.supervisor.managed_process import Child
+from services.supervisor.parent_death import Guard
+from services.supervisor.process_table import Process
+
+PATIENCE_S = 60.0
+
+QUICK = """
+import os, re, signal, sys, time, types
+import msgspec
+from services.supervisor import forkserver
+from services.runtime.heartbeat import SUPERVISED
+
+class Config(msgspec.Struct):
+    task: str
+    code: int
+
+def main(config):
+    '''In the place of a node: what its config asks for.'''
+    print(config.task, flush=True)
+    SUPERVISED.state()
+    SUPERVISED.beat(time.monotonic_ns() // 1000)
+    match config.task:
+        case "exits":
+            return config.code
+        case "raises":
+            raise RuntimeError("as it was told to")
+        case "sleeps":
+            time.sleep(600)
+        case "holds the GIL":
+            re.match("(a+)+$", "a" * 60 + "b")
+
+sys.modules["quick"] = types.SimpleNamespace(Config=Config, main=main)
+forkserver.load = lambda scenario: None
+forkserver.main()
+"""
+"""A fork server whose children do little, loaded at once."""
+
+
+class Quick(msgspec.Struct):
+    """As the fork server's children have it."""
+
+    task: str
+    code: int = 0
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forkserver, "PROGRAM", ("-c", QUICK))
+
+
+@pytest.fixture
+def watch() -> Iterator[Guard]:
+    watch = Guard()
+    yield watch
+    watch.close()
+
+
+@pytest.fixture
+def server(tmp_path: Path, watch: Guard) -> Iterator[ForkServer]:
+    server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", watch)
+    until(server.is_loaded)
+    yield server
+    server.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, "it never came to that"
+        time.sleep(0.005)
+
+
+def forked(server: ForkServer, log: Path, watch: Guard, name: str, task: str, code: int = 0) -> Child:
+    config = log.with_name(f"{name}.json")
+    write_config(config, Quick(task, code))
+    return Child(name, "quick", config, log=log, guard=watch, forks=server)
+
+
+def stat(pid: int) -> list[str]:
+    """State, parent, group, session, ..."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+
+
+@pytest.mark.parametrize(("task", "code"), [("exits", 0), ("exits", 7), ("raises", 1)])
+def test_its_exit_code_and_its_words_are_its_own(
+    server: ForkServer, watch: Guard, tmp_path: Path, task: str, code: int
+) -> None:
+    child = forked(server, tmp_path / "log", watch, "plant", task, code)
+    assert child.end(PATIENCE_S)
+    child.close()
+    assert child.exit_code() == code
+    said = child.last_lines()
+    assert said[0] == task
+    assert (said[-1] == "RuntimeError: as it was told to") == (task == "raises")
+
+
+def test_it_is_a_child_of_the_supervisor_in_a_session_of_its_own_and_says_so(
+    server: ForkServer, watch: Guard, tmp_path: Path
+) -> None:
+    child = forked(server, tmp_path / "log", watch, "plant", "sleeps")
+    until(lambda: bool(child.last_lines()))
+    _, parent, _, session, *_ = stat(child.pid)
+    assert (int(parent), int(session)) == (os.getpid(), child.pid)
+    assert Path(f"/proc/{child.pid}/comm").read_text() == "ltv-plant\n"
+    child.kill()
+    child.close()
+    assert child.exit_code() == -signal.SIGKILL
+
+
+def refused(tmp_path: Path) -> tuple[str, Path]:
+    """A module and a config that end in one line, in whatever process."""
+    config = tmp_path / "plant.json"
+    write_config(config, plant.Config(bus=BusOptions(), scenario="hoover"))
+    return plant.__name__, config
+
+
+def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: Guard, tmp_path: Path) -> None:
+    child = Child("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=None)
+    assert child.end(PATIENCE_S)
+    child.close()
+    assert child.exit_code() == 2
+    (line,) = (tmp_path / "log").read_text().splitlines()
+    assert line.startswith('ltv-mpc: scenario "hoover": no shipped name')
+
+
+def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
+    server: ForkServer, watch: Guard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fork server that is not let: its answer comes when nobody waits for it any more."""
+    until(server.is_loaded)
+    monkeypatch.setattr(server, "_answers", lambda _within_s: False)
+    before = set(own_children())
+    child = Child("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=server)
+    assert child.end(PATIENCE_S)
+    child.close()
+    assert child.exit_code() == 2
+    until(lambda: set(own_children()) - before <= {child.pid})
+
+
+def own_children() -> Iterator[int]:
+    """Those that live."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, parent, *_ = stat(int(folder.name))
+        except OSError:
+            continue
+        if int(parent) == os.getpid() and state != "Z":
+            yield int(folder.name)
+
+
+def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: Guard, tmp_path: Path) -> None:
+    child = forked(server, tmp_path / "log", watch, "plant", "exits")
+
+    def ended() -> bool:
+        child.listen()
+        return child.gone
+
+    until(ended)
+    assert child.heartbeat.last_s is not None
+    child.end(PATIENCE_S)
+    child.close()
+
+
+def test_one_after_the_other_is_forked_and_nothing_is_used_up(server: ForkServer, watch: Guard, tmp_path: Path) -> None:
+    children = [forked(server, tmp_path / f"{k}.log", watch, "plant", "sleeps") for k in range(3)]
+    until(lambda: all(child.last_lines() for child in children))
+    assert len({child.pid for child in children}) == 3
+    for child in children:
+        child.kill()
+        child.close()
+
+
+@pytest.fixture
+def crew(tmp_path: Path, watch: Guard) -> Iterator[Crew]:
+    crew = Crew(tmp_path / "scenario.toml", tmp_path, watch)
+    crew.load()
+    yield crew
+    for child in crew.children.values():
+        child.kill()
+        child.close()
+    crew.close()
+
+
+def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(crew: Crew, tmp_path: Path) -> None:
+    first = crew.forks
+    assert first is not None
+    until(first.is_loaded)
+    for name in ("plant", "sensors"):
+        crew.start(Process(name, "quick", True, ()), Quick("sleeps"))
+    until(lambda: all(child.last_lines() for child in crew.children.values()))
+    os.kill(first.pid, signal.SIGKILL)
+    until(lambda: first.exit_code() is not None)
+    assert (
+        first.fork("quick", tmp_path / "plant.json", tmp_path / "log", 0, 1) is None
+    )  # whoever is to begin now is spawned
+    crew.keep_loaded()
+    second = crew.forks
+    assert second is not None
+    assert second is not first
+    until(second.is_loaded)
+    assert [child.exit_code() for child in crew.children.values()] == [None, None]
+    crew.children["plant"].kill()
+    crew.restart("plant", b"")
+    until(lambda: bool(crew.children["plant"].last_lines()))
+    assert stat(crew.children["plant"].pid)[1] == str(os.getpid())
+
+
+SUPERVISOR = f"""
+import sys, time
+from pathlib import Path
+import msgspec
+from services.supervisor import forkserver
+from services.supervisor.managed_process import Child
+from services.supervisor.parent_death import Guard
+forkserver.PROGRAM = ("-c", {QUICK!r})
+folder, guard = Path(sys.argv[1]), Guard()
+server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", guard)
+while not server.is_loaded():
+    time.sleep(0.01)
+print(server.pid, flush=True)
+for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
+    config = folder / f"{{name}}.json"
+    config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
+    child = Child(name, "quick", config, log=folder / f"{{k}}.log", guard=guard, forks=server)
+    while not child.last_lines() or child.heartbeat.last_s is None:
+        child.listen()
+    print(child.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_of_a_killed_supervisor_s_forks_nobody_is_left_not_even_who_is_stopped_or_holds_the_gil(tmp_path: Path) -> None:
+    supervisor = subprocess.Popen(
+        [sys.executable, "-P", "-c", SUPERVISOR, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert supervisor.stdout is not None
+    pids = [int(supervisor.stdout.readline()) for _ in range(4)]
+    os.kill(pids[1], signal.SIGSTOP)
+    assert all(orphan_cleanup.start_ticks(pid) is not None for pid in pids)
+    try:
+        supervisor.kill()
+        supervisor.wait()
+        until(lambda: all(orphan_cleanup.start_ticks(pid) is None for pid in pids))
+    finally:
+        supervisor.stdout.close()
+        for pid in pids:
+            if orphan_cleanup.start_ticks(pid) is not None:
+                os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,92 @@
+"""Who is hung: by the pulse of its own loop, and with patience for who was stopped together with everyone."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+from services.supervisor.heartbeat import Heartbeat
+from services.supervisor.managed_process import starved_s
+
+
+def never() -> float:
+    """It had a processor whenever it wanted one."""
+    return 7.0
+
+
+def beating(until_s: float, patience_s: float = 0.5) -> Heartbeat:
+    heart = Heartbeat(patience_s)
+    for k in range(1, round(until_s * 20) + 1):
+        heart.beat(k / 20)
+    return heart
+
+
+def test_who_has_not_begun_is_not_hung() -> None:
+    assert not Heartbeat().hung(1e9, never)
+
+
+def test_silence_for_longer_than_the_patience_is_a_hang_and_not_before() -> None:
+    heart = beating(3.0)
+    assert not heart.hung(3.5, never)
+    assert heart.hung(3.501, never)
+    heart.beat(3.6)
+    assert not heart.hung(4.0, never)
+
+
+def test_a_pulse_that_was_delayed_on_its_way_does_not_take_a_newer_one_back() -> None:
+    heart = beating(3.0)
+    heart.beat(1.0)
+    assert heart.last_s == 3.0
+
+
+def test_who_has_ended_its_loop_in_order_is_waited_for_by_others() -> None:
+    heart = beating(3.0)
+    heart.end()
+    assert not heart.hung(100.0, never)
+
+
+def test_after_a_late_look_of_the_supervisor_everyone_has_the_whole_patience_again() -> None:
+    """A machine that was suspended for ten seconds."""
+    heart = beating(3.0)
+    heart.excuse(13.0)
+    assert not heart.hung(13.4, never)
+    assert heart.hung(13.6, never)
+
+
+def test_who_waits_for_a_processor_is_not_hung_and_who_spins_is_once_it_has_had_one_for_as_long() -> None:
+    """Silent since 3.0 s; from 3.15 s on others have the processor."""
+    heart = beating(3.0)
+    assert not heart.hung(3.15, lambda: 1.0)
+    assert not heart.hung(3.8, lambda: 1.4)
+    assert not heart.hung(4.5, lambda: 2.2)
+    assert not heart.hung(9.0, lambda: 6.6)
+    assert heart.hung(9.0, lambda: 6.4)
+
+
+def test_what_it_waited_before_its_silence_does_not_excuse_it() -> None:
+    heart = beating(3.0)
+    assert not heart.hung(3.15, lambda: 100.0)
+    assert heart.hung(3.6, lambda: 100.0)
+    heart.beat(3.7)
+    assert not heart.hung(3.75, lambda: 101.0)
+    assert not heart.hung(3.9, lambda: 101.0)
+    assert heart.hung(4.3, lambda: 101.0)
+
+
+def test_linux_says_how_long_a_process_waited_for_a_processor() -> None:
+    """Two spin on one processor: each waits about half of the time."""
+    one = sorted(os.sched_getaffinity(0))[:1]
+    spin = f"import os, time; os.sched_setaffinity(0, {one}); t = time.time() + 0.6\nwhile time.time() < t: pass"
+    processes = [subprocess.Popen([sys.executable, "-S", "-c", spin + "\ninput()"], stdin=-1) for _ in range(2)]
+    try:
+        waited = 0.0
+        deadline = time.monotonic() + 20
+        while waited < 0.1 and time.monotonic() < deadline:
+            waited = max(starved_s(process.pid) for process in processes)
+        assert waited >= 0.1
+    finally:
+        for process in processes:
+            process.kill()
+            process.communicate()

@@ -1,0 +1,28 @@
+"""An operator's word to end a process reaches the launcher."""
+
+from __future__ import annotations
+
+import time
+
+from ltv_mpc.messages import Kill
+from services.bus.outbox import Outbox
+from services.bus.session import BusOptions, open_session
+from services.bus.topics import OPERATOR
+from services.supervisor.bus_monitor import Watch
+
+
+def test_whose_process_shall_end_is_heard_once(free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    with (
+        open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=print) as here,
+        open_session(BusOptions(connect=(endpoint,)), stop=lambda: False, say=print) as there,
+    ):
+        watch = Watch(here, ["estimator"])
+        out = Outbox(there, node=OPERATOR, epoch=1, kinds=(Kill,))
+        heard: list[str] = []
+        until = time.monotonic() + 20.0
+        while not heard and time.monotonic() < until:
+            out.publish(Kill(node="estimator"))
+            time.sleep(0.05)
+            heard += watch.kills()
+        assert set(heard) == {"estimator"}

@@ -1,0 +1,110 @@
+"""What outlives a supervisor is ended two seconds later, by pid, and nothing else is."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.supervisor import orphan_cleanup
+from services.supervisor.parent_death import Guard
+
+
+@pytest.fixture
+def sleeper() -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(["sleep", "600"])
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_what_is_left_two_seconds_after_the_end_is_killed_even_if_it_is_stopped(
+    sleeper: subprocess.Popen[bytes],
+) -> None:
+    watch = Guard()
+    watch.watch(sleeper.pid)
+    sleeper.send_signal(19)  # SIGSTOP
+    began = time.monotonic()
+    watch.close()  # what the kernel does when the supervisor dies, by whatever death
+    assert sleeper.wait(5.0) == -9
+    assert orphan_cleanup.GRACE_S <= time.monotonic() - began < orphan_cleanup.GRACE_S + 1.5
+
+
+def test_a_guard_with_nothing_left_to_watch_ends_at_once(sleeper: subprocess.Popen[bytes]) -> None:
+    watch = Guard()
+    watch.watch(sleeper.pid)
+    watch.release(sleeper.pid)
+    began = time.monotonic()
+    watch.close()
+    assert time.monotonic() - began < orphan_cleanup.GRACE_S
+    assert sleeper.poll() is None
+
+
+def test_a_pid_that_was_given_to_another_process_since_is_left_alone(
+    sleeper: subprocess.Popen[bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = orphan_cleanup.start_ticks(sleeper.pid)
+    assert ticks is not None
+    with monkeypatch.context() as patched:
+        patched.setattr(orphan_cleanup, "start_ticks", lambda _: ticks - 1)
+        watch = Guard()
+        watch.watch(sleeper.pid)
+    watch.close()
+    assert sleeper.poll() is None
+
+
+def test_the_guard_is_a_few_megabytes() -> None:
+    watch = Guard()
+    try:
+        pages = int(Path(f"/proc/{watch.pid}/statm").read_text().split()[1])
+        assert pages * 4096 < 16e6
+    finally:
+        watch.close()
+
+
+SUPERVISOR = """
+import subprocess, sys, time
+from services.supervisor.parent_death import Guard
+guard = Guard()
+begin = "import os, re, sys, time; from services.supervisor.parent_death import die_with_parent, stop_at_end_of_input;"
+tasks = {
+    "stopped": "die_with_parent(int(sys.argv[1])); print(flush=True); time.sleep(600)",
+    "holds the GIL": "die_with_parent(int(sys.argv[1])); print(flush=True); re.match('(a+)+$', 'a' * 60 + 'b')",
+    "recorder that holds it": "stop_at_end_of_input(); print(flush=True); re.match('(a+)+$', 'a' * 60 + 'b')",
+}
+for task in tasks.values():
+    child = subprocess.Popen(
+        [sys.executable, "-P", "-c", begin + task, str(__import__("os").getpid())],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
+    )
+    orphan_cleanup.watch(child.pid)
+    child.stdout.readline()
+    print(child.pid, flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_killed_supervisor_leaves_nobody_not_even_who_is_stopped_or_holds_the_gil() -> None:
+    """What no thread of a child could do anything about: the kernel ends two of them, the guard the third."""
+    supervisor = subprocess.Popen([sys.executable, "-P", "-c", SUPERVISOR], stdout=subprocess.PIPE, text=True)
+    assert supervisor.stdout is not None
+    pids = [int(supervisor.stdout.readline()) for _ in range(3)]
+    os.kill(pids[0], signal.SIGSTOP)
+    try:
+        supervisor.kill()
+        supervisor.wait()
+        deadline = time.monotonic() + 20
+        while any(orphan_cleanup.start_ticks(pid) is not None for pid in pids):
+            assert time.monotonic() < deadline, [orphan_cleanup.start_ticks(pid) for pid in pids]
+            time.sleep(0.02)
+    finally:
+        supervisor.stdout.close()
+        for pid in pids:
+            if orphan_cleanup.start_ticks(pid) is not None:
+                os.kill(pid, signal.SIGKILL)

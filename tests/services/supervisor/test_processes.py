@@ -1,0 +1,390 @@
+"""Whole runs as processes: complete, failed, interrupted, orphaned; and every node alone, in any order of start."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from msgspec import structs
+
+from ltv_mpc.currents import read_prior
+from ltv_mpc.messages import ControllerState, EstimatorState, NodeStatus, Plan, RunEvent, StepRecord, Truth
+from services.recording.loss_accounting import Losses
+from services.recording.reader import Recording
+from services.replay import replay
+from services.reporting.live import LiveView
+from services.run import folder
+from services.run.run_config import Override, Situation, resolve
+from services.supervisor import supervisor
+
+CLI = [sys.executable, "-P", "-m", "services.cli"]
+PATIENCE_S = 90.0
+
+
+class Screen:
+    """Keeps what it is told; ``on_diving`` is called once, as soon as the vehicle dives."""
+
+    def __init__(self, on_diving: Callable[[], None] = lambda: None) -> None:
+        self.said: list[str] = []
+        self.views: list[LiveView] = []
+        self.closed = False
+        self._on_diving = on_diving
+
+    def update(self, view: LiveView) -> None:
+        if view.phase == "diving" and (not self.views or self.views[-1].phase != "diving"):
+            self._on_diving()
+        self.views.append(view)
+
+    def wait(self, what: str, share: float) -> None:
+        pass
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def situation(duration_s: float, speed: float = 10.0) -> Situation:
+    settings = (f"run.duration_s={duration_s}", f"run.speed={speed}", "run.compute_delay_s=0.05")
+    return resolve("descent", [Override("test", settings)])
+
+
+def children_of(parent: int) -> dict[int, str]:
+    """Pid and command line of every living child; Python's own helper of multiprocessing, which other tests leave to a
+    worker for as long as it lives, is none of the launcher's.
+    """
+    children = {}
+    for entry in Path("/proc").iterdir():
+        try:
+            if entry.name.isdigit() and int((entry / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
+                children[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except OSError:
+            continue
+    return {pid: words for pid, words in children.items() if words and "multiprocessing.resource_tracker" not in words}
+
+
+def pid_of(name: str, launcher: int) -> int:
+    """Of a run's process, by what it calls itself."""
+    (pid,) = (pid for pid in children_of(launcher) if Path(f"/proc/{pid}/comm").read_text() == f"ltv-{name}\n")
+    return pid
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def until(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
+    deadline = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline, "it never came to that"
+        time.sleep(0.01)
+
+
+def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
+    """The recording, its messages by key, and what is missing, by key from the sequences, by node from last words."""
+    recording, count, losses = Recording(path), dict[str, int](), Losses()
+    promised: dict[int, tuple[str, int]] = {}
+    of_epoch: dict[int, int] = {}
+    for message in recording:
+        epoch = message.plain["epoch"]
+        count[message.key] = count.get(message.key, 0) + 1
+        of_epoch[epoch] = of_epoch.get(epoch, 0) + 1
+        losses.saw(message.key, epoch, message.plain["sequence"])
+        if message.kind is NodeStatus and message.plain["finished"]:
+            promised[epoch] = message.plain["node"], message.plain["published"]
+    missing = {node: published - of_epoch[epoch] for epoch, (node, published) in promised.items()}
+    return recording, count, losses.by_key() | {node: gap for node, gap in missing.items() if gap}
+
+
+def dives(recording: Path) -> bool:
+    """Whether a plan for the descent is in the file as far as it has been written."""
+    if recording.stat().st_size < 100_000:
+        return False
+    return any(message.kind is Plan and message.plain["cycle_t_ns"] > 0 for message in Recording(recording))
+
+
+@pytest.fixture
+def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+    """``ltv-mpc sim`` in a process of its own, running: the vehicle dives and is recorded."""
+    out = tmp_path / "run"
+    log = (tmp_path / "launcher.log").open("wb")
+    process = subprocess.Popen(
+        [*CLI, "sim", "--duration-s", "600", "--out", str(out)], stdin=subprocess.DEVNULL, stdout=log, stderr=log
+    )
+    try:
+        recording = out / "run.mcap"
+        until(lambda: process.poll() is not None or (recording.exists() and dives(recording)))
+        assert process.poll() is None, (tmp_path / "launcher.log").read_text()
+        yield process, out
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+        log.close()
+
+
+def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process_left(tmp_path: Path) -> None:
+    s = situation(3.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    screen = Screen()
+    outcome = supervisor.run(s, run, screen)
+    assert (outcome.completed, outcome.exit_code, outcome.why) == (True, 0, ""), (outcome, screen.said)
+    recording, count, missing = recorded(run.recording)
+    assert not recording.cut
+    assert not missing
+    assert "none lost" in (run.path / "logs" / "recorder.log").read_text()
+    assert count["world/truth"] == count["record/plant"] == 401
+    assert count["plan"] == count["timing"]
+    assert outcome.summary is not None
+    assert run.summary.exists()
+    assert outcome.summary.messages.dropped == outcome.summary.messages.rejected == 0
+    assert outcome.summary.compute_delay_s.median is not None
+    assert outcome.summary.compute_delay_s.median > 0.05  # added in vehicle time
+    assert not children_of(os.getpid())
+    assert screen.closed
+    assert {view.phase for view in screen.views} >= {"starting", "diving"}
+    assert isinstance(screen.views[-1].truth, Truth)
+    assert isinstance(screen.views[-1].plan, Plan)
+    assert screen.views[-1].plan.authority == "controller"  # the plant has armed it
+    verdict = replay.replay(replay.Run(run.recording))
+    assert verdict.identical, verdict.first_difference
+    # Nothing was lost: every step of every process. How many the estimator makes is the machine's: it takes together
+    # what came while it was busy.
+    steps = {key.removeprefix("record/"): n for key, n in count.items() if key.startswith("record/")}
+    assert steps.keys() >= {"plant", "sensors", "estimator", "controller"}
+    assert verdict.steps_compared == verdict.steps_run == sum(steps.values())
+
+
+def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_learned(tmp_path: Path) -> None:
+    """A current deeper than the profiler's range, which only the file can have told."""
+    known = tmp_path / "known.csv"
+    known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
+    s = resolve("descent", [Override("test", ["run.duration_s=8", f"estimator.water_prior={known}"])])
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    known.unlink()
+    outcome = supervisor.run(s, run, Screen())
+    assert outcome.completed, outcome
+    learned = read_prior(run.currents)
+    (at,) = (learned.depth_m == 50.0).nonzero()[0]
+    assert learned.north_mps[at] == pytest.approx(0.5, abs=0.03)
+    assert learned.east_mps[at] == pytest.approx(-0.25, abs=0.03)
+    assert learned.sd_mps[at] < 0.02
+
+
+def test_the_death_of_the_world_ends_the_run_and_it_is_named_with_its_last_lines(tmp_path: Path) -> None:
+    s = situation(600.0)
+    run = folder.make("test", s.files, out=tmp_path / "run")
+
+    def kill_the_sensors() -> None:
+        os.kill(pid_of("sensors", os.getpid()), signal.SIGKILL)
+
+    screen = Screen(kill_the_sensors)
+    outcome = supervisor.run(s, run, screen)
+    assert (outcome.completed, outcome.exit_code) == (False, 1)
+    assert "sensors was ended by SIGKILL" in outcome.why
+    assert any("sensors: waiting for" in line for line in outcome.last_lines)
+    assert outcome.why in screen.said
+    assert not children_of(os.getpid())
+    recording, count, _ = recorded(run.recording)
+    assert not recording.cut
+    assert count["world/truth"] > 0
+
+
+class Mischief:
+    """A screen that does harm to one process after the other, as soon as the one before is back; then the plant is
+    asked to have done its last step.
+    """
+
+    def __init__(self, harm: Sequence[tuple[str, signal.Signals]]) -> None:
+        self.said: list[str] = []
+        self.supervisor: supervisor.Supervisor
+        self._harm = list(harm)
+        self._harmed = 0
+        self._over = False
+
+    def update(self, view: LiveView) -> None:
+        """The next harm as soon as the one before is mended: nothing is there to be waited for."""
+        back = self.supervisor.restarts >= self._harmed and not self.supervisor._recovering
+        if self._harm and view.phase == "diving" and back:
+            name, number = self._harm.pop(0)
+            self._harmed += 1
+            os.kill(pid_of(name, os.getpid()), number)
+        elif not self._harm and back and not self.supervisor._unsaid and not self._over:
+            self._over = True
+            self.supervisor._crew.children["plant"].ask_to_stop()
+
+    def wait(self, what: str, share: float) -> None:
+        pass
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
+    def close(self) -> None:
+        pass
+
+
+def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_completes(tmp_path: Path) -> None:
+    """One after the other, the fork server in between: the one that is killed next is spawned, and so takes longer."""
+    s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    mischief = Mischief(
+        [
+            ("recorder", signal.SIGKILL),
+            ("router", signal.SIGKILL),
+            ("controller", signal.SIGKILL),
+            ("estimator", signal.SIGSTOP),
+        ]
+    )
+    mischief.supervisor = crewed = supervisor.Supervisor(s, run, mischief)
+    outcome = crewed.run()
+    assert (outcome.completed, outcome.exit_code) == (True, 0), (outcome, mischief.said)
+    assert outcome.summary is not None
+    assert outcome.summary.restarts == 4
+    assert not children_of(os.getpid())
+
+    assert [path.name for path in run.path.glob("*.mcap")] == ["run.mcap"]
+    records: dict[tuple[str, int], list[StepRecord]] = {}
+    states: dict[int, list[ControllerState | EstimatorState]] = {}
+    events: list[RunEvent] = []
+    for message in Recording(run.recording):
+        if message.kind in (StepRecord, ControllerState, EstimatorState, RunEvent):
+            signal_, header = message.typed()
+            match signal_:
+                case StepRecord():
+                    records.setdefault((signal_.node, signal_.epoch), []).append(signal_)
+                case ControllerState() | EstimatorState():
+                    states.setdefault(header.epoch, []).append(signal_)
+                case RunEvent() if signal_.node == "launcher":
+                    events.append(signal_)
+    assert [event.text.split()[0] for event in events if event.kind == "restart"] == [
+        "recorder",
+        "router",
+        "controller",
+        "estimator",
+    ]
+    for node in ("controller", "estimator"):
+        _, second = (steps for (name, _), steps in records.items() if name == node)
+        assert second[0].step == 0
+        entry = second[0].inbox[0]
+        assert (entry.key, entry.sequence) == (f"state/{node}", 0)
+        assert all(not e.key.startswith("state/") for record in second for e in record.inbox[1:])
+        state = states[second[0].epoch][0]
+        assert state.t_ns < second[0].t_ns
+        assert state.estimate is not None
+        if node == "controller":
+            assert state.plan is not None
+            assert state.authority == "controller"
+    assert outcome.summary.tracking_error_m.max is not None
+    assert outcome.summary.tracking_error_m.max < 1.0  # where it was, not where it began
+    assert outcome.summary.messages.dropped > 0  # what nobody recorded while there was no recorder
+    verdict = replay.replay(replay.Run(run.recording))
+    assert verdict.identical, verdict.first_difference
+    for node in verdict.nodes:
+        if node.node in ("controller", "estimator"):
+            # The second start whole; the first up to the recorder's death, unless nobody heard of it after that.
+            assert (node.starts, node.steps_compared) == (2, node.steps_run - sum(gap.steps for gap in node.gaps))
+            assert {gap.epoch for gap in node.gaps} <= {next(epoch for name, epoch in records if name == node.node)}
+            assert node.node == "controller" or len(node.gaps) == 1
+
+
+def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
+    s = situation(3.0)
+    wrong = structs.replace(s.scenario.controller, horizon_s=-1.0)
+    s = replace(s, scenario=structs.replace(s.scenario, controller=wrong))
+    run = folder.make("test", s.files, out=tmp_path / "run")
+    outcome = supervisor.run(s, run, Screen())
+    assert outcome.exit_code == 1
+    assert "controller ended with exit code 2" in outcome.why
+    assert "horizon_s" in outcome.last_lines[-1]
+    assert not children_of(os.getpid())
+
+
+def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    process, out = launcher
+    pids = children_of(process.pid)
+    assert len(pids) >= 7  # six, the guard, and who forks them
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    until(lambda: not any(alive(pid) for pid in pids))
+    assert time.monotonic() - began < 2.0
+    assert process.wait(PATIENCE_S) == 130  # after the summary of what there is
+    assert json.loads((out / "summary.json").read_text())["duration_s"] < 200.0
+    recording, count, missing = recorded(out / "run.mcap")
+    assert not recording.cut
+    assert not missing
+    assert count["world/truth"] > 0
+
+
+def test_when_the_supervisor_is_killed_no_orphan_is_left_and_the_recorder_finishes_its_file(
+    launcher: tuple[subprocess.Popen[bytes], Path],
+) -> None:
+    """One child is stopped, so that it can do nothing about it itself (of one that holds the GIL: test_orphans)."""
+    process, out = launcher
+    pids = children_of(process.pid)
+    nodes = [pid_of(name, process.pid) for name in ("plant", "sensors", "estimator", "controller")]
+    os.kill(pid_of("estimator", process.pid), signal.SIGSTOP)
+    process.kill()
+    until(lambda: not any(alive(pid) for pid in nodes), within_s=1.5)  # at once, not by the guard's two seconds
+    until(lambda: not any(alive(pid) for pid in pids), within_s=5.0)
+    assert not recorded(out / "run.mcap")[0].cut
+
+
+def test_started_in_the_wrong_order_each_node_waits_says_for_what_and_goes_on(tmp_path: Path, free_port: int) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port}"
+    scenario = tmp_path / "short.toml"
+    scenario.write_text('title = "short"\n[run]\nduration_s = 2.0\nspeed = 5.0\n')
+    bus = ["--connect", endpoint, "--namespace", "test"]
+    logs = {name: tmp_path / f"{name}.log" for name in ("controller", "estimator", "sensors", "recorder", "plant")}
+    arguments = {
+        "sensors": [str(scenario)],
+        "recorder": [str(scenario), "--out", str(tmp_path / "run")],
+        "plant": [str(scenario), "--expect", "recorder"],
+    }
+    processes: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        for name, log in logs.items():
+            with log.open("wb") as file:
+                processes[name] = subprocess.Popen(
+                    [*CLI, name, *arguments.get(name, []), *bus], stdin=subprocess.DEVNULL, stderr=file
+                )
+        until(lambda: all("`ltv-mpc router` starts one" in log.read_text() for log in logs.values()))
+        processes["router"] = subprocess.Popen([*CLI, "router", "--listen", endpoint], stderr=subprocess.DEVNULL)
+        assert processes["plant"].wait(PATIENCE_S) == 0
+        assert "waiting for" in logs["plant"].read_text()
+        for name in ("sensors", "estimator", "controller", "recorder", "router"):
+            processes[name].send_signal(signal.SIGTERM)
+            assert processes[name].wait(PATIENCE_S) == 0
+    finally:
+        for process in processes.values():
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+    recording, count, missing = recorded(tmp_path / "run" / "run.mcap")
+    assert not recording.cut
+    # What processes say of themselves may have been said before the recorder was there.
+    assert all(key.startswith("status/") or key == "controller/status" for key in missing if "/" in key)
+    assert count["world/truth"] == 301
+    assert count["plan"] > 0
+
+
+def test_controller_and_estimator_processes_never_import_the_simulation() -> None:
+    program = (
+        "import sys, services.supervisor.entry_point\n"
+        "from services.processes import controller, estimator\n"
+        "sys.exit(any(name.split('.')[0] == 'sim' for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-P", "-c", program], check=False).returncode == 0

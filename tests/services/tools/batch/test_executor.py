@@ -1,0 +1,99 @@
+"""Jobs and workers: nothing lost, nothing doubled, whoever dies on the way."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import Counter
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from ltv_mpc.errors import ConfigError
+from services.tools.batch.executor import MAX_LOSSES, WorkerLost, each
+
+
+def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
+    """Kill this worker as often as ``deadly`` says for the job, then do it. A file for each beginning."""
+    began = len(list(marks.glob(f"{job}-*")))
+    (marks / f"{job}-{began}").touch()
+    if began < deadly.get(job, 0):
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(0.1)  # so long that it is lost with a deadly job beside it
+    return -job
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_job_comes_back_with_its_place(workers: int) -> None:
+    assert sorted(each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
+
+
+def test_no_jobs_are_no_processes() -> None:
+    assert list(each(math.sqrt, [])) == []
+
+
+@pytest.mark.parametrize("how", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}])
+def test_what_a_job_raises_reaches_the_reader(how: dict) -> None:
+    with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
+        list(each(math.sqrt, [4.0, -1.0, 9.0], **how))
+
+
+@pytest.mark.parametrize("deadly", [{1: 1}, {0: 1, 5: 2, 11: 1}])
+def test_each_job_has_one_result_however_often_workers_die(tmp_path: Path, deadly: dict[int, int]) -> None:
+    done = list(each(partial(mortal, tmp_path, deadly), range(12), workers=2))
+    assert sorted(done) == [(job, -job) for job in range(12)]
+
+
+def test_a_job_that_ends_its_worker_each_time_is_given_up_and_no_other(tmp_path: Path) -> None:
+    work = partial(mortal, tmp_path, {3: 99})
+    done = dict(each(work, range(8), workers=2, lost=lambda job: job + 1000))
+    assert done == {job: -job for job in range(8)} | {3: 1003}
+    began = Counter(path.name.partition("-")[0] for path in tmp_path.iterdir())
+    assert began.pop("3") == 1 + MAX_LOSSES  # once with others, then alone
+    assert max(began.values()) <= 2
+    with pytest.raises(WorkerLost, match="job 0 of 2"):
+        list(each(partial(mortal, tmp_path, {9: 99}), [9, 10], workers=2))
+
+
+def test_the_only_worker_is_another_process_where_its_loss_must_be_survived(tmp_path: Path) -> None:
+    assert dict(each(partial(mortal, tmp_path, {0: 1}), [0, 1], workers=1, lost=lambda _: 7)) == {0: 0, 1: -1}
+
+
+def test_told_to_stop_it_begins_nothing_more(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        assert list(each(partial(mortal, tmp_path, {}), range(9), workers=workers, stop=lambda: True)) == []
+    assert not list(tmp_path.iterdir())
+
+
+def test_told_to_stop_it_ends_what_runs() -> None:
+    """Also where the terminal's interrupt reaches the workers too, which leave it to their parent."""
+    stop = threading.Event()
+    before = set(multiprocessing.active_children())  # of other tests
+    began = time.monotonic()
+    threading.Timer(2.0, stop.set).start()
+    assert list(each(time.sleep, [60.0, 60.0, 60.0], workers=2, stop=stop.is_set)) == []
+    assert time.monotonic() - began < 30.0
+    for process in set(multiprocessing.active_children()) - before:
+        process.join(20)
+    assert not set(multiprocessing.active_children()) - before
+
+
+def interrupted(job: int) -> int:
+    os.kill(os.getpid(), signal.SIGINT)
+    return job
+
+
+def test_an_interrupt_that_reaches_a_worker_too_is_its_parent_s() -> None:
+    assert sorted(each(interrupted, [1, 2], workers=2)) == [(0, 1), (1, 2)]
+
+
+def test_a_scheduler_that_is_not_there_is_bad_input(free_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("services.tools.batch.executor.CLUSTER_PATIENCE_S", 1.0)
+    with pytest.raises(ConfigError, match="option --cluster"):
+        list(each(math.sqrt, [4.0], cluster=f"tcp://127.0.0.1:{free_port}"))

@@ -1,0 +1,139 @@
+"""A store that is interrupted anywhere continues with what is missing, and refuses what is not its own."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Array
+from services.tools.batch.results_store import NAME, decode, open_store, read
+
+SETTINGS = {"seed": 3, "design": {"kinds": ("a", "b"), "size": 0.1}, "version": "1"}
+
+
+class Of(NamedTuple):
+    t_ns: npt.NDArray[np.int64]
+    error_m: Array
+    outside: npt.NDArray[np.bool_]
+
+
+class Figure(msgspec.Struct):
+    ratio: float | None
+    of: dict[str, Of]
+
+
+def test_what_was_appended_comes_back_as_it_was(tmp_path: Path) -> None:
+    """Arrays to the last bit and with their kind; an infinite figure too."""
+    of = Of(np.array([2**53 + 1, 7]), np.array([[0.1, math.inf], [math.nan, -1e-300]]), np.array([True, False]))
+    with open_store(tmp_path / "new", SETTINGS) as store:
+        store.append("one", Figure(math.inf, {"x": of}))
+        store.append("two", [Figure(None, {}), Figure(0.1 + 0.2, {})])
+    with open_store(tmp_path / "new", SETTINGS) as store:
+        assert store.keys == {"one", "two"}
+        found = dict(store.results())
+    one = decode(found["one"], Figure)
+    assert one.ratio == math.inf
+    for a, b in zip(one.of["x"], of, strict=True):
+        np.testing.assert_array_equal(a, b)
+        assert a.dtype == b.dtype
+    assert decode(found["two"], list[Figure]) == [Figure(None, {}), Figure(0.1 + 0.2, {})]
+    assert read(tmp_path / "new" / NAME)[0]["design"] == {"kinds": ["a", "b"], "size": 0.1}
+
+
+def test_a_file_that_is_cut_at_any_byte_keeps_every_whole_line(tmp_path: Path) -> None:
+    with open_store(tmp_path, SETTINGS) as store:
+        for key in ("a", "b"):
+            store.append(key, {"x": key})
+    path = tmp_path / NAME
+    whole = path.read_bytes()
+    ends = [i + 1 for i, byte in enumerate(whole) if byte == 10]
+    for length in range(len(whole) + 1):
+        path.write_bytes(whole[:length])
+        with open_store(tmp_path, SETTINGS) as store:
+            left = sum(length >= end for end in ends[1:])
+            assert store.keys == set("ab"[:left])
+            for key in "ab"[left:]:
+                store.append(key, {"x": key})
+        assert path.read_bytes() == whole
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from services.tools.batch.results_store import open_store
+with open_store(Path(sys.argv[1]), {}) as store:
+    for i in range(len(store.keys), 10**9):
+        store.append(str(i), {"i": i, "x": [0.1 * i] * (i % 3000)})
+"""
+
+
+def test_a_writer_that_is_killed_loses_no_whole_result_and_leaves_none_that_is_cut(tmp_path: Path) -> None:
+    before = 0
+    for delay_s in (0.05, 0.2, 0.1):
+        writer = subprocess.Popen([sys.executable, "-P", "-c", WRITER, str(tmp_path)], stdin=subprocess.DEVNULL)
+        try:
+            until = time.monotonic() + 60
+            path = tmp_path / NAME
+            start = path.stat().st_size if path.exists() else 0
+            while not path.exists() or path.stat().st_size <= start + 1000:
+                assert writer.poll() is None
+                assert time.monotonic() < until
+                time.sleep(0.005)
+            time.sleep(delay_s)
+            with pytest.raises(ConfigError, match="another process"), open_store(tmp_path, {}):
+                pass
+        finally:
+            writer.send_signal(signal.SIGKILL)
+            writer.wait()
+        with open_store(tmp_path, {}) as store:
+            found = list(store.results())
+        assert len(found) > before
+        assert [key for key, _ in found] == [str(i) for i in range(len(found))]
+        assert all(one == {"i": i, "x": [0.1 * i] * (i % 3000)} for i, (_, one) in enumerate(found))
+        before = len(found)
+
+
+def test_other_settings_are_refused_by_name_and_force_begins_again(tmp_path: Path) -> None:
+    with open_store(tmp_path, SETTINGS) as store:
+        store.append("a", 1)
+    before = (tmp_path / NAME).read_bytes()
+    other = {**SETTINGS, "design": {"kinds": ("a", "b"), "size": 0.2}, "version": "2"}
+    problem = r"holds another campaign.*\(design.size = 0.1 there, 0.2 here; version = .1. there, .2. here\).*--force"
+    with pytest.raises(ConfigError, match=problem), open_store(tmp_path, other):
+        pass
+    assert (tmp_path / NAME).read_bytes() == before
+    with open_store(tmp_path, other, force=True) as store:
+        assert store.keys == set()
+    with open_store(tmp_path, other) as store:
+        assert store.keys == set()
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="not empty"), open_store(tmp_path, SETTINGS):
+        pass
+    assert os.listdir(tmp_path) == ["notes.txt"]
+
+
+def test_a_line_that_is_damaged_is_named(tmp_path: Path) -> None:
+    with open_store(tmp_path, SETTINGS) as store:
+        store.append("a", 1)
+    path = tmp_path / NAME
+    path.write_bytes(path.read_bytes() + b"\0\0\n")
+    with pytest.raises(ConfigError, match="line 3: is damaged"), open_store(tmp_path, SETTINGS):
+        pass
+    path.write_bytes(b"\0\n")
+    with pytest.raises(ConfigError, match="cannot be read"), open_store(tmp_path, SETTINGS):
+        pass

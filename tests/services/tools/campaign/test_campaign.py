@@ -1,0 +1,247 @@
+"""Campaigns of short runs: interrupted and gone on with, by any executor the same bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from services.cli.app import run
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
+
+FILE = """
+title = "test"
+minimise = "tracking_error_m.mean"
+seeds.first = 3
+seeds.count = 2
+[set]
+run.perfect_state = true
+run.duration_s = 0.9
+[vary]
+controller.horizon_s = [0.6, 1.2]
+vehicle.thruster.port.arm_m = [0.15, 0.2]
+"""
+
+PATIENCE_S = 200.0
+
+
+def told(capsys: pytest.CaptureFixture[str], *options: object, code: int = 0) -> dict[str, Any]:
+    assert run(["campaign", *map(str, options), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("campaign") / "c.toml"
+    path.write_text(FILE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(file: Path) -> Path:
+    """By one worker."""
+    out = file.parent / "one"
+    assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
+    return out
+
+
+def results(folder: Path) -> bytes:
+    return (folder / "results.parquet").read_bytes()
+
+
+def lines(folder: Path) -> list[str]:
+    """Of the store: the settings, and a row a run."""
+    return (folder / "results.jsonl").read_text().splitlines(keepends=True)
+
+
+def test_each_row_is_the_run_that_its_settings_make(finished: Path) -> None:
+    table = pq.read_table(finished / "results.parquet")
+    rows = table.to_pylist()
+    assert [(row["point"], row["seed"]) for row in rows] == [(p, s) for p in range(4) for s in (3, 4)]
+    assert all(row["failed"] is None for row in rows)
+    settings = ["run.perfect_state=true", "run.duration_s=0.9", "controller.horizon_s=1.2", "run.seed=4"]
+    summary = lockstep_run.run(resolve("descent", [Override("test", settings)]))
+    (row,) = (r for r in rows if r["point"] == 3 and r["seed"] == 4)  # 1.2 s and the arm of the file itself
+    assert row["vehicle.thruster.port.arm_m"] == 0.2
+    assert row["tracking_error_m.mean"] == summary.tracking_error_m.mean
+    assert row["thrust.travel_N"] == summary.thrust.travel_N
+    assert row["qp_status.solved"] == summary.qp_status["solved"]
+    (shorter,) = (r for r in rows if r["point"] == 2 and r["seed"] == 4)  # a shorter arm on one side
+    assert shorter["thrust.travel_N"] != row["thrust.travel_N"]
+
+
+def test_nothing_measured_is_in_the_results(finished: Path) -> None:
+    columns = pq.read_schema(finished / "results.parquet").names
+    assert not [name for name in columns if "wall" in name or "host" in name or "speed" in name or "stages_us" in name]
+    timing = pq.read_table(finished / "timing.parquet").to_pylist()
+    assert all(row["wall_s"] > 0 and row["host"] for row in timing)
+    assert len(timing) == 8
+
+
+def test_interrupted_and_gone_on_with_by_more_workers_it_gives_the_same_bytes(
+    file: Path, finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = file.parent / "again"
+    shutil.copytree(finished, out)
+    (out / "results.parquet").unlink()
+    settings, *rows = lines(out)
+    (out / "results.jsonl").write_text("".join([settings, *rows[1::2], rows[0][:40]]))  # cut off as it was written
+    said = told(capsys, file, "--out", out, "--workers", 2)
+    assert (said["runs"], said["done"], said["failed"]) == (8, 8, 0)
+    assert results(out) == results(finished)
+    assert lines(out)[:5] == [settings, *rows[1::2]]  # not done again
+    assert len(lines(out)) == 9
+
+
+def started(file: Path, out: Path, log: Path, *options: str) -> subprocess.Popen[bytes]:
+    """A campaign of its own, as soon as it has rows."""
+    command = [sys.executable, "-P", "-m", "services.cli", "campaign", str(file), "--out", str(out), *options]
+    before = len(lines(out)) if out.exists() else 1
+    with log.open("wb") as said:
+        campaign = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+    until = time.monotonic() + PATIENCE_S
+    while not (out / "results.jsonl").exists() or len(lines(out)) <= before:
+        assert campaign.poll() is None, log.read_text()
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    return campaign
+
+
+@pytest.mark.timeout(700)
+def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(tmp_path: Path) -> None:
+    """For real, by SIGKILL and SIGINT; 40 runs, so that some are left each time."""
+    file, out, whole = tmp_path / "c.toml", tmp_path / "out", tmp_path / "whole"
+    file.write_text(FILE.replace("seeds.count = 2", "seeds.count = 10"))
+    first = started(file, out, tmp_path / "first.log", "--workers", "1")
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    killed = lines(out)
+    second = started(file, out, tmp_path / "second.log", "--workers", "2")
+    second.send_signal(signal.SIGINT)
+    assert second.wait(PATIENCE_S) == 130, (tmp_path / "second.log").read_text()
+    said = (tmp_path / "second.log").read_text()
+    assert "of 40 runs left: the same command with --out" in said
+    assert "Traceback" not in said
+    interrupted = lines(out)
+    whole_lines = [line for line in killed if line.endswith("\n")]
+    assert interrupted[: len(whole_lines)] == whole_lines
+    assert 2 <= len(whole_lines) < len(interrupted) < 41
+    assert run(["campaign", str(file), "--out", str(out), "--json"]) == 0
+    assert lines(out)[: len(interrupted)] == interrupted
+    assert len(lines(out)) == 41
+    assert run(["campaign", str(file), "--out", str(whole), "--json"]) == 0
+    assert results(out) == results(whole)
+
+
+def test_the_best_point_is_the_one_with_the_least_mean_and_the_others_are_paired_with_it(
+    finished: Path, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = pq.read_table(finished / "results.parquet").to_pylist()
+    mean = {p: sum(r["tracking_error_m.mean"] for r in rows if r["point"] == p) / 2 for p in range(4)}
+    best = told(capsys, file, "--out", finished)["best"]
+    assert [row["point"] for row in best] == sorted(mean, key=lambda p: mean[p])
+    assert best[0]["over_best"] is None
+    for row in best[1:]:
+        assert row["over_best"]["mean"] == pytest.approx(mean[row["point"]] - mean[best[0]["point"]])
+        assert row["over_best"]["low"] <= row["over_best"]["mean"] <= row["over_best"]["high"]
+
+
+def test_runs_that_cannot_be_made_are_listed_and_the_rest_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each value is good alone; a cell of 3 m in a column of 2 m is not."""
+    text = FILE.replace("controller.horizon_s = [0.6, 1.2]", "water.cell_m = [1.0, 3.0]\nwater.deepest_m = [2.0, 70.0]")
+    text = text.replace("vehicle.thruster.port.arm_m = [0.15, 0.2]", "").replace("seeds.count = 2", "seeds.count = 1")
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    said = told(capsys, path, "--out", tmp_path / "out", "--workers", 1)
+    assert (said["done"], said["failed"]) == (4, 1)
+    rows = pq.read_table(tmp_path / "out" / "results.parquet").to_pylist()
+    (failed,) = (row for row in rows if row["failed"])
+    assert (failed["water.cell_m"], failed["water.deepest_m"]) == (3.0, 2.0)
+    assert "[water] cell_m = 3.0" in failed["failed"]
+    assert failed["tracking_error_m.mean"] is None
+
+
+def test_a_value_outside_its_bounds_is_refused_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "c.toml"
+    path.write_text(FILE.replace("[0.15, 0.2]", "[0.15, -0.2]"))
+    assert run(["campaign", str(path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "[vary] vehicle.thruster.port.arm_m" in said
+    assert "-0.2" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_of_another_campaign_or_of_something_else_is_refused(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "c.toml"
+    other.write_text(FILE.replace("1.2]", "1.5]"))
+    before = results(finished)
+    assert run(["campaign", str(other), "--out", str(finished)]) == 2
+    assert "holds another campaign" in capsys.readouterr().err
+    assert results(finished) == before
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "x.txt").write_text("mine")
+    assert run(["campaign", str(other), "--out", str(tmp_path / "notes")]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+# --- a cluster --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+    """A scheduler of its own on loopback with two workers, each without a nanny that would start it anew."""
+    pytest.importorskip("distributed")
+    env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
+    place = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    here = ["--host", "127.0.0.1", "--no-dashboard"]
+    alone = ["--no-nanny", "--nthreads", "1", "--local-directory", str(tmp_path)]
+    commands = [
+        [*dask, "scheduler", *here, "--port", "0", "--scheduler-file", str(place)],
+        *[[*dask, "worker", *here, "--scheduler-file", str(place), *alone]] * 2,
+    ]
+    processes: list[subprocess.Popen[bytes]] = []
+    log = (tmp_path / "cluster.log").open("wb")
+    try:
+        for command in commands:
+            processes.append(subprocess.Popen(command, env=env, stdin=subprocess.DEVNULL, stdout=log, stderr=log))
+            until = time.monotonic() + PATIENCE_S
+            while not place.exists() or not place.read_text().endswith("}"):
+                assert time.monotonic() < until, (tmp_path / "cluster.log").read_text()
+                time.sleep(0.05)
+        yield json.loads(place.read_text())["address"], processes
+    finally:
+        for process in reversed(processes):
+            process.kill()
+            process.wait()
+        log.close()
+
+
+@pytest.mark.timeout(700)
+def test_a_cluster_that_loses_a_worker_on_the_way_gives_the_same_bytes(
+    file: Path, finished: Path, cluster: tuple[str, list[subprocess.Popen[bytes]]], tmp_path: Path
+) -> None:
+    address, (_, first, _) = cluster
+    out = tmp_path / "out"
+    campaign = started(file, out, tmp_path / "campaign.log", "--cluster", address)
+    first.send_signal(signal.SIGKILL)
+    assert campaign.wait(PATIENCE_S) == 0, (tmp_path / "campaign.log").read_text()
+    assert len({json.loads(line)["key"] for line in lines(out)[1:]}) == len(lines(out)) - 1 == 8
+    assert results(out) == results(finished)

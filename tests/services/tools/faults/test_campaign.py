@@ -1,0 +1,74 @@
+"""A small campaign, really made: a fault of every class in lock step, and messages harmed between real processes.
+
+Left out for its length: what is done to processes themselves (killed, stopped, slowed, disk full), and what the error
+is a minute after a fault, which a full campaign judges.
+"""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from msgspec import structs
+
+from ltv_mpc.messages import Harm, Injection
+from services.bus.session import BusOptions
+from services.cli.app import run as command
+from services.replay import replay
+from services.supervisor.entry_point import read_config, write_config
+from services.tools.batch.results_store import NAME, read
+from services.tools.faults import attacks, bench, campaign, inject, kinds, lockstep_runs
+from services.tools.faults.draw import Run
+from services.tools.faults.fault import Fault, Place
+
+
+@pytest.mark.timeout(400)
+def test_a_quick_campaign_ends_in_no_bad_thrust_no_uncounted_loss_and_no_late_reaction(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "remove", lambda _: None)  # runs in which all was well
+    code = command(["faults", "--quick", "--seed", "3", "--json", "--out", str(tmp_path)])
+    of = json.loads(capsys.readouterr().out)
+    assert {name: of[name] for name in ("injected", "in_processes")} == {"injected": 25, "in_processes": 5}
+    assert of["classes"] == len([kind for kind in kinds.KINDS if kind.place is Place.LOCKSTEP])
+    broken = {name: of[name] for name in ("uncontrolled_exits", "bad_thrusts", "uncounted_losses", "late_reactions")}
+    assert broken == dict.fromkeys(broken, 0), of["not_kept"]
+    assert code == 0
+    seen = [one for _, result in read(tmp_path / NAME)[1] for one in result]
+    harmed = {one["fault"]["kind"]: one["harmed"] for one in seen if one["place"] == "processes"}
+    assert len(harmed) == 5
+    assert all(harmed.values())  # else this shows nothing
+    assert json.loads((tmp_path / "faults.json").read_text()) == of
+    # The recorder heard one router alone: what was said at the other and lost on its way is in the file nonetheless.
+    assert {one["fault"]["target"] for one in seen if one["place"] == "processes"} == {"estimate", "plan", "applied"}
+    (recording,) = tmp_path.glob("bus-*/run.mcap")
+    verdict = replay.replay(replay.Run(recording), only="controller")
+    assert verdict.identical, verdict.first_difference
+    assert verdict.steps_compared == verdict.steps_run > 60
+
+
+def test_faults_move_nothing_before_they_begin():
+    """What is injected comes from outside: until then the run is that of its seed, bit for bit."""
+    fault = Fault(kind="not_a_number", target="estimate", start_s=6.0, end_s=9.0, size=0.5, seed=1)
+    runs = [
+        lockstep_runs.observe(Run(seed=4, faults=faults, duration_s=8.0, afloat_s=3.0)).log for faults in ((), (fault,))
+    ]
+    without, with_it = ([row for row in log.truth if row[0] < 6 * 10**9] for log in runs)
+    assert without == with_it
+    assert runs[0].estimate[:80] == runs[1].estimate[:80]
+    assert runs[1].rejected
+    assert not runs[0].rejected
+
+
+def test_the_injector_is_told_what_the_campaign_has_drawn(tmp_path):
+    fault = Fault(kind="message_delay", target="plan", start_s=3.25, end_s=4.5, size=0.125, seed=77)
+    drawn = Injection(
+        key="plan", harm=Harm.DELAY, start_t_ns=3_250_000_000, end_t_ns=4_500_000_000, size=0.125, seed=77
+    )
+    told = inject.Config(node="controller", injections=(bench.injection(fault),), at_a=BusOptions(), at_b=BusOptions())
+    write_config(tmp_path / "inject.json", told)
+    (read,) = read_config(tmp_path / "inject.json", inject.Config).injections
+    assert structs.asdict(read) == structs.asdict(drawn)  # messages compare by identity
+
+
+def test_every_class_of_processes_is_one_that_can_be_done_to_them():
+    for kind in (kind for kind in kinds.KINDS if kind.place is Place.PROCESSES):
+        assert kind.name.startswith("message_") or kind.name in attacks.ATTACKS

@@ -1,0 +1,300 @@
+"""The judge on runs that are written down by hand: what it must see, and what it must let pass."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from ltv_mpc.messages import Health, PlanOrigin, SensorStatus
+from ltv_mpc.vehicle.parameters import Vehicle
+from services.reporting import faults_text
+from services.tools.faults import result
+from services.tools.faults.draw import Run
+from services.tools.faults.fault import Fault, Seen
+from services.tools.faults.judge import chance, errors, judge
+from services.tools.faults.kinds import BOUNDS_M, KINDS
+from services.tools.faults.lockstep_runs import INTRUDERS_EPOCH, GateSeen, Log, Observed, PlanSeen, ReportSeen
+from services.tools.faults.reactions import Case, reaction
+
+MS, S = 1_000_000, 1_000_000_000
+VEHICLE = Vehicle.load("paper")
+CYCLE_NS = 300 * MS
+UNTIL_NS = 120 * S
+START_S, END_S = 30.0, 40.0
+
+
+def fault(kind: str, target: str = "estimate", **changes) -> Fault:
+    return Fault(kind=kind, target=target, start_s=START_S, end_s=END_S, size=0.5, seed=1, **changes)
+
+
+def log(*, off_m: float = 0.0, sd_m: float = 1.0, off_s: tuple[float, float] = (0.0, 200.0)) -> Log:
+    """A vehicle that holds its place, 0.1 m off it, as it should; ``off_m`` north of where it believes to be."""
+    of = Log(VEHICLE)
+    for t in range(0, UNTIL_NS, 100 * MS):
+        here = off_m if off_s[0] * S <= t <= off_s[1] * S else 0.0
+        of.truth.append((t, 0.1 + here, 0.0, 0.0, 0.0))
+        of.estimate.append((t, 0.1, 0.0, 0.0, 0.0))
+        of.squares.append((sd_m**2, 0.0, 0.0, sd_m**2, 1.0, 0.0, 0.0, 1.0))
+        of.heard.append((t + 10 * MS, t))
+        of.applied.append((t, False, 1, 0, 0))
+        of.asked.append((t, 20.0, 20.0))
+        of.gate.append(GateSeen(t, t - t % CYCLE_NS, t - t % CYCLE_NS, Health.NOMINAL))
+    for t in range(0, UNTIL_NS, CYCLE_NS):
+        of.cycles.append(t)
+        of.plans.append(PlanSeen(t, t, PlanOrigin.SOLVED, Health.NOMINAL, True))
+        of.target.append((t, (0.0, 0.0)))
+    of.reports += [ReportSeen(t, True, {}) for t in range(0, UNTIL_NS, S)]
+    return of
+
+
+def seen(of: Log, what: Fault, *, harmed: int = 0, uncontrolled: str = "", dropped: int = 0) -> Seen:
+    observed = Observed(of, {0: harmed}, [], [(0, 0), (35 * S, dropped)], uncontrolled, UNTIL_NS)
+    (one,) = judge(Run(seed=1, faults=(what,), duration_s=120.0), observed, errors(log()))
+    return one
+
+
+def change_plans(of: Log, from_s: float, to_s: float, **changes) -> Log:
+    of.plans = [plan._replace(**changes) if from_s * S <= plan.cycle_ns < to_s * S else plan for plan in of.plans]
+    return of
+
+
+def silence(of: Log) -> Log:
+    """No estimate from the fault's start to its end."""
+    of.heard = [(received, t) for received, t in of.heard if not START_S * S <= t < END_S * S]
+    return of
+
+
+def test_a_run_that_kept_its_promises_has_nothing_against_it():
+    one = seen(log(), fault("external_force", "vehicle"))
+    assert (one.late, one.ratio, one.outside_s, one.uncounted, one.bad_thrusts) == ("", pytest.approx(1.0), 0.0, 0, 0)
+    assert one.worst_error_m == pytest.approx(0.1)  # it stayed where it began, 0.1 m from where it was to be
+    assert result.problems(one) == []
+
+
+def test_a_cycle_without_a_command_is_late():
+    of = log()
+    of.plans = [plan for plan in of.plans if plan.cycle_ns != 33 * S]
+    assert seen(of, fault("external_force")).late == "1 cycles without a finite command"
+    of = change_plans(log(), 33, 33.2, finite=False)
+    assert seen(of, fault("external_force")).late == "1 cycles without a finite command"
+
+
+def test_silence_that_nobody_mentions_is_late_from_its_threshold_on():
+    assert "nominal with an estimate" in seen(silence(log()), fault("message_loss")).late
+
+
+@pytest.mark.parametrize(("hold_s", "in_time"), [(31.3, True), (31.9, False)])
+def test_each_level_of_health_has_its_own_threshold(hold_s, in_time):
+    """The last estimate is of 29.9 s: degraded beyond 30.4, held beyond 31.4, given up beyond 32.9."""
+    of = change_plans(silence(log()), 30.4, hold_s, health=Health.DEGRADED)
+    of = change_plans(of, hold_s, 32.9, health=Health.HOLD)
+    of = change_plans(of, 32.9, 41.0, health=Health.FAILSAFE)
+    one = seen(of, fault("message_loss"))
+    assert (one.late == "") is in_time
+    if in_time:
+        assert one.reaction_s == pytest.approx(0.2)  # cycles at 30.6, 31.5, 33.0
+
+
+def test_actuators_that_miss_two_plans_must_say_so():
+    """The last plan before the fault came at 29.7 s; 0.75 s later the second one after it is missing."""
+    what = fault("message_loss", "plan")
+    of = log()
+    of.gate = [
+        g._replace(received_ns=29_700 * MS, cycle_ns=29_700 * MS) if 30 <= g.t_ns / S < 40 else g for g in of.gate
+    ]
+    assert "actuators are nominal" in seen(of, what).late
+    of.gate = [g._replace(health=Health.DEGRADED) if 30.5 <= g.t_ns / S < 40 else g for g in of.gate]
+    one = seen(of, what)
+    assert one.late == ""
+    assert one.reaction_s == pytest.approx(0.05)  # in the report of 30.5 s
+
+
+def test_a_silent_instrument_must_be_reported():
+    what = fault("sensor_off", "adcp")
+    assert "no report says so" in seen(log(), what).late
+    of = log()
+    of.reports = [
+        r._replace(wrong={"adcp": SensorStatus.SILENT}) if 32 * S <= r.t_ns < 40 * S else r for r in of.reports
+    ]
+    one = seen(of, what)
+    assert one.late == ""
+    assert one.reaction_s == pytest.approx(1.0, abs=1e-6)  # three thirds of a second after the start
+    of.reports = [r._replace(wrong={}) if r.t_ns < 35 * S else r for r in of.reports]
+    assert "said 4.0 s after its threshold" in seen(of, what).late
+
+
+def test_every_frame_that_is_none_must_be_refused():
+    of = log()
+    of.rejected = [(31 * S + i * S, "controller", "estimate") for i in range(4)]
+    of.rejected.append((31 * S, "plant", "plan"))  # of another key
+    assert seen(of, fault("not_a_number"), harmed=4).late == ""
+    one = seen(of, fault("not_a_number"), harmed=5)
+    assert one.uncounted == 1
+    assert "1 of 5 frames not refused" in one.late
+
+
+def test_every_lost_message_must_be_counted_as_lost():
+    assert seen(log(), fault("message_loss"), harmed=7, dropped=7).uncounted == 0
+    assert seen(log(), fault("message_loss"), harmed=7, dropped=5).uncounted == 2
+
+
+def test_a_plan_of_a_solver_in_trouble_must_not_call_itself_solved():
+    what = fault("solver_failure", "lies")
+    assert "says that it is solved" in seen(log(), what).late
+    shifted = change_plans(log(), START_S, END_S, origin=PlanOrigin.SHIFTED)
+    assert seen(shifted, what).late == ""
+    too_long = change_plans(log(), START_S, END_S + 1.0, origin=PlanOrigin.SHIFTED)
+    assert "not solved in the second cycle" in seen(too_long, what).late
+
+
+def test_a_second_commander_must_be_refused_and_never_followed():
+    what = fault("second_commander", "plant")
+    assert "nobody says" in seen(log(), what).late
+    of = log()
+    of.applied = [(*row[:3], 3, 0) if row[0] >= START_S * S + 100 * MS else row for row in of.applied]
+    assert seen(of, what).late == ""
+    of.applied = [(*row[:2], INTRUDERS_EPOCH, *row[3:]) if row[0] == 35 * S else row for row in of.applied]
+    assert "follows the second commander" in seen(of, what).late
+
+
+@pytest.mark.parametrize(("alarm_s", "late"), [(30.6, False), (32.9, True)])
+def test_a_lost_thruster_must_raise_the_alarm_when_it_has_cost_ten_newton_seconds(alarm_s, late):
+    """Half of 40 N are 20 N: 10 N s after 0.5 s; the next word on the model comes within a second."""
+    of = log()
+    of.alarms = [(round(alarm_s * S), True)]
+    one = seen(of, fault("thruster_loss", "both"))
+    assert bool(one.late) is late
+    assert one.reaction_s == pytest.approx(alarm_s - 30.5)
+    assert "no alarm" in seen(log(), fault("thruster_loss", "both")).late
+
+
+def test_slow_cycles_must_be_counted_as_deadline_misses():
+    assert "no deadline miss" in seen(log(), fault("solver_overrun", "controller")).late
+    of = log()
+    of.applied = [(*row[:4], 2) if row[0] >= 32 * S else row for row in of.applied]
+    assert seen(of, fault("solver_overrun", "controller")).late == ""
+
+
+def test_a_bad_thrust_is_counted():
+    of = log()
+    of.applied[350] = (35 * S, True, 1, 0, 0)
+    one = seen(of, fault("external_force"))
+    assert one.bad_thrusts == 1
+    assert "1 bad thrusts" in result.problems(one)
+
+
+def test_what_is_left_of_the_error_is_held_against_the_same_seed_without():
+    of = log()
+    of.estimate = [(t, 0.35 if t > 71 * S else n, e, *v) for t, n, e, *v in of.estimate]
+    one = seen(of, fault("external_force"))
+    assert one.ratio == one.window_ratio == pytest.approx(3.4, abs=0.1)  # most of 70 to 100 s
+    assert campaign(one).not_recovered == campaign(one).window_over == 1
+
+
+def test_a_half_minute_that_was_calmer_than_usual_without_the_fault_is_not_what_is_asked_for():
+    """0.1 m off as ever; without the fault it happened to be 0.02 m, and 0.08 m over the whole run."""
+    calm = log()
+    calm.estimate = [(t, 0.02 if 70 * S <= t < 100 * S else n, e, *v) for t, n, e, *v in calm.estimate]
+    observed = Observed(log(), {}, [], [], "", UNTIL_NS)
+    (one,) = judge(Run(seed=1, faults=(fault("external_force"),), duration_s=120.0), observed, errors(calm))
+    assert one.window_ratio == pytest.approx(5.0, abs=0.1)
+    assert one.ratio == pytest.approx(1.25, abs=0.01)
+    of = campaign(one)
+    assert (of.not_recovered, of.window_over, of.window_asked) == (0, 1, 1)
+    assert chance([errors(calm)]) == pytest.approx(2 / 6)  # 60 to 90 s, two thirds of it calm, against both others
+    assert chance([errors(log())]) == 0.0
+    assert chance([]) is None
+
+
+def test_what_is_lost_may_move_the_true_error_so_far_and_no_further():
+    """Compared with what it was when the fault began, however far off the vehicle was by then."""
+    what = fault("sensor_off", "compass")
+    bound_m = BOUNDS_M["sensor_off", "compass"]
+    one = seen(log(off_m=bound_m + 0.1, off_s=(START_S + 1, END_S), sd_m=9.0), what)
+    assert one.grown_m == pytest.approx(bound_m + 0.1)
+    assert f"bound {bound_m:g} m" in "; ".join(result.problems(one))
+    assert campaign(one).beyond_bound == 1
+    inside = seen(log(off_m=bound_m - 0.1, off_s=(START_S + 1, END_S), sd_m=9.0), what)
+    before = seen(log(off_m=bound_m + 0.1, off_s=(START_S - 1, 200.0), sd_m=9.0), what)
+    assert campaign(inside, before).beyond_bound == 0
+    assert seen(log(), fault("external_force")).bound_m is None
+    assert seen(log(), fault("thruster_loss", "both", permanent=True)).bound_m is not None
+
+
+def test_whatever_is_lost_has_a_bound():
+    lost = [kind for kind in KINDS if kind.may_last]
+    assert {(kind.name, target) for kind in lost for target in kind.targets} == set(BOUNDS_M)
+
+
+def test_a_plan_that_the_fault_itself_kept_from_the_recording_was_a_command_all_the_same():
+    of = log()
+    of.plans = [plan for plan in of.plans if plan.cycle_ns not in (33 * S, 36 * S)]
+    what = fault("message_loss", "plan")
+    case = Case(what, 30 * S, 40 * S, 2, Observed(of, {}, None, [], "", UNTIL_NS, unheard=2))
+    assert reaction(case).late == ""
+    assert "1 cycles" in reaction(case._replace(of=case.of._replace(unheard=1))).late
+
+
+def test_an_error_beyond_three_sigma_must_be_said():
+    off = {"off_m": 4.0, "off_s": (START_S, END_S)}
+    one = seen(log(**off), fault("sensor_wrong", "adcp"))
+    assert one.outside_s == pytest.approx(10.0, abs=0.2)
+    assert one.worst_error_m == pytest.approx(4.1)
+    assert seen(log(**off, sd_m=2.0), fault("sensor_wrong", "adcp")).outside_s == 0.0
+    of = log(**off)
+    of.reports = [r._replace(nominal=False) for r in of.reports]
+    assert seen(of, fault("sensor_wrong", "adcp")).outside_s == 0.0
+
+
+def test_an_error_that_the_same_seed_has_anyway_is_not_the_faults():
+    off = log(off_m=4.0)
+    observed = Observed(off, {}, [], [], "", UNTIL_NS)
+    (one,) = judge(Run(seed=1, faults=(fault("sensor_wrong"),), duration_s=120.0), observed, errors(off))
+    assert one.outside_s == 0.0
+
+
+def test_an_end_that_was_not_to_be_is_one():
+    one = seen(log(), fault("solver_failure", "raises"), uncontrolled="SolverRaised: in trouble")
+    assert one.uncontrolled == ""  # it came later than what is judged of this fault
+    of = Observed(log(), {}, [], [], "SolverRaised: in trouble", 35 * S)
+    (one,) = judge(Run(seed=1, faults=(fault("solver_failure", "raises"),), duration_s=120.0), of, errors(log()))
+    assert one.uncontrolled == "SolverRaised: in trouble"
+
+
+def test_a_run_ends_once_whatever_the_number_of_its_faults():
+    faults = tuple(
+        Fault(kind=kind, target="estimate", start_s=start_s, end_s=start_s + 1.0, size=0.5, seed=1)
+        for kind, start_s in (("external_force", 31.0), ("not_a_number", 32.0), ("external_force", 33.0))
+    )
+    run = Run(seed=1, faults=faults, duration_s=120.0)
+    of = Observed(log(), {1: 5}, [], [], "SolverRaised: in trouble", 35 * S)
+    assert [bool(one.uncontrolled) for one in judge(run, of, errors(log()))] == [False, True, False]  # five not refused
+    assert [bool(one.uncontrolled) for one in judge(run, of._replace(harmed={}), errors(log()))] == [False, False, True]
+
+
+def campaign(*seen: Seen) -> result.Campaign:
+    return result.campaign(seen, seed=5, quick=False, wall_s=1.0, load=0.5)
+
+
+def test_the_table_adds_up_what_was_seen_and_names_what_was_not_kept():
+    good = seen(log(), fault("external_force"))
+    bad = seen(silence(log()), fault("message_loss"), harmed=7, dropped=5)
+    of = campaign(good, good, bad)
+    assert (of.injected, of.classes, of.late_reactions, of.uncounted_losses) == (3, 2, 1, 2)
+    assert [row.injected for row in of.rows] == [1, 2]
+    assert of.not_kept == (bad,)
+    assert not result.kept(of)
+    assert result.kept(campaign(good))
+    text = faults_text.table(of)
+    assert "0 uncontrolled exits, 0 bad thrusts, 2 uncounted losses, 1 late reactions" in text
+    assert "not kept: message_loss estimate, lockstep, seed 1, 30.0 to 40.0 s" in text
+
+
+def test_an_error_that_cannot_be_measured_afterwards_is_no_recovery():
+    of = log()
+    of.estimate = [row for row in of.estimate if row[0] < 65 * S]
+    of.squares = of.squares[: len(of.estimate)]
+    one = seen(of, fault("external_force"))
+    assert one.ratio == math.inf
+    assert campaign(one).not_recovered == 1

@@ -1,0 +1,114 @@
+"""A fleet in real processes, as small as one can be, and what its figures are made of."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from typing import Any
+
+import pytest
+
+from services.cli.app import run
+from services.tools.fleet import trial
+from services.tools.fleet.controllers import Controllers
+from services.tools.fleet.place import Fleet, namespace
+from services.tools.fleet.plants import Plants
+from sim.evaluation.metrics import quantiles
+
+FLEET = Fleet(
+    vehicles=3, vehicle="paper", rate_hz=5.0, seconds=10.0, warm_up_s=1.0, horizon_s=5.0, router="tcp/127.0.0.1:1"
+)
+
+
+def test_the_vehicles_estimates_are_spread_over_a_period_and_come_once_in_each():
+    due = [FLEET.due_ns(i, k) for k in range(3) for i in range(3)]
+    assert due == sorted(due)
+    assert FLEET.due_ns(1, 2) - FLEET.due_ns(1, 1) == 200_000_000
+    assert FLEET.due_ns(2, 0) - FLEET.due_ns(1, 0) == pytest.approx(200e6 / 3, abs=1)
+    assert namespace(7) != namespace(70)
+
+
+def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s: float = 2.0, routed_s: float = 0.5):
+    mind = Controllers(
+        vehicles=3, cycles=plans, overtaken=0, rejected=1, dropped=0, cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s
+    )
+    world = Plants(
+        estimates=150,
+        plans=plans,
+        late=late,
+        refused=2,
+        dropped=0,
+        latency_ms=quantiles([5.0]),
+        mean_error_m=0.1,
+        cpu_s=world_cpu_s,
+    )
+    return trial._row(FLEET, [mind], world, routed_s)
+
+
+def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
+    made = row()
+    assert made.limit == "none"
+    assert made.controller_busy_per_vehicle == pytest.approx(1.0 / 10.0 / 3)
+    assert made.busy == pytest.approx({"router": 0.05, "plants": 0.2, "controllers": 0.1, "all": 0.35})
+    assert (made.missed, made.rejected) == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("figures", "limit"),
+    [
+        ({"late": 5, "mind_cpu_s": 9.5}, "controllers"),
+        ({"plans": 140, "world_cpu_s": 9.9, "mind_cpu_s": 9.5}, "plants"),
+        ({"late": 5, "routed_s": 9.1}, "router"),
+        ({"late": 5, "mind_cpu_s": 8.0, "world_cpu_s": 8.0, "routed_s": 8.0}, "all cores"),
+        ({"late": 5}, "not the processors"),
+        ({"late": 1, "mind_cpu_s": 9.9}, "none"),
+    ],
+)
+def test_what_gives_way_is_the_process_that_has_no_more_to_give(monkeypatch, figures, limit):
+    monkeypatch.setattr(trial.os, "cpu_count", lambda: 2)
+    assert row(**figures).limit == limit
+
+
+def test_a_process_that_ends_early_is_named():
+    with pytest.raises(trial.TrialFailed, match="breaks has ended with exit code 3"), trial._started() as start:
+        start("breaks", _breaks)
+
+
+def _breaks(*_: Any) -> None:
+    raise SystemExit(3)
+
+
+def test_three_vehicles_are_held_each_on_its_own_keys_by_two_processes(capsys):
+    """Nobody sees another's estimate: each would go to the other's point of view, and off its own."""
+    assert (
+        run(
+            [
+                "fleet",
+                "--vehicles",
+                "3",
+                "--rate-hz",
+                "4",
+                "--seconds",
+                "6",
+                "--warm-up-s",
+                "12",
+                "--processes",
+                "2",
+                "--json",
+            ]
+        )
+        == 0
+    )
+    (only,) = json.loads(capsys.readouterr().out)["rows"]
+    assert only["controller_processes"] == 2
+    assert only["plans"] >= 0.8 * 3 * 4 * 6
+    assert only["rejected"] == 0
+    assert only["mean_error_m"] < 0.25
+    assert 0.0 < only["latency_ms"]["median"] <= only["latency_ms"]["p99"]
+    assert not multiprocessing.active_children()
+
+
+@pytest.mark.parametrize("count", ["0", "1001", "x", "1,", "-3", "1.5"])
+def test_a_number_of_vehicles_that_cannot_be_is_refused(count, capsys):
+    assert run(["fleet", "--vehicles", count]) == 2
+    assert "option --vehicles" in capsys.readouterr().err

@@ -1,0 +1,211 @@
+"""The command over recorded dives: what it says, what it writes, what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import services.reporting
+from ltv_mpc.currents import read_prior
+from ltv_mpc.errors import ConfigError
+from services.cli.localise import localise as command
+from services.reporting import dive_text
+from services.tools.localise.dive_localisation import COLUMNS, Outcome, localise
+from tests.recorded.glider import World, dive
+from tests.recorded.pd0_writer import BEAM, Head, Written, written
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A glider's whole dive, down and up."""
+    path = tmp_path_factory.mktemp("dive") / "dive.PD0"
+    path.write_bytes(dive(World(), 5, duration=480.0).data)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(made: Path) -> Outcome:
+    """All of it."""
+    return localise(made)
+
+
+def small(count: int = 12, *, gap_s: float = 0.0, bottom: bool = True) -> bytes:
+    """A few ensembles of noise, with ``gap_s`` in the middle."""
+    rng = np.random.default_rng(1)
+    head = Head(cells=4, coordinates=BEAM)
+    frames = [
+        written(
+            head,
+            Written(
+                t_s=4.0 * k + gap_s * (2 * k >= count),
+                beams_mps=0.02 * rng.standard_normal((4, 4)),
+                depth_m=0.5 * k,
+                number=k + 1,
+                bottom_beams_mps=np.zeros(4) if bottom else None,
+            ),
+        )
+        for k in range(count)
+    ]
+    return b"".join(frames)
+
+
+def written_to(folder: Path, data: bytes) -> Path:
+    path = folder / "small.PD0"
+    path.write_bytes(data)
+    return path
+
+
+def test_json_has_the_result_alone_and_its_figures_agree_with_one_another(
+    made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(made, as_json=True) == 0
+    out, err = capsys.readouterr()
+    result = json.loads(out)
+    assert err == ""
+    assert result["ensembles"] > 100
+    assert (result["lost_bytes"], result["losses"], result["surface_fixes"]) == (0, [], 10)
+    assert result["track"]["fixes"] == 10
+    study = result["study"]
+    errors = [each["error_m"] for each in study["each"]]
+    assert study["starts"] == len(errors) >= 8
+    assert study["median_error_m"] == np.median(errors)
+    assert study["ratio"] == pytest.approx(study["median_error_m"] / study["median_constant_velocity_error_m"])
+    assert study["inside_3_sigma"] == np.mean([each["inside_3_sigma"] for each in study["each"]])
+    assert all(300 <= each["after_s"] < 310 and 2 <= each["depth_m"] <= 14 for each in study["each"])
+    assert 300 <= result["error"]["after_s"] < 310
+    assert result["parameters"]["gate_probability"] == 0.999
+
+
+def test_the_text_says_what_matters_in_lines_that_can_be_read(whole: Outcome) -> None:
+    lines = dive_text.text(whole.result).splitlines()
+    assert [line.split()[0] for line in lines] == ["file", "instrument", "track", "cells", "error", "study"]
+    assert "no byte lost" in lines[0]
+    assert "600 kHz, 30 deg beams looking down, earth coordinates, 20 x 2 m, 10 pings" in lines[1]
+    assert "sigma" in lines[2]
+    assert "constant velocity" in lines[4]
+    assert "inside 3 sigma" in lines[5]
+
+
+def test_the_folder_holds_result_track_current_and_picture(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert command(made, out=out) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == str(out)
+    assert sorted(path.name for path in out.iterdir()) == ["currents.csv", "localise.json", "localise.png", "track.csv"]
+    result = json.loads((out / "localise.json").read_text())
+    with (out / "track.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert len(rows) == result["track"]["ensembles"]
+    last = rows[-1]
+    assert float(last["north_m"]) == pytest.approx(result["track"]["end_north_m"], abs=1e-3)
+    assert float(last["sigma_m"]) == pytest.approx(result["track"]["end_sigma_m"], abs=1e-3)
+    water = read_prior(out / "currents.csv")
+    assert water.depth_m[0] <= 2
+    assert water.depth_m[-1] > 50
+    assert (out / "localise.png").read_bytes().startswith(b"\x89PNG")
+    little = written_to(tmp_path, small())
+    with pytest.raises(ConfigError, match="--force"):
+        command(little, out=out)
+    assert command(little, out=out, force=True) == 0
+
+
+def test_without_matplotlib_one_line_says_so_and_the_rest_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "services.reporting.dive_picture", raising=False)
+    monkeypatch.delattr(services.reporting, "dive_picture", raising=False)
+    out = tmp_path / "out"
+    assert command(written_to(tmp_path, small()), out=out) == 0
+    assert capsys.readouterr().err == "no picture: matplotlib is not installed (extra viz)\n"
+    assert sorted(path.name for path in out.iterdir()) == ["currents.csv", "localise.json", "track.csv"]
+
+
+def test_the_start_is_the_first_ensemble_at_the_depth(made: Path, whole: Outcome) -> None:
+    result = localise(made, start_depth_m=9.0).result
+    assert 9.0 <= result.track.start_depth_m < 9.7
+    assert result.track.ensembles < whole.result.track.ensembles
+    assert result.study == whole.result.study
+    with pytest.raises(ConfigError, match="the deepest is at 41") as error:
+        localise(made, start_depth_m=60.0)
+    assert error.value.source == "option --start-depth-m"
+
+
+def test_without_fixes_there_is_a_track_and_no_constant_velocity(made: Path) -> None:
+    text = dive_text.text(localise(made, fixes=0).result)
+    assert "constant velocity unknown" in text
+    assert "no fix by bottom track" in text
+
+
+def test_without_bottom_track_there_is_a_track_and_nothing_to_compare_it_with(tmp_path: Path) -> None:
+    outcome = localise(written_to(tmp_path, small(bottom=False)))
+    assert outcome.result.error is outcome.result.study is None
+    assert outcome.result.track.fixes == 0
+    assert any("no bottom track in the dive" in note for note in outcome.result.notes)
+    assert np.isnan(outcome.truth_m).all()
+    assert np.isfinite(outcome.track.position_m).all()
+
+
+def test_a_long_gap_and_a_change_of_settings_end_the_dive(tmp_path: Path) -> None:
+    result = localise(written_to(tmp_path, small(gap_s=500.0))).result
+    assert (result.ensembles, result.track.ensembles) == (12, 6)
+    assert "a gap of 504 s follows" in result.notes[0]
+    assert localise(written_to(tmp_path, small(gap_s=100.0))).result.track.ensembles == 12
+    head = Head(cells=5, coordinates=BEAM)
+    other = written(head, Written(t_s=100.0, beams_mps=np.zeros((5, 4)), bottom_beams_mps=np.zeros(4)))
+    result = localise(written_to(tmp_path, small() + other)).result
+    assert (result.ensembles, result.track.ensembles) == (13, 12)
+    assert "settings change" in result.notes[0]
+
+
+def test_damage_is_said_with_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = bytearray(small())
+    data[len(data) // 12 * 3 + 50] ^= 0xFF
+    path = written_to(tmp_path, bytes(data[:-10]))
+    assert command(path) == 0
+    out = capsys.readouterr().out
+    assert "10 ensembles" in out
+    assert f"byte {len(data) // 12 * 3}: {len(data) // 12} bytes: the ensemble at byte" in out
+    assert "in 2 places" in out
+
+
+def test_what_is_no_dive_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="not one valid ensemble"):
+        localise(written_to(tmp_path, b"no dive at all"))
+    with pytest.raises(ConfigError, match="no such file"):
+        localise(tmp_path / "missing.PD0")
+
+
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(st.integers(8, 2600), st.integers(0, 255)), max_size=25), st.booleans())
+def test_any_content_behind_right_checksums_gives_finite_figures_or_is_refused(
+    tmp_path: Path, changes: list[tuple[int, int]], everywhere: bool
+) -> None:
+    """Up to the end of the pipe: what a reader lets through, the filter must bear."""
+    data = bytearray(small(8))
+    size = len(data) // 8
+    for place, value in changes:
+        for k in range(8) if everywhere else (place % 8,):
+            at = size * k + place % size
+            if 4 <= place % size < size - 2:
+                data[at] = value
+    for k in range(8):
+        frame = data[size * k : size * k + size - 2]
+        data[size * (k + 1) - 2 : size * (k + 1)] = (sum(frame) & 0xFFFF).to_bytes(2, "little")
+    try:
+        outcome = localise(written_to(tmp_path, bytes(data)))
+    except ConfigError:
+        return
+    assert np.isfinite(outcome.track.position_m).all()
+    assert np.isfinite(outcome.track.position_covariance).all()
+    assert np.isfinite(outcome.track.water.north_mps).all()
+    json.dumps(outcome.result.track.nis, allow_nan=False)

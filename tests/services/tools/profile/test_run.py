@@ -1,0 +1,350 @@
+"""The latency profile: the same problems for every solver, in an order that changes, and errors beside times."""
+
+from __future__ import annotations
+
+import gc
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from ltv_mpc.control.config import MotionLimits
+from ltv_mpc.control.controller import Controller
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.errors import ConfigError
+from ltv_mpc.messages import Applied, CycleTiming, Estimate, Message, Plan, SolveStatus
+from ltv_mpc.node import Cycle, Inbox, Node
+from services.cli.app import run
+from services.recording.reader import Recording
+from services.run import folder
+from services.run.run_config import Override, resolve
+from services.tools import lockstep_run
+from services.tools.profile import machine, problems, table
+from services.tools.profile import measure as measuring
+from services.tools.profile import run as profile
+from services.tools.profile.measure import STAGES, Contestant, Piqp, Samples, SolverByName, measure
+from tests.stepping import OneByOne, step
+
+OSQP, PIQP = SolverByName("osqp"), Piqp()
+
+
+def measured(episodes: list[problems.Episode], *contestants: Contestant) -> list[Samples]:
+    """Without a warm-up to speak of."""
+    warm_up = episodes[0]._replace(cycles=1)
+    return measure(episodes, contestants, warm_up=warm_up, order=random.Random(1), progress=lambda: None)
+
+
+class Probe(OneByOne):
+    """Stands in the controller's place and keeps what it hears."""
+
+    name = "controller"
+    schedule = Cycle(300_000_000)
+    reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming)
+    writes: tuple[type[Message], ...] = (Plan,)
+
+    def __init__(self) -> None:
+        self.estimates: list[Estimate] = []
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+        del t_ns
+        self.estimates += [arrival.signal for arrival in inbox if isinstance(arrival.signal, Estimate)]
+        return []
+
+
+def heard(episode: problems.Episode, estimates: int) -> list[Estimate]:
+    probe = Probe()
+    episode.feed(probe, lambda: len(probe.estimates) >= estimates)
+    return probe.estimates
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def profiled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+    out = tmp_path_factory.mktemp("profile") / "out"
+    options = ["--horizons", "4, 8,4", "--solvers", "osqp", "--cycles", "12"]
+    assert run(["profile", *options, "--out", str(out)]) == 0
+    return json.loads((out / "profile.json").read_text()), out
+
+
+def test_each_solver_has_a_row_at_each_horizon_and_piqp_is_among_them(profiled: tuple[dict[str, Any], Path]) -> None:
+    rows = profiled[0]["rows"]
+    assert [(row["stages"], row["solver"]) for row in rows] == [
+        (stages, solver) for stages in (4, 8) for solver in ("PIQP native", "PIQP native 1e-06", "osqp")
+    ]
+    assert [row["horizon_s"] for row in rows] == pytest.approx([1.2] * 3 + [2.4] * 3)
+    for row in rows:
+        assert row["cycles"] == sum(row["status"].values()) == 12
+        assert set(row["status"]) <= {str(status) for status in SolveStatus}
+        assert row["iterations"]["max"] > 0 or row["solver"] != "osqp"
+
+
+def test_the_stages_are_parts_of_the_cycle(profiled: tuple[dict[str, Any], Path]) -> None:
+    for row in profiled[0]["rows"]:
+        assert list(row["stage_us"]) == list(STAGES)
+        for spread in (row["cycle_us"], *row["stage_us"].values()):
+            assert 0 < spread["median"] <= spread["p90"] <= spread["p99"] <= spread["max"]
+        assert max(spread["max"] for spread in row["stage_us"].values()) < row["cycle_us"]["max"]
+        # of the middle cycle, for a machine that does something else for some ms does so between two stages as well
+        middle = sum(spread["median"] for spread in row["stage_us"].values())
+        assert 0.5 * middle < row["cycle_us"]["median"] < 2.0 * middle + 500
+
+
+def test_ratios_are_to_piqp_at_the_same_horizon(profiled: tuple[dict[str, Any], Path]) -> None:
+    rows = profiled[0]["rows"]
+    for yardstick, *others in (rows[:3], rows[3:]):
+        assert yardstick["ratio"] == {"median": 1.0, "p99": 1.0}
+        for row in others:
+            for quantile in ("median", "p99"):
+                expected = row["cycle_us"][quantile] / yardstick["cycle_us"][quantile]
+                assert row["ratio"][quantile] == pytest.approx(expected)
+
+
+def test_the_yardstick_with_a_tolerance_of_its_own_is_another_solver(profiled: tuple[dict[str, Any], Path]) -> None:
+    exact, relaxed, _ = profiled[0]["rows"][3:]
+    assert relaxed["iterations"]["median"] <= exact["iterations"]["median"]
+    assert relaxed["thrust_error_N"]["median"] > exact["thrust_error_N"]["median"]
+
+
+def test_it_says_on_what_and_where_it_was_measured(profiled: tuple[dict[str, Any], Path]) -> None:
+    assert profiled[0]["problems"] == {"descent": 6, "unknown current": 3, "hard": 3}
+    machine = profiled[0]["machine"]
+    assert machine["cores"] >= 1
+    assert len(machine["load_before"]) == 3
+    assert {"processor", "python", "numpy", "osqp", "piqp", "load_after"} <= set(machine)
+
+
+def test_the_picture_is_written(profiled: tuple[dict[str, Any], Path]) -> None:
+    assert (profiled[1] / "profile.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_table_has_stages_and_seconds_and_every_figure() -> None:
+    def spread(first: float) -> profile.Spread:
+        return profile.Spread(median=first, p90=first + 1, p99=first + 2, max=first + 3)
+
+    row = profile.Row(
+        solver="osqp",
+        stages=17,
+        horizon_s=5.1,
+        cycles=12,
+        cycle_us=spread(100),
+        stage_us={stage: spread(10 * i) for i, stage in enumerate(STAGES)},
+        iterations=spread(4),
+        thrust_error_N=profile.Spread(median=2e-5, p90=1.0, p99=0.125, max=2.5),
+        status={"solved": 11, "iteration_limit": 1},
+        ratio=profile.Ratio(median=0.25, p99=0.5),
+    )
+    here = machine.machine(machine.load())
+    text = table.text(profile.Profile(rows=[row], problems={"descent": 6, "hard": 6}, machine=here))
+    _, heads, cycle, _, _, stage_heads, stages, *_ = text.splitlines()
+    assert heads.split()[-1] == "status"
+    assert stage_heads.split()[-6:] == list(STAGES)
+    names = "17 stages, 5.1 s osqp"
+    assert " ".join(cycle.split()) == (
+        f"{names} 100 101 102 103 0.25 0.50 4 6 2.0e-05 0.125 2.500 solved 11, iteration_limit 1"
+    )
+    assert " ".join(stages.split()) == f"{names} 0.0 10.0 20.0 30.0 40.0 50.0"
+    assert "6 descent, 6 hard" in text
+    assert machine.line(machine) in text
+
+
+def test_json_has_stdout_to_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--horizons", "2", "--solvers", "piqp, osqp,piqp", "--cycles", "10"]
+    assert run(["profile", *options, "--json"]) == 0
+    shown = capsys.readouterr()
+    assert [row["solver"] for row in json.loads(shown.out)["rows"]][2:] == ["piqp", "osqp"]
+    assert "10 cycles at 2 stages (0.6 s)" in shown.err
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--horizons", "5,x"], 'option --horizons: "x": must be numbers of stages of 0.3 s, 1 to 400, as in 17,34'),
+        (["--horizons", "17,,"], "option --horizons"),
+        (["--horizons", "401"], 'option --horizons: "401"'),
+        (["--horizons", "0"], 'option --horizons: "0"'),
+        (["--solvers", "osqp,ospq"], 'option --solvers: "ospq"'),
+        (["--solvers", ""], 'option --solvers: ""'),
+        (["--cycles", "0"], "--cycles"),
+        (["--run", "nowhere"], 'option --run: "nowhere": must be a run'),
+    ],
+)
+def test_a_bad_option_is_refused_by_name(options: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["profile", *options]) == 2
+    assert says in capsys.readouterr().err
+
+
+# --- the measurement -------------------------------------------------------------------------------------------------
+
+
+def test_every_candidate_has_the_drivers_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also the one that cannot converge, whose own plans would lead it elsewhere."""
+    asked: list[tuple[object, bytes, bytes]] = []
+    build = measuring._Witness.build
+
+    def noted(self: Any, lin: Any, reference: Any) -> None:
+        asked.append((self, lin.X.tobytes(), lin.U.tobytes()))
+        build(self, lin, reference)
+
+    monkeypatch.setattr(measuring._Witness, "build", noted)
+    episode = problems.simulated(6, 20, seed=3)[0]
+    assert episode.cycles == 10
+    measured([loose(episode, 1e-1)], OSQP, PIQP)
+    solvers = list(dict.fromkeys(who for who, _, _ in asked))
+    first, second = ([problem for who, *problem in asked if who is solver] for solver in solvers[-2:])
+    assert first[-10:] == second[-10:]  # the first cycle's passes are each solver's own
+
+
+def loose(episode: problems.Episode, tolerance: float) -> problems.Episode:
+    return episode._replace(config=msgspec.structs.replace(episode.config, tolerance=tolerance))
+
+
+def test_a_fast_wrong_answer_shows() -> None:
+    episode = problems.simulated(6, 20, seed=3)[0]
+    # OSQP begins at the solution, and has it whatever it is asked for
+    tight, wrong = measured([episode], Piqp(1e-8), Piqp(1e-1))
+    assert np.median(tight.thrust_error_N) < 1e-3
+    assert np.median(wrong.thrust_error_N) > 100 * np.median(tight.thrust_error_N)
+
+
+def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
+    episode = problems.simulated(6, 20, seed=3)[0]
+    limits = MotionLimits(yaw_rate_radps=0.02)
+    slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
+    ours, theirs = measured([slow], OSQP, PIQP)
+    assert max(np.median(ours.thrust_error_N), np.median(theirs.thrust_error_N)) < 1e-3
+    with pytest.raises(ConfigError, match="cannot do limits of the motion"):
+        profile.parse_solvers("osqp,riccati", slow)
+
+
+def test_all_plan_from_the_same_start_in_an_order_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    planned: list[str] = []
+    starts: list[tuple[int, bytes]] = []
+    plan = Controller.plan
+
+    def noted(self: Controller, *positional: Any, **named: Any) -> Plan:
+        made = plan(self, *positional, **named)
+        if made.solve.status is SolveStatus.NOT_RUN:
+            return made
+        planned.append(self.config.solver)
+        starts.append((int(made.t_ns[0]), made.states[0].tobytes()))
+        return made
+
+    monkeypatch.setattr(Controller, "plan", noted)
+    episode = problems.simulated(2, 30, seed=0)[0]
+    named = episode._replace(config=msgspec.structs.replace(episode.config, solver="piqp"))  # the driver's
+    measured([named], OSQP, SolverByName("riccati"))
+    cycles = [tuple(planned[i : i + 3]) for i in range(0, len(planned), 3)]
+    assert set(cycles) == {("osqp", "riccati", "piqp"), ("riccati", "osqp", "piqp")}
+    assert len(cycles) == (1 + 1) + (1 + 15)  # warm-up and episode, the first cycle of each measured by nobody
+    assert all(len(set(starts[i : i + 3])) == 1 for i in range(0, len(starts), 3))  # the driver's own, too
+
+
+def test_no_garbage_is_collected_within_a_cycle() -> None:
+    episode = problems.simulated(2, 1, seed=0)[0]
+    seen: list[bool] = []
+
+    def feed(node: Node, enough: Callable[[], bool]) -> None:
+        seen.append(gc.isenabled())
+        episode.feed(node, enough)
+
+    measured([episode._replace(feed=feed)], PIQP)
+    assert seen == [False, False]
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_a_cycle_without_an_answer_has_no_error_to_count() -> None:
+    assert profile.Spread.of([1.0, float("nan"), 3.0]).max == 3.0
+
+
+# --- the problems ----------------------------------------------------------------------------------------------------
+
+
+def test_the_cycles_are_shared_out_among_the_kinds() -> None:
+    episodes = problems.simulated(17, 1400, seed=5)
+    assert [(episode.kind, episode.cycles) for episode in episodes if episode.kind != "hard"] == [
+        *(("descent", 650), ("descent", 50), ("unknown current", 350)),
+    ]
+    hard = [episode.cycles for episode in episodes if episode.kind == "hard"]
+    assert sum(hard) == 350
+    assert max(hard) == problems.HARD_CYCLES
+    assert {episode.config.stages for episode in episodes} == {17}
+
+
+def test_hard_episodes_begin_2_m_off_with_headings_up_to_3_rad_from_the_way_there() -> None:
+    episodes = [episode for episode in problems.simulated(17, 1600, seed=0) if episode.kind == "hard"]
+    headings = []
+    for episode in episodes:
+        first = heard(episode, 1)[0]
+        north, east = episode.reference.position(episode.reference.anchor(first))
+        assert np.hypot(north - first.north_m, east - first.east_m) == pytest.approx(2.0, abs=0.05)
+        headings.append(first.heading_rad - np.arctan2(east - first.east_m, north - first.north_m))
+    assert len(headings) == 10
+    assert max(np.abs(headings)) < 3.05
+    assert max(headings) > 1.5
+    assert min(headings) < -1.5
+
+
+def test_of_one_current_the_controller_is_told_nothing() -> None:
+    told, untold, _ = problems.simulated(17, 40, seed=0)
+    assert all(estimate.current is not None for estimate in heard(told, 3))
+    estimates = heard(untold, 3)
+    assert all(estimate.current is None for estimate in estimates)
+    assert np.hypot(estimates[-1].velocity_north_mps, estimates[-1].velocity_east_mps) > 0  # but it drifts
+
+
+@pytest.fixture(scope="module")
+def dive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recorded run of 8 s with estimator."""
+    settings = ["run.duration_s=8", "controller.horizon_s=2.4", "controller.sqp_iterations=1"]  # as what is measured
+    situation = resolve("descent", [Override("test", settings)])
+    held = folder.make("dive", situation.files, out=tmp_path_factory.mktemp("runs") / "dive")
+    lockstep_run.run(situation, held)
+    return held.path
+
+
+def test_a_recorded_run_gives_the_controller_what_it_got(dive: Path) -> None:
+    (episode,) = problems.recorded(str(dive), 8, cycles=10)
+    node = ControllerNode(episode.vehicle, episode.reference, episode.config)
+    plans: list[Plan] = []
+
+    class Kept(Probe):
+        reads = ControllerNode.reads  # the command to arm too
+
+        def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
+            plans.extend(plan for plan in step(node, t_ns, inbox) if isinstance(plan, Plan))
+            return []
+
+    episode.feed(Kept(), lambda: False)
+    recorded = [message.typed()[0] for message in Recording(dive / "run.mcap") if message.kind is Plan]
+    assert len(plans) == len(recorded) > 25
+    for made, was in zip(plans, recorded, strict=True):
+        assert isinstance(was, Plan)
+        assert made.cycle_t_ns == was.cycle_t_ns
+        np.testing.assert_array_equal(made.thrust_N, was.thrust_N)
+
+
+def test_a_recorded_run_is_measured_at_any_horizon(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--horizons", "4,8", "--solvers", "osqp", "--cycles", "10", "--json"]
+    assert run(["profile", "--run", str(dive / "run.mcap"), *options]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert [(row["stages"], row["cycles"]) for row in shown["rows"]] == [(4, 10)] * 3 + [(8, 10)] * 3
+    assert shown["problems"] == {"dive": 10}
+
+
+def test_a_run_without_a_solved_cycle_is_refused(dive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = dive / "config" / "controller.toml"
+    kept = settings.read_text()
+    settings.write_text(kept.replace("lateral = true", "lateral = false"))
+    try:
+        assert run(["profile", "--run", str(dive), "--horizons", "4", "--cycles", "10"]) == 2
+    finally:
+        settings.write_text(kept)
+    assert "option --run: holds no cycle" in capsys.readouterr().err

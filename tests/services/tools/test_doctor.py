@@ -1,0 +1,256 @@
+"""The doctor: each thing that a run stands on, well and broken one at a time."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from ltv_mpc import jit
+from services.cli.app import run
+from services.supervisor import jit_cache
+from services.tools import doctor
+from services.tools.doctor import Finding, Level
+
+CORE = [("numpy", ">=2.0", ""), ("rosbags", ">=0.10", "ros2"), ("ruff", ">=0.14", "dev")]
+
+
+@pytest.fixture
+def broken(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Gives what the checks look at another value."""
+
+    def with_(name: str, value: object, of: Any = doctor) -> None:
+        monkeypatch.setattr(of, name, value)
+
+    return with_
+
+
+def raises(error: Exception) -> Callable[..., Any]:
+    def raised(*_: object) -> Any:
+        raise error
+
+    return raised
+
+
+def is_(found: Finding, level: Level, *words: str) -> None:
+    assert found.level is level, found
+    for word in words:
+        assert word in f"{found.found} -> {found.mend}"
+    assert bool(found.mend) is (level is not Level.OK)
+
+
+Break = Callable[[Callable[..., None]], None]
+
+CASES: dict[str, tuple[Callable[[], Finding], Break, Level, tuple[str, ...]]] = {
+    "an old python": (
+        doctor.python,
+        lambda broken: broken("version_info", (3, 10, 9, "final", 0), sys),
+        Level.PROBLEM,
+        ("3.10.9", "3.11 to 3.13"),
+    ),
+    "packages not installed": (
+        doctor.project,
+        lambda broken: broken("requires", raises(metadata.PackageNotFoundError()), metadata),
+        Level.WARNING,
+        ("pip install -e",),
+    ),
+    "a package is missing": (
+        doctor.packages,
+        lambda broken: (broken("requirements", lambda: CORE), broken("installed", lambda _: None))[0],
+        Level.PROBLEM,
+        ("numpy is missing", 'pip install "numpy>=2.0"'),
+    ),
+    "a package is too old": (
+        doctor.packages,
+        lambda broken: (broken("requirements", lambda: CORE), broken("installed", lambda _: "1.26.4"))[0],
+        Level.PROBLEM,
+        ("numpy is 1.26.4, must be >=2.0",),
+    ),
+    "a package is broken": (
+        doctor.packages,
+        lambda broken: (
+            broken("requirements", lambda: CORE),
+            broken("import_module", raises(ImportError("no .so")), doctor.importlib),
+        )[0],
+        Level.PROBLEM,
+        ("cannot be imported (no .so)", "--force-reinstall numpy"),
+    ),
+    "an extra is missing": (
+        doctor.extras,
+        lambda broken: (broken("requirements", lambda: CORE), broken("installed", lambda _: None))[0],
+        Level.OK,
+        ("none; not installed: ros2 (pip install rosbags)",),
+    ),
+    "a name is someone else's too": (
+        doctor.names,
+        lambda broken: broken("owners_of", lambda name: ["ltv-mpc"] if name == "ltv_mpc" else ["auv-ltv-mpc"]),
+        Level.PROBLEM,
+        ("ltv_mpc also belongs to ltv-mpc", "pip uninstall ltv-mpc"),
+    ),
+    "a folder stands before ours": (
+        doctor.names,
+        lambda broken: broken("folder_of", lambda name: Path("/elsewhere") if name == "sim" else doctor.ROOT),
+        Level.PROBLEM,
+        ("sim is taken from /elsewhere",),
+    ),
+    "one core": (
+        doctor.cores,
+        lambda broken: broken("core_count", lambda: 1),
+        Level.WARNING,
+        ("1 cores", "--lockstep"),
+    ),
+    "a busy machine": (
+        doctor.cores,
+        lambda broken: (broken("core_count", lambda: 2), broken("getloadavg", lambda: (9.5, 0, 0), os))[0],
+        Level.WARNING,
+        ("load 9.50",),
+    ),
+    "a coarse clock": (
+        doctor.clock,
+        lambda broken: broken("get_clock_info", lambda _: SimpleNamespace(resolution=0.015), doctor.time),
+        Level.PROBLEM,
+        ("15000000 ns",),
+    ),
+    "late wakings": (doctor.clock, lambda broken: broken("oversleep_s", lambda: 0.02), Level.WARNING, ("20.00 ms",)),
+    "few open files": (
+        doctor.open_files,
+        lambda broken: broken("getrlimit", lambda _: (64, 64), __import__("resource")),
+        Level.WARNING,
+        ("ulimit -n",),
+    ),
+    "no leave to write": (doctor.space, lambda broken: broken("writable", lambda _: False), Level.WARNING, ("--out",)),
+    "a full disk": (
+        doctor.space,
+        lambda broken: broken("disk_usage", lambda _: SimpleNamespace(free=5_000_000), doctor.shutil),
+        Level.PROBLEM,
+        ("0.0 GB free",),
+    ),
+    "a disk that is nearly full": (
+        doctor.space,
+        lambda broken: broken("disk_usage", lambda _: SimpleNamespace(free=500_000_000), doctor.shutil),
+        Level.WARNING,
+        ("0.5 GB free",),
+    ),
+    "nowhere for temporary files": (
+        doctor.temporary,
+        lambda broken: broken("gettempdir", raises(FileNotFoundError()), doctor.tempfile),
+        Level.PROBLEM,
+        ("TMPDIR",),
+    ),
+    "no loopback": (
+        doctor.loopback,
+        lambda broken: broken("create_server", raises(OSError(errno.EADDRNOTAVAIL, "Cannot assign")), doctor.socket),
+        Level.PROBLEM,
+        ("Cannot assign", "ip link set lo up"),
+    ),
+    "a router": (
+        doctor.loopback,
+        lambda broken: broken("router_answers", lambda: True),
+        Level.OK,
+        ("somebody listens",),
+    ),
+    "a wrong solver": (
+        doctor.solver,
+        lambda broken: broken("solution", lambda: (0.5, float("nan"))),
+        Level.PROBLEM,
+        ("osqp gives", "controller.solver=riccati"),
+    ),
+    "code compiled for this process alone": (
+        doctor.compiled,
+        lambda broken: broken("CACHE_IS_KEPT", False, jit),
+        Level.WARNING,
+        ("XDG_CACHE_HOME",),
+    ),
+    "code not compiled yet": (
+        doctor.compiled,
+        lambda broken: (broken("CACHE_IS_KEPT", True, jit), broken("is_warm", lambda: False, jit_cache))[0],
+        Level.WARNING,
+        ("make setup",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_thing_that_can_be_broken_is_found_with_its_remedy(case: str, broken: Callable[..., None]) -> None:
+    check, break_it, level, words = CASES[case]
+    break_it(broken)
+    is_(check(), level, *words)
+
+
+def test_every_check_has_a_case_above() -> None:
+    assert {check for check, *_ in CASES.values()} == set(doctor.CHECKS)
+
+
+@pytest.fixture
+def well(broken: Callable[..., None]) -> None:
+    """Nothing that depends on how busy or full this machine is."""
+    for check in (doctor.cores, doctor.clock, doctor.space, doctor.compiled):
+        broken(check.__name__, lambda name=check.__name__: doctor.ok(name, ""))
+    broken("CHECKS", tuple(getattr(doctor, check.__name__) for check in doctor.CHECKS))
+
+
+@pytest.mark.usefixtures("well")
+def test_here_nothing_is_a_problem(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["doctor", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["counts"]["problem"] == 0
+    assert len(shown["findings"]) == len(doctor.CHECKS)
+
+
+@pytest.mark.usefixtures("well")
+def test_a_problem_is_exit_1_and_a_check_that_fails_is_one(
+    broken: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken("CHECKS", (lambda: doctor.warning("a", "b", "c"),))
+    assert run(["doctor"]) == 0
+
+    def falls_over() -> Finding:
+        raise RuntimeError("so it is")
+
+    broken("CHECKS", (falls_over, lambda: doctor.ok("next", "fine")))
+    assert run(["doctor"]) == 1
+    out = capsys.readouterr().out
+    assert "falls over      cannot be looked at: so it is" in out
+    assert "fine" in out
+
+
+@pytest.mark.parametrize(
+    ("version", "bounds", "fits"),
+    [
+        ("1.1.3", "<1.2,>=1.1", True),
+        ("1.2.0", "<1.2,>=1.1", False),
+        ("1.2", "<=1.2.0", True),
+        ("0.29.2", ">=0.29", True),
+        ("0.9", ">=0.29", False),
+        ("2.0rc1", ">=2.0", True),
+        ("1.0", "~=1.0", True),
+    ],
+)
+def test_versions_are_compared_by_number(version: str, bounds: str, fits: bool) -> None:
+    assert doctor.within(version, bounds) is fits
+
+
+def test_requirements_are_read_as_pip_writes_them() -> None:
+    assert doctor.requirement("osqp<1.2,>=1.1") == ("osqp", "<1.2,>=1.1", "")
+    assert doctor.requirement('rosbags>=0.10; extra == "ros2"') == ("rosbags", ">=0.10", "ros2")
+    assert doctor.requirement("numpy (>=2.0) ; extra == 'viz'") == ("numpy", ">=2.0", "viz")
+
+
+def test_it_speaks_of_a_missing_package_instead_of_failing_with_it() -> None:
+    """The module itself needs the standard library alone."""
+    code = (
+        "import sys, services.tools.doctor;"
+        "print(sorted({name.partition('.')[0] for name in sys.modules} & set(sys.argv[1:])))"
+    )
+    heavy = ("numpy", "scipy", "msgspec", "numba", "osqp", "zenoh", "mcap", "rich", "typer", "ltv_mpc", "sim")
+    done = subprocess.run([sys.executable, "-P", "-c", code, *heavy], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

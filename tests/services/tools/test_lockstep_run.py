@@ -1,0 +1,233 @@
+"""A run in lock step with the real nodes: the same bits, nothing measured, and enough on record to replay it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
+from ltv_mpc.node import Arrival
+from services.bus import topics, wire
+from services.recording.loss_accounting import Losses
+from services.recording.reader import Recorded, Recording
+from services.run import folder
+from services.run.folder import RunFolder
+from services.run.run_config import Override, Situation, resolve
+from services.run.summary import of_recording
+from services.tools import lockstep_run
+from sim.evaluation.summary import Summary
+from tests.stepping import step
+
+ROOT = Path(__file__).resolve().parents[3]
+
+CHILD = """
+import sys
+from pathlib import Path
+from services.run import folder
+from services.tools import lockstep_run
+from services.run.run_config import Override, resolve
+situation = resolve("descent", [Override("test", ["run.duration_s=10", "run.compute_delay_s=0.4"])])
+lockstep_run.run(situation, folder.make("descent", situation.files, out=Path(sys.argv[1])))
+"""
+
+
+def situation(*settings: str) -> Situation:
+    return resolve("descent", [Override("test", settings)])
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Situation, RunFolder, Summary]:
+    """Six seconds with every node and a delay."""
+    here = situation("run.duration_s=6", "run.compute_delay_s=0.71", "run.seed=3")
+    place = folder.make("descent", here.files, out=tmp_path_factory.mktemp("run") / "out")
+    return here, place, lockstep_run.run(here, place)
+
+
+def test_two_processes_with_other_hash_seeds_folders_and_working_directories_write_the_same_bytes(
+    tmp_path: Path,
+) -> None:
+    digests = []
+    for seed, out in (("1", "short"), ("4242", "another/much/longer/name")):
+        cwd = tmp_path / seed
+        cwd.mkdir()
+        env = os.environ | {"PYTHONHASHSEED": seed}
+        subprocess.run([sys.executable, "-P", "-c", CHILD, out], cwd=cwd, env=env, check=True, timeout=200)
+        digests.append(hashlib.sha256((cwd / out / "run.mcap").read_bytes()).hexdigest())
+    assert digests[0] == digests[1]
+
+
+def test_nothing_measured_is_in_the_recording(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+    _, place, _ = recorded
+    cycles = 0
+    for message in Recording(place.recording):
+        assert message.plain["sent_monotonic_us"] == 0
+        assert message.plain["epoch"] == 1
+        if message.kind is CycleTiming:
+            cycles += 1
+            assert message.plain["compute_ns"] == 710_000_000
+            assert (message.plain["compute_wall_ns"], message.plain["stage_us"]) == (0, {})
+    assert cycles >= 6
+
+
+def test_the_metadata_hold_all_that_the_run_was_made_of(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+    here, place, _ = recorded
+    recording = Recording(place.recording)
+    next(iter(recording))
+    assert recording.metadata["seed"] == "3"
+    for name, text in here.files.items():
+        assert recording.metadata[name] == text == (place.path / name).read_text(encoding="utf-8")
+
+
+def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
+    recorded: tuple[Situation, RunFolder, Summary],
+) -> None:
+    here, place, summary = recorded
+    losses, times = Losses(), []
+    for message in Recording(place.recording):
+        losses.saw(message.key, message.plain["epoch"], message.plain["sequence"])
+        times.append(message.t_ns)
+    assert times == sorted(times)
+    assert times[0] == here.scenario.start_ns
+    assert times[-1] == here.scenario.end_ns
+    assert losses.missing == 0
+    assert summary.messages.published == losses.published == len(times)
+
+
+def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
+    recorded: tuple[Situation, RunFolder, Summary],
+) -> None:
+    """Each record finds the frames of its inbox by key, epoch, sequence and crc, and they make the same outputs."""
+    here, place, _ = recorded
+    nodes = {node.name: node for node in lockstep_run.nodes(here)}
+    messages = list(Recording(place.recording))
+    frames = {(m.key, m.plain["epoch"], m.plain["sequence"]): m for m in messages}
+    made: dict[str, int] = {}
+    steps = dict.fromkeys(nodes, 0)
+    for message in messages:
+        if message.kind is not StepRecord:
+            continue
+        record, _ = message.typed()
+        assert isinstance(record, StepRecord)
+        steps[record.node] += 1
+        outputs = step(nodes[record.node], record.t_ns, list(inbox(record, frames)))
+        for signal in outputs:
+            key = topics.key_of(type(signal), record.node)
+            sequence = made.get(key, 0)
+            made[key] = sequence + 1
+            was = frames.get((key, 1, sequence))
+            if was is None:  # still on its way when the run ended
+                assert record.node == "controller"  # which alone takes time in lock step
+                continue
+            header = wire.Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
+            assert msgspec.json.encode(wire.plain(signal, header)) == msgspec.json.encode(was.plain), (key, sequence)
+    assert min(steps.values()) >= 9
+    assert steps["plant"] == steps["sensors"] == 701
+
+
+def inbox(record: StepRecord, frames: dict[tuple[str, int, int], Recorded]) -> Iterator[Arrival]:
+    for entry in record.inbox:
+        signal, header = frames[entry.key, entry.epoch, entry.sequence].typed()
+        assert wire.crc(wire.encode(signal, header)) == entry.crc
+        yield Arrival(signal, entry.epoch, entry.sequence, entry.received_t_ns)
+
+
+def test_a_step_is_on_record_before_its_outputs(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+    _, place, _ = recorded
+    at: dict[str, int] = {}
+    for message in Recording(place.recording):
+        if message.kind is StepRecord:
+            at[message.plain["node"]] = message.t_ns
+        elif message.key == "world/truth":
+            assert at["plant"] == message.t_ns
+        elif message.key == "plan":
+            assert at["controller"] == message.plain["cycle_t_ns"] == message.t_ns - 710_000_000
+
+
+def test_what_caused_a_step_is_the_key_of_the_last_entry_of_its_inbox(
+    recorded: tuple[Situation, RunFolder, Summary],
+) -> None:
+    _, place, _ = recorded
+    causes: dict[str, set[str]] = {}
+    for message in Recording(place.recording):
+        if message.kind is StepRecord:
+            causes.setdefault(message.plain["node"], set()).add(message.plain["cause"])
+            if message.plain["cause"] not in ("grid", "cycle"):
+                assert message.plain["inbox"][-1]["key"] == message.plain["cause"]
+    assert causes["plant"] == {"grid"}
+    assert causes["controller"] == {"cycle"}
+    assert causes["sensors"] == {"world/truth"}
+    assert {"sensor/imu", "sensor/adcp", "sensor/depth"} <= causes["estimator"]
+
+
+def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(
+    recorded: tuple[Situation, RunFolder, Summary],
+) -> None:
+    _, place, summary = recorded
+    assert msgspec.json.decode(place.summary.read_bytes(), type=Summary) == summary
+    assert (summary.scenario, summary.mode, summary.seed, summary.speed) == ("descent", "lockstep", 3, None)
+    assert (summary.duration_s, summary.stages, summary.horizon_s) == (6.0, 17, 5.1)
+    assert summary.compute_delay_s.median == summary.compute_delay_s.max == 0.71
+    assert summary.compute_delay_wall_s.median is None
+    assert summary.stages_us == {}
+    assert summary.cycles == sum(summary.qp_status.values()) == sum(summary.plan_origin.values())
+
+
+def test_recording_changes_nothing_of_the_run(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+    here, _, summary = recorded
+    alone = lockstep_run.run(here)
+    assert msgspec.structs.replace(alone, messages=summary.messages) == summary
+
+
+def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing(tmp_path: Path) -> None:
+    here = situation("run.duration_s=2", "run.perfect_state=true")
+    _, sensors, _ = lockstep_run.nodes(here, unheard=False)
+    assert sensors.writes == (Estimate,)
+    place = folder.make("descent", here.files, out=tmp_path / "run")
+    summary, alone = lockstep_run.run(here, place), lockstep_run.run(here)
+    assert {ImuSample, AdcpPing} <= {message.kind for message in Recording(place.recording)}
+    assert msgspec.structs.replace(alone, messages=summary.messages) == summary
+
+
+def test_progress_is_told_in_vehicle_time_from_the_start_on() -> None:
+    told: list[int] = []
+    lockstep_run.run(situation("run.duration_s=2", "run.perfect_state=true"), progress=told.append)
+    assert told == [-1_000_000_000, 0, 1_000_000_000, 2_000_000_000]
+
+
+def test_a_run_whose_end_is_not_on_the_plants_grid_is_complete_all_the_same() -> None:
+    summary = lockstep_run.run(situation("run.duration_s=1.234", "run.perfect_state=true"))
+    assert summary.duration_s == 1.234
+
+
+def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> None:
+    here = situation("run.duration_s=2", "run.perfect_state=true")
+    assert [node.name for node in lockstep_run.nodes(here)] == ["plant", "sensors", "controller"]
+    summary = lockstep_run.run(here)
+    assert summary.localisation_error_absolute_m.max == 0.0
+    assert summary.tracking_error_m == summary.true_error_m
+
+
+def test_the_summary_of_a_recording_is_that_of_the_run_itself(
+    recorded: tuple[Situation, RunFolder, Summary],
+) -> None:
+    """But for what only processes have: a speed, and wall times."""
+    here, place, summary = recorded
+    again, _ = of_recording(here, place.recording)
+    assert again.mode == "services"
+    assert set(again.stages_us) == {"age", "transport", "apply"}
+    lockstep = msgspec.structs.replace(
+        again,
+        mode=summary.mode,
+        speed=summary.speed,
+        stages_us={},
+        compute_delay_wall_s=summary.compute_delay_wall_s,
+        end_to_end_delay_wall_s=summary.end_to_end_delay_wall_s,
+    )
+    assert lockstep == summary

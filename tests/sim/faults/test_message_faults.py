@@ -1,0 +1,172 @@
+"""What comes of messages on their way, message by message, and the same through a lock step."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ltv_mpc.messages import Estimate, Harm, ImuSample, Message, PressureDepth, Rejected
+from ltv_mpc.node import Arrival, Grid, Inbox, OnMessage
+from ltv_mpc.validation import refusal
+from sim.faults.interval import Spell
+from sim.faults.message_faults import Harmed, Transit
+from sim.scheduler import Delivery, LockStep
+from tests.stepping import OneByOne
+
+MS, S = 1_000_000, 1_000_000_000
+SPELL = Spell(S, 2 * S)
+PERIOD_NS = 100 * MS
+
+
+def depth(t_ns: int) -> PressureDepth:
+    return PressureDepth(t_ns=t_ns, depth_m=1e-9 * t_ns)
+
+
+def by_validation(_: str, delivery: Delivery) -> Arrival | str:
+    if delivery.payload is not None:
+        return "damaged"
+    return refusal(delivery.message.signal) or delivery.message
+
+
+def transit(harm: Harm, size: float = 1.0, kind: type[Message] = PressureDepth) -> Transit:
+    return Transit([Harmed((kind,), harm, SPELL, size, seed=4)], encode=lambda _: bytes(range(60)), admit=by_validation)
+
+
+def through(way: Transit, *, until_ns: int = 3 * S) -> list[Delivery]:
+    """All that comes of ten messages a second."""
+    times = range(0, until_ns, PERIOD_NS)
+    return [d for i, t in enumerate(times) for d in way.carry("sensors", "estimator", Arrival(depth(t), 1, i, t))]
+
+
+def sequences(deliveries: list[Delivery]) -> list[int]:
+    return [d.message.sequence for d in deliveries]
+
+
+@pytest.mark.parametrize("harm", Harm)
+def test_outside_its_spell_and_on_other_keys_every_message_arrives_as_it_was_sent(harm):
+    way = transit(harm, kind=ImuSample)
+    assert [(d.at_ns, d.message.signal.t_ns, d.payload) for d in through(way)] == [
+        (t, t, None) for t in range(0, 3 * S, PERIOD_NS)
+    ]
+    outside = [d for d in through(transit(harm)) if d.message.sequence < 10 or d.message.sequence > 20]
+    assert [(d.at_ns, d.message.signal.t_ns, d.payload) for d in outside] == [
+        (t, t, None) for t in [*range(0, S, PERIOD_NS), *range(2 * S + PERIOD_NS, 3 * S, PERIOD_NS)]
+    ]
+
+
+def test_a_share_of_the_messages_is_lost():
+    way = transit(Harm.LOSS, 0.5)
+    came = sequences(through(way))
+    assert 0 < way.harmed[0] < 10
+    assert len(came) == 30 - way.harmed[0]
+    assert sequences(through(transit(Harm.LOSS, 1.0))) == [*range(10), *range(20, 30)]
+
+
+def test_a_delayed_message_arrives_later_and_is_the_same():
+    came = through(transit(Harm.DELAY, 0.25))
+    assert [d.at_ns - d.message.signal.t_ns for d in came] == [0] * 10 + [250 * MS] * 10 + [0] * 10
+
+
+def test_a_reordered_message_comes_right_after_its_successor():
+    way = transit(Harm.REORDER, 1.0)
+    assert sequences(through(way))[10:20] == [11, 10, 13, 12, 15, 14, 17, 16, 19, 18]
+    assert way.harmed == [5]
+
+
+def test_a_duplicate_comes_twice():
+    way = transit(Harm.DUPLICATE, 1.0)
+    assert sequences(through(way))[10:16] == [10, 10, 11, 11, 12, 12]
+    assert way.harmed == [10]
+
+
+def test_damage_flips_a_few_bits_of_the_bytes():
+    for delivery in through(transit(Harm.CORRUPTION, 1.0))[10:20]:
+        flipped = sum((a ^ b).bit_count() for a, b in zip(delivery.payload, range(60), strict=True))
+        assert 1 <= flipped <= 8
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        depth(S),
+        Estimate.at_rest(depth_m=3.0),
+        ImuSample(t_ns=S, interval_ns=5, angular_rate_radps=(0.1, 0.2, 0.3), specific_force_mps2=(0.0, 0.0, -9.8)),
+    ],
+)
+def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal):
+    way = transit(Harm.NOT_A_NUMBER, kind=type(signal))
+    for sequence in range(20):
+        (came,) = way.carry("a", "b", Arrival(signal, 1, sequence, S))
+        assert "must be from" in refusal(came.message.signal)
+        assert refusal(signal) is None
+
+
+def test_a_stale_publisher_repeats_itself_with_new_numbers():
+    came = through(transit(Harm.STALE))
+    assert sequences(came) == list(range(30))
+    assert [d.message.signal.t_ns for d in came[10:20]] == [S] * 10
+
+
+def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
+    came = through(transit(Harm.CLOCK_JUMP, -3600.0))
+    assert [d.message.signal.t_ns - d.at_ns for d in came[10:20]] == [-3600 * S] * 10
+    assert [d.message.signal.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
+
+
+class Speaker(OneByOne):
+    name = "sensors"
+    schedule = Grid(PERIOD_NS)
+    reads: tuple[type[Message], ...] = ()
+    writes: tuple[type[Message], ...] = (PressureDepth,)
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
+        return [depth(t_ns)]
+
+
+class Listener(OneByOne):
+    name = "estimator"
+    schedule = OnMessage((PressureDepth,))
+    reads: tuple[type[Message], ...] = (PressureDepth, Rejected)
+    writes: tuple[type[Message], ...] = ()
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[int, int]] = []
+        self.rejected = 0
+
+    def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
+        self.heard += [(a.received_t_ns, a.sequence) for a in inbox if isinstance(a.signal, PressureDepth)]
+        self.rejected += sum(isinstance(a.signal, Rejected) for a in inbox)
+        return []
+
+
+def in_lockstep(way: Transit | None) -> Listener:
+    listener = Listener()
+    LockStep([Speaker(), listener], start_ns=0, between=way).advance(3 * S)
+    return listener
+
+
+def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives():
+    heard = in_lockstep(transit(Harm.DELAY, 0.25)).heard
+    assert heard[:10] == [(t, i) for i, t in enumerate(range(0, S, PERIOD_NS))]
+    assert (S + 250 * MS, 10) in heard
+    assert (S, 10) not in heard
+    assert len(heard) == 31
+
+
+def test_in_lock_step_what_the_door_refuses_is_told_and_not_heard():
+    listener = in_lockstep(transit(Harm.CORRUPTION, 1.0))
+    assert [sequence for _, sequence in listener.heard] == [*range(10), *range(20, 31)]
+    assert listener.rejected == 10
+
+
+def test_without_faults_a_way_between_the_nodes_changes_nothing():
+    way = Transit([], encode=lambda _: b"", admit=by_validation)
+    assert in_lockstep(way).heard == in_lockstep(None).heard
+
+
+def test_numbers_that_are_none_are_all_met():
+    way = transit(Harm.NOT_A_NUMBER)
+    values = {str(way.carry("a", "b", Arrival(depth(S), 1, i, S))[0].message.signal.depth_m) for i in range(60)}
+    assert values == {str(math.nan), str(math.inf), str(-math.inf)}
