@@ -147,7 +147,7 @@ def test_a_motion_that_nobody_can_foresee_ends_in_thrusts_of_zero(monkeypatch):
     estimate, before = fly(controller, moving(), 20)
     broken(monkeypatch, controller, "infeasible")
     monkeypatch.setattr(
-        module.trajectory, "shifted", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
+        module.nominal_trajectory, "shifted", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
     )
     plan = controller.plan(estimate)
     check(plan, before)
