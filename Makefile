@@ -119,5 +119,5 @@ clean:  ## remove .venv and caches; runs/ stays
 	@touch $@
 
 .venv/compiled: .venv/installed $(KERNELS)
-	@$(BIN)/python -P -m services.supervisor.jit_cache descent
+	@$(BIN)/python -P -m services.tools.compile_cache descent
 	@touch $@

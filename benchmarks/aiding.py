@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Array, Estimate, Truth
+from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.executor import each
 from services.tools.batch.job import Job
@@ -58,7 +59,7 @@ def hover(job: Job) -> Drift:
     """One run."""
     situation, log = job.situation(), _Log()
     lockstep = LockStep(
-        lockstep_run.nodes(situation), start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=log
+        make_nodes(situation), start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=log
     )
     lockstep.advance(situation.scenario.end_ns)
     return Drift(*np.array(log.rows).T)

@@ -36,6 +36,7 @@ from ltv_mpc.messages import (
     Plan,
 )
 from ltv_mpc.node import Arrival, Due, Inbox, Node
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from services.tools.faults import kinds, lockstep_runs
@@ -167,11 +168,11 @@ def restarted() -> Values:
 
     def again(node: Node) -> Node:
         def make() -> Node:
-            return next(new for new in lockstep_run.nodes(of) if new.name == node.name)
+            return next(new for new in make_nodes(of) if new.name == node.name)
 
         return Restarted(make, memory) if node.name in (ControllerNode.name, Estimator.name) else node
 
-    return lockstep(of, [again(node) for node in lockstep_run.nodes(of)])
+    return lockstep(of, [again(node) for node in make_nodes(of)])
 
 
 def faulty(kind: str) -> Values:
@@ -195,7 +196,7 @@ def runs() -> dict[str, Callable[[], Values]]:
 
 def _plain(scenario: str, *settings: str) -> Values:
     of = situation(scenario, *settings)
-    return lockstep(of, lockstep_run.nodes(of))
+    return lockstep(of, make_nodes(of))
 
 
 def digest(values: np.ndarray) -> str:

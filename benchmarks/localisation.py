@@ -32,6 +32,7 @@ from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
 from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
+from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
 from sim.scheduler import LockStep, Step
@@ -89,7 +90,7 @@ class Descent(NamedTuple):
             if step.node == Estimator.name:
                 steps.append((step.t_ns, step.inbox))
 
-        nodes = lockstep_run.nodes(situation)
+        nodes = make_nodes(situation)
         LockStep(nodes, start_ns=scenario.start_ns, stepped=stepped, latest=lockstep_run.LATEST).advance(
             scenario.end_ns
         )

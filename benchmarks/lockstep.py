@@ -24,6 +24,7 @@ from rich.table import Table
 from ltv_mpc.messages import Message
 from ltv_mpc.node import Due, Node
 from services.run.folder import RunFolder
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
@@ -66,7 +67,7 @@ def shares(of: Situation) -> dict[str, float]:
             spent[self.name] += time.perf_counter() - started
             return said
 
-    nodes = [Timed(node) for node in lockstep_run.nodes(of, unheard=False)]
+    nodes = [Timed(node) for node in make_nodes(of, unread=False)]
     lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, refused=lockstep_run.refused)
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)

@@ -29,8 +29,9 @@ import numpy as np
 
 from ltv_mpc.messages import Applied, Disturbance, Message, ModelCheck, Triple, Truth
 from ltv_mpc.node import Arrival, Due, Grid, Node
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
-from services.tools.lockstep_run import LATEST, nodes
+from services.tools.lockstep_run import LATEST
 from sim.scheduler import LockStep
 
 S = 1_000_000_000
@@ -124,7 +125,7 @@ class Watcher:
 def fly(settings: tuple[str, ...], breaker: Breaker | None) -> Watcher:
     """One run in lock step."""
     here = resolve("descent", [Override("benchmark", settings)])
-    table: list[Node] = nodes(here)
+    table: list[Node] = make_nodes(here)
     if breaker is not None:
         table.insert(1, breaker)
     watcher = Watcher()

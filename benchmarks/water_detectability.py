@@ -31,6 +31,7 @@ from ltv_mpc.localisation.filter.state import VELOCITY, Belief
 from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
 from ltv_mpc.node import Arrival, Due
+from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
 from sim.scenario import Feature as Shape
@@ -114,7 +115,7 @@ class Descent:
     def __init__(self, sensors: str, seed: int, settings: Sequence[str] = ()) -> None:
         """Runs it, in lock step. Raises ``ConfigError``."""
         situation = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).situation()
-        nodes = lockstep_run.nodes(situation)
+        nodes = make_nodes(situation)
         self.suite: Suite = situation.suite
         self.water: Water = situation.scenario.water
         self.steps: list[Due] = []  # of the estimator

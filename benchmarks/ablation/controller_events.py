@@ -24,6 +24,7 @@ from ltv_mpc.control.horizon_selection import proposed_horizon_s
 from ltv_mpc.messages import ControllerState, Estimate, Harm, Message, Plan
 from ltv_mpc.node import Arrival, Due, Inbox, Node
 from ltv_mpc.vehicle.parameters import Vehicle
+from services.run.nodes import make_nodes
 from services.run.run_config import Situation
 from services.tools import lockstep_run
 from services.tools.faults.lockstep_runs import Bus, Log
@@ -443,7 +444,7 @@ class Locked:
         log = Log(s.vehicle)
         bus = Bus(list(self.harms))
         lockstep = LockStep(
-            [*self.others, *self.around(lockstep_run.nodes(s))],
+            [*self.others, *self.around(make_nodes(s))],
             start_ns=s.scenario.start_ns,
             compute_delay_ns=self.delay_ns,
             observe=log,
@@ -516,7 +517,7 @@ def replaced_controller(seed: int) -> Measures:
     def around(nodes: list[Node]) -> list[Node]:
         *others, _ = nodes
         s = situation(f"run.seed={seed}", "run.duration_s=60.0")
-        return [*others, Replaced(lambda: lockstep_run.nodes(s)[-1], 20 * S)]
+        return [*others, Replaced(lambda: make_nodes(s)[-1], 20 * S)]
 
     return Locked(seed=seed, around=around).run(20.0)
 

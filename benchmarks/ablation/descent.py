@@ -23,6 +23,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.node import Arrival, Due, Node
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.faults import lockstep_runs
@@ -73,7 +74,7 @@ class Descent:
         )  # fmt: skip
         situation = resolve("descent", [Override("ablation", assignments)])
         scenario = situation.scenario
-        plant, sensors, _, controller = lockstep_run.nodes(situation, unheard=False)
+        plant, sensors, _, controller = make_nodes(situation, unread=False)
 
         def estimator() -> Estimator:
             return Estimator(as_given(situation.suite), scenario.estimator, situation.prior)

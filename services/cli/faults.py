@@ -49,9 +49,8 @@ def faults(
     from rich.console import Console
     from rich.progress import Progress
 
-    from services.reporting import faults_text
     from services.tools.batch.results_store import open_store
-    from services.tools.faults import campaign, judge, result
+    from services.tools.faults import campaign, judge, result, text
 
     asked = campaign.plan(classes, where, n or (QUICK if quick else FULL), quick=quick)
     started = time.monotonic()
@@ -68,7 +67,7 @@ def faults(
     wall_s = time.monotonic() - started
     of = result.campaign(seen, seed=seed, quick=quick, wall_s=wall_s, load=load, window_chance=window_chance)
     plain = msgspec.json.format(msgspec.json.encode(of), indent=2).decode()
-    typer.echo(plain if as_json else faults_text.table(of))
+    typer.echo(plain if as_json else text.table(of))
     if out is not None:
         (out / "faults.json").write_text(plain + "\n", encoding="utf-8")
         typer.echo(str(out), err=as_json)

@@ -42,16 +42,16 @@ def localise(
     """
     import msgspec
 
-    from services.reporting import dive_text
     from services.reporting.terminal import share_for
     from services.run import folder
     from services.tools.localise import dive_localisation as dive
+    from services.tools.localise import text
 
     with share_for(file.name) as told:
         outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, told=told)
     written = None if out is None else folder.make("localise", {}, out=out, force=force)
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
-    typer.echo(plain if as_json else dive_text.text(outcome.result))
+    typer.echo(plain if as_json else text.text(outcome.result))
     if written is not None:
         if note := dive.write(outcome, written.path):
             typer.echo(note, err=True)

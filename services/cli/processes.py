@@ -95,7 +95,12 @@ def estimator(
 
 @with_bus("recorder")
 def recorder(
-    scenario: ScenarioName = "descent",
+    scenario: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENARIO]", help="What plant and sensors simulate: its settings are kept. None: a real vehicle."
+        ),
+    ] = None,
     out: Out = None,
     force: Force = False,
     goes_on: Annotated[
@@ -106,17 +111,25 @@ def recorder(
 ) -> int:
     """Records every message into one folder.
 
-    Reads everything; run.mcap opens in Foxglove.
+    Reads everything; run.mcap opens in Foxglove. `ltv-mpc replay` needs the SCENARIO that made the run.
     """
+    from services.processes import recorder as process
     from services.run import folder
+
+    if scenario is None:
+        if goes_on:
+            from ltv_mpc.errors import ConfigError
+
+            raise ConfigError("option --continue", "", "needs the SCENARIO of the recording that it continues")
+        made = folder.make("recording", {}, out=out, force=force)
+        metadata = {"mode": process.MODE}
+        return process.main(process.Config(bus=bus, folder=made.path, start_ns=0, metadata=metadata))
     from services.run.run_config import resolve
 
     situation = resolve(scenario)
     run_folder = None if out is None else folder.made_for(Path(scenario), out, goes_on=goes_on)
     if run_folder is None:
         run_folder = folder.make(situation.name, situation.files, out=out, force=force)
-    from services.processes import recorder as process
-
     metadata = process.metadata(situation.scenario.run.seed, situation.files)
     config = process.Config(bus=bus, folder=run_folder.path, start_ns=situation.scenario.start_ns, metadata=metadata)
     return process.main(config)

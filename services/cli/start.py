@@ -109,7 +109,8 @@ def sim(
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
     from ltv_mpc.errors import ConfigError
-    from services.run import disk_space, folder
+    from services.run import folder
+    from services.run.machine import check_disk_space
     from services.run.run_config import resolve
 
     texts = {
@@ -136,7 +137,7 @@ def sim(
     situation = resolve(scenario, overrides)
     if certs is not None:
         _check_certs(certs, situation, lockstep=lockstep)
-    disk_space.check(out or folder.ROOT, situation.scenario.run)
+    check_disk_space(out or folder.ROOT, situation.scenario.run.surface_time_s + situation.scenario.run.duration_s)
     run_folder = folder.make(situation.name, situation.files, out=out, force=force)
     for note in situation.notes:
         typer.echo(note, err=True)

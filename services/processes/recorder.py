@@ -14,6 +14,9 @@ from services.runtime.recording import NAME, RecordingLoop
 from services.runtime.serve import until_stopped
 from services.runtime.stopping import Say, StopRequest
 
+MODE = "services"
+"""The mode of a recording of processes, in its metadata."""
+
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
     """What the recorder process needs to start."""
@@ -26,7 +29,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 def metadata(seed: int, files: Mapping[str, str]) -> dict[str, str]:
     """What a recording of processes keeps of its run: the seed, and the settings files by their path."""
-    return {"mode": "services", "seed": str(seed), **files}
+    return {"mode": MODE, "seed": str(seed), **files}
 
 
 def main(config: Config) -> int:

@@ -22,9 +22,9 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Node
 from services.replay.verdict import Change
+from services.run.nodes import make_nodes
 from services.run.run_config import Situation, resolve
 from services.run.water import beside, told
-from services.tools import lockstep_run
 
 SCENARIO = "scenario.toml"
 
@@ -54,12 +54,12 @@ def situation_of(metadata: Mapping[str, str], *, source: str) -> Situation:
 
 def names(situation: Situation) -> tuple[str, ...]:
     """Every node that can be replayed, in the order of the launch table."""
-    return tuple(node.name for node in lockstep_run.nodes(situation))
+    return tuple(node.name for node in make_nodes(situation))
 
 
 def make(situation: Situation, name: str) -> Node:
     """A new node, as at the start of its process."""
-    return next(node for node in lockstep_run.nodes(situation) if node.name == name)
+    return next(node for node in make_nodes(situation) if node.name == name)
 
 
 def settings_of(situation: Situation, name: str) -> msgspec.Struct:

@@ -29,7 +29,7 @@ from services.replay.file_pass import NodeReplay, feed
 from services.replay.machine import elsewhere
 from services.replay.verdict import MOST_GAPS, NodeVerdict, Verdict, WhatIfVerdict, first
 from services.replay.what_if import WhatIf
-from services.tools.batch.executor import core_count
+from services.run.machine import core_count
 
 WORTH_A_PROCESS_BYTES = 2_000_000
 """A second process may take a second to start: for a file that is read faster than that it is not worth it."""

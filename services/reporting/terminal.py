@@ -22,8 +22,8 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from services.reporting.live import LiveView, Screen
 from services.reporting.tracking_error import Distances
+from services.supervisor.screen import LiveView, Screen
 
 Limits = Sequence[tuple[float, float]]
 """Minimum and maximum thrust (N) of port, starboard, vertical."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from ltv_mpc.messages import Estimate, Pair, Truth
-from services.reporting.live import LiveView
+from services.supervisor.screen import LiveView
 
 
 class Distances:

@@ -24,7 +24,6 @@ import msgspec
 
 from ltv_mpc.currents import WaterPrior, write_profile
 from ltv_mpc.errors import ConfigError
-from sim.evaluation.summary import Summary
 
 ROOT = Path("runs")
 LATEST = "latest"
@@ -63,7 +62,7 @@ class RunFolder:
         """One of the settings files: ``vehicle``, ``sensors``, ``reference``, ``controller``, ``estimator``."""
         return self.path / "config" / f"{what}.toml"
 
-    def write_result(self, summary: Summary, water: WaterPrior | None) -> None:
+    def write_result(self, summary: msgspec.Struct, water: WaterPrior | None) -> None:
         """summary.json, and currents.csv of the water as it was estimated; each whole or not at all."""
         draft = self.summary.with_suffix(".json.part")
         draft.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")

@@ -32,12 +32,20 @@ def is_warm() -> bool:
     return (CACHE / MARK).exists()
 
 
+def command(scenario: str) -> list[str]:
+    """Return the command that compiles what a run of this scenario needs; it exits 0 when that is done."""
+    return [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
+
+
 def fill(scenario: Path, log: Path) -> subprocess.Popen[bytes]:
-    """Start a process that compiles what a run of this scenario needs; it exits 0 when that is done."""
-    command = [sys.executable, "-P", "-m", "services.supervisor.jit_cache", str(scenario)]
+    """Start ``command`` with its output in ``log``."""
     with log.open("wb") as output:
         return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+            command(str(scenario)),
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
         )
 
 
@@ -102,20 +110,16 @@ def main() -> int:
         gc.disable()  # nearly all that a compiler makes lives on: a twelfth of the time goes into looking through it
         PARTS[name](scenario)
         return 0
-    command = [sys.executable, "-P", "-m", "services.supervisor.jit_cache", scenario]
-    children = [subprocess.Popen([*command, name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS]
+    children = [
+        subprocess.Popen([*command(scenario), name, str(os.getpid())], stdin=subprocess.DEVNULL) for name in PARTS
+    ]
     try:
-        from services.processes import (
-            sensors,  # noqa: F401
-        )
-        from services.reporting.terminal import share_for
+        from services.processes import sensors  # noqa: F401
 
         # About a seventh of what is decorated belongs to other forms and references than a run's own.
         (CACHE / EXPECTED).write_text(str(len(DECORATED)))
-        with share_for("compiling, once") as told:
-            while any(child.poll() is None for child in children):
-                told(share())
-                time.sleep(LOOK_S)
+        while any(child.poll() is None for child in children):
+            time.sleep(LOOK_S)
     finally:
         for child in children:
             child.kill()

@@ -21,7 +21,6 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import LAUNCHER
 from services.bus.session import SECURE, BusOptions, Session, Stopped, open_session
 from services.recording import join
-from services.reporting.live import Screen
 from services.run.folder import RunFolder
 from services.run.run_config import Situation
 from services.run.summary import of_recording
@@ -30,11 +29,12 @@ from services.supervisor import jit_cache, loopback, process_table, shutdown
 from services.supervisor.bus_monitor import Watch
 from services.supervisor.child_processes import Crew
 from services.supervisor.heartbeat import LATE_S
-from services.supervisor.live import view_of
+from services.supervisor.live_view import view_of
 from services.supervisor.managed_process import how_it_ended, last_lines
 from services.supervisor.parent_death import Guard
 from services.supervisor.restarts import Budget, Fault, Recovery, judge
 from services.supervisor.restore_state import state_of
+from services.supervisor.screen import Screen
 from sim.evaluation.summary import Summary
 
 TICK_S = 0.05

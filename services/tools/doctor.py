@@ -22,6 +22,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
+from services.run.machine import core_count
 from services.run.provenance import made_by
 
 DISTRIBUTION = "auv-ltv-mpc"
@@ -332,11 +333,6 @@ def folder_of(package: str) -> Path | None:
     spec = find_spec(package)
     places = list(spec.submodule_search_locations or ()) if spec is not None else []
     return Path(places[0]).resolve().parent if places else None
-
-
-def core_count() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def oversleep_s() -> float:

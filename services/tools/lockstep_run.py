@@ -6,42 +6,25 @@ import gc
 from collections.abc import Callable
 from functools import cache
 
-from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Estimate, InboxEntry, Message, Rejected, StepRecord
-from ltv_mpc.node import Arrival, Node
+from ltv_mpc.node import Arrival
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import rejection
 from services.recording.writer import RunWriter
 from services.run.folder import RunFolder
+from services.run.nodes import make_nodes
 from services.run.run_config import Situation
 from services.run.summary import LOCKSTEP, summarise
 from services.run.water import Learned
 from sim.evaluation.metrics import Grader
 from sim.evaluation.summary import Messages, Summary
-from sim.plant import Plant
 from sim.scheduler import EPOCH, LockStep, Step
-from sim.sensors.node import Sensors
 
 LATEST = frozenset(topic.signal for topic in topics.TOPICS if topic.delivery is topics.LATEST)
 
 PROGRESS_NS = 1_000_000_000
 """Vehicle time between two words about how far the run is."""
-
-
-def nodes(situation: Situation, *, unheard: bool = True) -> list[Node]:
-    """Every node of the situation, in the order of the launch table.
-
-    ``unheard``: measure too what no node reads, for a recording.
-    """
-    scenario = situation.scenario
-    plant = Plant(scenario, situation.vehicle, situation.water)
-    aboard: list[Node] = [ControllerNode(situation.vehicle, situation.reference, scenario.controller)]
-    if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
-        aboard.insert(0, Estimator(situation.suite, scenario.estimator, situation.prior))
-    heard = None if unheard else frozenset(kind for node in aboard for kind in node.reads)
-    return [plant, Sensors(scenario, situation.suite, situation.water, heard=heard), *aboard]
 
 
 def run(
@@ -79,7 +62,7 @@ def _go(
     log = _Log(Grader(situation.vehicle), writer, learned)
     recorded = writer is not None
     lockstep = LockStep(
-        nodes(situation, unheard=recorded),
+        make_nodes(situation, unread=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observe=log,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import fingerprint
-from services.tools import lockstep_run
+from services.run.nodes import make_nodes
 
 
 @pytest.fixture(autouse=True)
@@ -14,7 +14,7 @@ def short(monkeypatch):
 
 def hashes(*settings):
     of = fingerprint.situation("hover", *settings)
-    return {role: fingerprint.digest(rows) for role, rows in fingerprint.lockstep(of, lockstep_run.nodes(of)).items()}
+    return {role: fingerprint.digest(rows) for role, rows in fingerprint.lockstep(of, make_nodes(of)).items()}
 
 
 def test_the_same_run_has_the_same_fingerprint_in_every_role():

@@ -26,6 +26,7 @@ from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage
 from ltv_mpc.validation import refusal
 from services.bus import wire
 from services.run.folder import RunFolder
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from sim.plant import Plant
@@ -127,7 +128,7 @@ def test_of_a_descent_every_step_and_message_is_the_same_to_the_bit(settings: tu
     scenario = situation.scenario
 
     def ears(*, singly: bool) -> Ears:
-        nodes = lockstep_run.nodes(situation)
+        nodes = make_nodes(situation)
         until = [*range(scenario.start_ns, scenario.end_ns, 700 * MS), scenario.end_ns]
         delay_ns = round(scenario.run.compute_delay_s * 1e9)
         nodes = [Storm(), *nodes] if storm else nodes
@@ -146,7 +147,7 @@ def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float)
     def told(heard: frozenset[type[Message]] | None) -> tuple[list[tuple[str, int, int, type[Message], bytes]], int]:
         ears = Ears()
         lockstep = LockStep(
-            lockstep_run.nodes(situation),
+            make_nodes(situation),
             start_ns=situation.scenario.start_ns,
             compute_delay_ns=round(delay_s * 1e9),
             observe=ears,
@@ -188,7 +189,7 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
     counted(Estimator, "_step")
     situation = descent("sensors=paper", duration_s=4.0)
     scenario = situation.scenario
-    nodes = lockstep_run.nodes(situation, unheard=False)
+    nodes = make_nodes(situation, unread=False)
     said = ears_of(nodes, scenario.start_ns, [scenario.end_ns]).said
     ticks = sum(kind is Truth for *_, kind, _ in said)
     assert ticks == 701

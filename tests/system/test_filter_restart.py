@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import AdcpPing, Applied, Estimate, FilterStatus, ImuSample, LocalisationReport, Truth
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
@@ -70,7 +71,7 @@ CASES = {
 def led(request):
     alter, to_s, end_s = CASES[request.param]
     situation = resolve("descent", [Override("test", [f"run.duration_s={end_s}", "run.seed=3"])])
-    nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in lockstep_run.nodes(situation)]
+    nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(situation)]
     ears = Ears()
     LockStep(nodes, start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
         end_s * SECOND

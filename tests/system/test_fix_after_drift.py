@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Applied, Estimate, Truth, UsblFix
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
@@ -43,7 +44,7 @@ class Ears:
 def run():
     settings = [f"sensors={USBL}", f"run.duration_s={END_S}", "run.seed=3", "plant.depth_m=5"]
     situation = resolve("descent", [Override("test", settings)])
-    nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in lockstep_run.nodes(situation)]
+    nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(situation)]
     ears = Ears()
     LockStep(nodes, start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
         END_S * SECOND

@@ -23,6 +23,7 @@ from concurrent.futures import (
 from typing import Protocol, TypeVar
 
 from ltv_mpc.errors import ConfigError, one_line
+from services.run.machine import core_count
 from services.supervisor.parent_death import die_with_parent
 
 T = TypeVar("T")
@@ -43,11 +44,6 @@ CLUSTER_PATIENCE_S = 30.0
 
 class WorkerLost(RuntimeError):
     """A job has ended its worker each time."""
-
-
-def core_count() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def each(

@@ -32,6 +32,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import Door
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from services.tools.faults.draw import Run
@@ -267,7 +268,7 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
 
 def _nodes(of: Situation, faults: Sequence[Fault], now: Now) -> list[Node]:
     """Those of the run, with what is broken around them and what disturbs them first."""
-    plant, sensors, *aboard = lockstep_run.nodes(of)
+    plant, sensors, *aboard = make_nodes(of)
     *others, controller = aboard
     broken = [b for b in map(_broken, faults) if b is not None]
     disturbances = [d for fault in faults if (d := _disturbance(fault)) is not None]

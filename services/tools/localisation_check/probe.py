@@ -20,6 +20,7 @@ from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Arrival, Due, Node
+from services.run.nodes import make_nodes
 from services.run.run_config import Situation
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
@@ -120,7 +121,7 @@ class Probe:
     def __init__(self, situation: Situation) -> None:
         """Raises ``ConfigError``."""
         self._situation = situation
-        nodes = lockstep_run.nodes(situation, unheard=False)
+        nodes = make_nodes(situation, unread=False)
         self.estimator, sensors = _the(Estimator, nodes), _the(Sensors, nodes)
         watched = {
             sensors.name: _Watched(sensors, self._measured),

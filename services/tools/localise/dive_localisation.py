@@ -102,10 +102,10 @@ def write(outcome: Outcome, folder: Path) -> str:
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
     write_profile(folder / "currents.csv", outcome.track.water)
     try:
-        from services.reporting import dive_picture
+        from services.tools.localise import plot
     except ImportError:
         return "no picture: matplotlib is not installed (extra viz)"
-    dive_picture.draw(outcome, folder / "localise.png")
+    plot.draw(outcome, folder / "localise.png")
     return ""
 
 

@@ -26,6 +26,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
@@ -133,7 +134,7 @@ def _situation(stages: int, seed: int, *settings: str) -> Situation:
 
 def _episode(kind: str, situation: Situation, cycles: int, *, told_of_current: bool = True) -> Episode:
     def feed(node: Node, enough: Callable[[], bool]) -> None:
-        others = [other for other in lockstep_run.nodes(situation) if not isinstance(other, ControllerNode)]
+        others = [other for other in make_nodes(situation) if not isinstance(other, ControllerNode)]
         if not told_of_current:
             others = [_Untold(other) if isinstance(other, Sensors) else other for other in others]
         t_ns = situation.scenario.start_ns

@@ -14,6 +14,7 @@ from ltv_mpc.localisation.sensor_screening import AHEAD_NS, Door
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
 from ltv_mpc.node import Arrival, Due
 from services.bus import wire
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
@@ -40,7 +41,7 @@ def descent(sensors: str) -> Situation:
 
 def heard(situation: Situation) -> list[Arrival]:
     ears, scenario = Ears(), situation.scenario
-    nodes = lockstep_run.nodes(situation)
+    nodes = make_nodes(situation)
     LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(scenario.end_ns)
     return ears.said
 

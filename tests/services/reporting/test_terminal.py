@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
-from services.reporting.live import LiveView
 from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, progress_for, screen_for
+from services.supervisor.screen import LiveView
 from tests.services.words import status
 
 LIMITS = [(-62.5, 62.5)] * 3

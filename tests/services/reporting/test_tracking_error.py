@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus, Truth
-from services.reporting.live import LiveView
 from services.reporting.tracking_error import Distances
+from services.supervisor.screen import LiveView
 
 S = 1_000_000_000
 

@@ -21,6 +21,7 @@ from services.processes import estimator as process
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.run.summary import of_recording
 from services.run.water import Learned, told
@@ -46,13 +47,13 @@ class Visit(NamedTuple):
 
 def visit(here: Situation) -> Visit:
     """Run it without a recording, which would take most of the time."""
-    nodes = lockstep_run.nodes(here)
+    nodes = make_nodes(here)
     said: dict[type[Message], Any] = {}
     for node in nodes:
         listen(node, said)
     learned = Learned()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lockstep_run, "nodes", lambda _, **_every: nodes)
+        patch.setattr(lockstep_run, "make_nodes", lambda _, **_every: nodes)
         lockstep_run._go(here, None, None, lambda: False, learned)
     saved = learned.prior()
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))

@@ -83,7 +83,7 @@ for task in tasks.values():
         [sys.executable, "-P", "-c", begin + task, str(__import__("os").getpid())],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
     )
-    orphan_cleanup.watch(child.pid)
+    guard.watch(child.pid)
     child.stdout.readline()
     print(child.pid, flush=True)
 time.sleep(600)

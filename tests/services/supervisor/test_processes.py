@@ -20,10 +20,10 @@ from ltv_mpc.messages import ControllerState, EstimatorState, NodeStatus, Plan, 
 from services.recording.loss_accounting import Losses
 from services.recording.reader import Recording
 from services.replay import replay
-from services.reporting.live import LiveView
 from services.run import folder
 from services.run.run_config import Override, Situation, resolve
 from services.supervisor import supervisor
+from services.supervisor.screen import LiveView
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
 PATIENCE_S = 90.0

@@ -19,6 +19,7 @@ from services.recording.loss_accounting import Losses
 from services.recording.reader import Recorded, Recording
 from services.run import folder
 from services.run.folder import RunFolder
+from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.run.summary import of_recording
 from services.tools import lockstep_run
@@ -105,7 +106,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
 ) -> None:
     """Each record finds the frames of its inbox by key, epoch, sequence and crc, and they make the same outputs."""
     here, place, _ = recorded
-    nodes = {node.name: node for node in lockstep_run.nodes(here)}
+    nodes = {node.name: node for node in make_nodes(here)}
     messages = list(Recording(place.recording))
     frames = {(m.key, m.plain["epoch"], m.plain["sequence"]): m for m in messages}
     made: dict[str, int] = {}
@@ -187,7 +188,7 @@ def test_recording_changes_nothing_of_the_run(recorded: tuple[Situation, RunFold
 
 def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing(tmp_path: Path) -> None:
     here = situation("run.duration_s=2", "run.perfect_state=true")
-    _, sensors, _ = lockstep_run.nodes(here, unheard=False)
+    _, sensors, _ = make_nodes(here, unread=False)
     assert sensors.writes == (Estimate,)
     place = folder.make("descent", here.files, out=tmp_path / "run")
     summary, alone = lockstep_run.run(here, place), lockstep_run.run(here)
@@ -208,7 +209,7 @@ def test_a_run_whose_end_is_not_on_the_plants_grid_is_complete_all_the_same() ->
 
 def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> None:
     here = situation("run.duration_s=2", "run.perfect_state=true")
-    assert [node.name for node in lockstep_run.nodes(here)] == ["plant", "sensors", "controller"]
+    assert [node.name for node in make_nodes(here)] == ["plant", "sensors", "controller"]
     summary = lockstep_run.run(here)
     assert summary.localisation_error_absolute_m.max == 0.0
     assert summary.tracking_error_m == summary.true_error_m

@@ -8,8 +8,8 @@ import pytest
 
 from ltv_mpc.messages import Health, PlanOrigin, SensorStatus
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.reporting import faults_text
 from services.tools.faults import result
+from services.tools.faults import text as table_text
 from services.tools.faults.draw import Run
 from services.tools.faults.fault import Fault, Seen
 from services.tools.faults.judge import chance, errors, judge
@@ -286,7 +286,7 @@ def test_the_table_adds_up_what_was_seen_and_names_what_was_not_kept():
     assert of.not_kept == (bad,)
     assert not result.kept(of)
     assert result.kept(campaign(good))
-    text = faults_text.table(of)
+    text = table_text.table(of)
     assert "0 uncontrolled exits, 0 bad thrusts, 2 uncounted losses, 1 late reactions" in text
     assert "not kept: message_loss estimate, lockstep, seed 1, 30.0 to 40.0 s" in text
 

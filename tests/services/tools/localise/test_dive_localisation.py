@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import services.reporting
+import services.tools.localise
 from ltv_mpc.currents import read_prior
 from ltv_mpc.errors import ConfigError
 from services.cli.localise import localise as command
-from services.reporting import dive_text
 from services.tools.localise.dive_localisation import COLUMNS, Outcome, localise
+from services.tools.localise.text import text as dive_text
 from tests.recorded.glider import World, dive
 from tests.recorded.pd0_writer import BEAM, Head, Written, written
 
@@ -84,7 +84,7 @@ def test_json_has_the_result_alone_and_its_figures_agree_with_one_another(
 
 
 def test_the_text_says_what_matters_in_lines_that_can_be_read(whole: Outcome) -> None:
-    lines = dive_text.text(whole.result).splitlines()
+    lines = dive_text(whole.result).splitlines()
     assert [line.split()[0] for line in lines] == ["file", "instrument", "track", "cells", "error", "study"]
     assert "no byte lost" in lines[0]
     assert "600 kHz, 30 deg beams looking down, earth coordinates, 20 x 2 m, 10 pings" in lines[1]
@@ -122,8 +122,8 @@ def test_without_matplotlib_one_line_says_so_and_the_rest_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "services.reporting.dive_picture", raising=False)
-    monkeypatch.delattr(services.reporting, "dive_picture", raising=False)
+    monkeypatch.delitem(sys.modules, "services.tools.localise.plot", raising=False)
+    monkeypatch.delattr(services.tools.localise, "plot", raising=False)
     out = tmp_path / "out"
     assert command(written_to(tmp_path, small()), out=out) == 0
     assert capsys.readouterr().err == "no picture: matplotlib is not installed (extra viz)\n"
@@ -141,7 +141,7 @@ def test_the_start_is_the_first_ensemble_at_the_depth(made: Path, whole: Outcome
 
 
 def test_without_fixes_there_is_a_track_and_no_constant_velocity(made: Path) -> None:
-    text = dive_text.text(localise(made, fixes=0).result)
+    text = dive_text(localise(made, fixes=0).result)
     assert "constant velocity unknown" in text
     assert "no fix by bottom track" in text
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ltv_mpc.messages import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
-from services.reporting.live import LiveView
 from services.run.run_config import Situation
 from services.supervisor.bus_monitor import Watch
+from services.supervisor.screen import LiveView
 
 
 def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_s: float) -> LiveView:

@@ -1,0 +1,28 @@
+"""What this machine has for a run: processor cores and disk space."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from pathlib import Path
+
+BYTES_PER_VEHICLE_S = 200_000  # of recording, generously: 200 s were 12 MB
+
+
+def core_count() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_disk_space(folder: Path, duration_s: float) -> None:
+    """Raise ``OSError`` if a recording of ``duration_s`` vehicle seconds may not fit on the disk of ``folder``.
+
+    Called before the folder is made: a full disk would cost the end of the recording.
+    """
+    there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
+    needed = round(duration_s * BYTES_PER_VEHICLE_S)
+    free = shutil.disk_usage(there).free
+    if free < needed:
+        problem = f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed: free some, or name another --out"
+        raise OSError(errno.ENOSPC, problem, str(folder))

@@ -1,0 +1,24 @@
+"""The nodes of a simulated run, built from its configuration: lock step and replay make the same ones."""
+
+from __future__ import annotations
+
+from ltv_mpc.control.node import ControllerNode
+from ltv_mpc.localisation.estimator import Estimator
+from ltv_mpc.node import Node
+from services.run.run_config import Situation
+from sim.plant import Plant
+from sim.sensors.node import Sensors
+
+
+def make_nodes(situation: Situation, *, unread: bool = True) -> list[Node]:
+    """Build every node of a run, in the order of the process table.
+
+    With ``unread`` the sensors also publish what no other node reads, as a recording needs it.
+    """
+    scenario = situation.scenario
+    plant = Plant(scenario, situation.vehicle, situation.water)
+    aboard: list[Node] = [ControllerNode(situation.vehicle, situation.reference, scenario.controller)]
+    if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
+        aboard.insert(0, Estimator(situation.suite, scenario.estimator, situation.prior))
+    read = None if unread else frozenset(kind for node in aboard for kind in node.reads)
+    return [plant, Sensors(scenario, situation.suite, situation.water, heard=read), *aboard]
