@@ -1,4 +1,4 @@
-"""A campaign from its file to its results: in a folder that it goes on with where it was interrupted.
+"""Campaign of many runs, from its file to its results, in a folder from which an interrupted campaign continues.
 
 DIR/
     results.jsonl      the rows as they came; another campaign or version is refused in its folder
@@ -34,7 +34,7 @@ FILE, BASE = "campaign.toml", "base"
 
 
 class Plan(msgspec.Struct, frozen=True, dict=True):
-    """What is to be done, checked."""
+    """Checked campaign: design, base settings, and version."""
 
     campaign: Campaign
     base: Base
@@ -42,21 +42,21 @@ class Plan(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def points(self) -> list[Point]:
-        """Of the design."""
+        """Return the points of the design."""
         return points(self.campaign)
 
     @property
     def version(self) -> str:
-        """What every worker must be."""
+        """Return the version that every worker must have."""
         return version_of(self.made_by)
 
     @property
     def runs(self) -> int:
-        """In all."""
+        """Return the number of runs in all."""
         return len(self.points) * self.campaign.seeds.count
 
     def trials(self) -> Iterator[Trial]:
-        """Seed by seed within each point."""
+        """Generate the trials, seed by seed within each point."""
         seeds = self.campaign.seeds
         for number, point in enumerate(self.points):
             settings, factors = self.settings(point), self.factors(point)
@@ -64,12 +64,12 @@ class Plan(msgspec.Struct, frozen=True, dict=True):
                 yield Trial(number, seeds.first + k, settings, factors, point)
 
     def settings(self, point: Point) -> dict[str, Value]:
-        """The fields that this point gives a value."""
+        """Return the fields that this point sets."""
         own = {key: value for key, value in point.items() if key not in self.campaign.scale}
         return {**self.campaign.settings, **own}
 
     def factors(self, point: Point) -> dict[str, float]:
-        """By what it multiplies fields."""
+        """Return the factors by which this point multiplies fields."""
         made: dict[str, float] = {}
         for name, powers in self.campaign.scale.items():
             for key, power in powers.items() if name in point else ():
@@ -97,7 +97,7 @@ def _try(made: Plan, point: Point, field: str, source: str) -> None:
 
 @contextmanager
 def opened(folder: Path, made: Plan, *, force: bool = False) -> Iterator[ResultsStore]:
-    """The campaign's folder, a new one or its own, for as long as nobody else has it. Raises ``ConfigError``."""
+    """Open the campaign's folder, new or existing, for this process alone. Raises ``ConfigError``."""
     with results_store.open_store(folder, msgspec.to_builtins(made), force=force) as store:
         for name, content in made.base:
             path = folder / BASE / name
@@ -117,7 +117,7 @@ def run(
     hear: Callable[[Row], None],
     stop: Callable[[], bool],
 ) -> None:
-    """Do what is missing. ``hear`` is told each row as it comes."""
+    """Make the missing runs. ``hear`` receives each row as it ends."""
     missing = [one for one in made.trials() if one.key not in store.keys]
 
     def lost(one: Trial) -> Row:
@@ -130,7 +130,7 @@ def run(
 
 
 def reopened(folder: Path) -> tuple[Plan, Iterator[Row]]:
-    """The campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
+    """Read the campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
     settings, results = results_store.read(folder / results_store.NAME)
     try:
         return msgspec.convert(settings, Plan), (row for _, row in results)

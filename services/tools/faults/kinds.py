@@ -1,4 +1,4 @@
-"""The classes of faults: what each does, to whom, how long and how much, and what is asked of the reaction.
+"""Fault classes: effect, target, duration, size, and the reaction that is required.
 
 Sizes are drawn from ``size`` by the class's own meaning: a share of the messages, seconds, a factor; see
 ``sim/faults``. Durations are in vehicle seconds.
@@ -61,7 +61,7 @@ THRUSTERS = ("port", "starboard", "both")
 
 
 class Kind(msgspec.Struct, frozen=True):
-    """One row: a class of faults in one place."""
+    """Class of faults in one place (one row of the table)."""
 
     name: str
     place: Place
@@ -135,12 +135,14 @@ NAMES = tuple(dict.fromkeys(kind.name for kind in KINDS))
 
 
 def of(name: str, place: Place) -> Kind:
-    """The row of a class in a place."""
+    """Return the row of a class in a place."""
     return next(kind for kind in KINDS if kind.name == name and kind.place is place)
 
 
 def bound_m(fault: Fault) -> float | None:
-    """Of the true error, where an instrument is lost or something is lost for good; None: none is asked for."""
+    """Return the bound of the true error's growth (m) for a lost instrument or a permanent fault; None: there is no
+    bound.
+    """
     if fault.permanent or fault.kind == "sensor_off":
         return BOUNDS_M[fault.kind, fault.target]
     return None

@@ -1,4 +1,4 @@
-"""Many controllers in one process: each vehicle has its node, its door and its memory, and shares nothing with others.
+"""Process with many controllers; each vehicle has its own node, message validator and state.
 
 A cycle begins when its estimate arrives. Where the process falls behind, a vehicle's newest estimate counts, and those
 that it overtook are counted.
@@ -32,7 +32,7 @@ from sim.evaluation.summary import Quantiles
 
 
 class Controllers(msgspec.Struct, frozen=True, kw_only=True):
-    """What a controllers' process has measured."""
+    """Measurements of a process of controllers."""
 
     vehicles: int
     cycles: int
@@ -44,7 +44,7 @@ class Controllers(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
-    """The process: the controllers of these vehicles."""
+    """Run the process: the controllers of these vehicles."""
     die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle)
     config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
@@ -57,7 +57,7 @@ def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
 
 
 class _Helm:
-    """One vehicle's controller on the shared session."""
+    """Controller of one vehicle on the shared session."""
 
     def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
         self.node = node
@@ -71,11 +71,11 @@ class _Helm:
             session.subscribe(f"{under}/{BY_SIGNAL[kind].key}", BY_SIGNAL[kind], mailbox)
 
     def hear(self, frame: Frame) -> None:
-        """To be looked at by the next cycle: of estimates by then the newest alone, and no other is decoded."""
+        """Keep a frame for the next cycle, which decodes only the newest estimate."""
         self._frames.append(frame)
 
     def cycle(self, start_ns: int) -> None:
-        """On what has arrived."""
+        """Run a cycle on the frames that have arrived."""
         frames, self._frames = self._frames, []
         newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
         arrivals = [] if self._armed else [Arrival(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
@@ -138,7 +138,7 @@ def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int)
 
 
 def _counts(helms: Iterable[_Helm]) -> Counter[str]:
-    """Of all, so far; an estimate that was overtaken is missing in the door's sequence, and was not lost on the way."""
+    """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
     counts: Counter[str] = Counter()
     for helm in helms:
         overtaken = {"overtaken": helm.overtaken, "dropped": helm.door.dropped - helm.overtaken}
