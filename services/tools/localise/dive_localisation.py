@@ -87,7 +87,7 @@ def localise(
 
 
 def stretch(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
-    """Return the end (exclusive) of the dive that contains ``first``, and why it ends there; empty at the file's end."""
+    """Return the end (exclusive) of the dive that contains ``first``, and why it ends there; "" at the file's end."""
     for k in range(first + 1, len(ensembles)):
         gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
         if gap > longest_gap_s:
