@@ -33,7 +33,7 @@ from services.tools.campaign.trial import Base, Row, Trial, row_of, situation, v
 FILE, BASE = "campaign.toml", "base"
 
 
-class Plan(msgspec.Struct, frozen=True, dict=True):
+class PreparedCampaign(msgspec.Struct, frozen=True, dict=True):
     """Checked campaign: design, base settings, and version."""
 
     campaign: Campaign
@@ -77,9 +77,9 @@ class Plan(msgspec.Struct, frozen=True, dict=True):
         return made
 
 
-def plan(campaign: Campaign, source: str) -> Plan:
+def plan(campaign: Campaign, source: str) -> PreparedCampaign:
     """Resolve the base, lay the points, and try each value of each field once. Raises ``ConfigError``."""
-    made = Plan(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), made_by())
+    made = PreparedCampaign(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), made_by())
     _try(made, {}, "[set]", source)
     for table, keys in (("vary", campaign.vary), ("cross", campaign.cross)):
         for key, over in keys.items():
@@ -88,7 +88,7 @@ def plan(campaign: Campaign, source: str) -> Plan:
     return made
 
 
-def _try(made: Plan, point: Point, field: str, source: str) -> None:
+def _try(made: PreparedCampaign, point: Point, field: str, source: str) -> None:
     try:
         situation(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
     except ConfigError as error:
@@ -96,7 +96,7 @@ def _try(made: Plan, point: Point, field: str, source: str) -> None:
 
 
 @contextmanager
-def opened(folder: Path, made: Plan, *, force: bool = False) -> Iterator[ResultsStore]:
+def opened(folder: Path, made: PreparedCampaign, *, force: bool = False) -> Iterator[ResultsStore]:
     """Open the campaign's folder, new or existing, for this process alone. Raises ``ConfigError``."""
     with results_store.open_store(folder, msgspec.to_builtins(made), force=force) as store:
         for name, content in made.base:
@@ -109,7 +109,7 @@ def opened(folder: Path, made: Plan, *, force: bool = False) -> Iterator[Results
 
 
 def run(
-    made: Plan,
+    made: PreparedCampaign,
     store: ResultsStore,
     *,
     workers: int | None,
@@ -129,10 +129,10 @@ def run(
         hear(row)
 
 
-def reopened(folder: Path) -> tuple[Plan, Iterator[Row]]:
+def reopened(folder: Path) -> tuple[PreparedCampaign, Iterator[Row]]:
     """Read the campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
     settings, results = results_store.read(folder / results_store.NAME)
     try:
-        return msgspec.convert(settings, Plan), (row for _, row in results)
+        return msgspec.convert(settings, PreparedCampaign), (row for _, row in results)
     except msgspec.ValidationError as error:
         raise ConfigError(f"results {folder}", "", f"is no campaign: {error}") from None

@@ -30,9 +30,9 @@ from services.tools.campaign.trial import version_of
 from services.tools.faults import bench, draw, lockstep_runs, process_runs, recorded
 from services.tools.faults.attacks import ATTACKS
 from services.tools.faults.draw import Pace, Run
-from services.tools.faults.fault import Place, Seen
+from services.tools.faults.fault import FaultOutcome, Place
 from services.tools.faults.judge import Errors, errors, judge
-from services.tools.faults.kinds import KINDS, NAMES, Kind
+from services.tools.faults.kinds import KINDS, NAMES, FaultClass
 from services.tools.faults.process_verdict import OfProcesses
 from services.tools.faults.process_verdict import judge as judge_processes
 from services.tools.faults.result import problems
@@ -71,11 +71,11 @@ class Unmeasured(RuntimeError):
     """The run without faults, which is the baseline of the verdicts, could not be measured."""
 
 
-class Plan(NamedTuple):
+class FaultCounts(NamedTuple):
     """Number of faults and their classes, in lock step and in processes."""
 
-    inside: tuple[Kind, ...]
-    outside: tuple[Kind, ...]
+    inside: tuple[FaultClass, ...]
+    outside: tuple[FaultClass, ...]
     n_inside: int
     n_outside: int
 
@@ -96,7 +96,7 @@ class Plan(NamedTuple):
         }
 
 
-def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
+def plan(classes: str, where: str, n: int, *, quick: bool = False) -> FaultCounts:
     """Parse the command's options; ``classes`` are names joined by commas, all if empty. Raises ``ConfigError``."""
     wanted = [name.strip() for name in classes.split(",") if name.strip()]
     for name in wanted:
@@ -112,10 +112,12 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
     here = tuple(kind for kind in kinds if kind.place is Place.LOCKSTEP)
     there = tuple(kind for kind in kinds if kind.place is Place.PROCESSES)
     in_processes = 0 if not there else n if not here else min(n, max(round(n * SHARE_IN_PROCESSES), len(there)))
-    return Plan(here, there, n - in_processes, in_processes)
+    return FaultCounts(here, there, n - in_processes, in_processes)
 
 
-def run(asked: Plan, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None) -> list[Seen]:
+def run(
+    asked: FaultCounts, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None
+) -> list[FaultOutcome]:
     """Make all runs that ``store`` lacks and return the verdict on every fault. ``progress`` receives counts of faults
     done.
     """
@@ -125,7 +127,7 @@ def run(asked: Plan, store: ResultsStore, *, seed: int, quick: bool, progress: T
     if asked.n_outside:
         names += in_processes(asked.outside, asked.n_outside, store, seed=seed, quick=quick, progress=progress)
     found = dict(store.results())
-    return [one for name in names for one in decode(found[name], list[Seen])]
+    return [one for name in names for one in decode(found[name], list[FaultOutcome])]
 
 
 def without_faults(store: ResultsStore) -> dict[str, Errors]:
@@ -144,7 +146,7 @@ class Job(NamedTuple):
     baseline: Errors | None
 
 
-def judged(job: Job) -> list[Seen]:
+def judged(job: Job) -> list[FaultOutcome]:
     """Make a run in lock step in this process and judge its faults."""
     return judge(job.run, lockstep_runs.observe(job.run), job.baseline)
 
@@ -155,7 +157,7 @@ def undisturbed(run: Run) -> Errors:
 
 
 def in_lockstep(
-    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
 ) -> list[str]:
     """Inject ``n`` faults of these classes in lock step and return the names of the runs. All available cores are used;
     a few quick faults run in this process, because starting other processes takes longer.
@@ -208,7 +210,7 @@ class Task(NamedTuple):
 
 
 def in_processes(
-    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
 ) -> list[str]:
     """Inject ``n`` faults of these classes in processes and return the names of the runs. Each run has its own folder
     beside the store.
@@ -247,7 +249,7 @@ def in_processes(
     return [task.name for task in tasks]
 
 
-def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -> list[Task]:
+def _tasks(way: str, kinds: Sequence[FaultClass], n: int, *, seed: int, quick: bool) -> list[Task]:
     """Return the runs of a way, with its share of the ``n`` faults."""
     own = [kind for kind in kinds if (kind.name in ATTACKS) is (way == "node")]
     to_nodes = sum(kind.name in ATTACKS for kind in kinds) * n // len(kinds)

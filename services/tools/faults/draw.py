@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from services.tools.faults.fault import Fault
-from services.tools.faults.kinds import AFLOAT, Kind
+from services.tools.faults.kinds import AFLOAT, FaultClass
 
 LAST_S = 75.0
 """From a permanent fault's start to the run's end."""
@@ -37,7 +37,7 @@ class Pace(NamedTuple):
     longest_s: float = math.inf
     pause_s: float = 3.0
 
-    def targets(self, kind: Kind) -> Sequence[str]:
+    def targets(self, kind: FaultClass) -> Sequence[str]:
         """List the targets of a class. GNSS and TDCP are left out if the vehicle is not afloat long enough."""
         return [target for target in kind.targets if target not in AFLOAT or self.afloat_s > -AFLOAT_S[0]]
 
@@ -51,7 +51,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     afloat_s: float = 30.0
 
 
-def runs(kinds: Sequence[Kind], n: int, *, seed: int, several: int, seeds: int, pace: Pace) -> list[Run]:
+def runs(kinds: Sequence[FaultClass], n: int, *, seed: int, several: int, seeds: int, pace: Pace) -> list[Run]:
     """Draw ``n`` faults of these classes and distribute them over runs of ``several``, which use ``seeds`` scenario
     seeds.
     """
@@ -77,7 +77,7 @@ def _lasts(fault: Fault, pace: Pace) -> bool:
     return fault.permanent or (fault.target == "imu" and math.isinf(pace.longest_s))
 
 
-def _drawn(kind: Kind, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:
+def _drawn(kind: FaultClass, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:
     targets = pace.targets(kind)
     target = targets[turn % len(targets)]
     low, high = kind.size

@@ -29,7 +29,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     permanent: bool = False  # it lasts until the run's end: no recovery is asked for
 
 
-class Seen(msgspec.Struct, frozen=True, kw_only=True):
+class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """Outcome of one fault. None: it does not apply, or could not be observed."""
 
     fault: Fault

@@ -1,4 +1,4 @@
-"""Verdict on a run with faults: one ``Seen`` for each fault, from the messages of the run alone.
+"""Verdict on a run with faults: one ``FaultOutcome`` for each fault, from the messages of the run alone.
 
 reaction   by the class (``reactions.py``)
 error      largest true horizontal error from the fault's start until a minute after its end
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from ltv_mpc.messages import Array, Health
 from services.tools.faults import kinds
 from services.tools.faults.draw import Run
-from services.tools.faults.fault import RECOVERED, Place, Seen
+from services.tools.faults.fault import RECOVERED, FaultOutcome, Place
 from services.tools.faults.lockstep_runs import Log, Observed
 from services.tools.faults.reactions import Case, reaction, uncounted
 
@@ -85,7 +85,7 @@ def _mahalanobis(off: Array, P: Array) -> Array:
         return np.where(det > 0, square / det, math.inf)
 
 
-def judge(run: Run, of: Observed, baseline: Errors | None) -> list[Seen]:
+def judge(run: Run, of: Observed, baseline: Errors | None) -> list[FaultOutcome]:
     """Judge each fault that was injected before the run ended. Without a baseline the error is not judged."""
     seen, here = [], errors(of.log)
     for place, fault in enumerate(run.faults):
@@ -95,7 +95,7 @@ def judge(run: Run, of: Observed, baseline: Errors | None) -> list[Seen]:
     return blamed(seen)
 
 
-def blamed(seen: Sequence[Seen]) -> list[Seen]:
+def blamed(seen: Sequence[FaultOutcome]) -> list[FaultOutcome]:
     """Attribute the end of a run to one fault: the first with a late reaction, or else the last."""
     late = [place for place, one in enumerate(seen) if one.uncontrolled and one.late]
     to_blame = late[0] if late else len(seen) - 1
@@ -104,7 +104,9 @@ def blamed(seen: Sequence[Seen]) -> list[Seen]:
     ]
 
 
-def judged(run_seed: int, case: Case, here: Errors, baseline: Errors | None, place: Place = Place.LOCKSTEP) -> Seen:
+def judged(
+    run_seed: int, case: Case, here: Errors, baseline: Errors | None, place: Place = Place.LOCKSTEP
+) -> FaultOutcome:
     """Judge one fault. ``here``: the errors of its run."""
     of, fault = case.of, case.fault
     judged_ns = min(case.end_ns + AFTER_NS[1], of.until_ns)
@@ -115,7 +117,7 @@ def judged(run_seed: int, case: Case, here: Errors, baseline: Errors | None, pla
     ratios: tuple[float | None, float | None] = (None, None)
     if baseline is not None and not fault.permanent and not ended_here:
         ratios = _ratios(case, here, baseline)
-    return Seen(
+    return FaultOutcome(
         fault=fault,
         place=place,
         run_seed=run_seed,

@@ -159,7 +159,7 @@ class Log:
         return not bool(inside.all() and np.isfinite(applied.thrust_N).all())
 
 
-class Doors:
+class ReaderValidators:
     """Message validators, one for each reader as in processes: they decode damaged bytes and check sequence numbers."""
 
     def __init__(self) -> None:
@@ -195,7 +195,7 @@ class Bus(Transit):
     """Message transit with the bytes and the validators of the bus; a second commander is another process."""
 
     def __init__(self, faults: Sequence[Harmed]) -> None:
-        self.doors = Doors()
+        self.doors = ReaderValidators()
         super().__init__(faults, encode=encoded, admit=self.doors.admit)
 
     def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:

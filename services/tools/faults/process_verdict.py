@@ -14,7 +14,7 @@ from services.recording.loss_accounting import Losses
 from services.tools.faults import recorded
 from services.tools.faults.attacks import ENDING
 from services.tools.faults.draw import Run
-from services.tools.faults.fault import Fault, Place, Seen
+from services.tools.faults.fault import Fault, FaultOutcome, Place
 from services.tools.faults.judge import Errors, blamed, errors, judged
 from services.tools.faults.lockstep_runs import Observed
 from services.tools.faults.process_runs import Injected
@@ -45,7 +45,7 @@ class OfProcesses(NamedTuple):
     uncontrolled: str
 
 
-def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Seen]:
+def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[FaultOutcome]:
     """Judge each fault that was injected."""
     if not (of.folder / "run.mcap").exists():
         return blamed([_nothing(of, one.fault) for one in of.injected])
@@ -77,8 +77,8 @@ def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Se
     return blamed(seen)
 
 
-def _nothing(of: OfProcesses, fault: Fault) -> Seen:
-    return Seen(
+def _nothing(of: OfProcesses, fault: Fault) -> FaultOutcome:
+    return FaultOutcome(
         fault=fault,
         place=Place.PROCESSES,
         run_seed=of.run.seed,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from services.tools.faults.fault import RECOVERED, Place, Seen
+from services.tools.faults.fault import RECOVERED, FaultOutcome, Place
 from services.tools.faults.kinds import KINDS
 
 UNSAID_S = 10.0
@@ -57,11 +57,17 @@ class Campaign(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
     load: float  # of the machine over its last minute, for each core: what is asked by the wall needs one below 1
     rows: tuple[Row, ...]
-    not_kept: tuple[Seen, ...]  # each fault for which a promise was not kept
+    not_kept: tuple[FaultOutcome, ...]  # each fault for which a promise was not kept
 
 
 def campaign(
-    seen: Sequence[Seen], *, seed: int, quick: bool, wall_s: float, load: float, window_chance: float | None = None
+    seen: Sequence[FaultOutcome],
+    *,
+    seed: int,
+    quick: bool,
+    wall_s: float,
+    load: float,
+    window_chance: float | None = None,
 ) -> Campaign:
     """Summarise the outcomes of all faults."""
     windows = [s.window_ratio for s in seen if s.window_ratio is not None]
@@ -90,7 +96,7 @@ def campaign(
     )
 
 
-def problems(seen: Seen) -> list[str]:
+def problems(seen: FaultOutcome) -> list[str]:
     """List the requirements that were violated for this fault."""
     found = [seen.uncontrolled and f"ended: {seen.uncontrolled}", seen.late]
     found.append(f"{seen.bad_thrusts} bad thrusts" if seen.bad_thrusts else "")
@@ -101,15 +107,15 @@ def problems(seen: Seen) -> list[str]:
     return [text for text in found if text]
 
 
-def _not_recovered(seen: Seen) -> bool:
+def _not_recovered(seen: FaultOutcome) -> bool:
     return seen.ratio is not None and not seen.ratio <= RECOVERED
 
 
-def _beyond_bound(seen: Seen) -> bool:
+def _beyond_bound(seen: FaultOutcome) -> bool:
     return seen.bound_m is not None and seen.grown_m is not None and not seen.grown_m <= seen.bound_m
 
 
-def _row(name: str, seen: Sequence[Seen]) -> Row:
+def _row(name: str, seen: Sequence[FaultOutcome]) -> Row:
     took = sorted(s.reaction_s for s in seen if s.reaction_s is not None)
     return Row(
         fault=name,

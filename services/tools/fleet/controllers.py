@@ -52,11 +52,14 @@ def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
     rehearse(vehicle, point, config)
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox = Mailbox()
-        helms = {number: _Helm(ControllerNode(vehicle, point, config), session, mailbox, number) for number in numbers}
+        helms = {
+            number: _VehicleController(ControllerNode(vehicle, point, config), session, mailbox, number)
+            for number in numbers
+        }
         wire.send(_run(fleet, helms, mailbox, begin(wire)))
 
 
-class _Helm:
+class _VehicleController:
     """Controller of one vehicle on the shared session."""
 
     def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
@@ -100,10 +103,10 @@ def _is_estimate(frame: Frame) -> bool:
     return frame.topic is not None and frame.topic.signal is Estimate
 
 
-def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int) -> Controllers:
+def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
     of = {f"{namespace(n)}/{BY_SIGNAL[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
-    waiting: dict[_Helm, None] = {}  # in the order in which an estimate came for them
+    waiting: dict[_VehicleController, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
     before: tuple[float, Counter[str]] | None = None
     while (t_ns := now_ns(start_ns)) < end_ns:
@@ -137,7 +140,7 @@ def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int)
     )
 
 
-def _counts(helms: Iterable[_Helm]) -> Counter[str]:
+def _counts(helms: Iterable[_VehicleController]) -> Counter[str]:
     """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
     counts: Counter[str] = Counter()
     for helm in helms:
