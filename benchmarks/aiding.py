@@ -89,7 +89,7 @@ def draw(drifts: dict[str, Drift], path: Path) -> None:
 
 
 def main() -> None:
-    """The table, and the picture where one is asked for."""
+    """Print the table, and draw the picture if requested."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--duration-s", type=float, default=1800.0)

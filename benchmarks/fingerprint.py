@@ -142,7 +142,7 @@ class Restarted:
 
 
 def situation(name: str, *settings: str) -> Situation:
-    """The scenario ``name`` with these settings, for ``DURATION_S``."""
+    """Resolve the scenario ``name`` with these settings, for ``DURATION_S``."""
     return resolve(name, [Override("fingerprint", [f"run.duration_s={DURATION_S}", "run.seed=5", *settings])])
 
 
@@ -162,7 +162,7 @@ def lockstep(of: Situation, nodes: list[Node]) -> Values:
 
 
 def restarted() -> Values:
-    """A descent whose estimator and controller are replaced in the middle."""
+    """Run a descent whose estimator and controller are replaced in the middle."""
     of = situation("descent")
     memory: dict[type[Message], Message] = {}
 
@@ -176,7 +176,7 @@ def restarted() -> Values:
 
 
 def faulty(kind: str) -> Values:
-    """A run with one fault of this class, its first target and the middle of its sizes."""
+    """Run with one fault of this class, its first target and the middle of its sizes."""
     row = kinds.of(kind, Place.LOCKSTEP)
     start_s, end_s = FAULT_S
     fault = Fault(kind=kind, target=row.targets[0], start_s=start_s, end_s=end_s, size=sum(row.size) / 2, seed=1)

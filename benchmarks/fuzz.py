@@ -18,7 +18,7 @@ from tests.fuzz.targets import all_targets
 
 
 def main() -> int:
-    """The campaign, its table on stdout."""
+    """Run the campaign and print its table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=1_000_000, metavar="N", help="in all; default 1,000,000")
     parser.add_argument("--seed", type=int, default=0, metavar="S")
@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def text(result: campaign.Result) -> str:
-    """A line a reader, then what got through."""
+    """Format a line for each reader, then the invalid frames that were accepted."""
     lines = [f"{'reader':<24}{'frames':>9}{'accepted':>10}{'crashes':>9}{'let in':>8}{'slowest ms':>12}{'most MB':>9}"]
     for of in result.targets:
         counts = f"{of.frames:>9}{of.accepted:>10}{of.crashes:>9}{of.let_in:>8}"

@@ -39,17 +39,17 @@ def line(rate_mps: float = 0.2) -> Point:
 
 
 def descent(settings: tuple[str, ...], seed: int) -> Situation:
-    """The paper's."""
+    """Return the paper's descent."""
     return situation(f"run.seed={seed}", *settings)
 
 
 def short(settings: tuple[str, ...], seed: int) -> Situation:
-    """The first half of it."""
+    """Return the first half of the descent."""
     return descent((*settings, "run.duration_s=100.0"), seed)
 
 
 def turned(settings: tuple[str, ...], seed: int) -> Situation:
-    """The bow with the current of the first 10 m."""
+    """Return the descent with the bow along the mean current of the first 10 m."""
     north, east = descent(settings, seed).water.over(np.linspace(0.0, 10.0, 11), 0).mean(axis=0)
     start = f"plant.heading_rad={np.arctan2(east, north)}", "plant.north_m=1.0", "run.duration_s=60.0"
     return replace(descent((*settings, *start), seed), reference=line())

@@ -62,7 +62,7 @@ class _Boat:
         )  # fmt: skip
 
     def _follow(self, u0: Array, u1: Array) -> None:
-        """The same with thrusters whose thrust lags as the controller's model has it."""
+        """Integrate one step with the thruster lag of the controller's model."""
         X, out = np.concatenate([self._state[:6], self._factor * self._thrust[:2]]), np.empty(8)
         c, k = self._current, self._factor
         advance_stage(X, k * u0, k * u1, c, c, STEP_NS * 1e-9, self._p, out)
@@ -139,7 +139,7 @@ def _relative(estimate: Estimate, command: Array, thrust: Array) -> tuple[float,
 
 
 def truth(vehicle: Vehicle, mismatch: Mismatch, known: str, known_yaw: str) -> dict[str, float]:
-    """What should be found, where one scale is taken from the file: by name, in the file's units."""
+    """Return the true coefficients by name, in the file's units, if one scale is taken from the file."""
     true, file = mismatched(vehicle.coefficients(), mismatch), vehicle.coefficients()
     # All forces over the scale that is taken as known: the motion is the same.
     scale = mismatch.thrust if known == "thrust" else mismatch.mass
@@ -164,7 +164,7 @@ def held(found: Identified, true: dict[str, float], unit: dict[str, float]) -> d
 
 
 def main() -> None:
-    """The table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=50)
     parser.add_argument("--first-seed", type=int, default=0)

@@ -47,7 +47,7 @@ PACE_S = 0.02
 
 @contextmanager
 def started(*command: str) -> Iterator[None]:
-    """A process, ended with the block."""
+    """Start a process and stop it at the end of the block."""
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield
@@ -57,7 +57,7 @@ def started(*command: str) -> Iterator[None]:
 
 
 def awaited(box: Mailbox, key: str, within_s: float, plans: list[float]) -> Frame | None:
-    """The next frame on ``key``; the ways of plans that come meanwhile are noted."""
+    """Return the next frame on ``key``; note the latencies of plans that arrive meanwhile."""
     deadline = time.monotonic() + within_s
     while (left := deadline - time.monotonic()) > 0:
         frame = box.take(left)

@@ -92,7 +92,7 @@ class Relay(threading.Thread):
 
 
 def tun(name: str) -> int:
-    """A new TUN device of this name; the descriptor stays good when the device moves to another namespace."""
+    """Create a TUN device of this name; the descriptor stays valid if the device moves to another namespace."""
     descriptor = os.open("/dev/net/tun", os.O_RDWR)
     fcntl.ioctl(descriptor, TUNSETIFF, struct.pack("16sH22x", name.encode(), IFF_TUN | IFF_NO_PI))
     return descriptor

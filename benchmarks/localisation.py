@@ -97,7 +97,7 @@ class Descent(NamedTuple):
         return cls(situation.suite, steps)
 
     def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:
-        """An estimator whose filter stands, and what is still to come."""
+        """Return an estimator whose filter has been initialised, and the messages that remain."""
         estimator = Estimator(self.suite, config)
         for i, (t_ns, inbox) in enumerate(self.steps):
             if estimator.filter is not None:
@@ -107,7 +107,7 @@ class Descent(NamedTuple):
 
 
 def of_node(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
-    """Number of states, and share of a core."""
+    """Return the number of states and the share of a core of the node."""
     estimator, rest = descent.aligned(config)
     began, from_ns = time.process_time(), rest[0][0]
     for t_ns, inbox in rest:
@@ -119,7 +119,9 @@ def of_node(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
 
 
 def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
-    """Number of states, and share of a core: every message at its time, the inertial sample across it split there."""
+    """Return the number of states and the share of a core of the filter alone: every message at its time, with the
+    inertial sample across it split there.
+    """
     estimator, rest = descent.aligned(config)
     if estimator.filter is None:
         raise RuntimeError("the filter has been lost on the way")

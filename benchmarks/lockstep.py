@@ -38,12 +38,12 @@ RECORDED = "full loop, paper, recorded"
 
 
 def situation(*settings: str, duration_s: float) -> Situation:
-    """The descent with these settings."""
+    """Resolve the descent with these settings."""
     return resolve("descent", [Override("benchmark", [*settings, f"run.duration_s={duration_s}", "run.seed=3"])])
 
 
 def run(of: Situation, folder: str | None = None) -> float:
-    """Times real time of one run; recorded into ``folder``, where there is one."""
+    """Return the speed of one run relative to real time; with ``folder`` the run is recorded."""
     seconds = (of.scenario.end_ns - of.scenario.start_ns) * 1e-9
     started = time.perf_counter()
     lockstep_run.run(of, None if folder is None else RunFolder(Path(folder)))

@@ -84,7 +84,7 @@ class Loop:
     compensates: bool = True
 
     def fly(self) -> Outcome:
-        """The whole run. ``seen`` is shown each cycle's estimate and plan after t = 0."""
+        """Make the whole run. ``seen`` receives each cycle's estimate and plan after t = 0."""
         scenario, water, controller = self.situation.scenario, self.situation.water, self.controller
         plant = TrueVehicle(self.situation, self.share)
         depths = told_depths(self.situation)
@@ -148,7 +148,7 @@ class TrueVehicle:
 
 
 def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], delay_ns: int) -> Applied:
-    """The actuators' report: the last plan came ``delay_ns`` after the start of its cycle."""
+    """Return the actuators' report if the last plan came ``delay_ns`` after the start of its cycle."""
     cycle_ns = plans[-1].cycle_t_ns if plans else 0
     return Applied(
         t_ns=t_ns,
@@ -172,7 +172,7 @@ def told_depths(of: Situation) -> Array:
 
 
 def known(t_ns: int, state: Array, water: WaterColumn, depths_m: Array) -> Estimate:
-    """The truth, with the whole current at ``depths_m`` (K,)."""
+    """Return the true state as an estimate, with the whole current at ``depths_m`` (K,)."""
     n, e, u, v, psi, r, z, w = state.tolist()
     here, current = water.at(z, t_ns), water.over(depths_m, t_ns)
     # [n', e'] = R(psi) [u, v] + c(z)
@@ -197,5 +197,5 @@ def known(t_ns: int, state: Array, water: WaterColumn, depths_m: Array) -> Estim
 
 
 def situation(*settings: str, scenario: str = "descent") -> Situation:
-    """A shipped scenario with KEY=VALUE settings on top, the state known."""
+    """Resolve a shipped scenario with KEY=VALUE settings on top and the state known."""
     return resolve(scenario, [Override("benchmark", ("run.perfect_state=true", *settings))])

@@ -73,7 +73,7 @@ class Breaker:
         self._first = first
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """A loss at its time."""
+        """Apply the thrust loss at its time."""
         return [self._begun(t_ns) for t_ns, _ in due]
 
     def _begun(self, t_ns: int) -> list[Message]:
@@ -113,7 +113,9 @@ class Watcher:
                 pass
 
     def missing(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Times (K,), |reported| summed over both lateral thrusters (K,), and N s missing up to then (K,)."""
+        """Return times (K,), the sum of abs(reported) over both lateral thrusters (K,), and the impulse lost by then
+        (K,) (N s).
+        """
         t = np.array(self._times)
         at, reported = np.array([x for x, _ in self._reports]), np.array([x for _, x in self._reports])
         both = np.stack([np.interp(t, at, reported[:, i]) for i in range(2)], axis=1)
@@ -153,7 +155,7 @@ def of_run(state: str, breaker: Breaker, seen: Watcher, period_ns: int) -> Itera
 
 
 def settings_of(seed: int, of: Kept, *, known: bool) -> tuple[str, ...]:
-    """What all runs have."""
+    """Return the settings that all runs share."""
     state = "true" if known else "false"
     run = f"run.seed={seed}", f"run.duration_s={of.duration_s}", f"run.perfect_state={state}"
     return *run, f"sensors={of.sensors}"
@@ -168,7 +170,7 @@ def mismatch(seed: int) -> tuple[str, ...]:
 
 
 def said(losses: list[Loss]) -> Iterator[str]:
-    """A table: by state and kind, then by thrust."""
+    """Format a table: by state and kind, then by thrust."""
     yield (
         "| loss of 30 % | losses | no alarm | delay, median (s) | cost at the alarm, median, p90 (N s) | "
         "over 10 N s at the cycle before |"
@@ -209,7 +211,7 @@ class Kept(msgspec.Struct, kw_only=True):
 
 
 def opened(path: Path | None, asked: Kept) -> Kept:
-    """What ``path`` holds of the runs that are ``asked`` for, or nothing yet."""
+    """Read the results in ``path`` of the runs that are ``asked`` for; none if there is no file yet."""
     if path is None or not path.exists():
         return asked
     found = msgspec.json.decode(path.read_bytes(), type=Kept)

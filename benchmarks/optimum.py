@@ -97,7 +97,7 @@ class Optimum:
         return cost(self.roll(X0, U, C), U, C, target, objective(self._packed))
 
     def roll(self, X0: Array, U: Array, C: Array) -> Array:
-        """The exact flow (N+1, 8) under commands U (N+1, 2)."""
+        """Compute the exact flow (N+1, 8) under commands U (N+1, 2)."""
         return roll_out(X0, U, C, self._h, self._p)
 
     def solve(self, X: Array, U: Array, C: Array, target: Array) -> tuple[Array, bool]:
@@ -121,7 +121,7 @@ class Optimum:
 def _rates(
     u: Any, v: Any, psi: Any, r: Any, F1: Any, F2: Any, cn: Any, ce: Any, crn: Any, cre: Any, p: Coefficients
 ) -> tuple[Any, ...]:
-    """The equations of vehicle/dynamics.py in symbols."""
+    """Write the equations of vehicle/dynamics.py in symbols."""
     cos, sin = ca.cos(psi), ca.sin(psi)
     surge = F1 + F2 - (p.linear_surge + p.quadratic_surge * ca.fabs(u)) * u
     du = (surge + p.mass_sway * v * r - p.dry_mass * (cos * crn + sin * cre)) / p.mass_surge
@@ -133,7 +133,7 @@ def _rates(
 
 
 def _stage(p: Coefficients, h: float) -> Callable[..., Any]:
-    """The flow of vehicle/flow.py over one stage of h seconds in symbols: (8,), (2,), (2,), (2,), (2,) to (8,)."""
+    """Write the flow of vehicle/flow.py over a stage of h seconds in symbols: (8,), (2,), (2,), (2,), (2,) to (8,)."""
     X, u0, uh, c0, ch = (ca.SX.sym(name, size) for name, size in (("X", 8), ("u0", 2), ("uh", 2), ("c0", 2), ("ch", 2)))
     steps = substeps(h)
     d, cr = h / steps, (ch - c0) / h
@@ -203,7 +203,7 @@ def main() -> None:
 
 
 def text(rows: list[dict[str, Any]], what: str) -> str:
-    """The figures, ratios of costs first."""
+    """Format the figures, ratios of costs first."""
     counts = Counter("not converged" if not row["converged"] else ("same" if row["same"] else "other") for row in rows)
     same = [row for row in rows if row["converged"] and row["same"]]
     other = [row for row in rows if row["converged"] and not row["same"]]

@@ -37,7 +37,7 @@ class Job(NamedTuple):
 
 
 def without_preview(estimate: Estimate) -> Estimate:
-    """The estimate with the current at its own depth at all depths."""
+    """Return the estimate with the current of its own depth at all depths."""
     here = current_at(estimate.current, np.array([estimate.depth_m]))[0]
     everywhere = CurrentProfile(
         depth_m=np.array([0.0, 1.0]),

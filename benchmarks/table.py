@@ -28,7 +28,7 @@ class Figures(NamedTuple):
 
     @classmethod
     def of(cls, outcome: Outcome) -> Figures:
-        """What is kept of a run."""
+        """Extract the figures of a run."""
         late = outcome.distance_m[len(outcome.distance_m) // 2 :]
         return cls(outcome.mean_m, float(late.mean()), outcome.max_m, outcome.mean_abs_N, outcome.saturated)
 
@@ -72,7 +72,7 @@ def measure(description: str | None, rows: Sequence[str], one: Callable[[Job], F
 
 
 def text(row: str, runs: Sequence[Figures]) -> str:
-    """A row of the table."""
+    """Format a row of the table."""
     mean = Figures(*(statistics.fmean(column) for column in zip(*runs, strict=True)))
     worst = max(run.mean_m for run in runs)
     largest = float(np.max([run.max_m for run in runs]))

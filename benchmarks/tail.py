@@ -25,7 +25,7 @@ COUNTS = "while True: pass"
 
 
 def fly(folder: Path, *, minutes: float, rate_hz: float, busy: int, least_delay_s: float) -> dict[str, Any]:
-    """The run's summary."""
+    """Make the run and return its summary."""
     command = [
         *(sys.executable, "-P", "-m", "services.cli", "sim", "hover", "--speed", "1", "--json", "--out", str(folder)),
         *("--duration-s", str(60.0 * minutes), "--surface-time-s", "10"),

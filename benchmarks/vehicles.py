@@ -56,7 +56,9 @@ class Held(NamedTuple):
 
 
 def drawn(seed: int) -> Vehicle:
-    """A vehicle of 30 kg to 3 t, sizes as a hull of that mass has them; lengths from volume, 2 m at 200 kg."""
+    """Draw a vehicle of 30 kg to 3 t with the proportions of a hull of that mass; lengths follow from volume, 2 m at
+    200 kg.
+    """
     rng = np.random.default_rng(seed)
     rho = 1025.0
     mass = float(np.exp(rng.uniform(np.log(30.0), np.log(3000.0))))
@@ -102,7 +104,7 @@ def drawn(seed: int) -> Vehicle:
 
 
 def place(vehicle: Vehicle, share: float, seed: int, settings: tuple[str, ...] = ()) -> Situation:
-    """A point, a current of ``share`` of the vehicle's top speed, and a start 2 m off."""
+    """Return a target, a current of ``share`` of the vehicle's top speed, and a start 2 m off."""
     rng = np.random.default_rng(seed)
     off, heading, towards = rng.uniform(-np.pi, np.pi, 3)
     scales = scales_of(vehicle)
@@ -134,7 +136,7 @@ def hold(vehicle: Vehicle, share: float, seed: int, config: ControllerConfig | N
 
 
 def graded(distance: Array, plans: list[Plan], vehicle: Vehicle) -> Held:
-    """The figures of a run, sampled each 10 ms."""
+    """Compute the figures of a run, sampled each 10 ms."""
     last = distance[-round(GRADED_S * 100) :]
     near = max(0.2, 0.05 * scales_of(vehicle).length_m)
     outside = np.flatnonzero(distance > near)
@@ -153,7 +155,7 @@ def graded(distance: Array, plans: list[Plan], vehicle: Vehicle) -> Held:
 
 
 def main() -> None:
-    """The table."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--vehicle", nargs="*", default=["paper", "surface", "low-yaw", "weak-reverse"])
     parser.add_argument("--random", type=int, default=0, help="so many drawn vehicles besides")

@@ -60,24 +60,24 @@ class Change(NamedTuple):
 
 
 def front(step_mps: float, width_s: float) -> Change:
-    """A front that begins at ``BEGINS_S``."""
+    """Return a front that begins at ``BEGINS_S``."""
     shape = Shape(kind="front", step_mps=step_mps, width_s=width_s, at_s=BEGINS_S + 0.5 * width_s)
     return Change(f"front {100 * step_mps:g} cm/s in {width_s:g} s", shape)
 
 
 def waves(amplitude_mps: float, period_s: float) -> Change:
-    """Internal waves, from the start on."""
+    """Return internal waves, from the start on."""
     shape = Shape(kind="waves", amplitude_mps=amplitude_mps, period_s=period_s)
     return Change(f"waves {100 * amplitude_mps:g} cm/s, {period_s:g} s", shape)
 
 
 def step(step_mps: float) -> Change:
-    """A jump over depth, 25 m down."""
+    """Return a jump of the current over depth, at 25 m."""
     return Change(f"step {100 * step_mps:g} cm/s at 25 m", Shape(kind="step", step_mps=step_mps, at_m=25.0))
 
 
 def gyro(deg_per_h: float) -> Change:
-    """A fault that begins at ``BEGINS_S``."""
+    """Return a gyro fault that begins at ``BEGINS_S``."""
     return Change(f"gyro {deg_per_h:g} deg/h", gyro_radps=math.radians(deg_per_h) / 3600.0)
 
 
@@ -113,7 +113,7 @@ class Descent:
     """One simulated descent: all messages in order of their validity, and the truth of each ping."""
 
     def __init__(self, sensors: str, seed: int, settings: Sequence[str] = ()) -> None:
-        """Runs it, in lock step. Raises ``ConfigError``."""
+        """Run the descent in lock step. Raises ``ConfigError``."""
         situation = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).situation()
         nodes = make_nodes(situation)
         self.suite: Suite = situation.suite
@@ -131,12 +131,12 @@ class Descent:
         self.end_ns = scenario.end_ns
 
     def _stepped(self, step: Step) -> None:
-        """What the estimator is handed."""
+        """Keep the estimator's inboxes."""
         if step.node == Estimator.name:
             self.steps.append((step.t_ns, step.inbox))
 
     def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
-        """The truth behind each ping."""
+        """Keep the true state at each ping."""
         match message.signal:
             case Truth() as truth:
                 self._truth = truth
@@ -221,7 +221,7 @@ class Comparison:
         self._unchanged = list(self._hear([descent.clean(message) for message in messages]))
 
     def with_(self, change: Change) -> Seen:
-        """The filter hears the same, with the change."""
+        """Run the filter on the same measurements, with the change added."""
         deflection, rows = 0.0, []
         heard = self._hear([self._descent.changed(one.said, change) for one in self._unchanged])
         for one, other in zip(self._unchanged, heard, strict=True):
@@ -260,7 +260,7 @@ def table(sensors: str, found: dict[str, Seen]) -> Iterator[str]:
 
 
 def main() -> None:
-    """The tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sensors", nargs="+", default=["paper", "realistic"])
     parser.add_argument("--seed", type=int, default=1)

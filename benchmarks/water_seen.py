@@ -172,7 +172,7 @@ def table(sensors: str, rows: dict[str, dict[str, float | None]]) -> Iterator[st
 
 
 def main() -> None:
-    """The tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sensors", nargs="+", default=["paper", "realistic"])
     parser.add_argument("--runs", type=int, default=20)

@@ -80,7 +80,7 @@ def places(folder: Path) -> list[Place]:
 
 
 def in_own_time(of: Sequence[Place]) -> Array:
-    """What is enough at each place, over T."""
+    """Return the sufficient horizon at each place, divided by T."""
     return np.array([place.horizons_s[place.enough] / place.time_s for place in of])
 
 

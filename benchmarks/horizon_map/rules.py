@@ -41,12 +41,12 @@ def fitted(of: Sequence[Place]) -> Array:
 
 
 def best_H_s(of: Sequence[Place]) -> float:
-    """The one horizon that exceeds least in the mean."""
+    """Return the horizon (s) with the smallest mean excess."""
     return float(min(of[0].horizons_s, key=lambda h: _excess(of, lambda _: float(h))))
 
 
 def best_ratio(of: Sequence[Place]) -> float:
-    """The one H / T that does."""
+    """Return the ratio H / T with the smallest mean excess."""
     return float(min(RATIOS, key=lambda q: _excess(of, _so_many_times(q))))
 
 

@@ -45,7 +45,7 @@ def summary(of: Sequence[Place]) -> dict[str, Any]:
 
 
 def tables(kept: Mapping[str, Mapping[str, Any]]) -> list[Table]:
-    """The page's, from the summaries by campaign."""
+    """Return the tables of the page, from the summaries by campaign."""
     horizons = next(iter(kept.values()))["horizons_s"]
     head = ("", *(f"{h:g} s" for h in horizons))
     plain = (0,) * len(head)

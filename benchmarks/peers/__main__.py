@@ -52,7 +52,7 @@ def main() -> None:
 
 
 def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
-    """The table of all tools that are installed."""
+    """Return the comparison of all tools that are installed."""
     episodes = problems.simulated(stages, cycles, 0)
     loops = [episode for seed in range(seeds) for episode in problems.simulated(stages, cycles, 1000 * seed)]
     peers, missing = known.installed()

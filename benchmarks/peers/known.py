@@ -18,7 +18,7 @@ FILES = {
 
 
 def installed() -> tuple[list[type[Peer]], list[str]]:
-    """The peers, and the files of those whose packages are not there."""
+    """Return the peers, and the files of those whose packages are missing."""
     there, missing = [], []
     for file, (name, needs) in FILES.items():
         if all(find_spec(package) for package in needs):

@@ -22,7 +22,7 @@ class Entry:
     peer: type[Peer]
 
     def controller(self, episode: Episode, stopwatch: Stopwatch = no_stopwatch) -> Controller:
-        """The episode's controller, with the peer as its solver."""
+        """Return the episode's controller, with the peer as its solver."""
         controller = Controller(episode.vehicle, episode.reference, episode.config, stopwatch=stopwatch)
         controller.solve_with(lambda _own: self.peer(episode.config, limits_of(episode), episode.vehicle))
         return controller
@@ -72,7 +72,7 @@ class Held:
 
 
 def closed(contestant: Contestant, episode: Episode) -> Held:
-    """The whole episode under the contestant's own plans."""
+    """Run the whole episode in closed loop under the contestant's own plans."""
     loop = Loop(contestant, episode)
     episode.feed(loop, lambda: loop.cycles > episode.cycles)
     return Held(float(np.mean(loop.off_m)), float(np.mean(loop.thrust_N)), loop.unsolved)

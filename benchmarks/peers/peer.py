@@ -36,10 +36,10 @@ class Peer:
         self.reference: Array
 
     def shift(self, stages: float) -> None:
-        """The next problem begins so many stages later."""
+        """Shift the warm start by this number of stages."""
 
     def forget(self) -> None:
-        """The next problem has nothing to do with the last one."""
+        """Reset the warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
         """Take the problem's numbers; what is held is a point, so no velocity is wanted at the end."""

@@ -36,7 +36,9 @@ def velocity_over_ground(x: Any, c: Any) -> Any:
 
 
 def stage(h: float, steps: int, p: Coefficients) -> Any:
-    """Function (X (8,), u0, uh, c0, ch) -> X(h) (8,): ``ltv_mpc/vehicle/flow.py``, Runge-Kutta 4 in ``steps`` steps."""
+    """Return the function (X (8,), u0, uh, c0, ch) -> X(h) (8,) of ``ltv_mpc/vehicle/flow.py``, integrated by
+    Runge-Kutta 4 in ``steps`` steps.
+    """
     X, u0, uh, c0, ch = (ca.SX.sym(name, size) for name, size in zip("Xuvcd", (8, 2, 2, 2, 2), strict=True))
     cr = (ch - c0) / h
 

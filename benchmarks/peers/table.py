@@ -25,7 +25,7 @@ class Line:
 def markdown(
     lines: Sequence[Line], *, title: str, notes: Sequence[str], machine: Machine, packages: Sequence[str]
 ) -> str:
-    """The first line's time is what the others are multiples of."""
+    """Format the table in Markdown; other times are multiples of the first line's."""
     kinds = list(lines[0].held)
     head = ["", "solves", "cycle, median (ms)", "p99 (ms)", "times the first", "first thrust off, p99 (N)"]
     head += [f"{kind}: off the line (m)" for kind in kinds] + ["mean abs F (N)", "without a solution"]

@@ -68,7 +68,7 @@ class CvxpyOsqp(Peer):
         )
 
     def solve(self) -> Answer:
-        """New numbers, then solve."""
+        """Set the parameters and solve."""
         lin, F, N = self.lin, self.limits.scale, self.stages
         low, high = self.limits.box(lin.U[0], self.knots)
         velocity, slope = velocity_over_ground(lin.X[-1], lin.C[-1])

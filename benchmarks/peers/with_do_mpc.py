@@ -59,7 +59,7 @@ class DoMpcIpopt(Peer):
         self._begun = False
 
     def forget(self) -> None:
-        """The last solution is no guess for the next problem."""
+        """Reset the initial guess: the last solution does not suit the next problem."""
         self._begun = False
 
     def solve(self) -> Answer:
@@ -101,7 +101,7 @@ class DoMpcIpopt(Peer):
         return model
 
     def _set_objective(self, model: Any) -> None:
-        """The thrusts and positions at the knots 1 .. N-1 are stage costs, those at N the terminal one's."""
+        """Set the objective: thrusts and positions at knots 1 .. N-1 are stage costs, those at N the terminal cost."""
         w, x, U = self.weights, model.x["x"], model.x["U"]
         off = ca.sumsqr(x[:2] - model.tvp["reference"])
         velocity = ca.sumsqr(symbolic.velocity_over_ground(x, model.tvp["c"]))

@@ -77,7 +77,7 @@ def one(job: Job) -> tuple[float, float, float]:
 
 
 def flown(job: Job) -> Outcome:
-    """The run."""
+    """Make the run."""
     row = ROWS[job.row]
     weights = [f"controller.weights.{key}={value!r}" for key, value in job.values.items()] if row.kind == "mpc" else []
     here = situation(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}", *row.variant.settings, *weights)

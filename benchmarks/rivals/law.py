@@ -27,7 +27,7 @@ class Law(Protocol):
 
 
 def fly(situation: Situation, law: Law) -> Outcome:
-    """The whole run; the target is where the vehicle is at t = 0."""
+    """Make the whole run; the target is the vehicle's position at t = 0."""
     scenario, water, vehicle = situation.scenario, situation.water, situation.vehicle
     plant = TrueVehicle(situation, np.ones(3))
     depths = told_depths(situation)

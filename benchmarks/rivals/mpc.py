@@ -51,11 +51,11 @@ class Variant(NamedTuple):
 
 
 def without_water(estimate: Estimate) -> Estimate:
-    """The estimate without any current."""
+    """Return the estimate without any current."""
     return msgspec.structs.replace(estimate, current=None)
 
 
 def fly(situation: Situation, variant: Variant) -> Outcome:
-    """The whole run."""
+    """Make the whole run."""
     controller = Controller(situation.vehicle, situation.reference, situation.scenario.controller)
     return Loop(situation=situation, controller=controller, told=variant.told, compensates=variant.compensates).fly()

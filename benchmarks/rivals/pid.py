@@ -59,5 +59,5 @@ class Pid:
 
 
 def nearer_axis(direction_rad: float, psi: float) -> float:
-    """The direction or its opposite, whichever takes the smaller turn from ``psi``."""
+    """Return the direction or its opposite, the one that needs the smaller turn from ``psi``."""
     return direction_rad if math.cos(direction_rad - psi) >= 0 else wrap_angle(direction_rad + math.pi)

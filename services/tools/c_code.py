@@ -1,4 +1,4 @@
-"""The controller's QP as C code that OSQP generates: no allocation, no library, for a processor without Python.
+"""Export of the controller's QP as C code that OSQP generates, without allocation or libraries.
 
 The folder holds OSQP's sources and a workspace with one cycle's problem in it, of a vehicle somewhat off its
 plan. The pattern is that of every cycle, so a program of one's own puts its numbers in with osqp_update_data_mat and
@@ -71,7 +71,7 @@ LAYOUT = """/* What the numbers of the QP are: minimise 1/2 x'Px + q'x subject t
 
 
 class Exported(NamedTuple):
-    """What was written, and what the sample will print but for the solver's tolerance."""
+    """Size of the exported problem, and the thrusts that the sample prints within the solver's tolerance."""
 
     stages: int
     variables: int
@@ -80,7 +80,7 @@ class Exported(NamedTuple):
 
 
 def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Array]:
-    """A solver with the problem in it, and the first free commands (2,) of the trajectory it is linearised along.
+    """Return a solver with the problem loaded, and the first free commands (2,) of the linearisation trajectory.
 
     Raises ``ConfigError`` where another solver is configured.
     """

@@ -1,4 +1,4 @@
-"""What is wrong with this machine, and how to mend it: one small check for each thing that a run stands on.
+"""Machine check: one check for each requirement of a run, with the remedy for each problem.
 
 At its top this file imports the standard library alone: a package that is missing or broken is a finding, no traceback.
 """
@@ -46,7 +46,7 @@ MODULES = {"eclipse-zenoh": "zenoh", "tomli-w": "tomli_w", "prometheus-client": 
 
 
 class Level(enum.StrEnum):
-    """How bad."""
+    """Severity of a finding."""
 
     OK = "ok"
     WARNING = "warning"  # it works, worse than it could
@@ -55,7 +55,7 @@ class Level(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line: what was looked at, how it is, and how to mend it where it is not well."""
+    """Result of one check: what was checked, what was found, and the remedy if there is a problem."""
 
     check: str
     level: Level
@@ -64,22 +64,22 @@ class Finding:
 
 
 def ok(check: str, found: str) -> Finding:
-    """All is well."""
+    """Return a finding without a problem."""
     return Finding(check, Level.OK, found)
 
 
 def warning(check: str, found: str, mend: str) -> Finding:
-    """It works, worse than it could."""
+    """Return a finding of a run that works with reduced performance."""
     return Finding(check, Level.WARNING, found, mend)
 
 
 def problem(check: str, found: str, mend: str) -> Finding:
-    """A run will fail."""
+    """Return a finding that makes a run fail."""
     return Finding(check, Level.PROBLEM, found, mend)
 
 
 def examine() -> list[Finding]:
-    """Every check. One that cannot be made is a problem of its own."""
+    """Run every check. A check that raises is reported as a problem."""
     found = []
     for check in CHECKS:
         try:
@@ -95,7 +95,7 @@ def examine() -> list[Finding]:
 
 
 def python() -> Finding:
-    """Its version."""
+    """Check the Python version."""
     (low, high), version = PYTHONS, sys.version_info[:2]
     said = ".".join(map(str, sys.version_info[:3]))
     if low <= version < high:
@@ -105,7 +105,7 @@ def python() -> Finding:
 
 
 def project() -> Finding:
-    """Version and commit of this project."""
+    """Report version and commit of this project."""
     made = made_by()
     said = f"{made['ltv_mpc']}, commit {made['commit'][:12]}, in {ROOT}"
     if requirements() is None:
@@ -114,7 +114,7 @@ def project() -> Finding:
 
 
 def packages() -> Finding:
-    """What the core needs: there, of the right version, and it can be imported."""
+    """Check that the required packages are installed, of the right version, and can be imported."""
     there, wrong = [], []
     for name, bounds, extra in requirements() or ():
         if extra:
@@ -135,7 +135,7 @@ def packages() -> Finding:
 
 
 def extras() -> Finding:
-    """What is not needed by all: never a problem."""
+    """Report the optional packages; a missing one is never a problem."""
     by_extra: dict[str, list[str]] = {}
     for name, _, extra in requirements() or ():
         if extra and extra not in TOOLS:
@@ -148,7 +148,9 @@ def extras() -> Finding:
 
 
 def names() -> Finding:
-    """That ``ltv_mpc``, ``sim`` and ``services`` are this project's: packages of other people are called so too."""
+    """Check that ``ltv_mpc``, ``sim`` and ``services`` are imported from this project, not from packages of the same
+    name.
+    """
     owners = {name: sorted(set(owners_of(name)) - {DISTRIBUTION}) for name in OURS}
     taken = {name: others for name, others in owners.items() if others}
     if taken:
@@ -166,7 +168,7 @@ def names() -> Finding:
 
 
 def cores() -> Finding:
-    """How many, and how busy they are."""
+    """Check the number of cores and their load."""
     count, busy = core_count(), os.getloadavg()[0]
     said = f"{count} cores, load {busy:.2f}"
     if count < FEWEST_CORES:
@@ -177,7 +179,7 @@ def cores() -> Finding:
 
 
 def clock() -> Finding:
-    """The monotonic clock's resolution, and by how much a sleep of 1 ms is longer."""
+    """Check the resolution of the monotonic clock and the delay of a sleep of 1 ms."""
     resolution_s, late_s = time.get_clock_info("monotonic").resolution, oversleep_s()
     said = f"resolution {resolution_s * 1e9:.0f} ns, a sleep of 1 ms is {late_s * 1e3:.2f} ms longer"
     if resolution_s > COARSEST_CLOCK_S:
@@ -188,7 +190,7 @@ def clock() -> Finding:
 
 
 def open_files() -> Finding:
-    """How many files a process may have open."""
+    """Check how many files a process may have open."""
     import resource
 
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -198,7 +200,7 @@ def open_files() -> Finding:
 
 
 def space() -> Finding:
-    """Room where runs are written, and leave to write there."""
+    """Check the free space of the current folder and that it can be written."""
     here, free = Path.cwd(), shutil.disk_usage(Path.cwd()).free
     said = f"{free / 1e9:.1f} GB free in {here}"
     if not writable(here):
@@ -211,7 +213,7 @@ def space() -> Finding:
 
 
 def temporary() -> Finding:
-    """A folder for temporary files."""
+    """Check that there is a folder for temporary files."""
     try:
         folder = Path(tempfile.gettempdir())
     except FileNotFoundError:
@@ -220,7 +222,7 @@ def temporary() -> Finding:
 
 
 def loopback() -> Finding:
-    """That processes can reach each other over 127.0.0.1."""
+    """Check that processes can reach each other over 127.0.0.1."""
     try:
         echoed = echo()
     except OSError as error:
@@ -246,7 +248,7 @@ def solver() -> Finding:
 
 
 def compiled() -> Finding:
-    """The cache of compiled code."""
+    """Check the cache of compiled code."""
     from ltv_mpc.jit import CACHE, CACHE_IS_KEPT
     from services.supervisor.jit_cache import is_warm
 
@@ -270,7 +272,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
 
 
 def requirements() -> list[tuple[str, str, str]] | None:
-    """Name, bounds and extra of each distribution that this one asks for; None where this one is not installed."""
+    """List name, bounds and extra of each required distribution; None if this project is not installed."""
     try:
         texts = metadata.requires(DISTRIBUTION) or []
     except metadata.PackageNotFoundError:
@@ -279,13 +281,13 @@ def requirements() -> list[tuple[str, str, str]] | None:
 
 
 def requirement(text: str) -> tuple[str, str, str] | None:
-    """``osqp<1.2,>=1.1; extra == "x"`` as name, bounds, extra."""
+    """Parse ``osqp<1.2,>=1.1; extra == "x"`` into name, bounds, extra."""
     found = re.fullmatch(r"""([\w.-]+)(?:\[[^]]*])?\s*\(?([^;)]*)\)?\s*(?:;.*extra == ['"]([\w-]+)['"].*)?""", text)
     return None if found is None else (found[1], found[2].replace(" ", ""), found[3] or "")
 
 
 def installed(name: str) -> str | None:
-    """The version of a distribution."""
+    """Return the version of a distribution; None if it is not installed."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -293,7 +295,7 @@ def installed(name: str) -> str | None:
 
 
 def within(version: str, bounds: str) -> bool:
-    """Whether ``1.1.3`` fulfils ``<1.2,>=1.1``; a comparison that is not known does not count."""
+    """Return True if version ``1.1.3`` meets ``<1.2,>=1.1``; an unknown comparison is ignored."""
     holds = {">=": lambda a, b: a >= b, "<": lambda a, b: a < b, ">": lambda a, b: a > b, "<=": lambda a, b: a <= b}
     for bound in filter(None, bounds.split(",")):
         found = re.fullmatch(r"(>=|<=|<|>)([\d.]+)", bound)
@@ -310,7 +312,7 @@ def _numbers(version: str) -> list[int]:
 
 
 def import_error(module: str) -> str:
-    """Why a module cannot be imported; empty where it can."""
+    """Return why a module cannot be imported; empty if it can."""
     try:
         importlib.import_module(module)
     except Exception as error:  # a broken extension raises what it likes
@@ -319,7 +321,7 @@ def import_error(module: str) -> str:
 
 
 def owners_of(package: str) -> Iterable[str]:
-    """Distributions that say that a top-level package is theirs."""
+    """Return the distributions that claim a top-level package."""
     return _distributions().get(package, ())
 
 
@@ -329,14 +331,14 @@ def _distributions() -> Mapping[str, list[str]]:
 
 
 def folder_of(package: str) -> Path | None:
-    """The folder in which a top-level package lies that ``import`` would take."""
+    """Return the folder from which ``import`` takes a top-level package."""
     spec = find_spec(package)
     places = list(spec.submodule_search_locations or ()) if spec is not None else []
     return Path(places[0]).resolve().parent if places else None
 
 
 def oversleep_s() -> float:
-    """Median of how much longer a sleep of 1 ms is."""
+    """Return the median excess duration of a sleep of 1 ms (s)."""
     return statistics.median(_oversleeps())
 
 
@@ -348,7 +350,7 @@ def _oversleeps(count: int = 15) -> Iterator[float]:
 
 
 def writable(folder: Path) -> bool:
-    """Whether a file can be made there."""
+    """Return True if a file can be created in the folder."""
     try:
         with tempfile.TemporaryFile(dir=folder):
             return True
@@ -357,7 +359,7 @@ def writable(folder: Path) -> bool:
 
 
 def echo() -> int:
-    """Bytes sent over a connection on loopback and read at its other end. Raises ``OSError``."""
+    """Send bytes over a loopback connection and return how many arrived. Raises ``OSError``."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(2.0)
         with socket.create_connection(server.getsockname(), timeout=2.0) as client:
@@ -369,7 +371,7 @@ def echo() -> int:
 
 
 def router_answers() -> bool:
-    """Whether somebody listens where a router is looked for."""
+    """Return True if a process listens at the default address of a router."""
     try:
         socket.create_connection(("127.0.0.1", 7447), timeout=0.5).close()
     except OSError:

@@ -1,4 +1,4 @@
-"""A run in lock step: the nodes of a situation in this process, recorded and graded as they go."""
+"""Lock-step run: all nodes of a run in this process, recorded and evaluated during the run."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def run(
     progress: Callable[[int], None] | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Summary:
-    """The whole run, or as far as it came when ``stop`` was asked and said so.
+    """Make the run, to its end or until ``stop`` returns True.
 
-    With a ``folder`` it is recorded, and its summary written beside what it learned of the water. ``progress`` is told
-    the vehicle time.
+    With a ``folder`` the run, its summary and the estimated current are written there. ``progress`` receives
+    the vehicle time (ns).
     """
     if folder is None:
         return _go(situation, None, progress, stop)
@@ -56,7 +56,7 @@ def _go(
     stop: Callable[[], bool],
     learned: Learned | None = None,
 ) -> Summary:
-    """``learned`` hears what there is to be learned of the water."""
+    """Make the run. ``learned`` collects what the estimates say of the water."""
     _leave_alone()
     scenario = situation.scenario
     log = _Log(Grader(situation.vehicle), writer, learned)
@@ -84,15 +84,15 @@ def _go(
 
 @cache
 def _leave_alone() -> None:
-    """What lives when a process comes to its first run, modules above all, is not looked at again by any collection of
-    cycles: a whole one took 60 ms, in every second run.
+    """Exclude all objects that exist at a process's first run from later garbage collections, which they would slow
+    down.
     """
     gc.collect()
     gc.freeze()
 
 
 class _Log:
-    """The run's observer: everything to the recording, if there is one, and to the grader."""
+    """Observer of the run that passes messages to the recording, if there is one, and to the evaluation."""
 
     def __init__(self, grader: Grader, writer: RunWriter | None, learned: Learned | None) -> None:
         self.grader = grader
@@ -102,7 +102,7 @@ class _Log:
 
     @property
     def heard(self) -> frozenset[type[Message]]:
-        """Of which types it takes more than their number, without a recording."""
+        """Return the message types whose content is needed when nothing is recorded."""
         return self.grader.hears | {Estimate, Rejected}
 
     def stepped(self, step: Step) -> None:
@@ -134,7 +134,7 @@ def _header(sequence: int) -> wire.Header:
 
 
 def _entry(message: Arrival, reader: str) -> InboxEntry:
-    """What the record keeps of an arrival: the crc is that of the frame which processes would have sent."""
+    """Return the inbox entry of a received message; its crc is that of the frame that processes would have sent."""
     return InboxEntry(
         key=_key(message.signal, reader),
         epoch=message.epoch,
@@ -145,12 +145,12 @@ def _entry(message: Arrival, reader: str) -> InboxEntry:
 
 
 def _key(signal: Message, reader: str) -> str:
-    """On which key it came. Of the types that every node writes, a node reads only its own: ``Rejected``."""
+    """Return the key of a message. Of the types that every node writes, a node reads only its own: ``Rejected``."""
     return topics.key_of(type(signal), reader)
 
 
 def refused(node: str, message: Arrival, reason: str) -> Rejected:
-    """As the door of a process words it."""
+    """Return the rejection message that a process would publish."""
     signal = message.signal
     payload = wire.encode(signal, _header(message.sequence))
     frame = Frame(topics.BY_SIGNAL[type(signal)], _key(signal, node), payload, received_monotonic_us=0)

@@ -1,4 +1,4 @@
-"""Tables that a command makes and writes into a page of docs/, at their marks."""
+"""Generated tables in pages of docs/, written between marks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BEGIN, END = "<!-- table {name} -->", "<!-- end of table -->"
 
 
 class Table(msgspec.Struct, frozen=True, kw_only=True):
-    """``digits`` of each column after the point; a text stands as it is, None as a dash."""
+    """Table of a page. ``digits``: decimals of each column; a text is printed as it is, None as a dash."""
 
     name: str
     head: tuple[str, ...]
@@ -20,7 +20,7 @@ class Table(msgspec.Struct, frozen=True, kw_only=True):
     rows: tuple[tuple[str | float | None, ...], ...]
 
     def markdown(self) -> str:
-        """The table with a line break at the end."""
+        """Format the table in Markdown, with a line break at the end."""
         lines = [self.head, ("---",) * len(self.head)]
         lines += [tuple(_cell(value, n) for value, n in zip(row, self.digits, strict=True)) for row in self.rows]
         return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
@@ -33,7 +33,7 @@ def _cell(value: str | float | None, digits: int) -> str:
 
 
 def between(page: str, name: str) -> str:
-    """What stands at a table's mark in a page. Raises ``ConfigError`` where there is no such mark."""
+    """Return the text at a table's mark in a page. Raises ``ConfigError`` if there is no such mark."""
     _, begin, rest = page.partition(BEGIN.format(name=name) + "\n")
     text, end, _ = rest.partition(END)
     if not begin or not end:
@@ -42,7 +42,7 @@ def between(page: str, name: str) -> str:
 
 
 def renewed(page: str, tables: Sequence[Table]) -> str:
-    """The page with these tables at their marks. Raises ``ConfigError``."""
+    """Replace the tables at their marks in the page. Raises ``ConfigError``."""
     for table in tables:
         page = page.replace(_marked(table.name, between(page, table.name)), _marked(table.name, table.markdown()))
     return page

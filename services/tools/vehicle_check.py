@@ -1,4 +1,4 @@
-"""What a vehicle file would do: performance, a horizon and weights that fit it, and what looks wrong."""
+"""Check of a vehicle file: performance, a suitable horizon and weights, and implausible values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ltv_mpc.vehicle.plausibility import doubts
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
-    """``vehicle check --json``."""
+    """Result of ``vehicle check --json``."""
 
     name: str
     description: str
@@ -29,7 +29,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def check(vehicle: Vehicle) -> Check:
-    """All that can be said of a vehicle before it is in the water."""
+    """Compute performance, scales and warnings of a vehicle."""
     can, scales = performance(vehicle), scales_of(vehicle)
     return Check(
         name=vehicle.name,
@@ -45,7 +45,7 @@ def check(vehicle: Vehicle) -> Check:
 
 
 def table(of: Check) -> str:
-    """For people."""
+    """Format the result as text."""
     can, w = of.performance, of.weights
     rows = [
         ("top speed ahead", _value(can.top_speed_ahead_mps, "m/s")),

@@ -1,4 +1,4 @@
-"""A vehicle from a recorded run: what the estimates and the actuators' reports say of its coefficients.
+"""Identification of a vehicle's coefficients from the estimates and actuator reports of a recorded run.
 
 Of the recording it reads what an outsider has: ``estimate``, ``applied``, and, where nobody reported what was applied,
 ``plan``. The truth of a simulated run is not looked at.
@@ -34,7 +34,7 @@ VELOCITY, YAW_RATE = (2, 3), 5
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """``vehicle identify --json``."""
+    """Result of ``vehicle identify --json``."""
 
     run: str
     vehicle: str
@@ -49,7 +49,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Heard(NamedTuple):
-    """What of a recording is read."""
+    """Messages of a recording that the identification uses."""
 
     estimates: list[Estimate]
     applied: list[Applied]
@@ -57,7 +57,7 @@ class _Heard(NamedTuple):
 
 
 def opened(run: str) -> RunFolder:
-    """The run (its folder, its run.mcap or ``latest``). Raises ``ConfigError``."""
+    """Open a run (its folder, its run.mcap or ``latest``). Raises ``ConfigError``."""
     path = folder.ROOT / folder.LATEST if run == folder.LATEST else Path(run)
     held = RunFolder(path.parent if path.name == "run.mcap" else path)
     if not held.recording.is_file():
@@ -67,12 +67,12 @@ def opened(run: str) -> RunFolder:
 
 
 def vehicle_of(run: RunFolder, name: str | None) -> Vehicle:
-    """The vehicle that is named, or the run's own. Raises ``ConfigError``."""
+    """Load the named vehicle, or the run's own. Raises ``ConfigError``."""
     return Vehicle.load(str(run.config("vehicle")) if name is None else name)
 
 
 def identified(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> tuple[Result, Identified]:
-    """What the run says of the vehicle. Raises ``ConfigError`` where it says nothing."""
+    """Identify the vehicle from the run. Raises ``ConfigError`` if the run does not excite it enough."""
     heard = _heard(run.recording)
     try:
         motion = motion_of(heard.estimates, heard.applied, heard.plans)
@@ -114,7 +114,7 @@ def _heard(path: Path) -> _Heard:
 
 
 def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tuple[int, Plan]]) -> Motion:
-    """Velocities through the water and thrusts at the times of the estimates that both are known for.
+    """Return water-relative velocities and thrusts at the times of the estimates for which both are known.
 
     Raises ``NotEnoughMotion`` where there are none.
     """
@@ -144,12 +144,12 @@ def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tup
 
 
 def _increasing(signals: Sequence[Timed]) -> list[Timed]:
-    """In the order of their times, the newest of each time."""
+    """Sort by time and keep the newest message of each time."""
     return list({one.t_ns: one for one in sorted(signals, key=lambda one: one.t_ns)}.values())
 
 
 def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
-    """u, v, r: [u, v] = R(psi)' (velocity over ground - current)."""
+    """Compute u, v, r: [u, v] = R(psi)' (velocity over ground - current)."""
     profile = profile_of(estimate)
     cn, ce = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
     cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
@@ -158,7 +158,7 @@ def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
 
 
 def _shear(estimate: Estimate) -> tuple[float, float]:
-    """dc/dz w (m/s2), over half a metre up and down."""
+    """Compute dc/dz w (m/s2) from the current half a metre above and below."""
     w = estimate.velocity_down_mps or 0.0
     if w == 0.0 or estimate.depth_m is None:
         return 0.0, 0.0
@@ -169,21 +169,21 @@ def _shear(estimate: Estimate) -> tuple[float, float]:
 
 
 def _between(t_ns: Array, reports: list[Applied], field: str) -> Array:
-    """Port and starboard (M, 2) of the reports, linear in between."""
+    """Interpolate port and starboard (M, 2) of the reports linearly."""
     at = np.array([one.t_ns for one in reports])
     values = np.array([getattr(one, field)[:2] for one in reports])
     return np.column_stack([np.interp(t_ns, at, values[:, i]) for i in range(2)])
 
 
 def _planned(t_ns: Array, plans: list[tuple[int, Plan]]) -> Array:
-    """Port and starboard (M, 2) as the newest plan has them that was published by then."""
+    """Return port and starboard (M, 2) of the newest plan that was published by each time."""
     published = np.array([t for t, _ in plans])
     newest = np.searchsorted(published, t_ns, side="right") - 1
     return np.array([plans[max(int(k), 0)][1].thrust_at(int(t))[:2] for k, t in zip(newest, t_ns, strict=True)])
 
 
 def _sd(estimates: list[Estimate]) -> Array:
-    """Standard deviations (3,) of u, v, r, root mean square of what the estimates say of themselves."""
+    """Return standard deviations (3,) of u, v, r, the root mean square of the estimates' covariances."""
     told = [one.covariance for one in estimates if one.covariance is not None]
     if not told:
         return SD.copy()
@@ -193,7 +193,7 @@ def _sd(estimates: list[Estimate]) -> Array:
 
 
 def table(of: Result) -> str:
-    """For people."""
+    """Format the result as text."""
     u, v, r = of.residual_sd
     lines = [
         f"{of.vehicle}, {of.run}: {of.seconds:.0f} s, {of.estimates} estimates, thrust from {of.input}",
@@ -209,7 +209,7 @@ def table(of: Result) -> str:
 
 
 def toml(of: Result, vehicle: Vehicle) -> str:
-    """The vehicle with what was found as the text of a file."""
+    """Format the identified vehicle as a vehicle file."""
     head = [
         f"# {vehicle.name}, {of.known[0]} and {of.known[1]} as they were; the rest from",
         f"# {of.seconds:.0f} s of {Path(of.run).name}."

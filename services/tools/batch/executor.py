@@ -69,7 +69,7 @@ def each(
     cluster
         Address of a Dask scheduler, whose workers do the jobs. Raises ``ConfigError`` where it cannot be reached.
     threads
-        For jobs that only wait for processes that they start. A job that has begun is waited for.
+        For jobs that only wait for processes that they start. A running job is waited for.
     lost
         Result of a job that is given up; without it ``WorkerLost`` is raised.
     """
@@ -154,7 +154,7 @@ class _Processes:
         )
 
     def lost(self, error: BaseException) -> bool:
-        """With one worker the whole pool is gone."""
+        """Return True if the pool is broken: one lost worker breaks all of it."""
         return isinstance(error, BrokenExecutor)
 
     def close(self, *, early: bool) -> None:
@@ -178,7 +178,7 @@ class _Threads:
         self.executor: Executor = ThreadPoolExecutor(workers)
 
     def renew(self) -> None:
-        """Nothing is ever lost."""
+        """Do nothing: threads are never lost."""
 
     def lost(self, _error: BaseException) -> bool:
         return False
@@ -207,10 +207,10 @@ class _Cluster:
         self.executor: Executor = self._client.get_executor(pure=False)
 
     def renew(self) -> None:
-        """The scheduler has workers left, or waits for new ones."""
+        """Do nothing: the scheduler has workers left, or waits for new ones."""
 
     def lost(self, error: BaseException) -> bool:
-        """The scheduler has handed it to other workers some times already."""
+        """Return True if the scheduler has given up the job after it tried other workers."""
         from distributed import CancelledError, KilledWorker
 
         return isinstance(error, KilledWorker | CancelledError)

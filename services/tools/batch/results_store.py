@@ -135,7 +135,7 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _differences(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Settings in which two stores differ, in words; a file's whole text is named only."""
+    """List the settings in which two stores differ; a long text is named without its value."""
     found = []
     for key in (key for key in {**there, **here} if there.get(key) != here.get(key)):
         old, new = (json.dumps(values.get(key)) for values in (there, here))

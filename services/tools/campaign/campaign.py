@@ -1,4 +1,4 @@
-"""A campaign from its file to its results: in a folder that it goes on with where it was interrupted.
+"""Campaign of many runs, from its file to its results, in a folder from which an interrupted campaign continues.
 
 DIR/
     results.jsonl      the rows as they came; another campaign or version is refused in its folder
@@ -33,8 +33,8 @@ from services.tools.campaign.trial import Base, Row, Trial, row_of, situation, v
 FILE, BASE = "campaign.toml", "base"
 
 
-class Plan(msgspec.Struct, frozen=True, dict=True):
-    """What is to be done, checked."""
+class PreparedCampaign(msgspec.Struct, frozen=True, dict=True):
+    """Checked campaign: design, base settings, and version."""
 
     campaign: Campaign
     base: Base
@@ -42,21 +42,21 @@ class Plan(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def points(self) -> list[Point]:
-        """Of the design."""
+        """Return the points of the design."""
         return points(self.campaign)
 
     @property
     def version(self) -> str:
-        """What every worker must be."""
+        """Return the version that every worker must have."""
         return version_of(self.made_by)
 
     @property
     def runs(self) -> int:
-        """In all."""
+        """Return the number of runs in all."""
         return len(self.points) * self.campaign.seeds.count
 
     def trials(self) -> Iterator[Trial]:
-        """Seed by seed within each point."""
+        """Generate the trials, seed by seed within each point."""
         seeds = self.campaign.seeds
         for number, point in enumerate(self.points):
             settings, factors = self.settings(point), self.factors(point)
@@ -64,12 +64,12 @@ class Plan(msgspec.Struct, frozen=True, dict=True):
                 yield Trial(number, seeds.first + k, settings, factors, point)
 
     def settings(self, point: Point) -> dict[str, Value]:
-        """The fields that this point gives a value."""
+        """Return the fields that this point sets."""
         own = {key: value for key, value in point.items() if key not in self.campaign.scale}
         return {**self.campaign.settings, **own}
 
     def factors(self, point: Point) -> dict[str, float]:
-        """By what it multiplies fields."""
+        """Return the factors by which this point multiplies fields."""
         made: dict[str, float] = {}
         for name, powers in self.campaign.scale.items():
             for key, power in powers.items() if name in point else ():
@@ -77,9 +77,9 @@ class Plan(msgspec.Struct, frozen=True, dict=True):
         return made
 
 
-def plan(campaign: Campaign, source: str) -> Plan:
+def plan(campaign: Campaign, source: str) -> PreparedCampaign:
     """Resolve the base, lay the points, and try each value of each field once. Raises ``ConfigError``."""
-    made = Plan(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), made_by())
+    made = PreparedCampaign(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), made_by())
     _try(made, {}, "[set]", source)
     for table, keys in (("vary", campaign.vary), ("cross", campaign.cross)):
         for key, over in keys.items():
@@ -88,7 +88,7 @@ def plan(campaign: Campaign, source: str) -> Plan:
     return made
 
 
-def _try(made: Plan, point: Point, field: str, source: str) -> None:
+def _try(made: PreparedCampaign, point: Point, field: str, source: str) -> None:
     try:
         situation(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
     except ConfigError as error:
@@ -96,8 +96,8 @@ def _try(made: Plan, point: Point, field: str, source: str) -> None:
 
 
 @contextmanager
-def opened(folder: Path, made: Plan, *, force: bool = False) -> Iterator[ResultsStore]:
-    """The campaign's folder, a new one or its own, for as long as nobody else has it. Raises ``ConfigError``."""
+def opened(folder: Path, made: PreparedCampaign, *, force: bool = False) -> Iterator[ResultsStore]:
+    """Open the campaign's folder, new or existing, for this process alone. Raises ``ConfigError``."""
     with results_store.open_store(folder, msgspec.to_builtins(made), force=force) as store:
         for name, content in made.base:
             path = folder / BASE / name
@@ -109,7 +109,7 @@ def opened(folder: Path, made: Plan, *, force: bool = False) -> Iterator[Results
 
 
 def run(
-    made: Plan,
+    made: PreparedCampaign,
     store: ResultsStore,
     *,
     workers: int | None,
@@ -117,7 +117,7 @@ def run(
     hear: Callable[[Row], None],
     stop: Callable[[], bool],
 ) -> None:
-    """Do what is missing. ``hear`` is told each row as it comes."""
+    """Make the missing runs. ``hear`` receives each row as it ends."""
     missing = [one for one in made.trials() if one.key not in store.keys]
 
     def lost(one: Trial) -> Row:
@@ -129,10 +129,10 @@ def run(
         hear(row)
 
 
-def reopened(folder: Path) -> tuple[Plan, Iterator[Row]]:
-    """The campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
+def reopened(folder: Path) -> tuple[PreparedCampaign, Iterator[Row]]:
+    """Read the campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
     settings, results = results_store.read(folder / results_store.NAME)
     try:
-        return msgspec.convert(settings, Plan), (row for _, row in results)
+        return msgspec.convert(settings, PreparedCampaign), (row for _, row in results)
     except msgspec.ValidationError as error:
         raise ConfigError(f"results {folder}", "", f"is no campaign: {error}") from None

@@ -1,4 +1,4 @@
-"""The points of a campaign's design: which values its varied keys have together."""
+"""Design points of a campaign: the combinations of the values of its varied keys."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ Point: TypeAlias = dict[str, Value]
 
 
 def points(campaign: Campaign) -> list[Point]:
-    """In order, the same for the same file: those of ``vary``, each with all of ``cross``, the last one fastest."""
+    """List the points of ``vary``, each combined with all of ``cross``, the last key fastest; the order is
+    reproducible.
+    """
     crossed = [dict(zip(campaign.cross, values, strict=True)) for values in itertools.product(*campaign.cross.values())]
     return [{**laid, **more} for laid in _laid(campaign) for more in crossed]
 
@@ -33,7 +35,7 @@ def _laid(campaign: Campaign) -> list[Point]:
 
 
 def _shares(campaign: Campaign, dimensions: int) -> Array:
-    """(points, dimensions), each in 0 .. 1."""
+    """Draw the positions of the points in their ranges, (points, dimensions), each in 0 .. 1."""
     design = campaign.design
     if design.kind == "random":
         drawn: Array = np.random.default_rng(design.seed).random((design.points, dimensions))
@@ -49,7 +51,7 @@ def _point(keys: Sequence[str], over: Sequence[Choices | Range], shares: Array) 
 
 
 def value_at(key: str, over: Choices | Range, share: float) -> Value:
-    """What lies at ``share``, 0 .. 1, of a range or list."""
+    """Return the value at position ``share``, 0 .. 1, of a range or list."""
     if isinstance(over, Range):
         number = over.at(share)
         return round(number) if isinstance(kind_of(key), inspect.IntType) else number

@@ -1,4 +1,4 @@
-"""A campaign's file: which scenario, which fields vary over what, and over which seeds.
+"""Campaign file: the scenario, the fields that vary, their values, and the seeds.
 
     title = "which horizon in which current"
     scenario = "descent"                                  # NAME or FILE, as for `ltv-mpc sim`
@@ -52,14 +52,14 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Range(_Table, frozen=True, kw_only=True):
-    """Every number between two, both included."""
+    """Range of numbers, both limits included."""
 
     low: float
     high: float
     scale: Literal["linear", "log"] = "linear"
 
     def at(self, share: float) -> float:
-        """The number that ``share``, 0 .. 1, of the range lies below."""
+        """Return the number at position ``share``, 0 .. 1, of the range."""
         if self.scale == "log":
             return float(self.low * (self.high / self.low) ** share)
         return self.low + share * (self.high - self.low)
@@ -69,14 +69,14 @@ Choices: TypeAlias = tuple[Value, ...]
 
 
 class Seeds(_Table, frozen=True, kw_only=True):
-    """``first``, ``first`` + 1, and so on."""
+    """Consecutive seeds: ``first``, ``first`` + 1, and so on."""
 
     first: Annotated[int, Meta(ge=0, le=2**52)] = 0
     count: Annotated[int, Meta(ge=1, le=1_000_000)] = 10
 
 
 class Design(_Table, frozen=True, kw_only=True):
-    """How points are laid: every combination; drawn; or a scrambled Sobol sequence, which fills the space evenly."""
+    """Type of design: every combination, random points, or a scrambled Sobol sequence, which fills the space evenly."""
 
     kind: Literal["grid", "random", "sobol"] = "grid"
     points: Annotated[int, Meta(ge=1, le=1_000_000)] = 64  # of random and sobol; for sobol best a power of two
@@ -84,7 +84,7 @@ class Design(_Table, frozen=True, kw_only=True):
 
 
 class Campaign(_Table, frozen=True, kw_only=True):
-    """Everything that a campaign is made of; tables by dotted key.
+    """Settings of a campaign; tables by dotted key.
 
     A name in ``vary`` or ``cross`` that ``scale`` has is no field but a factor f: each key of its table is the base's
     value times f to the power that stands there.
@@ -102,12 +102,12 @@ class Campaign(_Table, frozen=True, kw_only=True):
 
     @property
     def varied(self) -> dict[str, Choices | Range]:
-        """Everything in which points differ: what the design lays, and what each of its points is crossed with."""
+        """Return all keys in which points differ, those of ``vary`` and those of ``cross``."""
         return {**self.vary, **self.cross}
 
 
 def load(path: Path) -> Campaign:
-    """Read and check; a scenario's FILE is relative to the campaign's. Raises ``ConfigError``."""
+    """Read and check a campaign file; a scenario's FILE is relative to it. Raises ``ConfigError``."""
     source = f"campaign {path}"
     table = config.read_toml(path, what="campaign")
     flat = dict(table)
@@ -127,7 +127,7 @@ def load(path: Path) -> Campaign:
 
 
 def figures() -> dict[str, settings_schema.Type]:
-    """The figures of summary.json that a run in lock step has, by dotted key: no measured time is among them."""
+    """Return the computed figures of summary.json by dotted key; measured times are left out."""
     return {
         key: kind for key, kind in settings_schema.settings(Summary).items() if key.partition(".")[0] not in NO_FIGURES
     }
@@ -143,7 +143,7 @@ NO_FIGURES = frozenset(
 
 
 def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
-    """Tables in tables as dotted keys; a table with ``low`` is a range."""
+    """Flatten nested tables to dotted keys; a table with ``low`` is a range."""
     for key, value in table.items():
         name = f"{prefix}.{key}" if prefix else key
         if isinstance(value, dict) and "low" not in value:
@@ -153,7 +153,7 @@ def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
 
 
 def _check(campaign: Campaign, source: str) -> None:
-    """What no single field can tell."""
+    """Check the rules that concern several fields. Raises ``ConfigError``."""
     for table, keys in (("set", campaign.settings), ("vary", campaign.vary), ("cross", campaign.cross)):
         factors = campaign.scale if table != "set" else {}
         for key in keys:

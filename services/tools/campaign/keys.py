@@ -1,4 +1,4 @@
-"""The fields that a campaign may set, by dotted key: a run's scenario.toml, its vehicle's file, its reference's.
+"""Fields that a campaign may set, by dotted key, of the scenario, the vehicle and the reference.
 
 controller.horizon_s            water.sd_mps            run.compute_delay_s
 vehicle.surge.mass_kg           vehicle.thruster.port.max_N
@@ -25,17 +25,17 @@ VEHICLE, REFERENCE = "vehicle", "reference"
 
 
 def kind_of(key: str) -> settings_schema.Type | None:
-    """The type of a field that a campaign may set; None where there is no such field."""
+    """Return the type of a field that a campaign may set; None if there is no such field."""
     return _KINDS.get(key)
 
 
 def known() -> list[str]:
-    """Every key."""
+    """List all keys that a campaign may set."""
     return list(_KINDS)
 
 
 def value_of(situation: Situation, key: str) -> Value | None:
-    """What the situation has at ``key``; None where its table is left out."""
+    """Return the value of a run's settings at ``key``; None if its table is left out."""
     table, _, rest = key.partition(".")
     owners = {VEHICLE: situation.vehicle, REFERENCE: situation.reference}
     plain = msgspec.to_builtins(owners.get(table, situation.scenario))
@@ -45,17 +45,17 @@ def value_of(situation: Situation, key: str) -> Value | None:
 
 
 def of(owner: str, settings: Mapping[str, Value]) -> dict[str, Value]:
-    """Those of ``vehicle`` or ``reference``, by the key within its file."""
+    """Select the settings of ``vehicle`` or ``reference``, by the key within its file."""
     return {key.removeprefix(f"{owner}."): value for key, value in settings.items() if key.startswith(f"{owner}.")}
 
 
 def of_scenario(settings: Mapping[str, Value]) -> dict[str, Value]:
-    """The others."""
+    """Select the settings of the scenario."""
     return {key: value for key, value in settings.items() if not key.startswith((f"{VEHICLE}.", f"{REFERENCE}."))}
 
 
 def with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str) -> Any:
-    """``struct``, which is of ``kind``, with other values at dotted keys. Raises ``ConfigError``."""
+    """Return ``struct``, of type ``kind``, with the values at dotted keys replaced. Raises ``ConfigError``."""
     table = msgspec.to_builtins(struct)
     for key, value in values.items():
         *outer, last = key.split(".")
@@ -69,7 +69,7 @@ def with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str)
 
 
 def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, settings_schema.Type]]:
-    """Scalar fields, those of tables that may be left out too."""
+    """Generate the scalar fields, also those of tables that may be left out."""
     for key, found in settings_schema.settings(kind).items():
         inner = getattr(found, "types", ())
         tables = [x for x in inner if isinstance(x, msgspec.inspect.StructType)]

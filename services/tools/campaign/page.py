@@ -1,4 +1,4 @@
-"""report.html of a campaign: what each varied field does to the figure, and the best points, in one offline file.
+"""HTML report of a campaign: effect of each varied field on the figure, and the best points, in one offline file.
 
 A grid shows, for each field, the mean over seeds at each of its values, a line for each value of the next field, with
 95 % intervals; a random or Sobol design shows its points.
@@ -27,7 +27,7 @@ MOST_POINTS, MOST_LINES = 40, 8
 
 
 def write(folder: Path) -> Path:
-    """The page of a campaign's folder, finished or not. Raises ``NoPlotly``, ``ConfigError``, ``OSError``."""
+    """Write the report of a campaign's folder, finished or not. Raises ``NoPlotly``, ``ConfigError``, ``OSError``."""
     made, found = reopened(folder)
     campaign, rows = made.campaign, list(found)
     of = scores(rows, campaign.minimise, campaign.varied)
@@ -54,7 +54,7 @@ def write(folder: Path) -> Path:
 
 
 def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
-    """One for each varied field: title, plotly's traces and layout."""
+    """Return one panel for each varied field: title, plotly's traces and layout."""
     keys = list(campaign.varied)
     made = []
     for i, key in enumerate(keys):
@@ -85,7 +85,7 @@ def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
 
 
 def _lines(of: Scores, key: str, beside: str | None, campaign: Campaign) -> Iterable[dict[str, Any]]:
-    """A line for each value of the field ``beside``."""
+    """Generate one line for each value of the field ``beside``."""
     of_beside = campaign.varied[beside] if beside is not None else ()
     values = of_beside[:MOST_LINES] if beside is not None and not isinstance(of_beside, Range) else [None]
     own = campaign.varied[key]
@@ -110,7 +110,7 @@ def _lines(of: Scores, key: str, beside: str | None, campaign: Campaign) -> Iter
 
 
 def _over(of: Scores, settings: Mapping[str, object]) -> Interval | None:
-    """The mean over all points with these settings, and over seeds: an interval over seeds."""
+    """Average over all points with these settings and over seeds; the interval is over seeds."""
     points = [p for p, own in of.settings.items() if all(own[key] == value for key, value in settings.items())]
     by_seed: dict[int, list[float]] = {}
     for point in points:

@@ -1,4 +1,4 @@
-"""How far a campaign is: done, left, the time left, and the best points so far."""
+"""Progress display of a campaign: runs done and left, remaining time, and the best points so far."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TABLE_S, PLAIN_S = 2.0, 10.0
 
 
 class Progress:
-    """To stderr. ``rows`` is all that is known of the campaign, of earlier sittings too."""
+    """Progress display on stderr. ``rows`` holds all rows of the campaign, also those of earlier sessions."""
 
     def __init__(self, campaign: Campaign, rows: Sequence[Row], runs: int, *, quiet: bool) -> None:
         self.rows = list(rows)
@@ -38,7 +38,7 @@ class Progress:
         self._first = len(rows)
 
     def hear(self, row: Row) -> None:
-        """One more has come."""
+        """Add a row and update the display."""
         self.rows.append(row)
         self._bar.update(self._task, completed=len(self.rows))
         now_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""Points of a campaign against each other: means over seeds with intervals, and differences paired by seed.
+"""Ranking of a campaign's points: means over seeds with intervals, and differences paired by seed.
 
 mean        of a figure over a point's seeds
 interval    95 %, percentile bootstrap over seeds (Efron & Tibshirani 1993, ch. 13), 2000 resamples, seeded
@@ -22,7 +22,7 @@ CONFIDENCE = 0.95
 
 
 class Interval(msgspec.Struct, frozen=True, kw_only=True):
-    """A mean and where it lies at 95 %; no interval from a single value."""
+    """Mean with its 95 % interval; a single value has no interval."""
 
     mean: float
     low: float | None
@@ -30,7 +30,7 @@ class Interval(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """One point of the design."""
+    """Rank entry of one point of the design."""
 
     point: int
     settings: dict[str, bool | int | float | str]
@@ -41,7 +41,7 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Scores(NamedTuple):
-    """A figure by point and seed."""
+    """Values of a figure by point and seed."""
 
     values: dict[int, dict[int, float]]
     settings: dict[int, dict[str, bool | int | float | str]]
@@ -49,7 +49,7 @@ class Scores(NamedTuple):
 
 
 def scores(rows: Iterable[Row], figure: str, keys: Iterable[str]) -> Scores:
-    """``rows`` with at least the columns point, seed, failed, ``figure`` and ``keys``."""
+    """Collect a figure by point and seed from ``rows``, which have the columns point, seed, failed, figure and keys."""
     keys = tuple(keys)
     made = Scores({}, {}, {})
     for row in rows:
@@ -65,7 +65,7 @@ def scores(rows: Iterable[Row], figure: str, keys: Iterable[str]) -> Scores:
 
 
 def ranked(of: Scores, most: int | None = None) -> list[Standing]:
-    """The best first, those without any value last; ``most``: only so many."""
+    """Rank the points, the best first and those without any value last; ``most``: maximum number."""
     means = {point: float(np.mean(list(values.values()))) for point, values in of.values.items() if values}
     order = sorted(means, key=lambda point: (means[point], point))
     order += sorted(of.values.keys() - means.keys())
@@ -87,7 +87,7 @@ def _standing(of: Scores, point: int, best: Mapping[int, float] | None) -> Stand
 
 
 def interval(values: Array) -> Interval:
-    """Of the mean of values (K,), K >= 1; the same for the same values."""
+    """Compute the mean and interval of values (K,), K >= 1; the same values give the same result."""
     mean = float(values.mean())
     if len(values) < 2:
         return Interval(mean=mean, low=None, high=None)

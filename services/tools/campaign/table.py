@@ -1,4 +1,4 @@
-"""A campaign's tables for other programs.
+"""Parquet tables of a campaign.
 
 results.parquet             all rows by point and seed, without anything measured: the same bytes from any executor
 timing.parquet              when, where and how long each run was
@@ -21,7 +21,7 @@ RESULTS, TIMES = "results.parquet", "timing.parquet"
 
 
 def schema(campaign: Campaign) -> pa.Schema:
-    """Columns of all: who, the varied keys, the figures, what was measured."""
+    """Return the columns: point and seed, varied keys, figures, and measured times."""
     who = [("point", pa.int64()), ("seed", pa.int64())]
     varied = [(key, _column(key, over)) for key, over in campaign.varied.items()]
     what = [("version", pa.string()), ("failed", pa.string())]
@@ -34,7 +34,7 @@ def schema(campaign: Campaign) -> pa.Schema:
 
 
 def _column(key: str, over: object) -> pa.DataType:
-    """By the field itself; a range is of numbers."""
+    """Return the column type of a varied key, from the field's type and its values."""
     kind = kind_of(key)
     values = () if isinstance(over, Range) or not isinstance(over, tuple) else over
     if any(isinstance(value, str) for value in values):

@@ -1,4 +1,4 @@
-"""A campaign on the terminal: its standings and what failed, as plain lines or a table that is kept up to date."""
+"""Terminal output of a campaign: table of the best points, and the failures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_FAILURES = 5
 
 
 def standings(rows: Sequence[Standing], figure: str) -> Table:
-    """The best points, as they stand."""
+    """Tabulate the best points."""
     table = Table(title=f"{figure}, mean over seeds with 95 % interval", title_justify="left", box=None)
     keys = list(rows[0].settings) if rows else []
     for key in keys:
@@ -31,17 +31,17 @@ def standings(rows: Sequence[Standing], figure: str) -> Table:
 
 
 def span(of: Interval | None) -> str:
-    """Its limits."""
+    """Format the limits of an interval."""
     return "" if of is None or of.low is None or of.high is None else f"{of.low:.3g} to {of.high:.3g}"
 
 
 def difference(of: Interval | None) -> str:
-    """A difference with its interval."""
+    """Format a difference with its interval."""
     return "" if of is None else f"{of.mean:+.3g}" + (f" ({span(of)})" if span(of) else "")
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
-    """The commonest reasons why runs failed, with how often, and a point and seed of each."""
+    """List the most frequent reasons why runs failed, with count and an example point and seed."""
     count: Counter[str] = Counter(row["failed"] for row in rows)
     example = {row["failed"]: f"point {row['point']}, seed {row['seed']}" for row in reversed(rows)}
     lines = [f"{n} failed: {why} ({example[why]})" for why, n in count.most_common(MOST_FAILURES)]

@@ -1,4 +1,4 @@
-"""One run of a campaign, wherever it is done: what it is given, and the row that comes of it.
+"""Trial of a campaign: one run, on any worker, and its row of results.
 
 A worker may be on another host, so a trial brings the base with it: the texts of a run's own settings files, which each
 worker writes into a folder once.
@@ -61,7 +61,7 @@ class Trial(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Its name among all of a campaign's."""
+        """Return the unique name of the trial within the campaign."""
         return f"point {self.point}, seed {self.seed}"
 
 
@@ -76,14 +76,14 @@ def run(base: Base, version: str, trial: Trial) -> Row:
     started = time.perf_counter()
     try:
         result = flat(lockstep_run.run(situation(base, trial.settings, trial.factors, trial.seed)))
-    except Exception as error:  # of this run alone: the campaign goes on, and says so
+    except Exception as error:  # one failed run does not end the campaign; its row gives the reason
         problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         return row_of(trial, version, one_line(problem)[:500])
     return row_of(trial, version) | result | {"wall_s": time.perf_counter() - started}
 
 
 def row_of(trial: Trial, version: str, failed: str = "") -> Row:
-    """A row without figures."""
+    """Return a row without figures."""
     nothing = dict.fromkeys([*figures(), *(f"{table}.{name}" for table, names in COUNTS.items() for name in names)])
     timing = {"host": platform.node(), "ended": datetime.now(UTC).isoformat(timespec="milliseconds"), "wall_s": None}
     who = {"point": trial.point, "seed": trial.seed, "version": version, "failed": failed or None}
@@ -91,12 +91,12 @@ def row_of(trial: Trial, version: str, failed: str = "") -> Row:
 
 
 def version_of(table: Mapping[str, str]) -> str:
-    """The version and the commit that made a row."""
+    """Return the version and commit that made a row."""
     return f"{table['ltv_mpc']} {table['commit']}"
 
 
 def situation(base: Base, settings: Mapping[str, Value], factors: Mapping[str, float], seed: int) -> Situation:
-    """What a trial runs. Raises ``ConfigError``."""
+    """Resolve the settings of a trial's run. Raises ``ConfigError``."""
     plain = _with_settings(base, settings, seed)
     if not factors:
         return plain
@@ -121,7 +121,7 @@ def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> Situ
 
 
 def flat(summary: Summary) -> Row:
-    """The figures by column."""
+    """Return the figures by column."""
     plain = msgspec.to_builtins(summary)
     row: Row = {}
     for key in figures():
@@ -138,7 +138,7 @@ def _toml(value: Value) -> str:
 
 @lru_cache(maxsize=4)
 def _folder(base: Base) -> Path:
-    """The base's files in a folder of this process, until its end."""
+    """Write the base's files into a temporary folder, which exists until this process ends."""
     folder = Path(tempfile.mkdtemp(prefix="ltv-mpc-campaign-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for name, text in base:

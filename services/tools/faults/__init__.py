@@ -1,1 +1,1 @@
-"""The campaign of faults: drawn by a seed, injected from outside, each judged by what the run's own messages show."""
+"""Fault-injection campaign: faults drawn from a seed, injected from outside, and judged from the recorded messages."""

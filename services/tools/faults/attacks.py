@@ -1,4 +1,4 @@
-"""What is done to a run's processes from outside: signals, limits of the system; found by their parent and their name.
+"""Attacks on the processes of a run: signals and resource limits. A process is found by its parent and its name.
 
 crash     SIGKILL
 hang      SIGSTOP, and never SIGCONT
@@ -32,11 +32,11 @@ PAGE = 4096
 
 
 class NotFound(RuntimeError):
-    """There is no such process."""
+    """No process of the requested name exists."""
 
 
 def children(parent: int) -> Iterator[tuple[int, str]]:
-    """Pid and name of every process that ``parent`` has started."""
+    """List pid and name of every live process that `parent` has started."""
     for folder in PROC.iterdir():
         if not folder.name.isdigit():
             continue
@@ -50,7 +50,7 @@ def children(parent: int) -> Iterator[tuple[int, str]]:
 
 
 def pid_of(node: str, parent: int) -> int:
-    """The process of a node. Raises ``NotFound``."""
+    """Return the pid of a node's process. Raises ``NotFound``."""
     for pid, name in children(parent):
         if name == f"ltv-{node}":
             return pid
@@ -58,7 +58,7 @@ def pid_of(node: str, parent: int) -> int:
 
 
 def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
-    """Do it to ``pid``, and come back when it is over: at once, or when ``lasts`` says no."""
+    """Attack process `pid`; return at once, or when ``lasts`` returns False."""
     match fault.kind:
         case "process_crash" | "router_killed":
             os.kill(pid, signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""A run of processes with an injector in it: two routers, the controller alone at the second one.
+"""Run of processes with an injector: two routers, with the controller alone at the second one.
 
     plant, sensors, estimator, recorder -- router A -- inject -- router B -- controller
 
@@ -39,7 +39,7 @@ IN_ORDER = ("plant", "sensors", "estimator", UNDER_TEST, "inject", "recorder", "
 
 
 class Account(NamedTuple):
-    """How such a run ended: exit codes by process (None: it had to be ended), and what the injector says it harmed."""
+    """End of a run: exit codes by process (None: it was killed), messages harmed by each fault, last log lines."""
 
     codes: dict[str, int | None]
     harmed: list[int]
@@ -47,7 +47,7 @@ class Account(NamedTuple):
 
 
 def injection(fault: Fault) -> Injection:
-    """A fault of the campaign as the injector hears it."""
+    """Convert a fault of the campaign to the injector's message."""
     return Injection(
         key=fault.target,
         harm=Harm(fault.kind.removeprefix("message_")),
@@ -59,7 +59,7 @@ def injection(fault: Fault) -> Injection:
 
 
 def situation(run: Run, *, speed: float) -> Situation:
-    """What such a run is made of."""
+    """Resolve the scenario of the run. Raises ``ConfigError``."""
     settings = (
         f"run.seed={run.seed}",
         f"run.duration_s={run.duration_s}",
@@ -70,7 +70,7 @@ def situation(run: Run, *, speed: float) -> Situation:
 
 
 def run(of: Situation, faults: Sequence[Fault], folder: Path, *, patience_s: float) -> Account:
-    """The run, into ``folder``, at most ``patience_s`` of wall time; then everything is ended."""
+    """Make the run in ``folder``, for at most ``patience_s`` of wall time; then stop every process."""
     made = run_folder.make("hover", of.files, out=folder, force=False)
     logs = made.path / "logs"
     logs.mkdir()
@@ -117,7 +117,7 @@ def _await(place: str) -> None:
 
 
 def _harmed(log: Path) -> list[int]:
-    """The injector's last line."""
+    """Read the number of harmed messages by fault from the last line of the injector's log."""
     lines = log.read_text(errors="replace").splitlines() if log.exists() else []
     try:
         return [int(entry["harmed"]) for entry in json.loads(lines[-1])]
@@ -126,7 +126,7 @@ def _harmed(log: Path) -> list[int]:
 
 
 def _last(logs: Path) -> str:
-    """The last line of each process."""
+    """Return the last log line of each process."""
     last = {}
     for log in sorted(logs.glob("*.log")):
         lines = log.read_text(errors="replace").splitlines()

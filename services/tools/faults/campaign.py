@@ -1,10 +1,10 @@
-"""The whole campaign: faults drawn, runs made in lock step on all cores and in processes side by side, each judged.
+"""Fault-injection campaign: runs in lock step on all cores and in processes side by side, each fault judged.
 
-What has been found of a run is appended to a results store as it ends; a campaign that goes on makes what is missing.
+Outcomes are appended to a results store as runs end; a campaign that is continued makes the missing runs.
 
 DIR/
-    results.jsonl     a line a run: what was seen of its faults; of a seed without faults (without-*), its errors
-    bus-*, node-*     runs of processes, as long as they last; those stay in which a promise was not kept
+    results.jsonl     a line a run: outcomes of its faults, or errors of a baseline run without faults (without-*)
+    bus-*, node-*     runs of processes, removed after the verdict unless a requirement was violated
     faults.json       the whole, at the end
 """
 
@@ -30,9 +30,9 @@ from services.tools.campaign.trial import version_of
 from services.tools.faults import bench, draw, lockstep_runs, process_runs, recorded
 from services.tools.faults.attacks import ATTACKS
 from services.tools.faults.draw import Pace, Run
-from services.tools.faults.fault import Place, Seen
+from services.tools.faults.fault import FaultOutcome, Place
 from services.tools.faults.judge import Errors, errors, judge
-from services.tools.faults.kinds import KINDS, NAMES, Kind
+from services.tools.faults.kinds import KINDS, NAMES, FaultClass
 from services.tools.faults.process_verdict import OfProcesses
 from services.tools.faults.process_verdict import judge as judge_processes
 from services.tools.faults.result import problems
@@ -51,41 +51,41 @@ PACE = Pace(afloat_s=30.0, first_s=50.0, after_s=61.0)
 PACE_IN_PROCESSES = Pace(afloat_s=10.0, first_s=20.0, after_s=61.0)
 QUICK = Pace(afloat_s=3.0, first_s=5.0, after_s=2.5, longest_s=2.0, pause_s=0.3)
 QUICK_IN_PROCESSES = Pace(afloat_s=4.0, first_s=5.0, after_s=2.5, longest_s=1.5, pause_s=0.3)
-"""Without a judgement of the error that is left a minute later. What is done to processes themselves is left out, if
-not asked for: a run in which they are started anew takes a minute by itself.
+"""Quick runs do not judge the error a minute later. Attacks on processes are left out unless requested: a run in which
+processes restart takes a minute.
 """
 
 LAST_S = 10.0
-"""In processes the run goes on so much longer after what is asked of the last fault: 70 s after its end."""
+"""Extra duration of a run of processes (s), so that it lasts 70 s after the end of its last fault."""
 
 CORES_A_RUN = 0.4
 LOAD = 0.7
-"""What a run of processes at twice real time takes of a core where it is not measured, and how much of all of them runs
-may take: what is asked by the wall is not asked of a machine that has more to do than it can.
+"""Assumed processor use of a run at twice real time (cores), and the share of all cores that runs may use: limits in
+wall time can only be met on a machine that is not overloaded.
 """
 
 Tell = Callable[[int], None]
 
 
 class Unmeasured(RuntimeError):
-    """What faults are to be held against could not be measured."""
+    """The run without faults, which is the baseline of the verdicts, could not be measured."""
 
 
-class Plan(NamedTuple):
-    """How many faults of which classes, in lock step and in processes."""
+class FaultCounts(NamedTuple):
+    """Number of faults and their classes, in lock step and in processes."""
 
-    inside: tuple[Kind, ...]
-    outside: tuple[Kind, ...]
+    inside: tuple[FaultClass, ...]
+    outside: tuple[FaultClass, ...]
     n_inside: int
     n_outside: int
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Number of faults in all."""
         return self.n_inside + self.n_outside
 
     def settings(self, *, seed: int, quick: bool) -> dict[str, Any]:
-        """What decides which faults these are, and the version of what injects them and is injected into."""
+        """Return the settings that determine the faults, and the version of the software under test."""
         return {
             "classes": [f"{kind.name} in {kind.place}" for kind in (*self.inside, *self.outside)],
             "in_lockstep": self.n_inside,
@@ -96,8 +96,8 @@ class Plan(NamedTuple):
         }
 
 
-def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
-    """From the command's words: classes, names joined by commas, all if empty. Raises ``ConfigError``."""
+def plan(classes: str, where: str, n: int, *, quick: bool = False) -> FaultCounts:
+    """Parse the command's options; ``classes`` are names joined by commas, all if empty. Raises ``ConfigError``."""
     wanted = [name.strip() for name in classes.split(",") if name.strip()]
     for name in wanted:
         if name not in NAMES:
@@ -112,22 +112,26 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> Plan:
     here = tuple(kind for kind in kinds if kind.place is Place.LOCKSTEP)
     there = tuple(kind for kind in kinds if kind.place is Place.PROCESSES)
     in_processes = 0 if not there else n if not here else min(n, max(round(n * SHARE_IN_PROCESSES), len(there)))
-    return Plan(here, there, n - in_processes, in_processes)
+    return FaultCounts(here, there, n - in_processes, in_processes)
 
 
-def run(asked: Plan, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None) -> list[Seen]:
-    """Make all runs that ``store`` lacks; what was seen of all faults. ``progress`` is told of faults done."""
+def run(
+    asked: FaultCounts, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None
+) -> list[FaultOutcome]:
+    """Make all runs that ``store`` lacks and return the verdict on every fault. ``progress`` receives counts of faults
+    done.
+    """
     names: list[str] = []
     if asked.n_inside:
         names += in_lockstep(asked.inside, asked.n_inside, store, seed=seed, quick=quick, progress=progress)
     if asked.n_outside:
         names += in_processes(asked.outside, asked.n_outside, store, seed=seed, quick=quick, progress=progress)
     found = dict(store.results())
-    return [one for name in names for one in decode(found[name], list[Seen])]
+    return [one for name in names for one in decode(found[name], list[FaultOutcome])]
 
 
 def without_faults(store: ResultsStore) -> dict[str, Errors]:
-    """The errors of all runs without faults, by their names."""
+    """Return the errors of all baseline runs (without faults), by name."""
     found = {key: decode(result, Errors) for key, result in store.results() if key.startswith(WITHOUT)}
     return {key: found[key]._replace(true_m=found[key].true_m.reshape(-1, 2)) for key in sorted(found)}
 
@@ -136,27 +140,27 @@ def without_faults(store: ResultsStore) -> dict[str, Errors]:
 
 
 class Job(NamedTuple):
-    """A run, and the errors of its seed without faults; None: they are not judged."""
+    """Run in lock step and the errors of its seed without faults. None: errors are not judged."""
 
     run: Run
     baseline: Errors | None
 
 
-def judged(job: Job) -> list[Seen]:
-    """Run it here, in lock step."""
+def judged(job: Job) -> list[FaultOutcome]:
+    """Make a run in lock step in this process and judge its faults."""
     return judge(job.run, lockstep_runs.observe(job.run), job.baseline)
 
 
 def undisturbed(run: Run) -> Errors:
-    """The errors of a run without faults."""
+    """Return the errors of a run without faults."""
     return errors(lockstep_runs.observe(run).log)
 
 
 def in_lockstep(
-    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
 ) -> list[str]:
-    """``n`` faults of these classes, in lock step on all cores that this process may use; a few quick ones in itself,
-    sooner than other processes would have started. The names of the runs.
+    """Inject ``n`` faults of these classes in lock step and return the names of the runs. All available cores are used;
+    a few quick faults run in this process, because starting other processes takes longer.
     """
     pace, workers = (QUICK, 1) if quick else (PACE, None)
     several = SEVERAL_QUICK if quick else SEVERAL
@@ -180,12 +184,12 @@ WITHOUT = "without-"
 
 
 def _without(way: str, seed: int) -> str:
-    """The name of the run of a seed without faults."""
+    """Return the name of a seed's baseline run."""
     return f"{WITHOUT}{way}-{seed}"
 
 
 def _alone(runs: Sequence[Run]) -> list[Run]:
-    """For each seed a run without faults, as long as its longest one with."""
+    """Return one baseline run for each seed, as long as the longest run with faults of that seed."""
     longest: dict[int, Run] = {}
     for run in sorted(runs, key=lambda run: run.duration_s):
         longest[run.seed] = run
@@ -198,7 +202,7 @@ Make = Callable[[Run, Path], OfProcesses]
 
 
 class Task(NamedTuple):
-    """A run of processes to be made."""
+    """Run of processes that has not been made yet."""
 
     name: str
     way: str  # of ``WAYS``
@@ -206,10 +210,10 @@ class Task(NamedTuple):
 
 
 def in_processes(
-    kinds: Sequence[Kind], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
 ) -> list[str]:
-    """``n`` faults of these classes in real processes, each run in a folder of its own beside the store. The names of
-    the runs.
+    """Inject ``n`` faults of these classes in processes and return the names of the runs. Each run has its own folder
+    beside the store.
     """
     folder = store.path.parent
     tasks = [task for way in WAYS for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
@@ -245,8 +249,8 @@ def in_processes(
     return [task.name for task in tasks]
 
 
-def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -> list[Task]:
-    """The runs of a way, which has those of the ``n`` faults that are of its classes."""
+def _tasks(way: str, kinds: Sequence[FaultClass], n: int, *, seed: int, quick: bool) -> list[Task]:
+    """Return the runs of a way, with its share of the ``n`` faults."""
     own = [kind for kind in kinds if (kind.name in ATTACKS) is (way == "node")]
     to_nodes = sum(kind.name in ATTACKS for kind in kinds) * n // len(kinds)
     count = to_nodes if way == "node" else n - to_nodes
@@ -264,9 +268,9 @@ def _tasks(way: str, kinds: Sequence[Kind], n: int, *, seed: int, quick: bool) -
 def _side_by_side(
     tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None], cores: float | None
 ) -> float | None:
-    """As many at a time as the machine bears; ``ended`` is called with each as it ends.
+    """Make as many runs at a time as the machine supports; call ``ended`` with each as it ends.
 
-    ``cores``: that one takes; None: the first is made alone and tells, if there are more. Gives what is known then.
+    ``cores``: processor use of one run; None: measure it on the first run, made alone. Return the value if it is known.
     """
     if cores is None and len(tasks) > 1:
         first, *tasks = tasks
@@ -282,7 +286,7 @@ def _side_by_side(
 
 
 def at_a_time(cores_a_run: float) -> int:
-    """Runs side by side, of which each takes so many cores."""
+    """Return the number of simultaneous runs if each of them uses ``cores_a_run`` cores."""
     return max(1, math.floor(LOAD * (os.cpu_count() or 1) / max(cores_a_run, 0.01) + 1e-9))
 
 
@@ -291,32 +295,32 @@ def _make(folder: Path, task: Task) -> OfProcesses:
 
 
 def _work_s() -> float:
-    """Processor time of all processes that this one has started and that have ended, and of theirs."""
+    """Return the processor time (s) of all child processes that have ended, and of their children."""
     of = resource.getrusage(resource.RUSAGE_CHILDREN)
     return of.ru_utime + of.ru_stime
 
 
 def _empty(folder: Path) -> Path:
-    """Without what an interrupted run has left there."""
+    """Remove what an interrupted run has left in the folder; return the folder."""
     remove(folder)
     return folder
 
 
 def remove(folder: Path) -> None:
-    """A run of processes, and what it said."""
+    """Remove the folder and the log of a run of processes."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.with_suffix(".log").unlink(missing_ok=True)
 
 
 def under_supervisor(run: Run, folder: Path) -> OfProcesses:
-    """``ltv-mpc sim``, its processes attacked."""
+    """Run ``ltv-mpc sim`` and attack its processes."""
     ended = process_runs.supervised(run, folder)
     uncontrolled = "" if ended.code == 0 else f"exit code {ended.code}: {ended.words}"
     return OfProcesses(run, folder, ended.injected, (), uncontrolled)
 
 
 def behind_injector(run: Run, folder: Path) -> OfProcesses:
-    """Processes with an injector between."""
+    """Run processes with an injector between the controller and all others."""
     of = bench.situation(run, speed=process_runs.SPEED)
     patience_s = process_runs.START_S + 2.0 * (run.duration_s + run.afloat_s) / process_runs.SPEED
     account = bench.run(of, run.faults, folder, patience_s=patience_s)

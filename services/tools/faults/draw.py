@@ -1,4 +1,4 @@
-"""Which faults are injected, when and how large: a function of the campaign's seed.
+"""Random draw of the faults of a campaign: class, target, time, duration and size as a function of the seed.
 
 Faults are dealt to classes in turn and to targets in turn, so that n of them are spread evenly; times, durations and
 sizes are drawn. A run has several, one after the other: each is over, and a minute has passed, before the next.
@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from services.tools.faults.fault import Fault
-from services.tools.faults.kinds import AFLOAT, Kind
+from services.tools.faults.kinds import AFLOAT, FaultClass
 
 LAST_S = 75.0
 """From a permanent fault's start to the run's end."""
@@ -27,9 +27,8 @@ AFLOAT_S = (-24.0, -16.0)
 
 
 class Pace(NamedTuple):
-    """How long a run is afloat, when its first fault under water begins, how long after a fault's end the next one
-    does, at least and by how much more at most, and how long one may last. Where it is not afloat for long nothing is
-    broken there.
+    """Timing of the faults in a run (s): time afloat, start of the first fault under water, minimum pause after a
+    fault, maximum duration of a fault, and maximum random addition to the pause.
     """
 
     afloat_s: float
@@ -38,13 +37,13 @@ class Pace(NamedTuple):
     longest_s: float = math.inf
     pause_s: float = 3.0
 
-    def targets(self, kind: Kind) -> Sequence[str]:
-        """Of a class."""
+    def targets(self, kind: FaultClass) -> Sequence[str]:
+        """List the targets of a class. GNSS and TDCP are left out if the vehicle is not afloat long enough."""
         return [target for target in kind.targets if target not in AFLOAT or self.afloat_s > -AFLOAT_S[0]]
 
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
-    """One run: the scenario's seed, its faults in order of time, how long it lasts, and how long it floats before."""
+    """Run of the campaign: scenario seed, faults in order of time, duration, and time afloat before the descent."""
 
     seed: int
     faults: tuple[Fault, ...]
@@ -52,8 +51,10 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     afloat_s: float = 30.0
 
 
-def runs(kinds: Sequence[Kind], n: int, *, seed: int, several: int, seeds: int, pace: Pace) -> list[Run]:
-    """``n`` faults of these classes in runs of ``several``, the runs over ``seeds`` seeds of the scenario."""
+def runs(kinds: Sequence[FaultClass], n: int, *, seed: int, several: int, seeds: int, pace: Pace) -> list[Run]:
+    """Draw ``n`` faults of these classes and distribute them over runs of ``several``, which use ``seeds`` scenario
+    seeds.
+    """
     rng = np.random.default_rng([seed, len(kinds), n])
     # Each class begins with another of its targets, so that few faults of many classes meet all targets.
     drawn = [_drawn(kinds[i % len(kinds)], i // len(kinds) + i % len(kinds), rng, pace) for i in range(n)]
@@ -70,13 +71,13 @@ def runs(kinds: Sequence[Kind], n: int, *, seed: int, several: int, seeds: int, 
 
 
 def _lasts(fault: Fault, pace: Pace) -> bool:
-    """Whether it is the last of its run: what it does to the estimate would be held against those after it, where that
-    is judged at all.
+    """Return True if the fault must be the last of its run, because its effect on the estimate would count against
+    later ones.
     """
     return fault.permanent or (fault.target == "imu" and math.isinf(pace.longest_s))
 
 
-def _drawn(kind: Kind, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:
+def _drawn(kind: FaultClass, turn: int, rng: np.random.Generator, pace: Pace) -> Fault:
     targets = pace.targets(kind)
     target = targets[turn % len(targets)]
     low, high = kind.size

@@ -1,4 +1,4 @@
-"""What a fault of the campaign is, and what was seen of it. Nothing here knows the simulation."""
+"""Fault of the campaign and its observed outcome. This module does not depend on the simulation."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ RECOVERED = 2.0
 
 
 class Place(enum.StrEnum):
-    """Where a fault is injected."""
+    """Place of injection: in a lock-step run or in a run of processes."""
 
     LOCKSTEP = "lockstep"
     PROCESSES = "processes"
 
 
 class Fault(msgspec.Struct, frozen=True, kw_only=True):
-    """One fault. Times are vehicle times; ``size`` is what ``kinds.py`` says of its class."""
+    """Fault to inject. Times are vehicle times (s); the meaning of ``size`` depends on the class (``kinds.py``)."""
 
     kind: str  # its class
     target: str
@@ -29,8 +29,8 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     permanent: bool = False  # it lasts until the run's end: no recovery is asked for
 
 
-class Seen(msgspec.Struct, frozen=True, kw_only=True):
-    """One fault, and what came of it. None: it does not apply, or could not be seen."""
+class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):
+    """Outcome of one fault. None: it does not apply, or could not be observed."""
 
     fault: Fault
     place: Place
@@ -43,7 +43,7 @@ class Seen(msgspec.Struct, frozen=True, kw_only=True):
     bound_m: float | None  # of ``grown_m``: where an instrument or a thruster is lost
     ratio: float | None  # mean tracking error 30 to 60 s after its end over that of the same seed without
     window_ratio: float | None  # the same over that in the same half minute alone
-    outside_s: float  # the true error was outside 3 sigma and nothing said so
+    outside_s: float  # the true error was outside 3 sigma and nothing flagged it
     uncounted: int  # messages harmed that nobody counted
     bad_thrusts: int  # commands not finite, or outside box or slew, in the plant's own record
     uncontrolled: str = ""  # how the run ended, where that was not to be

@@ -1,10 +1,10 @@
-"""Faults on the bus: it stands between two routers, the node under test alone at the second one.
+"""Fault injector on the bus, between two routers; the node under test is alone at the second one.
 
     everyone else -- router A -- inject -- router B -- node under test
 
-What the node under test reads is copied from A to B, what it writes from B to A, byte for byte, in the order in which
-it came; but for the messages of a key that a fault concerns while it lasts. Of those it is said at A, as events, when
-a fault begins and ends, and how many messages it has harmed. Times are vehicle times.
+The injector copies what the node under test reads from A to B and what it writes from B to A, byte for byte and in
+order, except for the messages that an active fault affects. It publishes events at A when a fault begins and ends, with
+the number of harmed messages. Times are vehicle times.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from sim.scheduler import Delivery
 
 NAME = "inject"
 WAIT_S = 0.05
-"""At most so long it waits for a frame before it looks whether it is to stop."""
+"""Longest wait for a frame (s) before the stop request is checked."""
 
 ANYONE = "*"
 
 
 class Interference:
-    """What comes of frames on their way; it knows time and bytes, and no bus."""
+    """Effect of the injected faults on frames; it knows times and bytes, and no bus."""
 
     def __init__(self, injections: Iterable[Injection] = ()) -> None:
         self.asked: list[Injection] = []
@@ -51,7 +51,7 @@ class Interference:
             self.add(injection)
 
     def add(self, injection: Injection) -> None:
-        """One more, from now on."""
+        """Add an injection that takes effect from now on."""
         topic = topic_at(injection.key)
         assert topic is not None  # by ``schedule.problem``
         spell = Spell(injection.start_t_ns, injection.end_t_ns)
@@ -60,13 +60,13 @@ class Interference:
 
     @property
     def harmed(self) -> list[int]:
-        """Messages that each fault has harmed, in the order in which the faults came."""
+        """Return the number of messages that each fault has harmed, in the order in which the faults were added."""
         return self._transit.harmed
 
     def carry(self, topic: Topic, payload: bytes, t_ns: int) -> list[tuple[int, bytes]]:
-        """When what comes of a frame that is here at ``t_ns`` goes on, and the bytes of it.
+        """Return the frames that result from a frame received at ``t_ns``, each with its time of delivery (ns).
 
-        A frame that cannot be read goes on as it is.
+        A frame that cannot be decoded is forwarded unchanged.
         """
         if not self._transit.knows(topic.signal):
             return [(t_ns, payload)]
@@ -79,7 +79,7 @@ class Interference:
 
 
 class _Carried(Arrival, frozen=True, eq=False):
-    """An arrival that remembers the frame that it came as."""
+    """Received message together with the frame that carried it."""
 
     payload: bytes
     sent: Message
@@ -104,7 +104,7 @@ def _nobody(_: str, __: Delivery) -> Arrival | str:
 
 
 class _Side:
-    """One router: what comes from it goes into the mailbox, if it is of this side's keys."""
+    """Connection to one router. Frames of this side's keys go into the mailbox."""
 
     def __init__(self, session: Session, mailbox: Mailbox, takes: Callable[[str], bool]) -> None:
         self._session = session
@@ -113,16 +113,16 @@ class _Side:
         self._publishers: dict[str, Publisher] = {}
 
     def subscribe(self, key: str, topic: Topic) -> None:
-        """Hear it."""
+        """Subscribe to a key."""
         self._session.subscribe(key, topic, self)
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        """Called on Zenoh's thread; what was put here by oneself comes back, and is none of this side's keys."""
+        """Put a received frame into the mailbox (on Zenoh's thread). Frames that this process published are skipped."""
         if self._takes(key):
             self._mailbox.offer(topic, key, payload)
 
     def put(self, key: str, payload: bytes) -> None:
-        """Say it here."""
+        """Publish a frame on this side."""
         publisher = self._publishers.get(key)
         if publisher is None:
             publisher = self._publishers[key] = self._session.publisher(key)
@@ -130,10 +130,10 @@ class _Side:
 
 
 class Injector:
-    """Copies between the two routers until told to stop."""
+    """Bridge between the two routers that applies the faults, until it is stopped."""
 
     def __init__(self, node: str, injections: Iterable[Injection], *, stop: StopRequest, say: Say) -> None:
-        """``node`` is the one under test, alone at B."""
+        """Prepare the bridge for the node under test, ``node``, which is alone at B."""
         self._interference = Interference()
         self._mailbox = Mailbox()
         self._stop = stop
@@ -152,7 +152,7 @@ class Injector:
 
     @property
     def account(self) -> list[dict[str, object]]:
-        """Each fault, and how many messages it has harmed."""
+        """Return each fault with the number of messages that it has harmed."""
         asked = zip(self._interference.asked, self._interference.harmed, strict=True)
         return [{**msgspec.to_builtins(injection), "harmed": harmed} for injection, harmed in asked]
 
@@ -204,7 +204,7 @@ class Injector:
                 heapq.heappush(self._on_the_way, (due_ns, self._count, frame.key, payload))
 
     def _asked(self, frame: Frame) -> None:
-        """A fault that somebody wants while it runs."""
+        """Accept a fault that is requested on the bus during the run."""
         try:
             injection, _ = self._door.admit(frame)
         except WireError as error:
@@ -223,7 +223,7 @@ class Injector:
         heapq.heappush(self._marks, (injection.end_t_ns, number, "ends"))
 
     def _tend(self) -> None:
-        """What is due: frames that were held back, and words on faults."""
+        """Forward delayed frames that are due, and publish the begin and end events of faults."""
         now_ns = self._now_ns()
         if now_ns is None:
             return
@@ -250,9 +250,10 @@ class Injector:
 
 
 def unlike_at_a(payload: bytes, come: Sequence[tuple[int, bytes]], now_ns: int, *, said_at_b: bool) -> list[bytes]:
-    """Frames at B that nobody hears at A, or not yet: ``come`` is what comes of ``payload``, and when it goes on.
+    """Return the frames at B that are not published at A, or not yet; ``come`` is the result of ``payload`` and its
+    delivery times.
 
-    A recording made at A holds with them all that the node under test was given and said.
+    With them a recording made at A holds everything that the node under test received and published.
     """
     if said_at_b:
         return [] if (now_ns, payload) in come else [payload]
@@ -260,7 +261,7 @@ def unlike_at_a(payload: bytes, come: Sequence[tuple[int, bytes]], now_ns: int, 
 
 
 def _written_by(node: str) -> dict[str, Topic]:
-    """Its keys; of a topic that every node writes its own."""
+    """Return the keys that a node writes; of a topic that every node writes, only the node's own key."""
     return {
         (f"{topic.key}/{node}" if topic.written_by == ANYONE else topic.key): topic
         for topic in TOPICS
@@ -269,7 +270,7 @@ def _written_by(node: str) -> dict[str, Topic]:
 
 
 def _read_by(node: str) -> dict[str, Topic]:
-    """What it hears of others; a plant also hears the status of all."""
+    """Return the keys of other nodes that a node reads; a plant also reads the status of all nodes."""
     heard = {topic.key: topic for topic in TOPICS if node in topic.read_by or ANYONE in topic.read_by}
     if node == BY_SIGNAL[Clock].written_by:
         heard[f"{BY_SIGNAL[NodeStatus].key}/*"] = BY_SIGNAL[NodeStatus]
@@ -278,7 +279,7 @@ def _read_by(node: str) -> dict[str, Topic]:
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the injector process needs to start."""
+    """Start settings of the injector process."""
 
     node: str  # under test
     injections: tuple[Injection, ...]
@@ -287,7 +288,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def main(config: Config) -> int:
-    """Inject until told to stop; the account of what was harmed is the last line on stdout, as JSON."""
+    """Inject until stopped; the last line on stdout is the number of harmed messages by fault, as JSON."""
 
     def work(request: StopRequest, say: Say) -> None:
         injector = Injector(config.node, config.injections, stop=request, say=say)

@@ -1,4 +1,4 @@
-"""What is asked of a run with faults, and what came of it: one ``Seen`` a fault, from the run's messages alone.
+"""Verdict on a run with faults: one ``FaultOutcome`` for each fault, from the messages of the run alone.
 
 reaction   by the class (``reactions.py``)
 error      largest true horizontal error from the fault's start until a minute after its end
@@ -9,7 +9,7 @@ recovery   mean tracking error 30 to 60 s after its end over that of the same se
            other in some 10 % of cases (``chance``), so that the same half minute alone would call that many not
            recovered of which nothing is wrong. It is reported beside (``window_ratio``).
 outside    time for which position or velocity was outside 3 sigma (chi-square of two degrees of freedom), neither
-           the report nor the health said anything, and the same seed without faults was inside
+           the report nor the health flagged it, and the same seed without faults was inside
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from ltv_mpc.messages import Array, Health
 from services.tools.faults import kinds
 from services.tools.faults.draw import Run
-from services.tools.faults.fault import RECOVERED, Place, Seen
+from services.tools.faults.fault import RECOVERED, FaultOutcome, Place
 from services.tools.faults.lockstep_runs import Log, Observed
 from services.tools.faults.reactions import Case, reaction, uncounted
 
@@ -40,8 +40,8 @@ FLAG_NS = 1_100_000_000
 
 
 class Errors(NamedTuple):
-    """At the estimates' times after t = 0: tracking error (m), the true error north and east (m), (K, 2), and whether
-    the truth is outside 3 sigma.
+    """Errors at the times of the estimates after t = 0: tracking error (m), true error north and east (m), (K, 2), and
+    whether the truth is outside 3 sigma.
     """
 
     t_ns: Array
@@ -51,7 +51,7 @@ class Errors(NamedTuple):
 
 
 def errors(log: Log) -> Errors:
-    """From estimates, truth and targets."""
+    """Compute the errors from estimates, truth and targets."""
     estimate, squares = np.array(log.estimate).reshape(-1, 5), np.array(log.squares).reshape(-1, 8)
     known = estimate[:, 0] > 0
     at, there = estimate[known, 0], estimate[known, 1:]
@@ -77,7 +77,7 @@ def errors(log: Log) -> Errors:
 
 
 def _mahalanobis(off: Array, P: Array) -> Array:
-    """off^T P^-1 off of each row, shapes (K, 2), (K, 2, 2); infinite where P is no covariance."""
+    """Compute off^T P^-1 off of each row, shapes (K, 2), (K, 2, 2); infinite where P is not a covariance."""
     det = P[:, 0, 0] * P[:, 1, 1] - P[:, 0, 1] * P[:, 1, 0]
     a, b = off.T
     square = P[:, 1, 1] * a * a - (P[:, 0, 1] + P[:, 1, 0]) * a * b + P[:, 0, 0] * b * b
@@ -85,8 +85,8 @@ def _mahalanobis(off: Array, P: Array) -> Array:
         return np.where(det > 0, square / det, math.inf)
 
 
-def judge(run: Run, of: Observed, baseline: Errors | None) -> list[Seen]:
-    """Each fault of the run that was injected before the run ended. Without a baseline the error is not judged."""
+def judge(run: Run, of: Observed, baseline: Errors | None) -> list[FaultOutcome]:
+    """Judge each fault that was injected before the run ended. Without a baseline the error is not judged."""
     seen, here = [], errors(of.log)
     for place, fault in enumerate(run.faults):
         case = Case(fault, round(fault.start_s * 1e9), round(fault.end_s * 1e9), of.harmed.get(place, 0), of)
@@ -95,8 +95,8 @@ def judge(run: Run, of: Observed, baseline: Errors | None) -> list[Seen]:
     return blamed(seen)
 
 
-def blamed(seen: Sequence[Seen]) -> list[Seen]:
-    """A run ends once: that is held against the first fault that was not met in time, or against the last."""
+def blamed(seen: Sequence[FaultOutcome]) -> list[FaultOutcome]:
+    """Attribute the end of a run to one fault: the first with a late reaction, or else the last."""
     late = [place for place, one in enumerate(seen) if one.uncontrolled and one.late]
     to_blame = late[0] if late else len(seen) - 1
     return [
@@ -104,8 +104,10 @@ def blamed(seen: Sequence[Seen]) -> list[Seen]:
     ]
 
 
-def judged(run_seed: int, case: Case, here: Errors, baseline: Errors | None, place: Place = Place.LOCKSTEP) -> Seen:
-    """One fault. ``here``: the errors of its run."""
+def judged(
+    run_seed: int, case: Case, here: Errors, baseline: Errors | None, place: Place = Place.LOCKSTEP
+) -> FaultOutcome:
+    """Judge one fault. ``here``: the errors of its run."""
     of, fault = case.of, case.fault
     judged_ns = min(case.end_ns + AFTER_NS[1], of.until_ns)
     ended_here = bool(of.uncontrolled) and of.until_ns <= judged_ns
@@ -115,7 +117,7 @@ def judged(run_seed: int, case: Case, here: Errors, baseline: Errors | None, pla
     ratios: tuple[float | None, float | None] = (None, None)
     if baseline is not None and not fault.permanent and not ended_here:
         ratios = _ratios(case, here, baseline)
-    return Seen(
+    return FaultOutcome(
         fault=fault,
         place=place,
         run_seed=run_seed,
@@ -135,7 +137,7 @@ def judged(run_seed: int, case: Case, here: Errors, baseline: Errors | None, pla
 
 
 def _ratios(case: Case, here: Errors, baseline: Errors) -> tuple[float, float]:
-    """``ratio`` and ``window_ratio``; infinite where there was nothing to measure after the fault."""
+    """Return ``ratio`` and ``window_ratio``; infinite where nothing was measured after the fault."""
     first, last = (case.end_ns + after for after in AFTER_NS)
     after, usual = (
         float(of.tracking_m[within].mean()) if (within := (of.t_ns >= first) & (of.t_ns <= last)).any() else math.inf
@@ -145,8 +147,8 @@ def _ratios(case: Case, here: Errors, baseline: Errors) -> tuple[float, float]:
 
 
 def chance(baselines: Iterable[Errors]) -> float | None:
-    """Of pairs of half minutes of one run without faults, at least half a minute apart, the share in which the one's
-    mean tracking error is more than ``RECOVERED`` times the other's; None: no run is long enough.
+    """Return how often two half minutes of one run without faults differ by more than the factor ``RECOVERED``. Pairs
+    of mean tracking errors are compared, at least half a minute apart. None: no run is long enough.
     """
     over = pairs = 0
     length_ns = AFTER_NS[1] - AFTER_NS[0]

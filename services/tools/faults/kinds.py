@@ -1,4 +1,4 @@
-"""The classes of faults: what each does, to whom, how long and how much, and what is asked of the reaction.
+"""Fault classes: effect, target, duration, size, and the reaction that is required.
 
 Sizes are drawn from ``size`` by the class's own meaning: a share of the messages, seconds, a factor; see
 ``sim/faults``. Durations are in vehicle seconds.
@@ -60,8 +60,8 @@ RESTARTABLE = ("estimator", "controller", "recorder")
 THRUSTERS = ("port", "starboard", "both")
 
 
-class Kind(msgspec.Struct, frozen=True):
-    """One row: a class of faults in one place."""
+class FaultClass(msgspec.Struct, frozen=True):
+    """Class of faults in one place (one row of the table)."""
 
     name: str
     place: Place
@@ -74,36 +74,36 @@ class Kind(msgspec.Struct, frozen=True):
 
 KINDS = (
     #    name                   place      targets                       duration   size           limit
-    Kind("sensor_off",          LOCKSTEP,  ALL,                          (3, 15),   (1, 1),      AFTER_THRESHOLD, True),
-    Kind("sensor_stuck",        LOCKSTEP,  ALL,                          (2, 12),   (1, 1),        FLAGGED),
-    Kind("sensor_garbage",      LOCKSTEP,  ALL,                          (1, 10),   (0.1, 1),      FLAGGED),
-    Kind("sensor_wrong",        LOCKSTEP,  ALL,                          (2, 12),   (0.5, 3),      FLAGGED),
-    Kind("sensor_slow",         LOCKSTEP,  ALL,                          (3, 15),   (3, 10),       FLAGGED),
-    Kind("sensor_delayed",      LOCKSTEP,  ALL,                          (3, 15),   (0.05, 2),     FLAGGED),
-    Kind("sensor_intermittent", LOCKSTEP,  ALL,                          (3, 15),   (0.2, 2),      FLAGGED),
-    Kind("message_loss",        LOCKSTEP,  WIRES,                        (1, 8),    (0.2, 1),      AFTER_THRESHOLD),
-    Kind("message_delay",       LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 2),     AFTER_THRESHOLD),
-    Kind("message_reorder",     LOCKSTEP,  WIRES,                        (1, 8),    (0.1, 0.8),    SAME_CYCLE),
-    Kind("message_duplicate",   LOCKSTEP,  WIRES,                        (1, 8),    (0.1, 1),      SAME_CYCLE),
-    Kind("message_corruption",  LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 1),     SAME_CYCLE),
-    Kind("message_stale",       LOCKSTEP,  ("estimate", "plan"),         (1, 8),    (1, 1),        AFTER_THRESHOLD),
-    Kind("not_a_number",        LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 1),     SAME_CYCLE),
-    Kind("clock_jump",          LOCKSTEP,  STAMPERS,                     (1, 8),    (-3600, 3600), AFTER_THRESHOLD),
-    Kind("solver_failure",      LOCKSTEP,  ("fails", "lies", "raises"),  (0.3, 3),  (1, 1),        SAME_CYCLE),
-    Kind("solver_overrun",      LOCKSTEP,  ("controller",),              (2, 8),    (0.35, 1.5),   AFTER_THRESHOLD),
-    Kind("thruster_loss",       LOCKSTEP,  THRUSTERS,                    (10, 40),  (0.3, 1),      IMPULSE, True),
-    Kind("second_commander",    LOCKSTEP,  ("plant",),                   (0.5, 5),  (0.2, 1),      SAME_CYCLE),
-    Kind("external_force",      LOCKSTEP,  ("vehicle",),                 (1, 8),    (20, 200),     FLAGGED),
-    Kind("message_loss",        PROCESSES, LINKS,                        (1, 6),    (0.2, 1),      AFTER_THRESHOLD),
-    Kind("message_delay",       PROCESSES, LINKS,                        (1, 6),    (0.05, 1),     AFTER_THRESHOLD),
-    Kind("message_reorder",     PROCESSES, LINKS,                        (1, 6),    (0.1, 0.8),    SAME_CYCLE),
-    Kind("message_duplicate",   PROCESSES, LINKS,                        (1, 6),    (0.1, 1),      SAME_CYCLE),
-    Kind("message_corruption",  PROCESSES, LINKS,                        (1, 6),    (0.05, 1),     SAME_CYCLE),
-    Kind("process_crash",       PROCESSES, RESTARTABLE,                  (0, 0),    (1, 1),        DEAD),
-    Kind("process_hang",        PROCESSES, RESTARTABLE,                  (0, 0),    (1, 1),        DEAD),
-    Kind("process_slow",        PROCESSES, RESTARTABLE,                  (2, 8),    (0.3, 0.9),    AFTER_THRESHOLD),
-    Kind("disk_full",           PROCESSES, ("recorder",),                (0, 0),    (1, 1),        DEAD),
-    Kind("router_killed",       PROCESSES, ("router",),                  (0, 0),    (1, 1),        DEAD),
+    FaultClass("sensor_off",          LOCKSTEP,  ALL,                          (3, 15),  (1, 1), AFTER_THRESHOLD, True),
+    FaultClass("sensor_stuck",        LOCKSTEP,  ALL,                          (2, 12),   (1, 1),        FLAGGED),
+    FaultClass("sensor_garbage",      LOCKSTEP,  ALL,                          (1, 10),   (0.1, 1),      FLAGGED),
+    FaultClass("sensor_wrong",        LOCKSTEP,  ALL,                          (2, 12),   (0.5, 3),      FLAGGED),
+    FaultClass("sensor_slow",         LOCKSTEP,  ALL,                          (3, 15),   (3, 10),       FLAGGED),
+    FaultClass("sensor_delayed",      LOCKSTEP,  ALL,                          (3, 15),   (0.05, 2),     FLAGGED),
+    FaultClass("sensor_intermittent", LOCKSTEP,  ALL,                          (3, 15),   (0.2, 2),      FLAGGED),
+    FaultClass("message_loss",        LOCKSTEP,  WIRES,                        (1, 8),    (0.2, 1),    AFTER_THRESHOLD),
+    FaultClass("message_delay",       LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 2),   AFTER_THRESHOLD),
+    FaultClass("message_reorder",     LOCKSTEP,  WIRES,                        (1, 8),    (0.1, 0.8),    SAME_CYCLE),
+    FaultClass("message_duplicate",   LOCKSTEP,  WIRES,                        (1, 8),    (0.1, 1),      SAME_CYCLE),
+    FaultClass("message_corruption",  LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 1),     SAME_CYCLE),
+    FaultClass("message_stale",       LOCKSTEP,  ("estimate", "plan"),         (1, 8),    (1, 1),      AFTER_THRESHOLD),
+    FaultClass("not_a_number",        LOCKSTEP,  WIRES,                        (1, 8),    (0.05, 1),     SAME_CYCLE),
+    FaultClass("clock_jump",          LOCKSTEP,  STAMPERS,                     (1, 8),  (-3600, 3600), AFTER_THRESHOLD),
+    FaultClass("solver_failure",      LOCKSTEP,  ("fails", "lies", "raises"),  (0.3, 3),  (1, 1),        SAME_CYCLE),
+    FaultClass("solver_overrun",      LOCKSTEP,  ("controller",),              (2, 8),    (0.35, 1.5), AFTER_THRESHOLD),
+    FaultClass("thruster_loss",       LOCKSTEP,  THRUSTERS,                    (10, 40),  (0.3, 1),      IMPULSE, True),
+    FaultClass("second_commander",    LOCKSTEP,  ("plant",),                   (0.5, 5),  (0.2, 1),      SAME_CYCLE),
+    FaultClass("external_force",      LOCKSTEP,  ("vehicle",),                 (1, 8),    (20, 200),     FLAGGED),
+    FaultClass("message_loss",        PROCESSES, LINKS,                        (1, 6),    (0.2, 1),    AFTER_THRESHOLD),
+    FaultClass("message_delay",       PROCESSES, LINKS,                        (1, 6),    (0.05, 1),   AFTER_THRESHOLD),
+    FaultClass("message_reorder",     PROCESSES, LINKS,                        (1, 6),    (0.1, 0.8),    SAME_CYCLE),
+    FaultClass("message_duplicate",   PROCESSES, LINKS,                        (1, 6),    (0.1, 1),      SAME_CYCLE),
+    FaultClass("message_corruption",  PROCESSES, LINKS,                        (1, 6),    (0.05, 1),     SAME_CYCLE),
+    FaultClass("process_crash",       PROCESSES, RESTARTABLE,                  (0, 0),    (1, 1),        DEAD),
+    FaultClass("process_hang",        PROCESSES, RESTARTABLE,                  (0, 0),    (1, 1),        DEAD),
+    FaultClass("process_slow",        PROCESSES, RESTARTABLE,                  (2, 8),    (0.3, 0.9),  AFTER_THRESHOLD),
+    FaultClass("disk_full",           PROCESSES, ("recorder",),                (0, 0),    (1, 1),        DEAD),
+    FaultClass("router_killed",       PROCESSES, ("router",),                  (0, 0),    (1, 1),        DEAD),
 )  # fmt: skip
 """Every class; one of messages on their way has a row in each place."""
 
@@ -134,13 +134,15 @@ for good, and in the minute after.
 NAMES = tuple(dict.fromkeys(kind.name for kind in KINDS))
 
 
-def of(name: str, place: Place) -> Kind:
-    """The row of a class in a place."""
+def of(name: str, place: Place) -> FaultClass:
+    """Return the row of a class in a place."""
     return next(kind for kind in KINDS if kind.name == name and kind.place is place)
 
 
 def bound_m(fault: Fault) -> float | None:
-    """Of the true error, where an instrument is lost or something is lost for good; None: none is asked for."""
+    """Return the bound of the true error's growth (m) for a lost instrument or a permanent fault; None: there is no
+    bound.
+    """
     if fault.permanent or fault.kind == "sensor_off":
         return BOUNDS_M[fault.kind, fault.target]
     return None

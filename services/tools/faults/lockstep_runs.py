@@ -1,4 +1,4 @@
-"""Faults in lock step: one run with its faults injected from outside, and what its messages showed."""
+"""Fault injection in lock step: one run with its faults, and the observations from its messages."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ SLEW_ROUNDING = 1e-6
 
 
 class PlanSeen(NamedTuple):
-    """A plan as it was published."""
+    """Published plan."""
 
     published_ns: int
     cycle_ns: int
@@ -68,7 +68,7 @@ class PlanSeen(NamedTuple):
 
 
 class GateSeen(NamedTuple):
-    """What the actuators said of the plan that they accepted last, and of how well plans keep up."""
+    """Last accepted plan and health, as the actuators report them."""
 
     t_ns: int
     received_ns: int
@@ -77,7 +77,7 @@ class GateSeen(NamedTuple):
 
 
 class ReportSeen(NamedTuple):
-    """The localisation's word about itself; ``wrong``: its sensors that are not well, by status."""
+    """Localisation report; ``wrong``: the status of each sensor that is not OK."""
 
     t_ns: int
     nominal: bool
@@ -86,7 +86,7 @@ class ReportSeen(NamedTuple):
 
 @dataclass
 class Log:
-    """What a run's steps and messages showed, in order; an observer of its lock step."""
+    """Time-ordered observations of a run's steps and messages; an observer of the lock step."""
 
     vehicle: Vehicle
     tap: Callable[[Message], None] = lambda _: None
@@ -100,23 +100,27 @@ class Log:
     gate: list[GateSeen] = field(default_factory=list)
     rejected: list[tuple[int, str, str]] = field(default_factory=list)  # t, reader, key
     reports: list[ReportSeen] = field(default_factory=list)
-    alarms: list[tuple[int, bool]] = field(default_factory=list)  # of the model: when it was said, and whether
+    alarms: list[tuple[int, bool]] = field(
+        default_factory=list
+    )  # of the model check: time of publication, and whether it is an alarm
     asked: list[tuple[int, float, float]] = field(default_factory=list)  # of port and starboard by the propellers: t, N
-    heard: list[tuple[int, int]] = field(default_factory=list)  # estimates let in by the controller: when, of when
+    heard: list[tuple[int, int]] = field(
+        default_factory=list
+    )  # estimates that the controller accepted: t received, t valid
 
     def __post_init__(self) -> None:
         self._box = np.array([[t.min_N, t.max_N] for t in self.vehicle.thrusters])
         self._slew = np.array([t.slew_N_per_s for t in self.vehicle.thrusters])
 
     def stepped(self, step: Step) -> None:
-        """Cycles of the controller, and what it heard before them."""
+        """Record cycles of the controller and the estimates in their inbox."""
         if step.node != "controller":
             return
         self.cycles.append(step.at_ns)
         self.heard += [(a.received_t_ns, a.signal.t_ns) for a in step.inbox if isinstance(a.signal, Estimate)]
 
     def published(self, node: str, message: Arrival) -> None:
-        """Every message, as its writer published it."""
+        """Record a message as its writer published it."""
         self.tap(message.signal)
         match message.signal:
             case Truth() as s:
@@ -150,22 +154,22 @@ class Log:
             self.target.append((plan.cycle_t_ns, plan.reference_m))
 
     def _bad(self, applied: Applied) -> bool:
-        """Whether the command in force is outside box or slew, or no number. Written so that NaN is bad."""
+        """Return True if the command in force is outside box or slew limits, or not finite."""
         command, slew = np.array(applied.command_N), np.array(applied.command_slew_N_per_s)
         inside = (command >= self._box[:, 0]) & (command <= self._box[:, 1]) & (slew <= self._slew + SLEW_ROUNDING)
         return not bool(inside.all() and np.isfinite(applied.thrust_N).all())
 
 
-class Doors:
-    """One door a reader, as in processes: damaged bytes are decoded there, and sequences held against each other."""
+class ReaderValidators:
+    """Message validators, one for each reader as in processes: they decode damaged bytes and check sequence numbers."""
 
     def __init__(self) -> None:
         self._doors: dict[str, Door] = {}
         self.let_in: list[int] = []
-        """When a damaged frame was let in, because nothing in it was out of order."""
+        """Times (ns) at which a damaged frame was accepted, because its content was valid."""
 
     def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
-        """What is let in, or why not."""
+        """Return the accepted message, or the reason why it is rejected."""
         message, kind = delivery.message, type(delivery.message.signal)
         door = self._doors.setdefault(reader, Door())
         key = topics.key_of(kind, reader)
@@ -184,26 +188,26 @@ class Doors:
 
     @property
     def dropped(self) -> int:
-        """Messages that the doors know to have been lost."""
+        """Return the number of messages that the validators know to be lost."""
         return sum(door.dropped for door in self._doors.values())
 
 
 class Bus(Transit):
-    """Transit by the wire's own bytes and doors; a second commander is another process."""
+    """Message transit with the bytes and the validators of the bus; a second commander is another process."""
 
     def __init__(self, faults: Sequence[Harmed]) -> None:
-        self.doors = Doors()
+        self.doors = ReaderValidators()
         super().__init__(faults, encode=encoded, admit=self.doors.admit)
 
     def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:
-        """As it is carried, with the writer's epoch."""
+        """Deliver a message with the epoch of its writer."""
         if writer == world.Intruder.name:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
         return super().carry(writer, reader, message)
 
 
 def encoded(message: Arrival) -> bytes:
-    """A message as it travels."""
+    """Encode a message as it travels on the bus."""
     return wire.encode(message.signal, _header(message))
 
 
@@ -212,7 +216,7 @@ def _header(message: Arrival) -> wire.Header:
 
 
 class Observed(NamedTuple):
-    """One run: what was seen, how many messages each fault harmed, and how it ended if not by itself."""
+    """Outcome of one run: observations, messages harmed by each fault, and an uncontrolled end if there was one."""
 
     log: Log
     harmed: dict[int, int]  # by the fault's place in the run
@@ -220,17 +224,17 @@ class Observed(NamedTuple):
     dropped: list[tuple[int, int]]  # when, and how many losses the doors knew of by then
     uncontrolled: str
     until_ns: int
-    unheard: int = 0  # plans that were published, and lost on their way to whoever observed
+    unheard: int = 0  # plans that were published and lost on the way to the observer
 
 
 def situation(run: Run) -> Situation:
-    """The scenario with the run's seed, as long as it lasts."""
+    """Resolve the scenario with the run's seed and duration."""
     settings = (f"run.seed={run.seed}", f"run.duration_s={run.duration_s}", f"run.surface_time_s={run.afloat_s}")
     return resolve(SCENARIO, [Override("campaign", settings)])
 
 
 def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Observed:
-    """Make the run in this process. ``tap`` is given every signal that is published."""
+    """Make the run in this process. ``tap`` receives every published message."""
     of = situation(run)
     log = Log(of.vehicle, tap=tap)
     now = Now()
@@ -267,7 +271,7 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
 
 
 def _nodes(of: Situation, faults: Sequence[Fault], now: Now) -> list[Node]:
-    """Those of the run, with what is broken around them and what disturbs them first."""
+    """Return the nodes of the run, with the faulty components around them and the disturbances first."""
     plant, sensors, *aboard = make_nodes(of)
     *others, controller = aboard
     broken = [b for b in map(_broken, faults) if b is not None]
@@ -323,7 +327,7 @@ def _disturbance(fault: Fault) -> tuple[int, Disturbance] | None:
 
 
 def _overrun(faults: Sequence[Fault]) -> Callable[[int], int]:
-    """How long a cycle that starts then computes (ns)."""
+    """Return a function that gives the computing time (ns) of a cycle by its start."""
     slow = [(_spell(fault), round(fault.size * 1e9)) for fault in faults if fault.kind == "solver_overrun"]
 
     def delay_ns(t_ns: int) -> int:

@@ -1,4 +1,4 @@
-"""Faults in real processes: a run of ``ltv-mpc sim``, or one behind an injector, and what its recording showed.
+"""Fault injection in processes: a run of ``ltv-mpc sim`` whose processes are attacked.
 
 Both go at twice real time. What is done to a run is done by this process, when the run's own clock says that it is
 time; the run knows nothing of it.
@@ -42,7 +42,8 @@ LAST_LINES, LONGEST_WORDS = 4, 500
 
 
 class Injected(NamedTuple):
-    """A fault as it was done: when, by the host's monotonic clock and by the run's; ``why`` it was not, if so.
+    """Injected fault: time by the host's monotonic clock and by the run's clock; ``why``: reason if it was not
+    injected.
 
     Of a full disk ``at_us`` is when there was room again.
     """
@@ -54,7 +55,7 @@ class Injected(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """A run of processes: its folder, its exit code, its last words, and what was done to it."""
+    """Result of a run of processes: folder, exit code, last log lines, and the injected faults."""
 
     folder: Path
     code: int | None  # None: it had to be ended
@@ -63,14 +64,14 @@ class Ended(NamedTuple):
 
 
 class _Time:
-    """The run's own clock."""
+    """Vehicle time of the run, from its clock messages."""
 
     def __init__(self) -> None:
         self._clock = VehicleClock()
         self.state = ClockState.WAITING
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  (there is one key)
-        """Called on the bus's thread."""
+        """Update the clock (called on the bus's thread)."""
         try:
             said, _ = decode(Clock, payload)
             self._clock.hear(said)
@@ -79,12 +80,12 @@ class _Time:
             return
 
     def now_ns(self) -> int | None:
-        """Vehicle time; None before there is one."""
+        """Return the vehicle time (ns); None before the run has a clock."""
         return self._clock.read(monotonic_us()) if self.state is not ClockState.WAITING else None
 
 
 def arguments(run: Run, folder: Path) -> list[str]:
-    """The command line of its simulation, as a person types it."""
+    """Return the command line of the simulation."""
     return [
         "services.cli",
         *("sim", SCENARIO, "--out", str(folder), "--json"),
@@ -94,7 +95,7 @@ def arguments(run: Run, folder: Path) -> list[str]:
 
 
 def supervised(run: Run, folder: Path) -> Ended:
-    """``ltv-mpc sim`` with its supervisor, and its processes killed, stopped, slowed, starved of disk."""
+    """Run ``ltv-mpc sim`` with its supervisor while its processes are killed, stopped, slowed or refused disk space."""
     log = folder.with_suffix(".log")
     with Started() as started:
         process = started.start(arguments(run, folder), log, results=False)
@@ -104,14 +105,14 @@ def supervised(run: Run, folder: Path) -> Ended:
 
 
 def _words(log: Path) -> str:
-    """What it said last, but for how the run went."""
+    """Return the last log lines, without the lines of progress."""
     lines = log.read_text(errors="replace").splitlines()
     said = [line.strip() for line in lines if line.strip() and not line.startswith(("t ", "report: ", str(log.parent)))]
     return "; ".join(said[-LAST_LINES:])[-LONGEST_WORDS:]
 
 
 def _end_of(process: Process, run: Run) -> int | None:
-    """Its exit code; None where it did not come to its end."""
+    """Return the exit code; None if the run did not end in time."""
     until = time.monotonic() + (run.duration_s + run.afloat_s) * 2.0 / SPEED + START_S + END_S
     while time.monotonic() < until:
         if (code := process.poll()) is not None:
@@ -144,7 +145,7 @@ def _attack(faults: Sequence[Fault], process: Process, folder: Path) -> list[Inj
 
 
 def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | None:
-    """The clock of a run, by the place of its router as its own config has it; None: it never began."""
+    """Return the clock of a run, found by the router address in the run's settings; None: the run never started."""
     until = time.monotonic() + START_S
     clock, connected = _Time(), False
     while process.poll() is None and time.monotonic() < until:
@@ -159,7 +160,7 @@ def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | No
 
 
 def _bus_of(folder: Path) -> BusOptions | None:
-    """How the run in ``folder`` is reached, once its plant has been started."""
+    """Return the bus options of the run in ``folder`` once its plant has been started."""
     try:
         config: plant.Config = read_config(folder / "logs" / "plant.json", plant.Config)
     except (OSError, msgspec.DecodeError):  # not there yet, or not all of it

@@ -1,4 +1,4 @@
-"""What is asked of a run of processes, from its recording and from what was done to it."""
+"""Verdict on a run of processes, from its recording and the injected faults."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from services.recording.loss_accounting import Losses
 from services.tools.faults import recorded
 from services.tools.faults.attacks import ENDING
 from services.tools.faults.draw import Run
-from services.tools.faults.fault import Fault, Place, Seen
+from services.tools.faults.fault import Fault, FaultOutcome, Place
 from services.tools.faults.judge import Errors, blamed, errors, judged
 from services.tools.faults.lockstep_runs import Observed
 from services.tools.faults.process_runs import Injected
@@ -36,7 +36,7 @@ READ_BY = {"estimate": "controller", "applied": "controller", "plan": "plant"}
 
 
 class OfProcesses(NamedTuple):
-    """A run of processes that has ended. ``uncontrolled``: how, if not as it should."""
+    """Run of processes that has ended. ``uncontrolled``: how, if it did not end as expected."""
 
     run: Run
     folder: Path
@@ -45,8 +45,8 @@ class OfProcesses(NamedTuple):
     uncontrolled: str
 
 
-def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Seen]:
-    """Each fault that was injected."""
+def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[FaultOutcome]:
+    """Judge each fault that was injected."""
     if not (of.folder / "run.mcap").exists():
         return blamed([_nothing(of, one.fault) for one in of.injected])
     read = recorded.read(of.folder / "run.mcap", vehicle)
@@ -77,8 +77,8 @@ def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Se
     return blamed(seen)
 
 
-def _nothing(of: OfProcesses, fault: Fault) -> Seen:
-    return Seen(
+def _nothing(of: OfProcesses, fault: Fault) -> FaultOutcome:
+    return FaultOutcome(
         fault=fault,
         place=Place.PROCESSES,
         run_seed=of.run.seed,
@@ -98,7 +98,7 @@ def _nothing(of: OfProcesses, fault: Fault) -> Seen:
 
 
 def _back(read: Recorded, one: Injected) -> Reaction | None:
-    """How long a process that was ended or stopped for good was away; None where nothing of that kind was done."""
+    """Return the outage of a process that was killed or stopped for good; None for other faults."""
     if one.why:
         return Reaction(None, f"not injected: {one.why}")
     if one.fault.kind not in ENDING:
@@ -110,7 +110,7 @@ def _back(read: Recorded, one: Injected) -> Reaction | None:
 
 
 def _again(read: Recorded, one: Injected) -> int | None:
-    """When it was back (monotonic, us).
+    """Return when the process was back (monotonic, us).
 
     Estimator and controller: the first message of a new start that its reader took. Recorder and router: the plant's
     first word that is recorded again.
@@ -128,12 +128,12 @@ def _again(read: Recorded, one: Injected) -> int | None:
 
 
 def _lost(read: Recorded) -> int:
-    """Messages that were published and are not in the recording, of processes that said how many there were."""
+    """Count the messages that were published and are not in the recording, of processes that report their number."""
     return sum(max(0, word.published - read.messages[epoch]) for epoch, word in read.last.items())
 
 
 def _holes(read: Recorded, key: str) -> int:
-    """Sequence numbers of a key that are not in the recording, between the first and the last of each epoch."""
+    """Count the missing sequence numbers of a key between the first and the last recorded one of each epoch."""
     losses = Losses()
     for epoch, sequence in sorted((sent.epoch, sent.sequence) for sent in read.sent if sent.key == key):
         losses.begins(key, epoch, sequence)
@@ -142,7 +142,7 @@ def _holes(read: Recorded, key: str) -> int:
 
 
 def _counted(read: Recorded, folder: Path) -> int:
-    """Of these, what the recorder's last word or the run's summary says."""
+    """Return how many lost messages the recorder's last status or the run's summary reports."""
     said = [word.dropped for word in read.words if word.node == RECORDER][-1:]
     try:
         summary = msgspec.json.decode((folder / "summary.json").read_bytes())
@@ -153,5 +153,5 @@ def _counted(read: Recorded, folder: Path) -> int:
 
 
 def _dropped(read: Recorded, node: str) -> list[tuple[int, int]]:
-    """What a reader counts as lost on the way to it, over time."""
+    """Return the number of messages that a reader counts as lost, over time."""
     return [(-(10**18), 0), *((word.t_ns, word.dropped) for word in read.words if word.node == node)]

@@ -1,4 +1,4 @@
-"""Whether what had to react did so in time: one rule for each thing that is asked, by class of fault.
+"""Reaction rules: the reaction that each fault class requires, and whether it came in time.
 
 Of every fault: a finite command each cycle, a health of the controller that is what the age of the newest estimate asks
 for, and one of the actuators that says when plans are missing. Beyond that ``RULES`` says what is asked of each class.
@@ -46,7 +46,9 @@ CHECK_NS = 1_000_000_000
 
 
 class Reaction(NamedTuple):
-    """How long after it was due it came, and why that was late; None: nothing was due, or it cannot be timed."""
+    """Delay from when a reaction was due to the reaction, and why it was late; None: nothing was due, or it cannot be
+    timed.
+    """
 
     seconds: float | None
     late: str = ""
@@ -64,7 +66,7 @@ class Case(NamedTuple):
 
 
 def reaction(case: Case) -> Reaction:
-    """The slowest of what is asked of every fault and of what is asked of its class."""
+    """Return the slowest of the reactions that every fault and the fault's class require."""
     if case.back is not None:
         return case.back
     rules = (_a_command_each_cycle, _health_by_age, _plans_keep_up, *RULES.get(case.fault.kind, ()))
@@ -74,7 +76,7 @@ def reaction(case: Case) -> Reaction:
 
 
 def uncounted(case: Case) -> int:
-    """Messages that the fault harmed in a way that their reader must count, and did not."""
+    """Count the harmed messages that their reader had to count and did not."""
     match case.fault.kind:
         case "not_a_number" | "message_duplicate" | "message_reorder":
             return max(0, case.harmed - _refused(case))
@@ -92,7 +94,7 @@ def uncounted(case: Case) -> int:
 
 
 def _refused(case: Case) -> int:
-    """Frames of the harmed keys that doors refused, until the last that the fault had made can have come."""
+    """Count the rejected frames of the harmed keys, until the last frame that the fault affected can have arrived."""
     keys = {BY_SIGNAL[kind].key for kind in MESSAGES[case.fault.target]}
     until_ns = case.end_ns + 2 * REPORT_NS
     return sum(key in keys and case.start_ns <= t <= until_ns for t, _, key in case.of.log.rejected)
@@ -102,7 +104,7 @@ def _refused(case: Case) -> int:
 
 
 def _a_command_each_cycle(case: Case) -> Reaction:
-    """Each cycle ends in a plan, finite, of that cycle."""
+    """Check that each cycle ends in a finite plan of that cycle."""
     log = case.of.log
     first_ns = log.plans[0].cycle_ns if log.plans else math.inf
     until_ns = min(case.end_ns + REPORT_NS, case.of.until_ns - 2 * REPORT_NS)  # of the last the plan is under way
@@ -113,7 +115,7 @@ def _a_command_each_cycle(case: Case) -> Reaction:
 
 
 def _health_by_age(case: Case) -> Reaction:
-    """At each cycle the health is what the age of the newest estimate asks for, or worse."""
+    """Check that at each cycle the health is at least as severe as the age of the newest estimate requires."""
     log = case.of.log
     plans = {plan.cycle_ns: plan for plan in log.plans}
     took: float | None = None
@@ -137,7 +139,7 @@ def _health_by_age(case: Case) -> Reaction:
 
 
 def _asked_for(age_ns: int, stamps: list[int]) -> tuple[Health, int]:
-    """The least bad health for an estimate of this age, and by how much the age is over its threshold."""
+    """Return the health that an estimate of this age requires, and by how much the age exceeds its threshold (ns)."""
     spacings = sorted(np.diff(stamps[-SPACINGS - 1 :]).tolist())
     period_ns = int(spacings[len(spacings) // 2]) if len(stamps) > 2 else 0
     for level, periods, seconds in LEVELS:
@@ -148,7 +150,7 @@ def _asked_for(age_ns: int, stamps: list[int]) -> tuple[Health, int]:
 
 
 def _plans_keep_up(case: Case) -> Reaction:
-    """While two planned replacements are missing the actuators' report is not nominal."""
+    """Check that the actuators do not report nominal health while two planned replacements are missing."""
     took: float | None = None
     cycles: list[int] = []
     for seen in case.of.log.gate:
@@ -171,7 +173,7 @@ def _plans_keep_up(case: Case) -> Reaction:
 
 
 def _silence_flagged(case: Case) -> Reaction:
-    """The first report after three missing messages says that the instrument is silent."""
+    """Check that the first report after three missing messages flags the instrument as silent."""
     name, fault = case.fault.target, case.fault
     if name == "imu":
         return Reaction(None)  # without it there is neither estimate nor report: the health says so
@@ -189,13 +191,15 @@ def _silence_flagged(case: Case) -> Reaction:
 
 
 def _refused_at_the_door(case: Case) -> Reaction:
-    """Every harmed frame is refused and counted as it arrives."""
+    """Check that every harmed frame is rejected and counted on arrival."""
     missing = uncounted(case)
     return Reaction(0.0 if case.harmed else None, f"{missing} of {case.harmed} frames not refused" if missing else "")
 
 
 def _another_origin(case: Case) -> Reaction:
-    """A cycle whose solver is in trouble says so by its plan's origin; the second one after it is solved again."""
+    """Check that a cycle with a failing solver reports it as the plan's origin; the second cycle after it must be
+    solved again.
+    """
     plans = [plan for plan in case.of.log.plans if plan.cycle_ns >= case.start_ns]
     during = [plan for plan in plans if plan.cycle_ns < case.end_ns]
     if any(plan.origin is PlanOrigin.SOLVED for plan in during):
@@ -207,7 +211,7 @@ def _another_origin(case: Case) -> Reaction:
 
 
 def _misses_counted(case: Case) -> Reaction:
-    """Each plan that came after its start is a deadline miss in the plant's next report."""
+    """Check that each plan that came after its start is counted as a deadline miss in the plant's next report."""
     before = [late for t, *_, late in case.of.log.applied if t <= case.start_ns]
     after = [late for t, *_, late in case.of.log.applied if t <= case.end_ns + 3 * REPORT_NS]
     slow = [p for p in case.of.log.plans if case.start_ns <= p.cycle_ns < case.end_ns]
@@ -217,7 +221,7 @@ def _misses_counted(case: Case) -> Reaction:
 
 
 def _not_followed(case: Case) -> Reaction:
-    """No plan of a second commander is ever the one in force, and the first one is refused in the same cycle."""
+    """Check that no plan of a second commander comes into force and that one is rejected in the same cycle."""
     during = [row for row in case.of.log.applied if case.start_ns <= row[0] <= case.end_ns + REPORT_NS]
     if any(epoch == INTRUDERS_EPOCH for _, _, epoch, *_ in during):
         return Reaction(None, "the plant follows the second commander")
@@ -230,7 +234,7 @@ def _not_followed(case: Case) -> Reaction:
 
 
 def _alarm_in_time(case: Case) -> Reaction:
-    """Once the lost thrust has cost ``ALARM_NEWTON_S`` of impulse the next word on the model is an alarm."""
+    """Check that the model check raises its alarm once the lost thrust has cost ``ALARM_NEWTON_S`` of impulse."""
     of, lost_Ns, last_ns = case.fault, 0.0, case.start_ns
     shares = (of.size if of.target != "starboard" else 0.0, of.size if of.target != "port" else 0.0)
     due_ns = None

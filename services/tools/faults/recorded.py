@@ -1,4 +1,4 @@
-"""What a run of processes showed: its recording, read as the observer of a lock step would have seen it."""
+"""Recording of a run of processes, read into the observations that a lock-step run yields."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ESTIMATE, PLAN, TRUTH = (BY_SIGNAL[kind].key for kind in (Estimate, Plan, Truth)
 
 
 class Taken(NamedTuple):
-    """A message that a node's step took."""
+    """Message in the inbox of a recorded step."""
 
     key: str
     epoch: int
@@ -28,7 +28,7 @@ class Taken(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """A message as it went out: ``at_us`` by the host's monotonic clock."""
+    """Published message; ``at_us``: time of publication by the host's monotonic clock."""
 
     key: str
     epoch: int
@@ -37,20 +37,20 @@ class Sent(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """One run of processes, from its recording."""
+    """Observations of one run of processes, from its recording."""
 
     log: Log
     taken: frozenset[Taken]  # by plant and controller
     sent: list[Sent]  # estimates, plans and truths
     words: list[NodeStatus]  # all of them, in order
-    last: dict[int, NodeStatus]  # by epoch, of those that have said their last word
+    last: dict[int, NodeStatus]  # last status by epoch, of nodes that have finished
     messages: Counter[int]  # recorded, by epoch; one that is there twice is one
-    unreadable: int  # recorded too: harmed on their way, and refused by whoever read them
+    unreadable: int  # recorded frames that cannot be decoded: harmed on the way, and rejected by their readers
     until_ns: int
 
 
 def read(path: Path, vehicle: Vehicle) -> Recorded:
-    """All of a recording."""
+    """Read a whole recording."""
     log = Log(vehicle)
     sent: list[Sent] = []
     words: list[NodeStatus] = []

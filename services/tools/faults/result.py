@@ -1,4 +1,4 @@
-"""The campaign's figures: one row a class, and the faults for which a promise was not kept. No simulation here."""
+"""Result of a fault campaign: one row for each class, and the faults that violated a requirement."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from services.tools.faults.fault import RECOVERED, Place, Seen
+from services.tools.faults.fault import RECOVERED, FaultOutcome, Place
 from services.tools.faults.kinds import KINDS
 
 UNSAID_S = 10.0
-"""A window of innovations: so long an error may be outside 3 sigma before somebody must have said so."""
+"""Longest time (s) for which an error may be outside 3 sigma unflagged: one window of innovations."""
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One class. None: not measured."""
+    """Result of one fault class. None: not measured."""
 
     fault: str
     limit: str  # of the reaction, in words
@@ -30,14 +30,14 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     grown_m: float | None  # of what is lost: how far the true error moved at most,
     bound_m: float | None  # the largest bound of that,
     beyond_bound: int  # and how often the fault's own bound was exceeded
-    unsaid: int  # longer than UNSAID_S outside 3 sigma, and nothing said so
+    unsaid: int  # longer than UNSAID_S outside 3 sigma, and nothing flagged it
     uncounted: int
     bad_thrusts: int
     uncontrolled: int
 
 
 class Campaign(msgspec.Struct, frozen=True, kw_only=True):
-    """faults.json."""
+    """Content of faults.json."""
 
     seed: int
     quick: bool  # safety and reactions alone: what comes of the error later is not judged
@@ -57,13 +57,19 @@ class Campaign(msgspec.Struct, frozen=True, kw_only=True):
     wall_s: float
     load: float  # of the machine over its last minute, for each core: what is asked by the wall needs one below 1
     rows: tuple[Row, ...]
-    not_kept: tuple[Seen, ...]  # each fault for which a promise was not kept
+    not_kept: tuple[FaultOutcome, ...]  # each fault for which a promise was not kept
 
 
 def campaign(
-    seen: Sequence[Seen], *, seed: int, quick: bool, wall_s: float, load: float, window_chance: float | None = None
+    seen: Sequence[FaultOutcome],
+    *,
+    seed: int,
+    quick: bool,
+    wall_s: float,
+    load: float,
+    window_chance: float | None = None,
 ) -> Campaign:
-    """The figures of all that was seen."""
+    """Summarise the outcomes of all faults."""
     windows = [s.window_ratio for s in seen if s.window_ratio is not None]
     names = dict.fromkeys(kind.name for kind in KINDS)
     rows = tuple(row for name in names if (row := _row(name, [s for s in seen if s.fault.kind == name])).injected)
@@ -90,8 +96,8 @@ def campaign(
     )
 
 
-def problems(seen: Seen) -> list[str]:
-    """Promises that were not kept for this fault, in words."""
+def problems(seen: FaultOutcome) -> list[str]:
+    """List the requirements that were violated for this fault."""
     found = [seen.uncontrolled and f"ended: {seen.uncontrolled}", seen.late]
     found.append(f"{seen.bad_thrusts} bad thrusts" if seen.bad_thrusts else "")
     found.append(f"{seen.uncounted} messages that nobody counted" if seen.uncounted else "")
@@ -101,15 +107,15 @@ def problems(seen: Seen) -> list[str]:
     return [text for text in found if text]
 
 
-def _not_recovered(seen: Seen) -> bool:
+def _not_recovered(seen: FaultOutcome) -> bool:
     return seen.ratio is not None and not seen.ratio <= RECOVERED
 
 
-def _beyond_bound(seen: Seen) -> bool:
+def _beyond_bound(seen: FaultOutcome) -> bool:
     return seen.bound_m is not None and seen.grown_m is not None and not seen.grown_m <= seen.bound_m
 
 
-def _row(name: str, seen: Sequence[Seen]) -> Row:
+def _row(name: str, seen: Sequence[FaultOutcome]) -> Row:
     took = sorted(s.reaction_s for s in seen if s.reaction_s is not None)
     return Row(
         fault=name,
@@ -133,11 +139,11 @@ def _row(name: str, seen: Sequence[Seen]) -> Row:
 
 
 def _worst(values: Iterable[float | None]) -> float | None:
-    """The largest, but the last finite one where a ratio is infinite: JSON has no infinity."""
+    """Return the largest finite value (JSON has no infinity); None if there is none."""
     known = [value for value in values if value is not None and math.isfinite(value)]
     return max(known) if known else None
 
 
 def kept(of: Campaign) -> bool:
-    """Whether every promise was."""
+    """Return True if every requirement was met."""
     return not of.not_kept

@@ -1,4 +1,4 @@
-"""What `ltv-mpc inject` is to do and when: a TOML file of faults, or words of the command line."""
+"""Fault schedule of `ltv-mpc inject`: a TOML file, or options of the command line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WORDS = "HARM,KEY,START_S,END_S[,SIZE[,SEED]]"
 
 
 class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """[[fault]] of a schedule. Times are vehicle times."""
+    """Entry [[fault]] of a schedule. Times are vehicle times (s)."""
 
     harm: Harm
     key: str
@@ -36,7 +36,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     seed: Annotated[int, Meta(ge=0, le=2**53 - 1)] = 0
 
     def injection(self, source: str) -> Injection:
-        """As the injector hears it on the bus too. Raises ``ConfigError``."""
+        """Convert the entry to the injector's message. Raises ``ConfigError``."""
         said = Injection(
             key=self.key,
             harm=self.harm,
@@ -51,13 +51,13 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Schedule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A schedule file."""
+    """Content of a schedule file."""
 
     fault: tuple[Entry, ...]
 
 
 def problem(asked: Injection) -> tuple[str, str] | None:
-    """Field and bound of what cannot be done, or None."""
+    """Return field and violated bound of an injection that is not possible, or None."""
     topic = topic_at(asked.key)
     if topic is None:
         return "key", "must be a key of `ltv-mpc topics`"
@@ -75,14 +75,14 @@ def problem(asked: Injection) -> tuple[str, str] | None:
 
 
 def load(path: Path) -> list[Injection]:
-    """Of a file. Raises ``ConfigError``."""
+    """Read a schedule file. Raises ``ConfigError``."""
     source = f"schedule {path}"
     schedule = config.parse(config.read_toml(path, what="schedule"), Schedule, source=source)
     return [entry.injection(f"{source}: [[fault]] {i + 1}") for i, entry in enumerate(schedule.fault)]
 
 
 def parse(words: Sequence[str]) -> list[Injection]:
-    """Of the command line: ``HARM,KEY,START_S,END_S[,SIZE[,SEED]]``. Raises ``ConfigError``."""
+    """Parse faults of the command line: ``HARM,KEY,START_S,END_S[,SIZE[,SEED]]``. Raises ``ConfigError``."""
     names = Entry.__struct_fields__
     injections = []
     for word in words:

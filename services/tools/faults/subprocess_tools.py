@@ -1,4 +1,4 @@
-"""Processes that a campaign starts, as a person would from a terminal; none of them outlives it."""
+"""Child processes of a campaign; none of them outlives it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Process = subprocess.Popen[bytes]
 
 
 class Started:
-    """A context manager: what is still there at its end is killed, and, if this process dies before, soon after."""
+    """Context manager of child processes, which kills those that still run at its end or when this process dies."""
 
     def __init__(self) -> None:
         self._guard = Guard()
@@ -47,7 +47,7 @@ class Started:
 
 
 def end(process: Process, within_s: float) -> int | None:
-    """Ask it to stop; its exit code, or None where it had to be killed."""
+    """Ask a process to stop. Return its exit code, or None if it had to be killed."""
     process.terminate()
     with suppress(subprocess.TimeoutExpired):
         return process.wait(within_s)

@@ -1,1 +1,1 @@
-"""Many vehicles on one machine: what each costs, and what gives way first."""
+"""Fleet trial: many vehicles on one machine, their processor time, and the resource that limits their number."""

@@ -1,4 +1,4 @@
-"""Many controllers in one process: each vehicle has its node, its door and its memory, and shares nothing with others.
+"""Process with many controllers; each vehicle has its own node, message validator and state.
 
 A cycle begins when its estimate arrives. Where the process falls behind, a vehicle's newest estimate counts, and those
 that it overtook are counted.
@@ -32,7 +32,7 @@ from sim.evaluation.summary import Quantiles
 
 
 class Controllers(msgspec.Struct, frozen=True, kw_only=True):
-    """What a controllers' process has measured."""
+    """Measurements of a process of controllers."""
 
     vehicles: int
     cycles: int
@@ -44,7 +44,7 @@ class Controllers(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
-    """The process: the controllers of these vehicles."""
+    """Run the process: the controllers of these vehicles."""
     die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle)
     config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
@@ -52,12 +52,15 @@ def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
     rehearse(vehicle, point, config)
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox = Mailbox()
-        helms = {number: _Helm(ControllerNode(vehicle, point, config), session, mailbox, number) for number in numbers}
+        helms = {
+            number: _VehicleController(ControllerNode(vehicle, point, config), session, mailbox, number)
+            for number in numbers
+        }
         wire.send(_run(fleet, helms, mailbox, begin(wire)))
 
 
-class _Helm:
-    """One vehicle's controller on the shared session."""
+class _VehicleController:
+    """Controller of one vehicle on the shared session."""
 
     def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
         self.node = node
@@ -71,11 +74,11 @@ class _Helm:
             session.subscribe(f"{under}/{BY_SIGNAL[kind].key}", BY_SIGNAL[kind], mailbox)
 
     def hear(self, frame: Frame) -> None:
-        """To be looked at by the next cycle: of estimates by then the newest alone, and no other is decoded."""
+        """Keep a frame for the next cycle, which decodes only the newest estimate."""
         self._frames.append(frame)
 
     def cycle(self, start_ns: int) -> None:
-        """On what has arrived."""
+        """Run a cycle on the frames that have arrived."""
         frames, self._frames = self._frames, []
         newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
         arrivals = [] if self._armed else [Arrival(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
@@ -100,10 +103,10 @@ def _is_estimate(frame: Frame) -> bool:
     return frame.topic is not None and frame.topic.signal is Estimate
 
 
-def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int) -> Controllers:
+def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
     of = {f"{namespace(n)}/{BY_SIGNAL[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
-    waiting: dict[_Helm, None] = {}  # in the order in which an estimate came for them
+    waiting: dict[_VehicleController, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
     before: tuple[float, Counter[str]] | None = None
     while (t_ns := now_ns(start_ns)) < end_ns:
@@ -137,8 +140,8 @@ def _run(fleet: Fleet, helms: dict[int, _Helm], mailbox: Mailbox, start_ns: int)
     )
 
 
-def _counts(helms: Iterable[_Helm]) -> Counter[str]:
-    """Of all, so far; an estimate that was overtaken is missing in the door's sequence, and was not lost on the way."""
+def _counts(helms: Iterable[_VehicleController]) -> Counter[str]:
+    """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
     counts: Counter[str] = Counter()
     for helm in helms:
         overtaken = {"overtaken": helm.overtaken, "dropped": helm.door.dropped - helm.overtaken}

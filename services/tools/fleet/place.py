@@ -1,4 +1,4 @@
-"""What the processes of a fleet agree on: names, rates and the time that counts for all of them."""
+"""Common settings of the processes of a fleet: names, rates and time."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import msgspec
 
 
 class Fleet(msgspec.Struct, frozen=True, kw_only=True):
-    """One trial."""
+    """Settings of one fleet trial."""
 
     vehicles: int
     vehicle: str  # NAME or FILE
@@ -21,16 +21,16 @@ class Fleet(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def period_ns(self) -> int:
-        """Between two estimates of one vehicle."""
+        """Return the period of the estimates of one vehicle (ns)."""
         return round(1e9 / self.rate_hz)
 
     def due_ns(self, vehicle: int, k: int) -> int:
-        """When a vehicle's k-th estimate is made: the fleet's are spread evenly, as those of separate hosts are."""
+        """Return when a vehicle's k-th estimate is due (ns); the vehicles are spread evenly over the period."""
         return k * self.period_ns + vehicle * self.period_ns // self.vehicles
 
 
 def namespace(vehicle: int) -> str:
-    """Put before each key of one vehicle."""
+    """Return the prefix of one vehicle's keys."""
     return f"fleet/v{vehicle:03d}"
 
 
@@ -42,12 +42,12 @@ class Wire(Protocol):
 
 
 def begin(wire: Wire) -> int:
-    """Say "ready" and wait for the start: the instant of CLOCK_MONOTONIC (ns) that is the fleet's t = 0."""
+    """Report "ready" and wait for the start: the CLOCK_MONOTONIC time (ns) of the fleet's t = 0."""
     wire.send("ready")
     start: int = wire.recv()
     return start
 
 
 def now_ns(start_ns: int) -> int:
-    """The fleet's time: CLOCK_MONOTONIC is one for all processes of a host."""
+    """Return the fleet's time (ns); CLOCK_MONOTONIC is common to all processes of a host."""
     return time.monotonic_ns() - start_ns

@@ -1,7 +1,7 @@
-"""All vehicles of a fleet in one light process: their motion, their actuators' gates, and their estimates.
+"""Plant process of a fleet: motion, actuator gates and estimates of all vehicles.
 
-No estimators: an estimate is the truth, with a current profile as long as a localisation filter's. Each vehicle hovers
-in a current of its own that it is told of.
+There are no estimators: an estimate is the true state, with a current profile as long as a localisation filter's. Each
+vehicle hovers in its own current, which its estimates contain.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ OFF_M = 0.3
 
 
 class Plants(msgspec.Struct, frozen=True, kw_only=True):
-    """What the plants' process has measured."""
+    """Measurements of the plant process."""
 
     estimates: int
     plans: int
@@ -53,7 +53,7 @@ class Plants(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def main(fleet: Fleet, wire: Wire, parent: int) -> None:
-    """The process."""
+    """Run the plant process."""
     die_with_parent(parent)
     vehicle = Vehicle.load(fleet.vehicle)
     plants = [_Plant(vehicle, number) for number in range(fleet.vehicles)]
@@ -131,7 +131,7 @@ class _World:
 
 
 class _Plant:
-    """One vehicle."""
+    """Plant of one vehicle."""
 
     def __init__(self, vehicle: Vehicle, number: int) -> None:
         draw = np.random.default_rng(number)
@@ -155,23 +155,23 @@ class _Plant:
         self._accepted: tuple[Plan, int, int, int] | None = None
 
     def copy(self) -> _Plant:
-        """Another like it."""
+        """Return a new plant with the same initial state."""
         return _Plant(self._vehicle, self._number)
 
     @property
     def off_m(self) -> float:
-        """Distance from its point, the origin."""
+        """Return the distance from the vehicle's target, the origin (m)."""
         return math.hypot(self._state[0], self._state[1])
 
     def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> Verdict:
-        """A plan has arrived."""
+        """Offer a received plan to the actuators' gate."""
         verdict = self._gate.offer(plan, epoch, sequence, t_ns)
         if verdict in (Verdict.ACCEPTED, Verdict.LATE):
             self._accepted = plan, epoch, sequence, t_ns
         return verdict
 
     def go(self, from_ns: int, until_ns: int) -> None:
-        """The motion, in steps of 10 ms, under the commands that the gate lets through."""
+        """Integrate the motion in steps of 10 ms, under the commands of the gate."""
         times = [*range(from_ns, until_ns, STEP_NS), until_ns] if until_ns > from_ns else [from_ns]
         commands = np.empty((len(times), 3))
         commands[0] = self._command
@@ -194,7 +194,7 @@ class _Plant:
         self.t_ns = until_ns
 
     def estimate(self, t_ns: int) -> Estimate:
-        """The truth."""
+        """Return the true state as an estimate."""
         n, e, u, v, psi, r, z, w = self._state.tolist()
         north, east = level_to_ned(u, v, psi)
         return Estimate(
@@ -211,7 +211,7 @@ class _Plant:
         )
 
     def report(self, t_ns: int) -> Applied:
-        """What its thrusters do."""
+        """Return the actuators' report."""
         plan, epoch, sequence, received_ns = self._accepted or (None, 0, -1, 0)
         x, y, z = self._thrust.tolist()
         return Applied(

@@ -1,4 +1,4 @@
-"""The trials of a fleet as a table."""
+"""Text table of fleet trials."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ core each  processor time of one vehicle's controller, share of a core; then tha
 
 
 def text(rows: Sequence[Row]) -> str:
-    """A line a trial, and what the columns mean."""
+    """Format a line for each trial, and a legend of the columns."""
     lines = [HEADINGS, *(_cells(row) for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(HEADINGS))]
     shown = ["  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]

@@ -1,4 +1,4 @@
-"""One fleet on this machine: a router, one process of plants, some of controllers; what each took, what gave way."""
+"""Fleet trial on this machine: a router, a plant process, several controller processes, and their processor times."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FEW = 0.01
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One trial's figures. Busy: processor time over wall time, 1 is a whole core."""
+    """Figures of one trial. Busy: processor time over wall time, 1 is a whole core."""
 
     vehicles: int
     rate_hz: float
@@ -63,7 +63,7 @@ class TrialFailed(RuntimeError):
 
 
 def run(fleet: Fleet, processes: int, *, told: Callable[[float], None] = lambda _share: None) -> Row:
-    """Start all, measure, stop all. ``told``: which share of its time is over. Raises ``TrialFailed``."""
+    """Start all processes, measure, and stop them. ``told`` receives the elapsed share. Raises ``TrialFailed``."""
     processes = min(processes, fleet.vehicles)
     with _started() as start:
         way = start("router", _router, fleet.router)
@@ -122,7 +122,7 @@ def _row(fleet: Fleet, minds: list[Controllers], world: Plants, routed_s: float)
 
 
 def _limit(busy: dict[str, float], missed_share: float) -> str:
-    """What gave way first: a process that has no more to give, else the machine; "none" while all is in time."""
+    """Return the resource that limits the fleet, a saturated process or the machine; "none" if deadlines are met."""
     if missed_share <= FEW:
         return "none"
     full = [name for name in ("controllers", "plants", "router") if busy[name] >= BUSY]
@@ -135,7 +135,7 @@ def _limit(busy: dict[str, float], missed_share: float) -> str:
 
 
 class _Child:
-    """A process of the trial and its pipe."""
+    """Process of the trial with its pipe."""
 
     def __init__(self, name: str, process: SpawnProcess, pipe: Connection) -> None:
         self._name, self.process, self._pipe = name, process, pipe
@@ -144,7 +144,7 @@ class _Child:
         self._pipe.send(start_ns)
 
     def receive(self, timeout_s: float) -> Any:
-        """Its next word. Raises ``TrialFailed`` if it has ended or stays silent."""
+        """Return the next message of the process. Raises ``TrialFailed`` if it has ended or does not answer."""
         try:
             if self._pipe.poll(timeout_s):
                 return self._pipe.recv()
@@ -154,7 +154,7 @@ class _Child:
         raise TrialFailed(f"{self._name} has said nothing for {timeout_s:.0f} s")
 
     def cpu_s(self) -> float:
-        """Processor time so far."""
+        """Return the processor time so far (s)."""
         try:
             fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
         except OSError:
@@ -162,7 +162,7 @@ class _Child:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def stop(self) -> None:
-        """End it if it has not ended by itself."""
+        """Stop the process if it still runs."""
         if self.process.is_alive():
             self.process.terminate()
         self.process.join(5.0)
@@ -174,7 +174,7 @@ class _Child:
 
 @contextmanager
 def _started() -> Iterator[Callable[..., _Child]]:
-    """A function that starts a process and waits until it is ready; at the end all are stopped, the first one last."""
+    """Provide a function that starts a process and waits until it is ready; at the end stop all in reverse order."""
     context = multiprocessing.get_context("spawn")
     children: list[_Child] = []
 
@@ -195,7 +195,7 @@ def _started() -> Iterator[Callable[..., _Child]]:
 
 
 def _router(endpoint: str, wire: Wire, parent: int) -> None:
-    """The router's process: ready when it listens."""
+    """Run the router process; it is ready when it listens."""
     die_with_parent(parent)
     with open_session(BusOptions(listen=(endpoint,), mode="router"), stop=lambda: False, say=lambda _text: None):
         wire.send("ready")
@@ -204,7 +204,7 @@ def _router(endpoint: str, wire: Wire, parent: int) -> None:
 
 
 def _sleep_until(instant_ns: int, tell: Callable[[int], None]) -> None:
-    """``tell``: how long it is still, now and then."""
+    """Sleep until an instant; report the remaining time to ``tell`` from time to time."""
     while (left_ns := instant_ns - time.monotonic_ns()) > 0:
         tell(left_ns)
         time.sleep(min(left_ns / 1e9, TELL_S))

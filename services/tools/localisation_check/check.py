@@ -1,4 +1,4 @@
-"""Localisation against theory over many seeds: drift over its bound, and errors as large as the filter says.
+"""Localisation check over many seeds: drift relative to its bound, and consistency of errors with the covariance.
 
 drift      of one horizontal axis over the descent, rms over the runs and both axes; the bound likewise, each run's own
 consistent each quantity's NEES and each sensor's NIS, summed over the runs, inside chi-square's 95 % band by instant
@@ -28,7 +28,7 @@ CELLS = (0.9, 1.1)
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """localisation-check.json. Quantities that the sensors file does not have are left out."""
+    """Content of localisation-check.json. Quantities that the sensors file does not have are left out."""
 
     scenario: str
     sensors: str
@@ -60,14 +60,14 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Graded(NamedTuple):
-    """One quantity over time, for the picture."""
+    """Consistency of one quantity over time, for the plot."""
 
     t_s: Array
     consistency: Consistency
 
 
 def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) -> list[Job]:
-    """One for each seed. The first is resolved once, so that bad input is refused here. Raises ``ConfigError``."""
+    """Return one job for each seed. The first is resolved here, to reject bad input early. Raises ``ConfigError``."""
     common = (*settings, "run.perfect_state=false")
     made = [Job(scenario, (*common, f"run.seed={first_seed + i}")) for i in range(runs)]
     made[0].situation()
@@ -75,7 +75,7 @@ def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) 
 
 
 def measure(work: Sequence[Job], store: ResultsStore, *, progress: Callable[[int], None]) -> list[Record]:
-    """Every run's record, in the order of the jobs; ``progress`` is told how many more are there."""
+    """Return every run's record in the order of the jobs; ``progress`` receives the number of further runs done."""
     missing = [job for job in work if _seed(job) not in store.keys]
     progress(len(work) - len(missing))
     for place, record in each(descend, missing):
@@ -86,12 +86,12 @@ def measure(work: Sequence[Job], store: ResultsStore, *, progress: Callable[[int
 
 
 def _seed(job: Job) -> str:
-    """In what runs differ."""
+    """Return the setting in which the runs differ."""
     return job.settings[-1]
 
 
 def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
-    """By name, over all runs. A run that lacks an instant adds nothing to it."""
+    """Combine the runs by name. A run that lacks an instant does not contribute to it."""
     result = {}
     for name in dict.fromkeys(name for run in runs for name in run):
         have = [run[name] for run in runs if name in run]
@@ -106,7 +106,8 @@ def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
 
 
 def standard_error(runs: Sequence[Mapping[str, Squares]], name: str) -> float:
-    """Of the mean square per degree of freedom over the runs: they are independent, the instants of one are not.
+    """Estimate the standard error of the mean square per degree of freedom over the runs. Runs are independent, the
+    instants of one run are not.
 
     With S_r the sum of squares of run r and n_r its degrees of freedom, m = sum S_r / sum n_r (a ratio estimate:
     Cochran 1977, Sampling techniques, section 2.11):  se^2 = R / (R - 1) sum (S_r - m n_r)^2 / (sum n_r)^2
@@ -120,7 +121,7 @@ def standard_error(runs: Sequence[Mapping[str, Squares]], name: str) -> float:
 
 
 def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> Result:
-    """The figures."""
+    """Compute the figures from all records."""
     first = work[0].situation()
     drift = np.array([record.drift_m for record in records]).ravel()
     velocity = np.array([record.velocity_error_mps for record in records]).ravel()
@@ -164,7 +165,7 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
 
 
 def failed(of: Result) -> list[str]:
-    """What was asked for and is not so, in words."""
+    """List the requirements that are not met."""
     problems = []
     if of.ratio > WORST_RATIO:
         problems.append(f"drift over bound {of.ratio:.2f} > {WORST_RATIO}")
@@ -183,7 +184,7 @@ def failed(of: Result) -> list[str]:
 
 
 def table(of: Result) -> str:
-    """For people."""
+    """Format the result as text."""
     low, high = of.ratio_at_bound
     lines = [
         f"{of.runs} runs of {of.scenario}, sensors {of.sensors}, {of.surface_time_s:g} s afloat, "

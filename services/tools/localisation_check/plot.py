@@ -1,4 +1,4 @@
-"""Consistency over time as a picture: one panel for each quantity, its NEES per degree of freedom and its 95 % band."""
+"""Plot of consistency over time: for each quantity its NEES per degree of freedom and the 95 % band."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLUMNS = 3
 
 
 def draw(nees: Mapping[str, Graded], title: str, out: Path) -> None:
-    """Write the picture."""
+    """Write the plot."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     rows = -(-len(nees) // COLUMNS)
     figure, panels = plt.subplots(

@@ -1,8 +1,8 @@
-"""One descent in lock step, with the filter's belief held against the truth at every whole second.
+"""Instrumented descent in lock step: the filter's state is compared with the truth at every whole second.
 
-Sensors are asked for their true biases right after their step of a whole second, the filter for its belief after the
-step that says what it estimates of it, if it stands there; both go on as if nobody had asked. These copies are compared
-when the truth of that second is heard, for nodes run ahead of what they said (``sim/scheduler.py``).
+The true biases are copied right after the sensors' step of a whole second, the filter's state after the step that
+publishes its estimate of that second. The run is not affected. The copies are compared when the truth of that second is
+published, because nodes run ahead of their published messages (``sim/scheduler.py``).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ N = TypeVar("N")
 
 
 class Squares(NamedTuple):
-    """Of one quantity or sensor in one run, by instant."""
+    """Normalised squared errors of one quantity or sensor in one run, by instant."""
 
     t_ns: npt.NDArray[np.int64]
     square: Array
@@ -59,7 +59,7 @@ class Squares(NamedTuple):
 
 
 class Record(NamedTuple):
-    """What one run came to."""
+    """Result of one run."""
 
     drift_m: Array  # (2,) north, east: localisation error at the end less that at t = 0
     velocity_error_mps: Array  # (2,) at t = 0, estimated minus true
@@ -67,7 +67,7 @@ class Record(NamedTuple):
     bound_drift_m2: Array  # (2,) variance
     bound_velocity_m2ps2: Array  # (2,) variance at t = 0
     true_error_m: float  # mean distance of the vehicle from the line through where it was at t = 0
-    drawn: dict[str, tuple[float, int]]  # how large the true biases are of themselves
+    drawn: dict[str, tuple[float, int]]  # normalised square of the true biases themselves, and its degrees of freedom
     nees: dict[str, Squares]
     nis: dict[str, Squares]
     least_eigenvalue: float
@@ -76,14 +76,14 @@ class Record(NamedTuple):
 
 
 def descend(job: Job) -> Record:
-    """Run it, watched, and work out the bound along its true track. Raises ``ConfigError``."""
+    """Run the job and compute the bound along its true track. Raises ``ConfigError``."""
     probe = Probe(job.situation())
     probe.descend()
     return probe.record()
 
 
 class _Biases(NamedTuple):
-    """True ones, that change in time."""
+    """True biases that change in time."""
 
     gyro_radps: Array  # (3,)
     accelerometer_mps2: Array  # (3,)
@@ -91,7 +91,7 @@ class _Biases(NamedTuple):
 
 
 class _Watched:
-    """A node, of which another hears how far it has come."""
+    """Node wrapper that reports each step to an observer."""
 
     def __init__(
         self,
@@ -99,12 +99,14 @@ class _Watched:
         ran: Callable[[int, Sequence[Message]], None],
         closely: Callable[[], bool] = lambda: False,
     ) -> None:
-        """``ran`` is told a step's time and what came of it: of each at a time of ``LOOK_NS``, or while ``closely``."""
+        """Wrap a node; ``ran`` receives time and output of each step at a multiple of ``LOOK_NS``, or of all while
+        ``closely``.
+        """
         self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
         self._steps, self._ran, self._closely = node.steps, ran, closely
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """The node's, as many at once as go by unseen."""
+        """Step the node, in batches that end at the steps to observe."""
         said: list[list[Message]] = []
         for number, (t_ns, _) in enumerate(due, 1):
             if t_ns % LOOK_NS == 0 or number == len(due) or self._closely():
@@ -114,12 +116,12 @@ class _Watched:
 
 
 class Probe:
-    """A situation with its nodes, and what is seen of them."""
+    """Observer of a run: it compares the estimator with the truth."""
 
     hears: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
 
     def __init__(self, situation: Situation) -> None:
-        """Raises ``ConfigError``."""
+        """Set up the nodes of a run. Raises ``ConfigError``."""
         self._situation = situation
         nodes = make_nodes(situation, unread=False)
         self.estimator, sensors = _the(Estimator, nodes), _the(Sensors, nodes)
@@ -143,7 +145,7 @@ class Probe:
         self._beams = beams(situation.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
         self._lever = np.array(situation.suite.adcp.lever_arm_m)
         self._watched: Filter | None = None
-        self._beliefs: dict[int, Belief] = {}  # that no truth has been heard of yet
+        self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
         self._biases: dict[int, _Biases] = {}
         self.truth: Truth | None = None  # the last
         self._track: list[Truth] = []
@@ -155,7 +157,7 @@ class Probe:
         self._least, self._asymmetry, self._missed = np.inf, 0.0, 0
 
     def descend(self) -> None:
-        """All of it."""
+        """Run the whole descent."""
         scenario = self._situation.scenario
         LockStep(
             self._nodes,
@@ -172,7 +174,9 @@ class Probe:
             self._biases[t_ns] = _Biases(imu.gyro_bias_radps, imu.accelerometer_bias_mps2, self._compass.bias_rad)
 
     def _estimated(self, t_ns: int, said: Sequence[Message]) -> None:
-        """The first filter is watched from its next message on, another one from the next cycle on."""
+        """Attach the observer to the current filter and keep its state at whole seconds. The first filter is observed
+        from its next message on, a later one from the next cycle on.
+        """
         filter_ = self.estimator.filter
         if filter_ is not self._watched:
             self._watched = filter_
@@ -183,7 +187,7 @@ class Probe:
             self._beliefs[t_ns] = filter_.settled()
 
     def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002  (the type says who)
-        """One message."""
+        """Take a published message."""
         match message.signal:
             case Truth() as truth:
                 self.truth = truth
@@ -195,7 +199,7 @@ class Probe:
                 self._compare(estimate, self.truth)
 
     def record(self) -> Record:
-        """After the run."""
+        """Return the result after the run. Raises ``ConfigError`` if there was no estimate at t = 0."""
         situation = self._situation
         if 0 not in self._error:
             problem = "must be so long that the estimate has begun at t = 0"
@@ -226,11 +230,11 @@ class Probe:
 
     @property
     def nees(self) -> dict[str, Squares]:
-        """Of each quantity, so far."""
+        """Return the NEES of each quantity so far."""
         return {name: _squares(rows) for name, rows in self._nees.items()}
 
     def finer_mps(self, t_ns: int) -> float:
-        """What the filter's cells cannot hold of the water."""
+        """Return the part of the current (m/s) that the filter's depth grid cannot represent."""
         return self._cells.finer_mps(self._situation.water.over(self._cells.depth_m, t_ns))
 
     def _true_error(self) -> float:
@@ -238,7 +242,7 @@ class Probe:
         return float(np.hypot(*(track - track[0]).T).mean())
 
     def _see(self, ping: AdcpPing) -> None:
-        """Cells of the water around the beams that came back."""
+        """Mark the grid points around the beams that returned."""
         if self.truth is None:
             return
         down = rotation(*self.truth.attitude_rad)[2]
@@ -247,7 +251,7 @@ class Probe:
         self.seen |= nodes_around(self.truth.position_m[2] + along[back], self._cell_m, len(self.seen))
 
     def _judge(self, verdict: Verdict) -> None:
-        """NIS of one message, before the gate; outliers that were put in are left out."""
+        """Record the NIS of one message before the gate; simulated outliers are left out."""
         good = np.ones(len(verdict.residual), dtype=bool)
         injected = self._injected.get(verdict.sensor)
         if injected is not None and (wild := injected.at(verdict.t_ns)) is not None:
@@ -281,7 +285,7 @@ class Probe:
             self._least = min(self._least, float(np.linalg.eigvalsh(P)[0]))
 
     def true_state(self, truth: Truth) -> TrueState:
-        """Of a time of ``LOOK_NS``."""
+        """Return the true state at a multiple of ``LOOK_NS``."""
         biases = self._biases[truth.t_ns]
         return TrueState(
             position_m=np.array(truth.position_m),

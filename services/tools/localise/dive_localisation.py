@@ -1,4 +1,4 @@
-"""A recorded dive, localised: the track of the command line's one start, and the study over many starts.
+"""Localisation of a recorded dive: one track, and a study over many starting points.
 
 Which ensembles: from the first one, or from the first at or below ``--start-depth-m``, to the end, as long as the
 instrument's settings stay and no gap is longer than two minutes. Noise is taken from all of them. The study's starts
@@ -37,7 +37,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The result, and what pictures and tables are made from."""
+    """Result of the localisation with the data of its plots and tables."""
 
     result: Localised
     ensembles: Sequence[BeamEnsemble]  # of the track
@@ -54,7 +54,9 @@ def localise(
     parameters: DiveParameters | None = None,
     told: Callable[[float], None] = lambda _share: None,
 ) -> Outcome:
-    """Read, filter, compare. ``told``: which share of it is done. Raises ``ConfigError``."""
+    """Read the file, run the filter, compare with bottom track. ``told``: share done, as a callback. Raises
+    ConfigError.
+    """
     parameters = parameters or DiveParameters()
     recording = reader.read(path)
     first = _first(recording.ensembles, start_depth_m, recording.source)
@@ -85,7 +87,7 @@ def localise(
 
 
 def stretch(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
-    """Behind the last ensemble of the dive that holds ``first``, and why it ends there; empty at the file's end."""
+    """Return the end (exclusive) of the dive that contains ``first``, and why it ends there; "" at the file's end."""
     for k in range(first + 1, len(ensembles)):
         gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
         if gap > longest_gap_s:
@@ -96,7 +98,7 @@ def stretch(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> 
 
 
 def write(outcome: Outcome, folder: Path) -> str:
-    """localise.json, track.csv, currents.csv and localise.png into ``folder``; a line on what could not be made."""
+    """Write localise.json, track.csv, currents.csv and localise.png; return why the picture is missing, else ""."""
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
     (folder / "localise.json").write_bytes(plain + b"\n")
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")
@@ -207,14 +209,14 @@ def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: 
 
 
 def _truth(ground: Ground) -> Array:
-    """Bottom track's position at every ensemble, from the first."""
+    """Return bottom track's position at every ensemble, relative to the first."""
     nowhere = np.full(2, np.nan)
     shown = [ground.displacement(0, k) for k in range(len(ground.t_s))]
     return np.array([nowhere if x is None else x for x in shown])
 
 
 def _table(outcome: Outcome) -> str:
-    """track.csv; an empty cell is what bottom track does not know."""
+    """Format track.csv; a cell is empty where bottom track is not available."""
     track = outcome.track
     lines = [",".join(COLUMNS)]
     for k, ensemble in enumerate(outcome.ensembles):

@@ -1,4 +1,4 @@
-"""What the localisation of a recorded dive came to: localise.json and what ``--json`` prints."""
+"""Result of the localisation of a recorded dive: localise.json, and the output of ``--json``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 
 
 class LostBytes(msgspec.Struct, frozen=True, kw_only=True):
-    """A place in the file that is no ensemble."""
+    """Part of the file that could not be read as an ensemble."""
 
     offset: int
     length: int
@@ -17,7 +17,7 @@ class LostBytes(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file says of its instrument, and the noise found in it."""
+    """Instrument settings in the file, and the estimated noise."""
 
     frequency_kHz: int
     beam_angle_deg: float
@@ -32,7 +32,7 @@ class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
-    """The track from the one start."""
+    """Track from the selected start."""
 
     start_ensemble: int
     start_depth_m: float
@@ -49,7 +49,7 @@ class TrackRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Over all starts that have a truth."""
+    """Statistics over all starts for which a true track exists."""
 
     starts: int
     median_error_m: float
@@ -60,7 +60,7 @@ class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Localised(msgspec.Struct, frozen=True, kw_only=True):
-    """What the command says. ``error`` and ``study`` are None where the file holds no truth for them."""
+    """Result of the command. ``error`` and ``study`` are None if the file holds no truth for them."""
 
     file: str
     bytes: int

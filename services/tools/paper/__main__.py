@@ -2,7 +2,7 @@
 
     python -P -m services.tools.paper [--seeds N] [--measured DIR] ...
 
-Everything is made anew in lock step, with fixed seeds; times alone are measured on this machine.
+All runs are made again in lock step with fixed seeds; only times are measured on this machine.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FIGURES = "figures.json"
 
 
 class Options(NamedTuple):
-    """What is asked for."""
+    """Options of the command."""
 
     out: Path = Path("docs/figures")  # PNG and figures.json
     runs: Path = Path("runs/figures")  # recordings and SVG
@@ -46,7 +46,7 @@ class Options(NamedTuple):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code 2 where an option or a file is wrong, before anything is run."""
+    """Make figures and tables. Return exit code 2 if an option or a file is wrong, before any run."""
     try:
         options = parsed(arguments)
         page = checked(options)
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parsed(arguments: Sequence[str] | None) -> Options:
-    """The command line."""
+    """Parse the command line."""
     default = Options()
     parser = argparse.ArgumentParser(
         prog="python -P -m services.tools.paper",
@@ -88,7 +88,7 @@ def parsed(arguments: Sequence[str] | None) -> Options:
 
 
 def checked(options: Options) -> str:
-    """The page's text, after everything that can be wrong was looked at. Raises ``ConfigError``."""
+    """Check all options and files, and return the page's text. Raises ``ConfigError``."""
     for name, least, most in (("seeds", 1, 10_000), ("cycles", 10, 100_000), ("workers", 1, 1000)):
         value = getattr(options, name)
         if value is not None and not least <= value <= most:
@@ -107,7 +107,7 @@ def checked(options: Options) -> str:
 
 
 def make(options: Options) -> tables.Figures:
-    """Runs, figures and figures.json. Raises ``ConfigError``."""
+    """Make runs, figures and figures.json. Raises ``ConfigError``."""
     profiles, missing = water.measured(options.measured)
     for path in missing:
         typer.echo(f"Fig 3 goes without {path}: no such file", err=True)
@@ -142,7 +142,7 @@ def make(options: Options) -> tables.Figures:
 
 
 def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence[str]) -> None:
-    """Every figure as PNG and SVG, and the README's picture."""
+    """Draw every figure as PNG and SVG, and the README's picture."""
     for sheet in paper.sheets(measured):
         paper.write(sheet, runs, [options.out / f"{sheet.name}.png", options.runs / f"{sheet.name}.svg"])
     shown = [run for key in (paper.NONE, paper.OURS_SHORT, paper.OURS_LONG) for run in runs[key]]
@@ -151,7 +151,7 @@ def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence
 
 @contextmanager
 def _steps(what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar on stderr that is told of each step."""
+    """Show a progress bar on stderr and yield the function that advances it."""
     done = 0
     with share_for(f"{total} {what}") as told:
 

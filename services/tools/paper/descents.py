@@ -1,4 +1,4 @@
-"""The descents: one seed with everything in it, recorded, for the figures; many seeds with the state known."""
+"""Descents of the paper: one seed with the full loop, recorded for the figures, and many seeds with the state known."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AHEAD = ("horizon", "ahead")
 
 
 class Flight(NamedTuple):
-    """A descent that is recorded: its setting, and how long."""
+    """Recorded descent: its setting and duration."""
 
     setting: Setting
     out: Path
@@ -33,7 +33,7 @@ class Flight(NamedTuple):
     surface_s: float = SURFACE_S
 
     def situation(self) -> Situation:
-        """What it is made of. Raises ``ConfigError``."""
+        """Resolve the settings of the run. Raises ``ConfigError``."""
         return resolve(
             SCENARIO,
             [
@@ -45,7 +45,7 @@ class Flight(NamedTuple):
 
 
 def fly(flight: Flight) -> Summary:
-    """Make the run and its folder, whatever was there."""
+    """Make the run and its folder; an existing folder is overwritten."""
     situation = flight.situation()
     return lockstep_run.run(situation, folder.make(situation.name, situation.files, out=flight.out, force=True))
 
@@ -53,7 +53,7 @@ def fly(flight: Flight) -> Summary:
 def recorded(
     runs: Path, duration_s: float, surface_s: float, *, workers: int | None, progress: Callable[[], None]
 ) -> dict[str, tuple[Run, Summary]]:
-    """Each recorded setting as it is drawn, and what it came to, by its key."""
+    """Return the plotted run and the summary of each recorded setting, by its key."""
     flights = [Flight(setting, runs / setting.key, duration_s, surface_s) for setting in RECORDED]
     summaries: dict[str, Summary] = {}
     for place, summary in each(fly, flights, workers=workers):
@@ -66,7 +66,7 @@ def recorded(
 
 
 def shown(flight: Flight, summary: Summary) -> Run:
-    """The run as figures draw it."""
+    """Return the run in the form that figures draw."""
     picture = read(flight.out / folder.RECORDING)
     name = f"horizon {summary.horizon_s:.1f} s" if flight.setting.lateral else flight.setting.name
     past = {table: columns for table, columns in picture.tables.items() if table not in AHEAD}
@@ -76,7 +76,7 @@ def shown(flight: Flight, summary: Summary) -> Run:
 def averaged(
     seeds: int, duration_s: float, *, workers: int | None, progress: Callable[[], None]
 ) -> dict[str, list[Summary]]:
-    """The summaries of seeds 0 to ``seeds`` - 1 of each averaged setting, in the order of the seeds, by its key."""
+    """Return the summaries of seeds 0 to ``seeds`` - 1 of each averaged setting, by its key."""
     length = f"run.duration_s={duration_s!r}"
     jobs = [
         (setting.key, Job(SCENARIO, (f"run.seed={seed}", length, *KNOWN, *setting.keys)))
@@ -95,5 +95,5 @@ def averaged(
 
 
 def count(seeds: int) -> int:
-    """How many descents both make."""
+    """Return the number of recorded and averaged descents."""
     return len(RECORDED) + seeds * len(AVERAGED)

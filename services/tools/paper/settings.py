@@ -1,4 +1,4 @@
-"""The descents behind the paper's figures: what each has that the shipped scenario has not.
+"""Settings of the paper's descents, as differences from the shipped scenario.
 
 The paper's setting is its cost (positions alone), its two horizons and the computing time that it gives for each.
 """
@@ -28,7 +28,7 @@ KNOWN = ("run.perfect_state=true",)
 
 
 class Setting(NamedTuple):
-    """One row of the tables: its keys on top of the scenario, and what the table calls it."""
+    """Row of the tables: its settings on top of the scenario, and its name."""
 
     key: str
     name: str
@@ -36,7 +36,7 @@ class Setting(NamedTuple):
 
     @property
     def lateral(self) -> bool:
-        """Whether the thrusters are used."""
+        """Return True if the thrusters are used."""
         return self.key != NONE
 
 

@@ -1,4 +1,4 @@
-"""The tables that docs/paper.md quotes: made here, kept in figures.json, and written into the page at their marks."""
+"""Tables of docs/paper.md, which are stored in figures.json and written into the page at their marks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LAGS_M = (8.0, 24.0)
 
 
 def descents(summaries: Mapping[str, Summary]) -> Table:
-    """The recorded runs: what the figures show."""
+    """Tabulate the recorded runs of the figures."""
     return Table(
         name="descents",
         head=(
@@ -47,7 +47,7 @@ def descents(summaries: Mapping[str, Summary]) -> Table:
 
 
 def seeds(summaries: Mapping[str, Sequence[Summary]]) -> Table:
-    """Many seeds with the state known: what the controller alone does."""
+    """Tabulate the mean over many seeds with the state known: the performance of the controller alone."""
     none = [_error(summary) for summary in summaries[NONE]]
     return Table(
         name="seeds",
@@ -71,7 +71,7 @@ def seeds(summaries: Mapping[str, Sequence[Summary]]) -> Table:
 
 
 def timing(timed: Timed) -> Table:
-    """The paper's computing times beside this controller's on this machine."""
+    """Tabulate the paper's computing times and this controller's on this machine."""
     return Table(
         name="timing",
         head=(
@@ -98,13 +98,13 @@ def timing(timed: Timed) -> Table:
 
 
 def _load(timed: Timed) -> str:
-    """Of the machine meanwhile: how many processes ran or waited to, in the last minute."""
+    """Return the load of the machine before and after the measurement (mean of one minute)."""
     loads = [timed.machine[when] for when in ("load_before", "load_after")]
     return "load " + " to ".join(f"{load[0]:.1f}" for load in loads if isinstance(load, list))
 
 
 def water(made_up: Sequence[Profile], measured: Sequence[Profile]) -> Table:
-    """How strong the currents are, and how much they differ between two depths; one axis, cm/s."""
+    """Tabulate the strength of the currents and their difference between two depths; one axis, cm/s."""
     return Table(
         name="water",
         head=(
@@ -117,7 +117,7 @@ def water(made_up: Sequence[Profile], measured: Sequence[Profile]) -> Table:
 
 
 def _strength(name: str, profiles: Sequence[Profile]) -> tuple[str | float | None, ...]:
-    """Mean squares over the profiles."""
+    """Return a row of the table: root mean squares over the profiles."""
     depth = profiles[0].depth_m
     rms = _root_mean([float((one.velocity_mps**2).mean()) for one in profiles])
     spread = _root_mean([float(one.velocity_mps.var(axis=0).mean()) for one in profiles])
@@ -131,19 +131,19 @@ def _differences(profiles: Sequence[Profile], lag_m: float) -> float | None:
 
 
 def _root_mean(squares: Sequence[float]) -> float:
-    """In cm/s, of (m/s)^2."""
+    """Return the root of the mean of squares ((m/s)^2) in cm/s."""
     return 100.0 * math.sqrt(statistics.fmean(squares))
 
 
 def _setting(key: str, summaries: Sequence[Summary]) -> tuple[float | None, float | None]:
-    """Horizon and delay; no control has neither."""
+    """Return horizon and delay; None for both without control."""
     if key == NONE:
         return None, None
     return summaries[0].horizon_s, summaries[0].compute_delay_s.median
 
 
 def _effort(summaries: Sequence[Summary]) -> tuple[float, float]:
-    """Mean |F|, and the share of the time at a limit in per cent."""
+    """Return mean |F| (N), and the share of the time at a limit in per cent."""
     mean = _mean(summaries, lambda summary: summary.thrust.mean_abs_N)
     return mean, 100.0 * _mean(summaries, lambda summary: summary.thrust.saturated_fraction)
 
@@ -160,17 +160,17 @@ def _mean(summaries: Sequence[Summary], of: Callable[[Summary], float | None]) -
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """figures.json."""
+    """Content of figures.json."""
 
     made_with: str  # options that change numbers
     machine: str  # on which the times were measured
     tables: tuple[Table, ...]
 
     def write(self, path: Path) -> None:
-        """As JSON."""
+        """Write the tables as JSON."""
         path.write_bytes(msgspec.json.format(msgspec.json.encode(self), indent=1) + b"\n")
 
     @classmethod
     def load(cls, path: Path) -> Figures:
-        """What was written."""
+        """Read the tables from JSON."""
         return msgspec.json.decode(path.read_bytes(), type=cls)

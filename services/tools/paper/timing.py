@@ -1,4 +1,4 @@
-"""How long a cycle takes here, at the paper's two horizons: for the timing table, and by stage for its figure."""
+"""Computing time of a cycle at the paper's two horizons, for the timing table and by stage for its figure."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SOLVER = SolverByName(SHIPPED.solver)
 
 
 class Cycle(NamedTuple):
-    """At one horizon of the paper."""
+    """Times of the cycles at one horizon of the paper."""
 
     horizon_s: float  # the paper's
     reach_s: float  # in whole stages
@@ -32,14 +32,14 @@ class Cycle(NamedTuple):
 
 
 class Timed(NamedTuple):
-    """Both horizons, and where."""
+    """Times of both horizons, and the machine."""
 
     cycles: list[Cycle]
     machine: Machine
 
 
 def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
-    """So many cycles at each horizon, on the problems of ``ltv-mpc profile``."""
+    """Measure this number of cycles at each horizon, on the problems of ``ltv-mpc profile``."""
     before = load()
     found = []
     for horizon_s, paper_s in COMPUTING_S.items():
@@ -52,7 +52,7 @@ def timed(cycles: int, *, seed: int = 0, progress: Callable[[], None]) -> Timed:
 
 
 def run(of: Timed) -> Run:
-    """The cycles of the longer horizon one after the other, as figures draw them."""
+    """Return the cycles of the longer horizon, one after the other, in the form that figures draw."""
     (long,) = (cycle for cycle in of.cycles if cycle.horizon_s == LONG_S)
     samples = long.samples
     columns: Columns = {

@@ -1,4 +1,4 @@
-"""The currents behind Fig 3: made-up profiles of a few seeds, the measured ones, and how both change with depth.
+"""Currents of Fig 3: synthetic profiles, measured profiles, and their structure functions.
 
 Structure function of one axis, D(h) = mean over z of (c(z + h) - c(z))^2, here the mean of north and east. Of the
 first-order Gauss-Markov process D(h) = 2 sd^2 (1 - exp(-h / L)), from which the bound of 3 sd takes 2 to 4 %.
@@ -41,7 +41,7 @@ LEAST_PAIRS = 4
 
 
 class Profile(NamedTuple):
-    """A current over depth, above ``DEEPEST_M``."""
+    """Current profile over depth, above ``DEEPEST_M``."""
 
     name: str
     depth_m: Array  # (K,)
@@ -49,13 +49,13 @@ class Profile(NamedTuple):
 
 
 def made_up(seed: int) -> Profile:
-    """The descent's current of a seed."""
+    """Return the synthetic current of the descent for a seed."""
     profile = make(Water(), seed).profile(0)
     return _above(Profile(f"seed {seed}", profile.depth_m, np.column_stack([profile.north_mps, profile.east_mps])))
 
 
 def measured(data: Path) -> tuple[list[Profile], list[Path]]:
-    """The measured profiles that are below ``data``, and the files that are not. Raises ``ConfigError``."""
+    """Read the measured profiles in ``data``, and list the missing files. Raises ``ConfigError``."""
     found, missing = [], []
     for file, name in FILES.items():
         path = data / file
@@ -74,7 +74,7 @@ def _above(profile: Profile) -> Profile:
 
 
 def structure(profile: Profile, cell_m: float = 1.0) -> tuple[Array, Array]:
-    """Lags h (J,) in whole cells up to half of the profile, and D(h) (J,) of one axis (m^2/s^2).
+    """Compute lags h (J,) in whole cells up to half of the profile, and D(h) (J,) of one axis (m^2/s^2).
 
     A pair counts for the lag that its difference in depth is nearest to.
     """
@@ -89,13 +89,13 @@ def structure(profile: Profile, cell_m: float = 1.0) -> tuple[Array, Array]:
 
 
 def model(lag_m: Array) -> Array:
-    """D(h) of the process that the profiles are drawn from, without its bound."""
+    """Return D(h) of the process from which the synthetic profiles are drawn, without its bound."""
     water = Water()
     return -2.0 * water.sd_mps**2 * np.expm1(-lag_m / water.correlation_length_m)
 
 
 def profile_run(profile: Profile) -> Run:
-    """A profile as figures draw it."""
+    """Return a profile in the form that figures draw."""
     north, east = profile.velocity_mps.T
     return Run(
         profile.name,
@@ -104,7 +104,7 @@ def profile_run(profile: Profile) -> Run:
 
 
 def structure_run(drawn_up: Sequence[Profile], profiles: Sequence[Profile]) -> Run:
-    """The tables of the structure functions: the band of those that are made up, and each of ``profiles``."""
+    """Return the tables of the structure functions: the band of the synthetic profiles, and each of ``profiles``."""
     drawn = [structure(one) for one in drawn_up]
     lag = drawn[0][0]
     low, high = np.quantile([D for _, D in drawn], [0.05, 0.95], axis=0)
@@ -123,7 +123,7 @@ def structure_run(drawn_up: Sequence[Profile], profiles: Sequence[Profile]) -> R
 
 
 def rms_difference_mps(profile: Profile, lag_m: float) -> float | None:
-    """sqrt(D(h)) of one axis; None where the profile does not have that lag."""
+    """Return sqrt(D(h)) of one axis; None if the profile does not have that lag."""
     at, D = structure(profile)
     (here,) = np.nonzero(np.isclose(at, lag_m))
     return math.sqrt(D[here[0]]) if len(here) else None

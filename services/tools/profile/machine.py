@@ -1,4 +1,4 @@
-"""Where a time was measured: processor, cores, load and versions. Without these a time means nothing elsewhere."""
+"""Machine description: processor, cores, load and versions, without which measured times cannot be compared."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SOLVERS = ("daqp", "piqp", "qpsolvers")
 
 
 def machine(load_before: list[float], packages: Iterable[str] = SOLVERS) -> Machine:
-    """As of now; ``load_before`` is what ``load`` said before anything was measured."""
+    """Describe this machine; ``load_before`` is the result of ``load`` before the measurement."""
     return {
         **made_by(),
         **{package: version(package) for package in packages},
@@ -26,12 +26,12 @@ def machine(load_before: list[float], packages: Iterable[str] = SOLVERS) -> Mach
 
 
 def load() -> list[float]:
-    """Means of the number of processes that run or wait to, over 1, 5 and 15 minutes."""
+    """Return the mean number of running and waiting processes over 1, 5 and 15 minutes."""
     return [round(mean, 2) for mean in os.getloadavg()]
 
 
 def version(package: str) -> str:
-    """Of an installed distribution."""
+    """Return the version of an installed distribution."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -39,7 +39,7 @@ def version(package: str) -> str:
 
 
 def line(of: Machine, packages: Iterable[str] = ("numpy", "numba", "osqp", "piqp")) -> str:
-    """For a person."""
+    """Format the machine description as one line of text."""
     versions = ", ".join(f"{name} {of[name]}" for name in ("python", *packages))
     loads = f"{_one(of['load_before'])} to {_one(of['load_after'])}"
     return f"{of['processor']}, {of['cores']} cores, load {loads}; {versions}"

@@ -1,4 +1,4 @@
-"""Candidates side by side: each cycle of a closed loop is solved by every one of them, in an order drawn anew.
+"""Interleaved measurement of solvers: each cycle of a closed loop is solved by every candidate, in random order.
 
 One controller drives the loop. Before each cycle every candidate is handed the driver's memory, so that prediction,
 guess and linearisation are the same for all; warm starts are each solver's own. So all have the same problems under the
@@ -40,15 +40,15 @@ EXACT = 1e-10
 
 
 class Contestant(Protocol):
-    """What is measured."""
+    """Solver to be measured."""
 
     def controller(self, episode: Episode, stopwatch: Stopwatch) -> Controller:
-        """A new controller for an episode. Raises ``ConfigError``."""
+        """Return a new controller for an episode. Raises ``ConfigError``."""
         ...
 
 
 class SolverByName(NamedTuple):
-    """A solver that ``[controller] solver`` can name."""
+    """Solver that ``[controller] solver`` can name."""
 
     name: str
 
@@ -59,7 +59,7 @@ class SolverByName(NamedTuple):
 
 
 class Piqp(NamedTuple):
-    """PIQP by its own interface (``piqp_yardstick.py``)."""
+    """PIQP through its own interface (``piqp_yardstick.py``)."""
 
     tolerance: float | None = None  # absolute and relative; None: PIQP's own
 
@@ -76,12 +76,12 @@ class Piqp(NamedTuple):
 
 
 def limits_of(episode: Episode) -> HorizonLimits:
-    """Of the episode's vehicle between two knots."""
+    """Return the limits of the episode's vehicle between two knots."""
     return HorizonLimits.of(episode.vehicle, seconds(1), episode.config.limits.most)
 
 
 class Samples:
-    """What was measured of one contestant at one horizon: an entry a cycle."""
+    """Measurements of one candidate at one horizon, one entry for each cycle."""
 
     def __init__(self, stages: int) -> None:
         self.stages = stages  # N
@@ -100,7 +100,7 @@ def measure(
     order: random.Random,
     progress: Callable[[], None],
 ) -> list[Samples]:
-    """The samples of each contestant over all episodes, which have one horizon; ``progress`` hears of each cycle."""
+    """Measure each candidate over all episodes of one horizon; ``progress`` is called after each cycle."""
     stages = warm_up.config.stages
     _run(warm_up, contestants, [Samples(stages) for _ in contestants], order, lambda: None)
     samples = [Samples(stages) for _ in contestants]
@@ -124,7 +124,7 @@ def _run(
 
 @contextmanager
 def _collections_held_back() -> Iterator[None]:
-    """As in the service, a collection of garbage is not part of a cycle: the bench collects between cycles."""
+    """Suspend garbage collection during cycles, as the service does; the bench collects between cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -136,7 +136,7 @@ def _collections_held_back() -> Iterator[None]:
 
 
 class _Bench(ControllerNode):
-    """Stands in the controller's place: the driver's plans go out, the candidates' are measured."""
+    """Node in the controller's place: it publishes the driver's plans and measures the candidates."""
 
     def __init__(
         self, episode: Episode, candidates: Sequence[_Candidate], order: random.Random, progress: Callable[[], None]
@@ -150,7 +150,7 @@ class _Bench(ControllerNode):
         self._begun = False
 
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
-        """One cycle of everybody."""
+        """Run one cycle of every candidate and of the driver."""
         driver = self.controller
         plans = [
             (candidate, candidate.plan(driver, estimate, t_ns))
@@ -169,7 +169,7 @@ class _Bench(ControllerNode):
 
 
 class _Candidate:
-    """A controller whose cycles are measured."""
+    """Controller whose cycles are measured."""
 
     def __init__(self, contestant: Contestant, episode: Episode, into: Samples) -> None:
         self.timer = StageTimer()
@@ -184,7 +184,7 @@ class _Candidate:
         return self._witness
 
     def plan(self, driver: Controller, estimate: Estimate, t_ns: int) -> Plan:
-        """One cycle, measured."""
+        """Measure one cycle."""
         controller, timer = self.controller, self.timer
         controller.restore(driver.save(t_ns), t_ns)
         started_ns = time.monotonic_ns()
@@ -194,7 +194,7 @@ class _Candidate:
         return plan
 
     def keep(self, plan: Plan, exact: _Exact) -> None:
-        """Write down the cycle that ``plan`` made."""
+        """Record the cycle that produced ``plan``."""
         into = self._into
         into.cycle_us.append(self._cycle_us)
         for stage, sample in into.stage_us.items():
@@ -206,7 +206,7 @@ class _Candidate:
 
 
 class _Witness:
-    """A solver that remembers what it was asked last, and what it said."""
+    """Solver wrapper that keeps the last problem and its solution."""
 
     lin: Linearisation
     target: Array
@@ -226,7 +226,7 @@ class _Witness:
 
 
 class _Exact:
-    """The commands at the knots that solve a problem to a tolerance far below every candidate's."""
+    """Reference solution: commands at the knots, with a tolerance far below every candidate's."""
 
     def __init__(self, episode: Episode) -> None:
         config = episode.config
@@ -235,7 +235,7 @@ class _Exact:
         self._commands: Array = np.empty(0)
 
     def commands(self, asked: _Witness) -> Array:
-        """(N+1, 2) of what was asked; of the problem that was asked last at no further cost."""
+        """Return the commands (N+1, 2) of the problem; the last problem's solution is kept."""
         lin = asked.lin
         along = (lin.X.tobytes(), lin.U.tobytes(), np.ascontiguousarray(asked.target).tobytes())
         if along != self._along:

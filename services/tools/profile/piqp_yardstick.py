@@ -1,4 +1,4 @@
-"""PIQP by its own interface: the yardstick of every measured ratio (``ltv-mpc profile``, ``make bench``).
+"""PIQP through its own interface: the reference of every measured time ratio (``ltv-mpc profile``, ``make bench``).
 
 PIQP is an interior-point method (Schwan et al. 2023). Its workspace is updated in place, with its default settings. Box
 rows are bounds on single variables. It needs no first guess and can use none. No setting of the controller leads here:
@@ -23,7 +23,7 @@ from ltv_mpc.vehicle.flow import STATES
 
 
 class PiqpYardstick:
-    """One PIQP workspace for problems of one pattern."""
+    """PIQP workspace for problems of one sparsity pattern."""
 
     def __init__(self, config: SettledConfig, limits: HorizonLimits, tolerance: float | None = None) -> None:
         """Lay out the QP. ``tolerance`` is absolute and relative; None: PIQP's own."""
@@ -45,19 +45,19 @@ class PiqpYardstick:
         self._finite = False
 
     def shift(self, stages: float) -> None:
-        """As in ``Solver``; it has no warm start."""
+        """Do nothing: PIQP has no warm start."""
 
     def forget(self) -> None:
-        """As in ``Solver``; it has no warm start."""
+        """Do nothing: PIQP has no warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """As in ``Solver``."""
+        """Build the QP (see ``Solver``)."""
         self._lin = lin
         self.form.fill(lin, target, self._A, self._q, self._l, self._u)
         self._finite = bool(np.isfinite(self._A.sum() + self._q.sum() + self._l.sum() + self._u.sum()))
 
     def update(self) -> None:
-        """As in ``Solver``."""
+        """Update the workspace (see ``Solver``)."""
         if not self._finite:
             return
         equal, slew, box = self._kinds
@@ -84,7 +84,7 @@ class PiqpYardstick:
             )  # fmt: skip
 
     def solve(self) -> Answer:
-        """As in ``Solver``."""
+        """Solve the QP (see ``Solver``)."""
         lin = self._lin
         assert lin is not None  # built
         if not self._finite or self._solver is None:

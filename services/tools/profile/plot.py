@@ -1,4 +1,4 @@
-"""A latency profile as a picture: how the times of a cycle are distributed, and how they grow with the horizon."""
+"""Plot of a latency profile: distribution of cycle times, and their growth with the horizon."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ COLUMNS = 3
 
 
 class _Line(NamedTuple):
-    """A row and its samples, and how they are drawn."""
+    """Row with its samples and its line style."""
 
     row: Row
     samples: Samples
@@ -37,7 +37,7 @@ class _Line(NamedTuple):
 
 
 def draw(measured: Measured, out: Path) -> None:
-    """Write the picture: a panel for each horizon, and one for the growth with N where there is more than one."""
+    """Write the plot: a panel for each horizon, and one for the growth with N if there are several."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     lines = _lines(measured)
     horizons = sorted({line.row.stages for line in lines})
@@ -72,7 +72,7 @@ def _lines(measured: Measured) -> list[_Line]:
 
 
 def _distribution(panel: Axes, lines: Sequence[_Line]) -> None:
-    """1 - the empirical distribution function: on log axes the tail is as wide as the middle."""
+    """Plot 1 - the empirical distribution function; log axes show the tail as wide as the middle."""
     for row, samples, colour, marker in lines:
         times = np.sort(samples.cycle_us)
         longer = 1.0 - np.arange(len(times)) / len(times)
@@ -115,7 +115,7 @@ def _growth(panel: Axes, lines: Sequence[_Line]) -> None:
 
 
 def _plain(axis: Axis) -> None:
-    """Numbers in full at 1, 2 and 5 of each decade."""
+    """Label the axis with plain numbers at 1, 2 and 5 of each decade."""
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axis.set_minor_formatter(NullFormatter())

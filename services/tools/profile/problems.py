@@ -1,7 +1,7 @@
-"""The problems of a latency profile: closed loops in lock step with the state known, or the cycles of a recorded run.
+"""Problems of a latency profile: closed loops in lock step with the state known, or the cycles of a recorded run.
 
 Each episode has a node in the controller's place step as the controller would, on the same inboxes. Three kinds are
-simulated: the paper's descent; the same in a current of 4 cm/s that the controller is not told of; and hard ones, a
+simulated: the paper's descent; the same in a current of 4 cm/s that the controller does not know; and hard ones, a
 descent onto a line 2 m off with the heading up to 3 rad from it. All with one QP a cycle.
 """
 
@@ -46,7 +46,7 @@ Feed = Callable[[Node, Callable[[], bool]], None]
 
 
 class Episode(NamedTuple):
-    """One closed loop. ``config`` does not have the solver of the candidates yet."""
+    """Closed loop to measure. ``config`` does not name a candidate's solver yet."""
 
     kind: str  # "descent", "unknown current", "hard", or the name of a recorded run
     vehicle: Vehicle
@@ -57,7 +57,9 @@ class Episode(NamedTuple):
 
 
 def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
-    """Episodes of ``cycles`` cycles in all at a horizon of ``stages``: half descents, a quarter each of the others."""
+    """Return episodes of ``cycles`` cycles in all at a horizon of ``stages``: half descents, a quarter each of the
+    others.
+    """
     known = -(-cycles // 2)
     unknown = (cycles - known) // 2
     lengths = {
@@ -73,7 +75,7 @@ def simulated(stages: int, cycles: int, seed: int) -> list[Episode]:
 
 
 def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
-    """The cycles of RUN (its folder, its run.mcap or ``latest``), from its first, at a horizon of ``stages``.
+    """Return the cycles of RUN (its folder, its run.mcap or ``latest``), from its first, at a horizon of ``stages``.
 
     The controller is that of the run's ``config/`` but for its horizon, with one QP a cycle. Raises ``ConfigError``.
     """
@@ -94,7 +96,7 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
 
 
 def seconds(stages: int) -> float:
-    """The length of a horizon."""
+    """Return the length of a horizon (s)."""
     return stages * STAGE_NS / 1e9
 
 
@@ -147,7 +149,7 @@ def _episode(kind: str, situation: Situation, cycles: int, *, told_of_current: b
 
 
 class _Untold:
-    """Sensors whose estimate says nothing of the current."""
+    """Sensors whose estimate does not contain the current."""
 
     def __init__(self, sensors: Node) -> None:
         self.name, self.schedule, self.reads, self.writes = (
@@ -181,7 +183,7 @@ def _held(run: str) -> RunFolder:
 
 
 def _replay(recording: Path, node: Node, enough: Callable[[], bool]) -> None:
-    """Every step of the recorded node of that name, on the inbox that its record lists."""
+    """Replay every step of the recorded node with the node's name, on the recorded inbox."""
     for t_ns, inbox in _steps(recording, node):
         if enough():
             return
@@ -189,7 +191,7 @@ def _replay(recording: Path, node: Node, enough: Callable[[], bool]) -> None:
 
 
 def _steps(recording: Path, node: Node) -> Iterable[Due]:
-    """Time and inbox of each step; what the recorder has lost is not in them."""
+    """Generate time and inbox of each step; messages that the recorder lost are missing."""
     reads = frozenset(node.reads)
     heard: dict[tuple[str, int, int], Message] = {}
     for message in Recording(recording):

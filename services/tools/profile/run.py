@@ -1,4 +1,4 @@
-"""How long a controller cycle takes on this machine: by solver and horizon, beside PIQP by its own interface.
+"""Latency profile of a controller cycle on this machine, by solver and horizon, with PIQP as the reference.
 
 A ratio is of whole control steps, on the same problems in the same run; it means something between rows whose thrusts
 are equally near the exact solution.
@@ -31,7 +31,7 @@ MOST_STAGES = 400
 
 
 class Spread(msgspec.Struct, frozen=True, kw_only=True):
-    """Of a sample over all cycles."""
+    """Quantiles of a sample over all cycles."""
 
     median: float
     p90: float
@@ -40,7 +40,7 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, sample: Sequence[float]) -> Spread:
-        """NaN is left out."""
+        """Compute the quantiles; NaN is left out."""
         known = np.array([x for x in sample if x == x])
         if not len(known):
             return cls(median=0.0, p90=0.0, p99=0.0, max=0.0)
@@ -49,14 +49,14 @@ class Spread(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ratio(msgspec.Struct, frozen=True, kw_only=True):
-    """Time of a cycle over that of the yardstick, at the same horizon in the same run."""
+    """Time of a cycle relative to the reference's, at the same horizon in the same run."""
 
     median: float
     p99: float
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One solver at one horizon."""
+    """Measurements of one solver at one horizon."""
 
     solver: str
     stages: int
@@ -71,7 +71,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Profile(msgspec.Struct, frozen=True, kw_only=True):
-    """What was measured, on which problems and where."""
+    """Measurements, the problems that were solved, and the machine."""
 
     rows: list[Row]
     problems: dict[str, int]  # cycles of each kind at each horizon
@@ -79,7 +79,7 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """The profile, and the samples that it sums up, in the order of its rows."""
+    """Profile with the samples that it summarises, in the order of its rows."""
 
     profile: Profile
     samples: list[Samples]
@@ -89,7 +89,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def parse_horizons(text: str) -> list[int]:
-    """``17,34`` as numbers of stages. Raises ``ConfigError``."""
+    """Parse ``17,34`` as numbers of stages. Raises ``ConfigError``."""
     parts = [part.strip() for part in text.split(",")]
     stages = [int(part) if part.isdecimal() and len(part) < 6 else 0 for part in parts]
     for part, number in zip(parts, stages, strict=True):

@@ -1,4 +1,4 @@
-"""A latency profile for people: a table of cycles, one of their stages, and the machine."""
+"""Text table of a latency profile: cycles, their stages, and the machine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NAMES = f"{'horizon':<18} {'solver':<17}"
 
 
 def text(profile: Profile) -> str:
-    """Times in microseconds, errors in newtons."""
+    """Format the tables: times in microseconds, errors in newtons."""
     kinds = ", ".join(f"{count} {kind}" for kind, count in profile.problems.items())
     return "\n".join(
         [

@@ -11,7 +11,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.faults import result
 from services.tools.faults import text as table_text
 from services.tools.faults.draw import Run
-from services.tools.faults.fault import Fault, Seen
+from services.tools.faults.fault import Fault, FaultOutcome
 from services.tools.faults.judge import chance, errors, judge
 from services.tools.faults.kinds import BOUNDS_M, KINDS
 from services.tools.faults.lockstep_runs import INTRUDERS_EPOCH, GateSeen, Log, Observed, PlanSeen, ReportSeen
@@ -48,7 +48,7 @@ def log(*, off_m: float = 0.0, sd_m: float = 1.0, off_s: tuple[float, float] = (
     return of
 
 
-def seen(of: Log, what: Fault, *, harmed: int = 0, uncontrolled: str = "", dropped: int = 0) -> Seen:
+def seen(of: Log, what: Fault, *, harmed: int = 0, uncontrolled: str = "", dropped: int = 0) -> FaultOutcome:
     observed = Observed(of, {0: harmed}, [], [(0, 0), (35 * S, dropped)], uncontrolled, UNTIL_NS)
     (one,) = judge(Run(seed=1, faults=(what,), duration_s=120.0), observed, errors(log()))
     return one
@@ -273,7 +273,7 @@ def test_a_run_ends_once_whatever_the_number_of_its_faults():
     assert [bool(one.uncontrolled) for one in judge(run, of._replace(harmed={}), errors(log()))] == [False, False, True]
 
 
-def campaign(*seen: Seen) -> result.Campaign:
+def campaign(*seen: FaultOutcome) -> result.Campaign:
     return result.campaign(seen, seed=5, quick=False, wall_s=1.0, load=0.5)
 
 

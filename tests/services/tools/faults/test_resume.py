@@ -12,17 +12,17 @@ import pytest
 from services.tools.batch import executor
 from services.tools.batch.results_store import NAME, open_store
 from services.tools.faults import campaign
-from services.tools.faults.fault import Fault, Place, Seen
+from services.tools.faults.fault import Fault, FaultOutcome, Place
 from services.tools.faults.judge import Errors
 from services.tools.faults.process_verdict import OfProcesses
 
 NOTHING = Errors(np.arange(3.0), np.ones(3), np.zeros((3, 2)), np.zeros(3, dtype=bool))
 
 
-def seen(fault: Fault, **changes) -> Seen:
+def seen(fault: Fault, **changes) -> FaultOutcome:
     values = {"harmed": 0, "reaction_s": None, "late": "", "worst_error_m": 0.1, "grown_m": 0.1, "bound_m": None}
     values |= {"ratio": 1.0, "window_ratio": 1.0, "outside_s": 0.0, "uncounted": 0, "bad_thrusts": 0}
-    return Seen(fault=fault, place=Place.LOCKSTEP, run_seed=1, **(values | changes))
+    return FaultOutcome(fault=fault, place=Place.LOCKSTEP, run_seed=1, **(values | changes))
 
 
 @pytest.fixture
@@ -46,11 +46,11 @@ def made(monkeypatch):
     return made
 
 
-def go(folder) -> list[Seen]:
+def go(folder) -> list[FaultOutcome]:
     return made_of(campaign.plan("external_force", "lockstep", 40), folder)
 
 
-def made_of(plan, folder, *, force=False) -> list[Seen]:
+def made_of(plan, folder, *, force=False) -> list[FaultOutcome]:
     with open_store(folder, plan.settings(seed=3, quick=False), force=force) as store:
         return campaign.run(plan, store, seed=3, quick=False)
 
