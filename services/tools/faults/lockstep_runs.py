@@ -31,7 +31,7 @@ from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
 from services.tools.faults.draw import Run
@@ -159,23 +159,23 @@ class Doors:
     """One door a reader, as in processes: damaged bytes are decoded there, and sequences held against each other."""
 
     def __init__(self) -> None:
-        self._doors: dict[str, Door] = {}
+        self._doors: dict[str, MessageValidator] = {}
         self.let_in: list[int] = []
         """When a damaged frame was let in, because nothing in it was out of order."""
 
     def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
         """What is let in, or why not."""
         message, kind = delivery.message, type(delivery.message.signal)
-        door = self._doors.setdefault(reader, Door())
+        door = self._doors.setdefault(reader, MessageValidator())
         key = topics.key_of(kind, reader)
         try:
             if delivery.payload is not None:
-                signal, header = door.admit(Frame(topics.BY_SIGNAL[kind], key, delivery.payload, 0))
+                signal, header = door.admit(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
                 self.let_in.append(delivery.at_ns)
                 return Arrival(signal, header.epoch, header.sequence, delivery.at_ns)
             if (reason := refusal(message.signal)) is not None:
                 return reason
-            shared = topics.BY_SIGNAL[kind].written_by == topics.OPERATOR or kind is Plan  # as ``Door.admit`` has it
+            shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
             door.in_order(f"{key}@{message.epoch}" if shared else key, _header(message))
         except wire.WireError as error:
             return str(error)
