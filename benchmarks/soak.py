@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Applied, Plan, PlanOrigin
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.tools.faults.attacks import children
 
@@ -126,7 +126,7 @@ def grown(process: str, looks: Sequence[Look], wall_s: float) -> Grown:
 def missed(recording: Path) -> list[Missed]:
     """By quarters of what is recorded."""
     rows: list[tuple[int, int, int, int]] = []  # time, not solved, late, missing in all
-    losses, late_before, lost_before = Losses(), 0, 0
+    losses, late_before, lost_before = LossAccounting(), 0, 0
     for message in Recording(recording):
         losses.saw(message.key, message.plain["epoch"], message.plain["sequence"])
         if message.kind is Plan and message.plain["cycle_t_ns"] >= 0:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from services.bus.topics import Topic
 
 
-class Heard(NamedTuple):
+class LatestFrame(NamedTuple):
     """A frame as it came."""
 
     topic: Topic
@@ -17,11 +17,11 @@ class Heard(NamedTuple):
     arrived_s: float  # monotonic
 
 
-class Newest:
+class LatestCache:
     """Takes frames as a ``Mailbox`` does, and keeps the newest of each key."""
 
     def __init__(self) -> None:
-        self._frames: dict[str, Heard] = {}
+        self._frames: dict[str, LatestFrame] = {}
         self.arrived_s = 0.0
         """When the newest of all came."""
 
@@ -29,12 +29,12 @@ class Newest:
         """Replace; called on Zenoh's thread."""
         if topic is not None:
             self.arrived_s = time.monotonic()
-            self._frames[key] = Heard(topic, payload, self.arrived_s)
+            self._frames[key] = LatestFrame(topic, payload, self.arrived_s)
 
-    def get(self, key: str) -> Heard | None:
+    def get(self, key: str) -> LatestFrame | None:
         """What came last on a key."""
         return self._frames.get(key)
 
-    def items(self) -> ItemsView[str, Heard]:
+    def items(self) -> ItemsView[str, LatestFrame]:
         """Of every key, as it is now."""
         return self._frames.copy().items()

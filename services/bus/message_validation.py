@@ -46,7 +46,7 @@ class _Source:
         self.claim: Header | None = None  # of a frame that was too far off to be believed alone
 
 
-class Door:
+class MessageValidator:
     """Counts what it admits (``received``), what never came (``dropped``) and what it refuses, by reason."""
 
     def __init__(self) -> None:
@@ -60,9 +60,9 @@ class Door:
         try:
             if frame.topic is None:
                 raise WireError("unknown key")
-            signal, header = decode(frame.topic.signal, frame.payload)
+            signal, header = decode(frame.topic.message_type, frame.payload)
             # Of two commanders the actuators' gate chooses: the newest epoch is not the right one there.
-            shared = frame.topic.written_by == OPERATOR or frame.topic.signal is Plan
+            shared = frame.topic.written_by == OPERATOR or frame.topic.message_type is Plan
             self.in_order(f"{frame.key}@{header.epoch}" if shared else frame.key, header)
         except WireError as error:
             self._count(str(error))

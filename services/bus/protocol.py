@@ -26,7 +26,9 @@ def files() -> dict[str, str]:
     """What is written into the folder of documents, by its path there."""
     written = {PAGE: page()}
     for topic in TOPICS:
-        written[f"{SCHEMAS}/{topic.signal.__name__}.json"] = json.dumps(schema(topic.signal), indent=2) + "\n"
+        written[f"{SCHEMAS}/{topic.message_type.__name__}.json"] = (
+            json.dumps(schema(topic.message_type), indent=2) + "\n"
+        )
     return written
 
 
@@ -71,7 +73,7 @@ def _topics() -> str:
 
 
 def _message(topic: Topic) -> str:
-    kind = topic.signal
+    kind = topic.message_type
     facts = f"{_rate(topic)}; {topic.delivery.value}; written by {_who((topic.written_by,))}"
     read = f", read by {_who(topic.read_by)}" if topic.read_by else ""
     link = f"[schema]({SCHEMAS}/{kind.__name__}.json)"

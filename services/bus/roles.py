@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ltv_mpc.messages import NodeStatus, Truth
-from services.bus.topics import BY_SIGNAL, OPERATOR, TOPICS, Topic
+from services.bus.topics import BY_TYPE, OPERATOR, TOPICS, Topic
 
 ANYONE = "*"
 
@@ -19,7 +19,7 @@ ROUTER, LAUNCHER, RECORDER, DISPLAY = "router", "launcher", "recorder", "display
 SEES_EVERYTHING = (LAUNCHER, RECORDER, DISPLAY, OPERATOR)
 """They may read every topic: what is recorded or shown is whatever there is."""
 
-SIMULATED = BY_SIGNAL[Truth].written_by
+SIMULATED = BY_TYPE[Truth].written_by
 """The simulated vehicle: it keeps the time, so it reads the others' status, and it arms its controller itself."""
 
 
@@ -50,7 +50,7 @@ def reads(role: str) -> tuple[str, ...]:
 
 
 def _reads(role: str, topic: Topic) -> bool:
-    return role in topic.read_by or ANYONE in topic.read_by or (role == SIMULATED and topic.signal is NodeStatus)
+    return role in topic.read_by or ANYONE in topic.read_by or (role == SIMULATED and topic.message_type is NodeStatus)
 
 
 def _pattern(topic: Topic) -> str:

@@ -166,7 +166,7 @@ def _insert(config: zenoh.Config, key: str, value: object) -> None:
     config.insert_json5(key, json.dumps(value))
 
 
-class Inlet(Protocol):
+class FrameReceiver(Protocol):
     """Where what arrives is put: a ``Mailbox``, as a rule."""
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
@@ -199,7 +199,7 @@ class Session:
             )
         )
 
-    def subscribe(self, key: str, topic: Topic | None, inlet: Inlet) -> None:
+    def subscribe(self, key: str, topic: Topic | None, inlet: FrameReceiver) -> None:
         """Hand over what arrives on ``key``. ``topic`` None: the table's row of each message's own key."""
         offer = inlet.offer
 

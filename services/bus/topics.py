@@ -65,7 +65,7 @@ class Topic(msgspec.Struct, frozen=True):
     ``period_ns`` is vehicle time between two messages, 0 where they come on events.
     """
 
-    signal: type[Message]
+    message_type: type[Message]
     key: str
     period_ns: int
     delivery: Delivery
@@ -74,7 +74,7 @@ class Topic(msgspec.Struct, frozen=True):
 
 
 TOPICS = (
-    #     signal              key                    period_ns       delivery  written by    read by
+    #     message type        key                    period_ns       delivery  written by    read by
     Topic(Truth,              "world/truth",             10_000_000, EVERY,    "plant",      ("sensors",)),
     Topic(Disturbance,        "world/disturbance",                0, EVERY,    OPERATOR,     ("plant",)),
     Topic(Injection,          "inject",                           0, EVERY,    OPERATOR,     ("inject",)),
@@ -109,7 +109,7 @@ TOPICS = (
     Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("launcher",)),
 )  # fmt: skip
 
-BY_SIGNAL = {topic.signal: topic for topic in TOPICS}
+BY_TYPE = {topic.message_type: topic for topic in TOPICS}
 STATES: dict[str, type[ControllerState] | type[EstimatorState]] = {
     "controller": ControllerState,
     "estimator": EstimatorState,
@@ -121,7 +121,7 @@ BY_KEY = {topic.key: topic for topic in TOPICS}
 
 def key_of(kind: type[Message], writer: str) -> str:
     """The key on which ``writer`` publishes: the row's, with the writer's name behind it where every node writes."""
-    topic = BY_SIGNAL[kind]
+    topic = BY_TYPE[kind]
     return f"{topic.key}/{writer}" if topic.written_by == "*" else topic.key
 
 

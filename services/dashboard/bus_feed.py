@@ -25,10 +25,10 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Thruster
-from services.bus.latest_cache import Heard, Newest
+from services.bus.latest_cache import LatestCache, LatestFrame
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, decode
 from services.reporting.plots.collector import Collector
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
@@ -81,14 +81,14 @@ class Ears:
         self.collector = Collector(thrusters)
         self.run = 0
         """Grows when another run begins on the same keys: what was collected before has gone."""
-        self._newest = Newest()
+        self._newest = LatestCache()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, bytes] = {}
         self._signals: dict[type[Message], Message] = {}
         self._processes: dict[str, tuple[NodeStatus, float]] = {}
         self._clock = VehicleClock()
         for kind in (*NEWEST, *EVERY, NodeStatus):
-            topic = BY_SIGNAL[kind]
+            topic = BY_TYPE[kind]
             inlet = self._every if kind in EVERY else self._newest
             session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, inlet)
 
@@ -98,11 +98,11 @@ class Ears:
             if self._seen.get(key) is newest.payload:
                 continue
             self._seen[key] = newest.payload
-            heard = _decoded(newest.topic.signal, newest.payload)
+            heard = _decoded(newest.topic.message_type, newest.payload)
             if heard is not None:
                 self._hear(*heard, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
-            heard = None if frame.topic is None else _decoded(frame.topic.signal, frame.payload)
+            heard = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
             if heard is not None:
                 self._hear(*heard, 0.0)
 
@@ -185,9 +185,9 @@ class Ears:
         )
 
 
-def _clock_first(item: tuple[str, Heard]) -> tuple[bool, bool]:
+def _clock_first(item: tuple[str, LatestFrame]) -> tuple[bool, bool]:
     """A truth before its estimate: the error at the start needs both."""
-    kind = item[1].topic.signal
+    kind = item[1].topic.message_type
     return kind is not Clock, kind is not Truth
 
 

@@ -36,10 +36,10 @@ from ltv_mpc.references import Reference
 from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import BusOptions
-from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.topics import BY_TYPE, Topic
 from services.processes.failed_qps import FailedQps
 from services.runtime import metrics as prometheus
-from services.runtime.controller_status import ControllerReport, Shown
+from services.runtime.controller_status import ControllerStatusReporter, Shown
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.status_line import StatusLine
@@ -75,7 +75,7 @@ def main(config: Config) -> int:
         rehearse(vehicle, reference, settings)
         node_stages = StageTimer()
         node = ControllerNode(vehicle, reference, settings, stopwatch=node_stages)
-        line = StatusLine(node.name, key_in(bus, BY_SIGNAL[Estimate]), sys.stderr)
+        line = StatusLine(node.name, key_in(bus, BY_TYPE[Estimate]), sys.stderr)
         stack.callback(line.close)
 
         def make(request: StopRequest, say: Say) -> Runner:
@@ -93,7 +93,7 @@ def main(config: Config) -> int:
                 input_delay_ns=round(config.input_delay_s * 1e9),
                 compute_delay_ns=round(config.compute_delay_s * 1e9),
                 stages=node_stages,
-                report=ControllerReport(node, shown),
+                report=ControllerStatusReporter(node, shown),
             )
 
         return serve(node.name, bus, make)
@@ -113,12 +113,12 @@ def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
     look = f"{config.horizon_s:g} s in {config.stages} stages"
     yield f"looks {look} ahead, {1e9 / config.period_ns:.3g} times a second"
     yield "SI units and radians, north-east-down; each number's unit is in its name; `ltv-mpc topics KEY` says more"
-    inputs = [kind for kind in ControllerNode.reads if BY_SIGNAL[kind].written_by != ControllerNode.name]
+    inputs = [kind for kind in ControllerNode.reads if BY_TYPE[kind].written_by != ControllerNode.name]
     outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
     inputs, outputs = ([kind for kind in kinds if kind not in BEHIND_THE_SCENES] for kinds in (inputs, outputs))
     for verb, kinds in (("reads ", inputs), ("writes", outputs)):
         for kind in kinds:
-            topic = BY_SIGNAL[kind]
+            topic = BY_TYPE[kind]
             period_ns = config.period_ns if topic.period_ns and topic.key == "plan" else topic.period_ns
             rate = f"{1e9 / period_ns:.3g} /s" if period_ns else "on events"
             yield f"{verb} {key_in(bus, topic):<24} {rate:<9}  {_fields(kind)}"

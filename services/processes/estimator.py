@@ -29,7 +29,7 @@ from ltv_mpc.node import Arrival
 from services.bus.session import BusOptions
 from services.run.water import told
 from services.runtime.clock import monotonic_us
-from services.runtime.heartbeat import SUPERVISED
+from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.stopping import Say, StopRequest
@@ -50,7 +50,7 @@ def main(config: Config) -> int:
     rehearse(suite, settings)
 
     def make(request: StopRequest, say: Say) -> Runner:
-        node = Estimator(suite, settings, prior, progress=lambda: SUPERVISED.beat(monotonic_us()))
+        node = Estimator(suite, settings, prior, progress=lambda: HEARTBEAT.beat(monotonic_us()))
         return Runner(node, stop=request, say=say)
 
     return serve(Estimator.name, config.bus, make)

@@ -9,7 +9,7 @@ from ltv_mpc.messages import Acknowledged, Action, Command, Rejected
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
-from services.bus.topics import BY_SIGNAL, OPERATOR
+from services.bus.topics import BY_TYPE, OPERATOR
 from services.bus.wire import WireError, decode
 from services.runtime.stopping import DONE, FAILED, sayer
 
@@ -41,7 +41,7 @@ def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowled
     """Send the command; the controller's answer, its door's refusal, or None where nobody says a word."""
     box = Mailbox()
     for kind, suffix in ((Acknowledged, ""), (Rejected, "/*")):
-        session.subscribe(f"{BY_SIGNAL[kind].key}{suffix}", BY_SIGNAL[kind], box)
+        session.subscribe(f"{BY_TYPE[kind].key}{suffix}", BY_TYPE[kind], box)
     outbox = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Command,))
     command = Command(command_id=new_epoch(), action=action, reference_toml=reference_toml)
     sent = outbox.publish(command)
@@ -51,7 +51,7 @@ def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowled
         if frame is None or frame.topic is None:
             continue
         try:
-            signal, _ = decode(frame.topic.signal, frame.payload)
+            signal, _ = decode(frame.topic.message_type, frame.payload)
         except WireError:
             continue
         if isinstance(signal, Acknowledged) and signal.command_id == command.command_id:

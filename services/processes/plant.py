@@ -6,7 +6,7 @@ import msgspec
 
 from services.bus.session import BusOptions
 from services.run.run_config import Situation, resolve
-from services.runtime.clock_master import KeepsTime
+from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from sim.plant import Plant
@@ -25,7 +25,7 @@ def main(config: Config) -> int:
     situation = resolve(config.scenario)
     scenario = situation.scenario
     estimator = () if scenario.run.perfect_state else ("estimator",)
-    keeps_time = KeepsTime(
+    clock_master = ClockMasterSettings(
         start_ns=scenario.start_ns,
         end_ns=scenario.end_ns,
         speed=scenario.run.speed,
@@ -35,7 +35,7 @@ def main(config: Config) -> int:
     return serve(
         Plant.name,
         config.bus,
-        lambda request, say: Runner(_make(situation), stop=request, say=say, keeps_time=keeps_time),
+        lambda request, say: Runner(_make(situation), stop=request, say=say, clock_master=clock_master),
     )
 
 

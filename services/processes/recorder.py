@@ -9,7 +9,7 @@ import msgspec
 
 from services.bus.session import BusError, BusOptions
 from services.recording.segments import SegmentWriter
-from services.runtime.heartbeat import SUPERVISED
+from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.recording import NAME, RecordingLoop
 from services.runtime.serve import until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -36,7 +36,7 @@ def main(config: Config) -> int:
     """Record until told to stop."""
 
     def work(request: StopRequest, say: Say) -> None:
-        SUPERVISED.state()
+        HEARTBEAT.state()
         recording = config.folder / "run.mcap"
         with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
             RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)

@@ -8,10 +8,10 @@ import msgspec
 
 from ltv_mpc.messages import Estimate, NodeStatus, Plan
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Publisher, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.edges.ros2 import cdr
 from services.edges.ros2.edge import Edge
@@ -46,7 +46,7 @@ def _run(topics: Topics, bus: BusOptions, ros_namespace: str, period_us: int, re
     ):
         outbox = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(Estimate, NodeStatus))
         loop = _Loop(outbox, [ros.publisher(key_of(name)) for name in topics.thrusts], say)
-        session.subscribe(BY_SIGNAL[Plan].key, BY_SIGNAL[Plan], mailbox)
+        session.subscribe(BY_TYPE[Plan].key, BY_TYPE[Plan], mailbox)
         ros.subscribe(key_of(topics.odometry), None, mailbox)
         say(f"reads {topics.odometry} (nav_msgs/Odometry); writes {', '.join(topics.thrusts)} (std_msgs/Float64, N)")
         due_us = status_us = monotonic_us()
@@ -77,12 +77,12 @@ class _Loop:
         self._thrusters = thrusters
         self._say = say
         self._said = ""
-        self._door = Door()
+        self._door = MessageValidator()
         self._edge = Edge()
 
     def take(self, frame: Frame) -> None:
         """A plan of ours, or odometry of theirs."""
-        if frame.topic is not BY_SIGNAL[Plan]:
+        if frame.topic is not BY_TYPE[Plan]:
             estimate = self._edge.odometry(frame.payload, frame.received_monotonic_us)
             if estimate is not None:
                 self._outbox.publish(estimate)

@@ -17,10 +17,10 @@ from services.bus.denials import LOG_FILTER, Denials
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER
 from services.bus.session import BusOptions, Session, log_to_stdout, open_session
-from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
-from services.runtime.heartbeat import PULSE_US, SUPERVISED
+from services.runtime.heartbeat import HEARTBEAT, PULSE_US
 from services.runtime.serve import until_stopped
 from services.runtime.stopping import Say, StopRequest
 
@@ -49,14 +49,14 @@ def main(config: Config) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
 
     def work(request: StopRequest, say: Say) -> None:
-        SUPERVISED.state()
+        HEARTBEAT.state()
         if secure:
             _guard(options, request, say)
             return
         with open_session(options, stop=request, say=say):
             say(f"ready at {', '.join(endpoints)}")
             while not request.wait(PULSE_S):
-                SUPERVISED.beat(monotonic_us())
+                HEARTBEAT.beat(monotonic_us())
 
     return until_stopped(ROUTER, work)
 
@@ -70,7 +70,7 @@ def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
         due_us = 0
         while not request.wait(PULSE_S):
             now_us = monotonic_us()
-            SUPERVISED.beat(now_us)
+            HEARTBEAT.beat(now_us)
             if now_us >= due_us:
                 due_us = now_us + STATUS_US
                 report.publish()
@@ -90,13 +90,13 @@ class _Report:
         self._heard = False
         self._clock = VehicleClock()
         self._out = Outbox(session, node=ROUTER, epoch=new_epoch(), kinds=(NodeStatus, RunEvent))
-        session.subscribe(f"{BY_SIGNAL[NodeStatus].key}/*", BY_SIGNAL[NodeStatus], self)
-        session.subscribe(BY_SIGNAL[Clock].key, BY_SIGNAL[Clock], self)
+        session.subscribe(f"{BY_TYPE[NodeStatus].key}/*", BY_TYPE[NodeStatus], self)
+        session.subscribe(BY_TYPE[Clock].key, BY_TYPE[Clock], self)
 
     def offer(self, topic: Topic | None, _key: str, payload: bytes) -> None:
         """Hear another's status, or the clock; called on Zenoh's thread."""
         self._heard = True
-        if topic is BY_SIGNAL[Clock]:
+        if topic is BY_TYPE[Clock]:
             with contextlib.suppress(WireError, ClockError):  # its followers say so
                 self._clock.hear(decode(Clock, payload)[0])
 

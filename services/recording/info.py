@@ -18,7 +18,7 @@ from ltv_mpc.messages import Count
 from services.bus import topics
 from services.bus.wire import Epoch
 from services.recording.recover import RECOVERY, Line, Lines
-from services.recording.sequence_gaps import Gaps
+from services.recording.sequence_gaps import SequenceGaps
 
 MOST_EVENTS = 1000
 """That are listed; all are counted."""
@@ -110,13 +110,13 @@ class _OfKey:
         self.first_ns: int | None = None
         self.last_ns = 0
         self.bytes = 0
-        self.sources: dict[int, Gaps] = {}
+        self.sources: dict[int, SequenceGaps] = {}
 
     def saw(self, line: Line, header: _Header) -> None:
         self.first_ns = line.t_ns if self.first_ns is None else min(self.first_ns, line.t_ns)
         self.last_ns = max(self.last_ns, line.t_ns) if self.bytes else line.t_ns
         self.bytes += len(line.data)
-        self.sources.setdefault(header.epoch, Gaps()).saw(header.sequence)
+        self.sources.setdefault(header.epoch, SequenceGaps()).saw(header.sequence)
 
 
 class _Collector:
@@ -204,7 +204,7 @@ def _key(name: str, of: _OfKey) -> Key:
     over_ns = of.last_ns - first_ns
     return Key(
         key=name,
-        signal="" if topic is None else topic.signal.__name__,
+        signal="" if topic is None else topic.message_type.__name__,
         messages=messages,
         rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
         first_s=first_ns / 1e9,

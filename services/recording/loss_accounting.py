@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from services.recording.sequence_gaps import Gaps
+from services.recording.sequence_gaps import SequenceGaps
 
 MOST_SOURCES = 10_000
 """Keys times epochs that are counted apart. A run has some fifty, and ten more for each restart."""
@@ -27,11 +27,11 @@ class _Sum(NamedTuple):
     missing: int = 0
 
 
-class Losses:
+class LossAccounting:
     """Fed with every message that is there. Sequences count from 0 without a gap, by key and epoch of the source."""
 
     def __init__(self) -> None:
-        self._sources: dict[tuple[str, int], Gaps] = {}  # who was heard last is the last
+        self._sources: dict[tuple[str, int], SequenceGaps] = {}  # who was heard last is the last
         self._sums: dict[str, _Sum] = {}
         self._forgot = False
 
@@ -40,7 +40,7 @@ class Losses:
         name = key, epoch
         source = self._sources.pop(name, None)
         if source is None:
-            source = Gaps(sequence if self._forgot else 0)
+            source = SequenceGaps(sequence if self._forgot else 0)
         self._sources[name] = source
         if len(self._sources) > MOST_SOURCES:
             self._forget_oldest()
@@ -48,7 +48,7 @@ class Losses:
 
     def begins(self, key: str, epoch: int, sequence: int) -> None:
         """Count this source from here, if it is new: what it said before was not ours to hear."""
-        self._sources.setdefault((key, epoch), Gaps(sequence))
+        self._sources.setdefault((key, epoch), SequenceGaps(sequence))
 
     def lost(self, key: str, epoch: int) -> None:
         """One that was there is not."""

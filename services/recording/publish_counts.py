@@ -22,7 +22,7 @@ class _Account:
         return 0 if self.count is None or self.promised is None else self.promised - self.count
 
 
-class Promises:
+class PublishCounts:
     """Messages by the epoch of who sent them. A last word comes through ``promise``, and as a message too."""
 
     def __init__(self) -> None:

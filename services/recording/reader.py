@@ -78,7 +78,7 @@ class Recording:
             elif isinstance(record, Channel):
                 topic = topics.topic_at(record.topic)
                 wanted = keys is None or record.topic in keys
-                channels[record.id] = (record.topic, topic.signal if topic else None) if wanted else None
+                channels[record.id] = (record.topic, topic.message_type if topic else None) if wanted else None
             elif isinstance(record, Metadata) and record.name == RUN:
                 self.metadata = record.metadata
                 start_ns = start_of(record.metadata)

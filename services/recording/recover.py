@@ -26,7 +26,7 @@ RECOVERY = "recovery"
 _NUMBERED = re.compile(r"(.+)\.(\d+)")
 
 
-class Salvaged(msgspec.Struct, frozen=True, kw_only=True):
+class RecoveredSegment(msgspec.Struct, frozen=True, kw_only=True):
     """One segment."""
 
     file: str
@@ -44,7 +44,7 @@ class Recovery(msgspec.Struct, frozen=True, kw_only=True):
     file: str
     messages: int
     lost_bytes: int
-    segments: tuple[Salvaged, ...]
+    segments: tuple[RecoveredSegment, ...]
 
 
 def segments(recording: Path) -> tuple[Path, ...]:
@@ -114,7 +114,7 @@ class _Copy:
         self._mcap.finish()
         return made
 
-    def _segment(self, records: Records) -> Salvaged:
+    def _segment(self, records: Records) -> RecoveredSegment:
         schemas: dict[int, Schema] = {}
         channels: dict[int, int] = {}
         shift_ns = messages = 0
@@ -131,7 +131,7 @@ class _Copy:
                     shift_ns = self._begin(record)
                 case Metadata():
                     self._mcap.add_metadata(record.name, record.metadata)
-        return Salvaged(
+        return RecoveredSegment(
             file=records.path.name,
             size_bytes=records.size,
             messages=messages,

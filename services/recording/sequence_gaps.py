@@ -6,7 +6,7 @@ MOST_GAPS = 1_000
 """That may still be filled: of more, the oldest are lost for good."""
 
 
-class Gaps:
+class SequenceGaps:
     """Fed with the sequence numbers that are there; they count without a gap. Memory: two numbers a gap."""
 
     def __init__(self, begins: int = 0) -> None:

@@ -14,7 +14,7 @@ import msgspec
 from ltv_mpc.messages import Handed, InboxEntry
 from ltv_mpc.node import Arrival
 from services.bus import wire
-from services.bus.topics import BY_SIGNAL, topic_at
+from services.bus.topics import BY_TYPE, topic_at
 from services.recording.reader import Stored
 
 
@@ -22,7 +22,7 @@ class Header(wire.Header, frozen=True, kw_only=True, forbid_unknown_fields=False
     """Of any message in a file; its other fields are skipped."""
 
 
-HANDED = BY_SIGNAL[Handed].key
+HANDED = BY_TYPE[Handed].key
 """On which a recording has the frames that travelled between an injector and the node under test alone."""
 
 
@@ -45,7 +45,7 @@ def unwrapped(stored: Stored) -> Stored | None:
     except (ValueError, TypeError, RecursionError):  # a damaged frame: the node's door could not read it either
         return None
     topic = topic_at(handed.key)
-    return Stored(handed.key, topic.signal if topic else None, stored.t_ns, wire.crc(payload), data)
+    return Stored(handed.key, topic.message_type if topic else None, stored.t_ns, wire.crc(payload), data)
 
 
 class Frames:

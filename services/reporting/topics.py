@@ -21,15 +21,19 @@ def text(key: str | None, *, as_json: bool) -> str:
         return json.dumps(rows, indent=2) + "\n" if as_json else _table(rows)
     found = _at(key)
     if as_json:
-        fields = {name: words(field.value) for name, field in message(found.signal).items()}
+        fields = {name: words(field.value) for name, field in message(found.message_type).items()}
         return json.dumps(_row(found) | {"fields": fields}, indent=2) + "\n"
-    about = cleandoc(found.signal.__doc__ or "").replace("``", "")
-    return "\n".join([f"{key}: {found.signal.__name__}", about, "", *_columns(_fields(found.signal))]) + "\n"
+    about = cleandoc(found.message_type.__doc__ or "").replace("``", "")
+    return (
+        "\n".join([f"{key}: {found.message_type.__name__}", about, "", *_columns(_fields(found.message_type))]) + "\n"
+    )
 
 
 def schemas(key: str | None) -> str:
     """The JSON Schema of what travels on ``key``, or of every topic by key. Raises ``ConfigError``."""
-    found = {topic.key: schema(topic.signal) for topic in TOPICS} if key is None else schema(_at(key).signal)
+    found = (
+        {topic.key: schema(topic.message_type) for topic in TOPICS} if key is None else schema(_at(key).message_type)
+    )
     return json.dumps(found, indent=2) + "\n"
 
 
@@ -43,7 +47,7 @@ def _at(key: str) -> Topic:
 def _row(topic: Topic) -> dict[str, Any]:
     return {
         "key": f"{topic.key}/<node>" if topic.written_by == "*" else topic.key,
-        "signal": topic.signal.__name__,
+        "signal": topic.message_type.__name__,
         "period_ns": topic.period_ns,
         "delivery": str(topic.delivery),
         "written_by": "every node" if topic.written_by == "*" else topic.written_by,

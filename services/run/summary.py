@@ -9,7 +9,7 @@ from ltv_mpc.messages import Estimate, NodeStatus, Rejected, RunEvent
 from services.bus import topics
 from services.bus.roles import LAUNCHER
 from services.bus.wire import WireError
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.run.run_config import Situation
 from services.run.water import Learned
@@ -20,7 +20,7 @@ from sim.plant import PERIOD_NS
 SERVICES = "services"
 LOCKSTEP = "lockstep"
 
-STATUS = topics.BY_SIGNAL[NodeStatus].key + "/"
+STATUS = topics.BY_TYPE[NodeStatus].key + "/"
 """Every process says under it how it is: an epoch more is a start more."""
 MENDED = topics.key_of(RunEvent, LAUNCHER)
 """The launcher says there whom it has started anew, those too that have no status."""
@@ -76,7 +76,7 @@ def of_recording(
     """
     learned = Learned()
     grader = Grader(situation.vehicle, speed=situation.scenario.run.speed)
-    losses = Losses()
+    losses = LossAccounting()
     rejected = mended = 0
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]

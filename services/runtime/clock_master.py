@@ -8,7 +8,7 @@ import msgspec
 
 from ltv_mpc.messages import Clock, ClockCommand, ClockState, NodeStatus, RunEvent
 from services.runtime.clock import TimeKeeper, VehicleClock, fraction_of
-from services.runtime.clock_rate import Pace
+from services.runtime.clock_rate import ClockRate
 from services.runtime.node_status import MOST_BEHIND_US
 
 REPEAT_US = 100_000
@@ -19,7 +19,7 @@ MOST_CATCH_UP_US = 100_000
 """By how much wall time the grid may be behind; what is beyond that the clock gives up."""
 
 
-class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
+class ClockMasterSettings(msgspec.Struct, frozen=True, kw_only=True):
     """What the process that keeps the time has to know."""
 
     start_ns: int
@@ -28,12 +28,12 @@ class KeepsTime(msgspec.Struct, frozen=True, kw_only=True):
     expects: tuple[str, ...]  # nodes that must be ready before the clock starts
 
 
-class TimeKeeping:
+class ClockMaster:
     """Drives a ``TimeKeeper`` from a step loop; ``clock`` is what the process itself reads."""
 
     def __init__(
         self,
-        settings: KeepsTime,
+        settings: ClockMasterSettings,
         clock: VehicleClock,
         *,
         epoch: int,
@@ -41,15 +41,26 @@ class TimeKeeping:
         publish: Callable[[Clock | RunEvent], object],
     ) -> None:
         self._keeper = TimeKeeper(epoch=epoch, start_ns=settings.start_ns, speed=settings.speed, now_us=now_us)
-        self._pace = Pace(self._keeper.speed)
+        self._pace = ClockRate(self._keeper.speed)
         self._still_until_us = 0  # by then what was given up has passed
         self._clock = clock
         self._publish = publish
         self._missing = dict.fromkeys(settings.expects)  # a dict keeps the order of the launch table
-        self.due_us = 0
+        self._repeat_us = 0
         self._told_us, self._told_times, self._told_speed = -TELL_US, 0, self._keeper.speed
         self._ended = False
         clock.hear(self._keeper.pace(now_us, self._pace.speed))
+
+    @property
+    def due_us(self) -> int:
+        """Return when ``tend`` has something to do (monotonic, us): the start, the next rate, or a repetition."""
+        match self._keeper.message.state:
+            case ClockState.WAITING if not self._missing:
+                return 0
+            case ClockState.RUNNING:
+                return min(self._repeat_us, self._pace.window_end_us)
+            case _:
+                return self._repeat_us
 
     @property
     def waiting_for(self) -> str:
@@ -89,7 +100,7 @@ class TimeKeeping:
             self._change(self._keeper.run(now_us), now_us)
         elif self._keeper.message.state is ClockState.RUNNING and self._pace.window_over(now_us):
             self._change(self._keeper.pace(now_us, self._pace.speed), now_us)
-        elif now_us >= self.due_us:
+        elif now_us >= self._repeat_us:
             self._send(now_us)
 
     def late(self, now_us: int, due_us: int, node: str) -> None:
@@ -124,4 +135,4 @@ class TimeKeeping:
 
     def _send(self, now_us: int) -> None:
         self._publish(self._keeper.message)
-        self.due_us = now_us + REPEAT_US
+        self._repeat_us = now_us + REPEAT_US

@@ -26,7 +26,7 @@ REAL_TIME = Fraction(1)
 """Below it no pace is kept: who asks for real time or less gets it, with what has to be given up now and then."""
 
 
-class Pace:
+class ClockRate:
     """Told of every standstill; asked for the speed once a window is over."""
 
     def __init__(self, asked: Fraction) -> None:
@@ -51,12 +51,21 @@ class Pace:
         """The clock stands still so long (wall time)."""
         self._given_up_us += standstill_us
 
+    @property
+    def window_end_us(self) -> int:
+        """Return when the running window ends (monotonic, us); 0 before it has begun."""
+        return 0 if self._since_us is None else self._since_us + self._window_us
+
+    @property
+    def _window_us(self) -> int:
+        return FIRST_WINDOW_US if self._doubles else WINDOW_US
+
     def window_over(self, now_us: int) -> bool:
         """Whether a window has ended with another ``speed``."""
         if self._since_us is None:
             self._since_us = now_us
         window_us = now_us - self._since_us
-        if window_us < (FIRST_WINDOW_US if self._doubles else WINDOW_US):
+        if window_us < self._window_us:
             return False
         before = self.speed
         share = min(Fraction(self._given_up_us, window_us), Fraction(1, 2))

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, ControllerStatus, Estimate, Message, Plan
-from services.bus.message_validation import Door
-from services.runtime.foreign_clock import Reading
+from services.bus.message_validation import MessageValidator
+from services.runtime.clock_sync import Reading
 
 PERIOD_US = 1_000_000
 LOOKED_BACK_US = 10_000_000
@@ -19,7 +19,7 @@ Shown = Callable[[ControllerStatus, int], None]
 """What takes each word besides the bus, with the monotonic time in microseconds."""
 
 
-class ControllerReport:
+class ControllerStatusReporter:
     """Watches a controller's process. ``shown`` are the status line and the metrics."""
 
     writes: tuple[type[Message], ...] = (ControllerStatus,)
@@ -50,7 +50,7 @@ class ControllerReport:
             self._plan = plan
             self._cycles.append((now_us, took_us))
 
-    def status(self, now_us: int, t_ns: int, door: Door, clock: Reading) -> ControllerStatus:
+    def status(self, now_us: int, t_ns: int, door: MessageValidator, clock: Reading) -> ControllerStatus:
         """The word that is due, shown as well as returned."""
         self.due_us = now_us + PERIOD_US
         while self._cycles and self._cycles[0][0] < now_us - LOOKED_BACK_US:

@@ -23,7 +23,7 @@ LENGTH = struct.Struct("<I")
 STDIN = 0
 
 
-class Supervised:
+class Heartbeat:
     """The two lines to a supervisor; without one both are idle."""
 
     def __init__(self) -> None:
@@ -80,5 +80,5 @@ def _read(size: int) -> bytes:
     return data
 
 
-SUPERVISED = Supervised()
+HEARTBEAT = Heartbeat()
 """This process's own."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Arrival
-from services.bus.topics import BY_SIGNAL, LATEST
+from services.bus.topics import BY_TYPE, LATEST
 
 
 class PendingInbox:
@@ -15,7 +15,7 @@ class PendingInbox:
 
     def add(self, signal: Message, *, key: str, epoch: int, sequence: int, crc: int, received_t_ns: int) -> None:
         """Put at the end."""
-        if BY_SIGNAL[type(signal)].delivery is LATEST:
+        if BY_TYPE[type(signal)].delivery is LATEST:
             self._pairs = [pair for pair in self._pairs if pair[1].key != key]
         arrival = Arrival(signal, epoch, sequence, received_t_ns)
         entry = InboxEntry(key=key, epoch=epoch, sequence=sequence, crc=crc, received_t_ns=received_t_ns)

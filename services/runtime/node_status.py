@@ -8,7 +8,7 @@ from typing import Protocol
 from ltv_mpc.messages import ClockState, Message, NodeStatus
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
-from services.bus.topics import BY_SIGNAL, OPERATOR
+from services.bus.topics import BY_TYPE, OPERATOR
 from services.runtime.clock import VehicleClock
 from services.runtime.stopping import Say
 
@@ -33,7 +33,7 @@ class Counts(Protocol):
     def rejected(self) -> int: ...
 
 
-class StatusReport:
+class NodeStatusReporter:
     """Counts a process's steps, knows what it waits for, and publishes both."""
 
     def __init__(
@@ -62,7 +62,7 @@ class StatusReport:
         self._say = say
         self._said = ""
         self._missing = missing
-        self._never_heard = dict.fromkeys(kind for kind in reads if BY_SIGNAL[kind].written_by != OPERATOR)
+        self._never_heard = dict.fromkeys(kind for kind in reads if BY_TYPE[kind].written_by != OPERATOR)
         self._clock_heard_us: int | None = None
         self._said_us = 0
         self._busy_us, self._busy_steps = 0, 0
@@ -146,4 +146,4 @@ class StatusReport:
             return "the clock, which has fallen silent"
         if self._missing is not None:
             return self._missing()
-        return ", ".join(BY_SIGNAL[kind].key for kind in self._never_heard)
+        return ", ".join(BY_TYPE[kind].key for kind in self._never_heard)

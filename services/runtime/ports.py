@@ -8,7 +8,7 @@ from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, Rejected, 
 from ltv_mpc.node import Cycle, Node
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 
 
 def times_cycles(node: Node) -> bool:
@@ -19,15 +19,15 @@ def times_cycles(node: Node) -> bool:
 def inputs(node: Node) -> list[type[Message]]:
     """What comes from other processes; its own words it is handed without the bus."""
     own = (Rejected, Clock)
-    return [kind for kind in node.reads if BY_SIGNAL[kind].written_by != node.name and kind not in own]
+    return [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name and kind not in own]
 
 
-def outputs(node: Node, *, keeps_time: bool) -> list[type[Message]]:
+def outputs(node: Node, *, clock_master: bool) -> list[type[Message]]:
     """What its process publishes."""
     kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
-    if keeps_time:
+    if clock_master:
         kinds.append(Clock)
     return kinds
 
@@ -35,5 +35,5 @@ def outputs(node: Node, *, keeps_time: bool) -> list[type[Message]]:
 def subscribe(session: Session, kinds: Iterable[type[Message]], mailbox: Mailbox) -> None:
     """All of them into one mailbox: arrival has one order."""
     for kind in dict.fromkeys(kinds):
-        topic = BY_SIGNAL[kind]
+        topic = BY_TYPE[kind]
         session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, mailbox)

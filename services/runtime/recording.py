@@ -14,12 +14,13 @@ from services.bus.message_validation import rejection
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, open_session
 from services.bus.wire import WireError, crc, header_of, typed, unpack
-from services.recording.loss_accounting import Losses
-from services.recording.publish_counts import Promises
+from services.recording.loss_accounting import LossAccounting
+from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
-from services.runtime.heartbeat import SUPERVISED
-from services.runtime.node_status import StatusReport
+from services.runtime.deadlines import DeadlineQueue
+from services.runtime.heartbeat import HEARTBEAT
+from services.runtime.node_status import NodeStatusReporter
 from services.runtime.stopping import Say, StopRequest
 
 NAME = "recorder"
@@ -42,12 +43,12 @@ class RecordingLoop:
         self.mailbox = Mailbox()
         stop.wakes(self.mailbox.wake)
         self._clock = VehicleClock()
-        self._losses = Losses()
-        self._promises = Promises()
+        self._losses = LossAccounting()
+        self._promises = PublishCounts()
         self.received = 0
         self.rejected = 0
         self._out: Outbox
-        self._status: StatusReport
+        self._status: NodeStatusReporter
 
     @property
     def dropped(self) -> int:
@@ -63,20 +64,20 @@ class RecordingLoop:
         """Open, subscribe to everything, write, say the last word, close."""
         with open_session(bus, stop=self._stop, say=self._say) as session:
             self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, Rejected))
-            self._status = StatusReport(
+            self._status = NodeStatusReporter(
                 NAME, outbox=self._out, counts=self, mailbox=self.mailbox, clock=self._clock, reads=(), say=self._say
             )
             session.subscribe("**", None, self.mailbox)
+            deadlines = DeadlineQueue()
+            deadlines.add(lambda: HEARTBEAT.due_us, HEARTBEAT.beat)
+            deadlines.add(lambda: self._status.due_us, self._status.publish)
             while not self._stop():
                 now_us = monotonic_us()
-                if now_us >= self._status.due_us:
-                    self._status.publish(now_us)
-                SUPERVISED.beat(now_us)
-                wake_us = min(self._status.due_us, SUPERVISED.due_us or self._status.due_us)
-                self._gather((wake_us - now_us) / 1e6)
+                deadlines.run_due(now_us)
+                self._gather((deadlines.next_us() - now_us) / 1e6)
                 self._writer.flush_if_due()
                 self._settle()
-            SUPERVISED.last_beat()
+            HEARTBEAT.last_beat()
             self._finish()
 
     def _finish(self) -> None:
@@ -113,7 +114,7 @@ class RecordingLoop:
         return self._clock.read(monotonic_us()) or 0
 
     def _account(self) -> str:
-        """Losses in words; empty where there are none."""
+        """LossAccounting in words; empty where there are none."""
         gaps = [f"{count} of {node}" for node, count in self.missing.items()]
         gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
         return f"lost: {', '.join(gaps)}" if gaps else ""
@@ -139,7 +140,7 @@ class RecordingLoop:
     def _record(self, frame: Frame) -> None:
         if frame.topic is None:
             raise WireError("unknown key")
-        kind = frame.topic.signal
+        kind = frame.topic.message_type
         message = unpack(frame.payload)
         header = header_of(message)
         signal = typed(kind, message)[0] if kind in (Clock, NodeStatus) else None

@@ -23,20 +23,20 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import Door, rejection
+from services.bus.message_validation import MessageValidator, rejection
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import OPERATOR, STATES
 from services.bus.wire import WireError, crc, decode
 from services.runtime import ports
 from services.runtime.clock import VehicleClock, monotonic_us
-from services.runtime.clock_master import KeepsTime, TimeKeeping
-from services.runtime.foreign_clock import Reading
-from services.runtime.foreign_time import OF_ALL, STAMPED, ForeignTime
-from services.runtime.heartbeat import SUPERVISED
+from services.runtime.clock_master import ClockMaster, ClockMasterSettings
+from services.runtime.clock_sync import OF_ALL, STAMPED, ClockSync, Reading
+from services.runtime.deadlines import DeadlineQueue
+from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.inbox import PendingInbox
-from services.runtime.node_status import StatusReport
-from services.runtime.schedule import Timetable
+from services.runtime.node_status import NodeStatusReporter
+from services.runtime.schedule import StepSchedule
 from services.runtime.stopping import Say, StopRequest
 from services.runtime.stopwatch import StageTimer
 
@@ -74,7 +74,7 @@ class Report(Protocol):
         """A step is done and published."""
         ...
 
-    def status(self, now_us: int, t_ns: int, door: Door, clock: Reading) -> Message:
+    def status(self, now_us: int, t_ns: int, door: MessageValidator, clock: Reading) -> Message:
         """What is due."""
         ...
 
@@ -82,7 +82,7 @@ class Report(Protocol):
 class Runner:
     """Runs ``node`` until ``stop`` is asked for, or until the last step of a grid that ends.
 
-    ``keeps_time`` makes it the time-keeper; ``foreign`` lets it go by the other side's stamps where nobody keeps the
+    ``clock_master`` makes it the time-keeper; ``foreign`` lets it go by the other side's stamps where nobody keeps the
     time for all, ``input_delay_ns`` being the smallest delay of what comes from there; ``speed`` is what it was told to
     expect of the time-keeper. ``stages`` is the stopwatch that the node was given; ``compute_delay_ns`` is added
     between a plan and its publication. ``report`` is what it says of itself besides its status.
@@ -94,7 +94,7 @@ class Runner:
         *,
         stop: StopRequest,
         say: Say,
-        keeps_time: KeepsTime | None = None,
+        clock_master: ClockMasterSettings | None = None,
         foreign: bool = False,
         input_delay_ns: int = 0,
         speed: float | None = None,
@@ -105,31 +105,32 @@ class Runner:
         self._node = node
         self.stop = stop
         self._say = say
-        self._keeps_time = keeps_time
-        self._follows = keeps_time is None
+        self._keeps_time = clock_master
+        self._follows = clock_master is None
         self._compute_delay_ns = compute_delay_ns
         self._stages = stages or StageTimer()
         self._report = report
         self._causes = frozenset(node.schedule.types if isinstance(node.schedule, OnMessage) else ())
-        self._timetable = Timetable(node.schedule, end_ns=keeps_time.end_ns if keeps_time else None)
+        self._schedule = StepSchedule(node.schedule, end_ns=clock_master.end_ns if clock_master else None)
         self._times_cycles = ports.times_cycles(node)
         self.mailbox = Mailbox()
         stop.wakes(self.mailbox.wake)
         self.epoch = new_epoch()
-        self._door = Door()
+        self._validator = MessageValidator()
         self._clock = VehicleClock(speed=speed)
-        self.foreign = ForeignTime(self._clock, epoch=self.epoch, input_delay_ns=input_delay_ns) if foreign else None
+        self.clock_sync = ClockSync(self._clock, epoch=self.epoch, input_delay_ns=input_delay_ns) if foreign else None
         self._inbox = PendingInbox()
         self._asked = ""  # the key of a command that the next cycle must not wait for
         self._records: list[StepRecord] = []
-        self._timekeeping: TimeKeeping | None = None
+        self._master: ClockMaster | None = None
+        self._deadlines = DeadlineQueue()
         self._out: Outbox
-        self._status: StatusReport
+        self._status: NodeStatusReporter
 
     @property
     def finished(self) -> bool:
         """Whether every step that was asked for is done."""
-        return self._timetable.finished
+        return self._schedule.finished
 
     def serve(self, bus: BusOptions, state: bytes = b"") -> None:
         """Open, say "ready", run, say the last word, close.
@@ -156,9 +157,9 @@ class Runner:
     def _run(self) -> None:
         while not self.finished and self._wait(self._due_us):
             self._step_by_time()
-        SUPERVISED.last_beat()
-        if self._timekeeping is not None:
-            self._timekeeping.stop(monotonic_us())
+        HEARTBEAT.last_beat()
+        if self._master is not None:
+            self._master.stop(monotonic_us())
         self._take_last()
 
     def _wait(self, due_us: Callable[[], int | None]) -> bool:
@@ -166,17 +167,9 @@ class Runner:
         entered_us = monotonic_us()
         while not self.stop():
             now_us = monotonic_us()
-            SUPERVISED.beat(now_us)
-            self._tend(now_us)
+            self._deadlines.run_due(now_us)
             due = due_us()
-            wake_us = self._status.due_us if due is None else min(due, self._status.due_us)
-            if SUPERVISED.due_us is not None:
-                wake_us = min(wake_us, SUPERVISED.due_us)
-            if self._report is not None:
-                wake_us = min(wake_us, self._report.due_us)
-            if self._timekeeping is not None:
-                wake_us = min(wake_us, self._timekeeping.due_us)
-            frame = self.mailbox.take((wake_us - now_us) / 1e6)
+            frame = self.mailbox.take((self._deadlines.next_us(due) - now_us) / 1e6)
             if frame is not None:
                 self._take(frame)
             if due is None:
@@ -188,7 +181,7 @@ class Runner:
     def _due_us(self) -> int | None:
         if self._asked:
             return monotonic_us()
-        return None if self._timetable.next_ns is None else self._clock.due_us(self._timetable.next_ns)
+        return None if self._schedule.next_ns is None else self._clock.due_us(self._schedule.next_ns)
 
     def _step_by_time(self) -> None:
         now_us = monotonic_us()
@@ -197,27 +190,34 @@ class Runner:
             cause, self._asked = self._asked, ""
             self._step(self._now_ns(now_us), cause, now_us)
             return
-        t_ns = self._timetable.next_ns
+        t_ns = self._schedule.next_ns
         assert t_ns is not None
-        if self._timetable.on_grid:
-            if self._timekeeping is not None:
-                self._timekeeping.late(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
+        if self._schedule.on_grid:
+            if self._master is not None:
+                self._master.late(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
             self._step(t_ns, "grid", now_us)
         else:
             self._step(max(t_ns, self._now_ns(now_us)), "cycle", now_us)
-        self._timetable.stepped(self._now_ns(monotonic_us()))
+        self._schedule.stepped(self._now_ns(monotonic_us()))
 
-    def _tend(self, now_us: int) -> None:
-        """What is due by the wall: the clock, the status, and the records that wait."""
-        if self._timekeeping is not None:
-            self._timekeeping.tend(now_us)
-        if now_us >= self._status.due_us:
-            self._flush()
-            self._status.publish(now_us, others=self._timekeeping.waiting_for if self._timekeeping else "")
-        if self._report is not None and now_us >= self._report.due_us:
-            self._out.publish(
-                self._report.status(now_us, self._now_ns(now_us), self._door, self._clock_reading(now_us))
-            )
+    def _add_deadlines(self) -> None:
+        """Add the periodic duties of the process to the deadline queue."""
+        status, master, report = self._status, self._master, self._report
+        self._deadlines.add(lambda: HEARTBEAT.due_us, HEARTBEAT.beat)
+        if master is not None:
+            self._deadlines.add(lambda: master.due_us, master.tend)
+        self._deadlines.add(lambda: status.due_us, self._publish_status)
+        if report is not None:
+            self._deadlines.add(lambda: report.due_us, lambda now_us: self._publish_report(report, now_us))
+
+    def _publish_status(self, now_us: int) -> None:
+        """Publish the waiting step records, then the status of the process."""
+        self._flush()
+        self._status.publish(now_us, others=self._master.waiting_for if self._master else "")
+
+    def _publish_report(self, report: Report, now_us: int) -> None:
+        """Publish the node's own status, as the controller's."""
+        self._out.publish(report.status(now_us, self._now_ns(now_us), self._validator, self._clock_reading(now_us)))
 
     def _take_last(self) -> None:
         """What was said before this process was told to stop may still be on its way."""
@@ -251,8 +251,8 @@ class Runner:
         for signal in outputs:
             now_us = monotonic_us()
             sent = self._out.publish(signal)
-            if self.foreign is not None and isinstance(signal, Plan):
-                self.foreign.sent(sent.sequence, now_us)
+            if self.clock_sync is not None and isinstance(signal, Plan):
+                self.clock_sync.sent(sent.sequence, now_us)
         if plan is not None:
             self._time_cycle(plan, t_ns, started_us)
         if self._report is not None:
@@ -289,7 +289,7 @@ class Runner:
     def _take(self, frame: Frame) -> None:
         now_ns = self._now_ns(frame.received_monotonic_us)
         try:
-            signal, header = self._door.admit(frame)
+            signal, header = self._validator.admit(frame)
         except WireError as error:
             self._refuse(frame, str(error), now_ns)
             return
@@ -299,7 +299,7 @@ class Runner:
         else:
             reason = self._of_another_time(signal, frame.received_monotonic_us)
         if reason:
-            self._door.turn_back(reason)
+            self._validator.turn_back(reason)
             self._refuse(frame, reason, now_ns)
             return
         self._status.heard(kind)
@@ -308,10 +308,10 @@ class Runner:
             self._report.heard(signal)
         if isinstance(signal, Clock):
             self._hear_clock(signal)
-        elif isinstance(signal, NodeStatus) and self._timekeeping is not None:
-            self._timekeeping.heard(signal, monotonic_us(), self._node.name)
-        elif isinstance(signal, ClockCommand) and self._timekeeping is not None:
-            self._timekeeping.asked(signal, monotonic_us(), self._node.name)
+        elif isinstance(signal, NodeStatus) and self._master is not None:
+            self._master.heard(signal, monotonic_us(), self._node.name)
+        elif isinstance(signal, ClockCommand) and self._master is not None:
+            self._master.asked(signal, monotonic_us(), self._node.name)
         if kind not in self._node.reads:
             return
         self._inbox.add(
@@ -322,7 +322,7 @@ class Runner:
             crc=crc(frame.payload),
             received_t_ns=self._received_ns(signal, frame.received_monotonic_us),
         )
-        if kind is Command and self._timetable.next_ns is not None:
+        if kind is Command and self._schedule.next_ns is not None:
             self._asked = frame.key
         if kind in self._causes:
             validity: Any = signal  # a type that causes steps has its validity time
@@ -330,17 +330,17 @@ class Runner:
 
     def _of_another_time(self, signal: Message, received_us: int) -> str:
         """Why a signal does not fit the time that the process goes by; empty where it does."""
-        foreign = self.foreign
-        if foreign is None:
+        sync = self.clock_sync
+        if sync is None:
             return ""
         if isinstance(signal, Clock):
-            return "a clock, and the time is taken from the estimates since before it" if foreign.in_force else ""
-        times_set, begun = foreign.times_set, foreign.in_force
-        reason = foreign.heard(signal, received_us)
-        if foreign.times_set > times_set:
-            self._timetable.forget()
+            return "a clock, and the time is taken from the estimates since before it" if sync.in_force else ""
+        times_set, begun = sync.times_set, sync.in_force
+        reason = sync.heard(signal, received_us)
+        if sync.times_set > times_set:
+            self._schedule.forget()
             self._say("the other side has set its clock")
-        if foreign.in_force and (not begun or foreign.times_set > times_set):
+        if sync.in_force and (not begun or sync.times_set > times_set):
             self._begin()
         return reason
 
@@ -370,28 +370,29 @@ class Runner:
     # --- before the first step ---------------------------------------------------------------------------------------
 
     def _connect(self, session: Session) -> None:
-        node, keeps_time = self._node, self._keeps_time
-        kinds = ports.outputs(node, keeps_time=keeps_time is not None)
+        node, clock_master = self._node, self._keeps_time
+        kinds = ports.outputs(node, clock_master=clock_master is not None)
         kinds += self._report.writes if self._report is not None else ()
         self._out = Outbox(session, node=node.name, epoch=self.epoch, kinds=kinds)
-        self._status = StatusReport(
+        self._status = NodeStatusReporter(
             node.name,
             outbox=self._out,
-            counts=self._door,
+            counts=self._validator,
             mailbox=self.mailbox,
             clock=self._clock,
             reads=ports.inputs(node),
             say=self._say,
-            foreign=self.foreign is not None,
+            foreign=self.clock_sync is not None,
             missing=(lambda: node.waiting_for) if isinstance(node, Waiting) else None,
         )
-        of_all: list[type[Message]] = [] if keeps_time is None else [NodeStatus, ClockCommand]
+        of_all: list[type[Message]] = [] if clock_master is None else [NodeStatus, ClockCommand]
         for_itself = [Clock] if self._follows else of_all
         ports.subscribe(session, [*ports.inputs(node), *for_itself], self.mailbox)
-        if keeps_time is not None:
-            self._timekeeping = TimeKeeping(
-                keeps_time, self._clock, epoch=self.epoch, now_us=monotonic_us(), publish=self._out.publish
+        if clock_master is not None:
+            self._master = ClockMaster(
+                clock_master, self._clock, epoch=self.epoch, now_us=monotonic_us(), publish=self._out.publish
             )
+        self._add_deadlines()
         self._begin()
 
     def _begin(self) -> None:
@@ -400,10 +401,10 @@ class Runner:
         if newest is not None:
             reading = self._clock.read(monotonic_us())
             phase_ns = INPUTS_ARRIVE_US * 1000 * newest.num // newest.den
-            self._timetable.begin(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
+            self._schedule.begin(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
 
     def _clock_reading(self, now_us: int) -> Reading:
-        return OF_ALL if self.foreign is None else self.foreign.reading(now_us)
+        return OF_ALL if self.clock_sync is None else self.clock_sync.reading(now_us)
 
     def _received_ns(self, signal: Message, received_us: int) -> int:
         """When it came; before there is a time, the one that it says itself."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from ltv_mpc.node import Cycle, Grid, OnMessage, Schedule
 
 
-class Timetable:
+class StepSchedule:
     """``next_ns`` is None while it is not known: before the clock was heard, or for ever where messages decide."""
 
     def __init__(self, schedule: Schedule, *, end_ns: int | None = None) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from services.bus.session import BusError, BusOptions, Stopped
 from services.runtime.clock import ClockError
-from services.runtime.heartbeat import SUPERVISED
+from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]
     """Run a node until told to stop or done; the exit code is that of ``until_stopped``."""
 
     def work(request: StopRequest, say: Say) -> None:
-        state = SUPERVISED.state()
+        state = HEARTBEAT.state()
         make(request, say).serve(bus, state)
 
     return until_stopped(name, work)

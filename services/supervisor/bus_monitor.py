@@ -21,16 +21,16 @@ from ltv_mpc.messages import (
     RunEvent,
     Truth,
 )
-from services.bus.latest_cache import Newest
+from services.bus.latest_cache import LatestCache
 from services.bus.mailbox import Mailbox
 from services.bus.roles import ROUTER
 from services.bus.session import Session
-from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode, header_of, unpack
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 
 S = TypeVar("S", bound=Message)
-STATUS = BY_SIGNAL[NodeStatus].key
+STATUS = BY_TYPE[NodeStatus].key
 
 SHOWN: tuple[type[Message], ...] = (Truth, Estimate, Plan, Applied, CycleTiming, Clock)
 KEPT: tuple[type[Message], ...] = (ControllerState, EstimatorState)
@@ -45,7 +45,7 @@ class Sign(NamedTuple):
     arrived_s: float  # monotonic
 
 
-class _Plans(Newest):
+class _Plans(LatestCache):
     """Keeps some of the last plans besides."""
 
     def __init__(self) -> None:
@@ -61,21 +61,21 @@ class Watch:
     """The launcher's ears. ``nodes`` are the processes whose word it waits for."""
 
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
-        self._newest = Newest()
+        self._newest = LatestCache()
         self._plans = _Plans()
         self._events = Mailbox()
         self._kills = Mailbox()
         self._clock = VehicleClock()
         for kind in (*SHOWN, *KEPT):
-            session.subscribe(BY_SIGNAL[kind].key, BY_SIGNAL[kind], self._plans if kind is Plan else self._newest)
+            session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._plans if kind is Plan else self._newest)
         for node in nodes:
-            session.subscribe(f"{STATUS}/{node}", BY_SIGNAL[NodeStatus], self._newest)
-        session.subscribe(f"{BY_SIGNAL[RunEvent].key}/*", BY_SIGNAL[RunEvent], self._events)
-        session.subscribe(BY_SIGNAL[Kill].key, BY_SIGNAL[Kill], self._kills)
+            session.subscribe(f"{STATUS}/{node}", BY_TYPE[NodeStatus], self._newest)
+        session.subscribe(f"{BY_TYPE[RunEvent].key}/*", BY_TYPE[RunEvent], self._events)
+        session.subscribe(BY_TYPE[Kill].key, BY_TYPE[Kill], self._kills)
 
     def newest(self, kind: type[S], node: str = "") -> S | None:
         """The newest signal of this kind (of this node, where every node writes it)."""
-        key = BY_SIGNAL[kind].key
+        key = BY_TYPE[kind].key
         frame = (self._plans if kind is Plan else self._newest).get(f"{key}/{node}" if node else key)
         if frame is None:
             return None
@@ -110,9 +110,9 @@ class Watch:
         if node == ROUTER:
             return Sign(0, self._newest.arrived_s)
         if node == "controller" and self.running():
-            applied, frame = self.newest(Applied), self._newest.get(BY_SIGNAL[Applied].key)
+            applied, frame = self.newest(Applied), self._newest.get(BY_TYPE[Applied].key)
             return None if applied is None or frame is None else Sign(applied.plan_epoch, frame.arrived_s)
-        works_by = BY_SIGNAL[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
+        works_by = BY_TYPE[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
         frame = self._newest.get(works_by)
         if frame is None:
             return None

@@ -24,7 +24,7 @@ LATE_S = 0.25
 """Between two looks of the supervisor, who looks twenty times a second."""
 
 
-class Heartbeat:
+class HeartbeatMonitor:
     """One process's pulse."""
 
     def __init__(self, patience_s: float = HUNG_S) -> None:

@@ -14,7 +14,7 @@ from typing import Protocol
 from services.runtime.heartbeat import FORMAT, LAST, LENGTH
 from services.supervisor import entry_point
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.heartbeat import HUNG_S, Heartbeat
+from services.supervisor.heartbeat import HUNG_S, HeartbeatMonitor
 from services.supervisor.parent_death import Guard
 
 LAST_LINES = 12
@@ -56,7 +56,7 @@ class Child:
     ) -> None:
         self.name = name
         self.gone = False  # it has closed its pulse: nothing more comes from it
-        self.heartbeat = Heartbeat(patience_s)
+        self.heartbeat = HeartbeatMonitor(patience_s)
         self._log = log
         self._guard = guard
         self._released = False

@@ -21,7 +21,7 @@ from sim.evaluation.metrics import Grader
 from sim.evaluation.summary import Messages, Summary
 from sim.scheduler import EPOCH, LockStep, Step
 
-LATEST = frozenset(topic.signal for topic in topics.TOPICS if topic.delivery is topics.LATEST)
+LATEST = frozenset(topic.message_type for topic in topics.TOPICS if topic.delivery is topics.LATEST)
 
 PROGRESS_NS = 1_000_000_000
 """Vehicle time between two words about how far the run is."""
@@ -153,5 +153,5 @@ def refused(node: str, message: Arrival, reason: str) -> Rejected:
     """Return the rejection message that a process would publish."""
     signal = message.signal
     payload = wire.encode(signal, _header(message.sequence))
-    frame = Frame(topics.BY_SIGNAL[type(signal)], _key(signal, node), payload, received_monotonic_us=0)
+    frame = Frame(topics.BY_TYPE[type(signal)], _key(signal, node), payload, received_monotonic_us=0)
     return rejection(frame, reason, node=node, t_ns=message.received_t_ns)

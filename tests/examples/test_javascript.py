@@ -50,7 +50,7 @@ def run(program: Path, frames: list[tuple[str, bytes]], estimate: Path) -> subpr
 
 def test_it_reads_every_message_as_its_schema_says(program: Path, tmp_path: Path) -> None:
     frames = [(type(signal).__name__, encode(signal, HEADER)) for signal in EXAMPLES]
-    assert {signal for signal, _ in frames} == {topic.signal.__name__ for topic in TOPICS}
+    assert {signal for signal, _ in frames} == {topic.message_type.__name__ for topic in TOPICS}
     done = run(program, frames, tmp_path / "estimate")
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()

@@ -53,7 +53,7 @@ from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
 from services.bus.mailbox import Frame
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, plain, unpack
 from services.edges.ros2.edge import Edge
 from services.recording import export, info, perfetto
@@ -158,12 +158,12 @@ def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
 
 def door_of(topic: topics.Topic) -> Target:
     """A process's door on one key: decoded, admitted, in order."""
-    key = topics.key_of(topic.signal, "plant")
-    messages = [plain(example, HEADER) for example in EXAMPLES if type(example) is topic.signal]
+    key = topics.key_of(topic.message_type, "plant")
+    messages = [plain(example, HEADER) for example in EXAMPLES if type(example) is topic.message_type]
 
     def take(frame: bytes) -> Any:
         try:
-            return Door().admit(Frame(topic, key, frame, 0))[0]
+            return MessageValidator().admit(Frame(topic, key, frame, 0))[0]
         except WireError:
             return None
 
@@ -172,7 +172,7 @@ def door_of(topic: topics.Topic) -> Target:
 
 def one_door() -> Target:
     """One door for everything, for as long as the campaign lasts: what it keeps must not grow with what is refused."""
-    door = Door()
+    door = MessageValidator()
     messages = [
         (topics.topic_at(key), key, plain(example, HEADER))
         for example in EXAMPLES
@@ -192,7 +192,7 @@ def one_door() -> Target:
             door.admit(Frame(topic, key, data[2:], 0))
         return door
 
-    def check(door: Door) -> None:
+    def check(door: MessageValidator) -> None:
         assert len(door.refused) <= 1000, "reasons are counted without end"
 
     return Target("door, kept", 3, frame, take, check)
@@ -247,7 +247,7 @@ def ros2() -> Target:
 
 def vehicle_clock() -> Target:
     """The clock of a process, told by whomever."""
-    topic = topics.BY_SIGNAL[Clock]
+    topic = topics.BY_TYPE[Clock]
     example = next(e for e in EXAMPLES if isinstance(e, Clock))
     message = plain(msgspec.structs.replace(example, host_boot_id=boot_id()), HEADER)
 
@@ -255,7 +255,7 @@ def vehicle_clock() -> Target:
         clock = VehicleClock()
         try:
             for data in (mutate.packed(message, Random(0)), frame):
-                signal, _ = Door().admit(Frame(topic, "clock", data, 0))
+                signal, _ = MessageValidator().admit(Frame(topic, "clock", data, 0))
                 assert isinstance(signal, Clock)
                 clock.hear(msgspec.structs.replace(signal, clock_sequence=signal.clock_sequence + (data is frame)))
         except (WireError, ClockError):

@@ -139,7 +139,7 @@ def test_every_field_with_numbers_was_tried() -> None:
             values = {name: getattr(part, name) for name in bounds(type(part))}
             given = {name for name, value in values.items() if list(places(value, (), bounds(type(part))[name]))}
             tried.setdefault(type(part), set()).update(given)
-    assert {topic.signal for topic in TOPICS} | set(RELATIONS) <= set(tried)
+    assert {topic.message_type for topic in TOPICS} | set(RELATIONS) <= set(tried)
     assert [(kind, name) for kind, names in tried.items() for name in bounds(kind) if name not in names] == []
 
 

@@ -28,10 +28,10 @@ from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import Door, rejection
+from services.bus.message_validation import MessageValidator, rejection
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
-from services.bus.topics import BY_KEY, BY_SIGNAL
+from services.bus.topics import BY_KEY, BY_TYPE
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.stopping import StopRequest
 from services.supervisor import loopback
@@ -73,7 +73,7 @@ class Listening:
 
     def __init__(self) -> None:
         self.node = ControllerNode(Vehicle.load("paper"), HERE_AT_ZERO, ControllerConfig())
-        self.door = Door()
+        self.door = MessageValidator()
         self._inbox: list[Arrival] = []
         self.refused: list[Rejected] = []
 
@@ -104,7 +104,7 @@ ARM = msgpack.packb({"epoch": 7, "sequence": 0, "command_id": 1, "action": "arm"
 def test_no_field_that_is_wrong_changes_a_plan_and_each_is_counted_and_shown(kind: type[Message]) -> None:
     """Two controllers hear the same estimates; one of them all else besides: their plans are the same to the bit."""
     quiet, beset = Listening(), Listening()
-    key = BY_SIGNAL[kind].key
+    key = BY_TYPE[kind].key
     bad = list(damaged(example(kind), Header(epoch=9, sequence=1_000_000)))
     assert len(bad) > 30
     share = -(-len(bad) // 10)
@@ -182,7 +182,7 @@ def _besiege(out: Outbox, put: object, box: Mailbox) -> None:
             frame = box.take(left)
             if frame is None or frame.topic is None:
                 continue
-            signal, _ = decode(frame.topic.signal, frame.payload)
+            signal, _ = decode(frame.topic.message_type, frame.payload)
             match signal:
                 case Plan():
                     plans.append(signal)

@@ -19,7 +19,7 @@ from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.bus.topics import BY_KEY, key_of
 from services.bus.wire import Header, encode
 from services.supervisor import loopback
@@ -98,7 +98,7 @@ class Flight:
         self.hull = Hull(heading_rad=heading_rad, current_mps=CURRENT_MPS)
         self.actuators, self.sender = Actuators(), Sender()
         self.node = ControllerNode(Vehicle.load(str(HULL)), reference, config or ControllerConfig())
-        self.door = Door()
+        self.door = MessageValidator()
         self.track: list[tuple[float, float]] = []
         self.plans: list[dict[str, Any]] = []
         self._reports = reports

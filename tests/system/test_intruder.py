@@ -15,7 +15,7 @@ from services.bus import certificates
 from services.bus.mailbox import Mailbox
 from services.bus.roles import ROLES
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.processes import router
 from services.runtime.stopping import StopRequest
@@ -58,13 +58,13 @@ class Ears:
 
     def subscribe(self, session: Session) -> None:
         for kind in (StepRecord, NodeStatus, RunEvent):
-            session.subscribe(f"{BY_SIGNAL[kind].key}/*", BY_SIGNAL[kind], self.box)
+            session.subscribe(f"{BY_TYPE[kind].key}/*", BY_TYPE[kind], self.box)
 
     def hear(self, timeout_s: float) -> bool:
         frame = self.box.take(timeout_s)
         if frame is None or frame.topic is None:
             return False
-        said, header = decode(frame.topic.signal, frame.payload)
+        said, header = decode(frame.topic.message_type, frame.payload)
         if isinstance(said, NodeStatus):
             self.own.add(header.epoch)
             self.status[said.node] = said

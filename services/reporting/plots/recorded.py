@@ -111,8 +111,8 @@ def read(recording: Path, *, rows: int = ROWS) -> Picture:
             collector.hear(signal, header.epoch)
         elif isinstance(record, Channel):
             topic = topics.topic_at(record.topic)
-            shown = topic is not None and (topic.signal in RARE or topic.signal in OFTEN)
-            kinds[record.id] = topic.signal if topic is not None and shown else None
+            shown = topic is not None and (topic.message_type in RARE or topic.message_type in OFTEN)
+            kinds[record.id] = topic.message_type if topic is not None and shown else None
         elif isinstance(record, Metadata) and record.name == RUN:
             metadata = record.metadata
     collector = collector or Collector(thrusters(metadata), rows=rows)

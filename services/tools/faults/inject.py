@@ -21,10 +21,10 @@ import msgspec
 from ltv_mpc.messages import Clock, Handed, Injection, Message, NodeStatus, RunEvent
 from ltv_mpc.node import Arrival
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Publisher, Session, Stopped, open_session
-from services.bus.topics import BY_SIGNAL, TOPICS, Topic, topic_at
+from services.bus.topics import BY_TYPE, TOPICS, Topic, topic_at
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.serve import until_stopped
@@ -55,7 +55,7 @@ class Interference:
         topic = topic_at(injection.key)
         assert topic is not None  # by ``schedule.problem``
         spell = Spell(injection.start_t_ns, injection.end_t_ns)
-        self._transit.add(Harmed((topic.signal,), injection.harm, spell, injection.size, injection.seed))
+        self._transit.add(Harmed((topic.message_type,), injection.harm, spell, injection.size, injection.seed))
         self.asked.append(injection)
 
     @property
@@ -68,10 +68,10 @@ class Interference:
 
         A frame that cannot be decoded is forwarded unchanged.
         """
-        if not self._transit.knows(topic.signal):
+        if not self._transit.knows(topic.message_type):
             return [(t_ns, payload)]
         try:
-            signal, header = decode(topic.signal, payload)
+            signal, header = decode(topic.message_type, payload)
         except WireError:
             return [(t_ns, payload)]
         message = _Carried(signal, header.epoch, header.sequence, t_ns, payload, signal, header)
@@ -141,7 +141,7 @@ class Injector:
         stop.wakes(self._mailbox.wake)
         self._node = node
         self._clock = VehicleClock()
-        self._door = Door()
+        self._door = MessageValidator()
         self._on_the_way: list[tuple[int, int, str, bytes]] = []  # due (ns), count, key, frame
         self._count = 0
         self._marks: list[tuple[int, int, str]] = []  # events to come: when, of which fault, what
@@ -169,7 +169,7 @@ class Injector:
             self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent, Handed))
             for key, topic in others.items():
                 side_a.subscribe(key, topic)
-            side_a.subscribe(BY_SIGNAL[Injection].key, BY_SIGNAL[Injection])
+            side_a.subscribe(BY_TYPE[Injection].key, BY_TYPE[Injection])
             for key, topic in own.items():
                 side_b.subscribe(key, topic)
             self._own = own
@@ -182,10 +182,10 @@ class Injector:
 
     def _take(self, frame: Frame) -> None:
         assert frame.topic is not None
-        if frame.topic.signal is Injection:
+        if frame.topic.message_type is Injection:
             self._asked(frame)
             return
-        if frame.topic.signal is Clock:
+        if frame.topic.message_type is Clock:
             with contextlib.suppress(WireError, ClockError):  # its followers say so
                 self._clock.hear(decode(Clock, frame.payload)[0])
         now_ns = self._now_ns()
@@ -272,8 +272,8 @@ def _written_by(node: str) -> dict[str, Topic]:
 def _read_by(node: str) -> dict[str, Topic]:
     """Return the keys of other nodes that a node reads; a plant also reads the status of all nodes."""
     heard = {topic.key: topic for topic in TOPICS if node in topic.read_by or ANYONE in topic.read_by}
-    if node == BY_SIGNAL[Clock].written_by:
-        heard[f"{BY_SIGNAL[NodeStatus].key}/*"] = BY_SIGNAL[NodeStatus]
+    if node == BY_TYPE[Clock].written_by:
+        heard[f"{BY_TYPE[NodeStatus].key}/*"] = BY_TYPE[NodeStatus]
     own = _written_by(node)
     return {key: topic for key, topic in heard.items() if key not in own}
 

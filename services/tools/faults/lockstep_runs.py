@@ -31,7 +31,7 @@ from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
@@ -164,23 +164,23 @@ class ReaderValidators:
     """Message validators, one for each reader as in processes: they decode damaged bytes and check sequence numbers."""
 
     def __init__(self) -> None:
-        self._doors: dict[str, Door] = {}
+        self._doors: dict[str, MessageValidator] = {}
         self.let_in: list[int] = []
         """Times (ns) at which a damaged frame was accepted, because its content was valid."""
 
     def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
         """Return the accepted message, or the reason why it is rejected."""
         message, kind = delivery.message, type(delivery.message.signal)
-        door = self._doors.setdefault(reader, Door())
+        door = self._doors.setdefault(reader, MessageValidator())
         key = topics.key_of(kind, reader)
         try:
             if delivery.payload is not None:
-                signal, header = door.admit(Frame(topics.BY_SIGNAL[kind], key, delivery.payload, 0))
+                signal, header = door.admit(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
                 self.let_in.append(delivery.at_ns)
                 return Arrival(signal, header.epoch, header.sequence, delivery.at_ns)
             if (reason := refusal(message.signal)) is not None:
                 return reason
-            shared = topics.BY_SIGNAL[kind].written_by == topics.OPERATOR or kind is Plan  # as ``Door.admit`` has it
+            shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
             door.in_order(f"{key}@{message.epoch}" if shared else key, _header(message))
         except wire.WireError as error:
             return str(error)

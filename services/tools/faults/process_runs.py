@@ -17,7 +17,7 @@ import msgspec
 from ltv_mpc.messages import Clock, ClockState
 from services.bus.roles import DISPLAY
 from services.bus.session import BusOptions, open_session
-from services.bus.topics import BY_SIGNAL, Topic
+from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
 from services.processes import plant
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
@@ -151,7 +151,7 @@ def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | No
     while process.poll() is None and time.monotonic() < until:
         if not connected and (options := _bus_of(folder)) is not None:
             session = sessions.enter_context(open_session(options, stop=lambda: False, say=lambda _: None))
-            session.subscribe(BY_SIGNAL[Clock].key, BY_SIGNAL[Clock], clock)
+            session.subscribe(BY_TYPE[Clock].key, BY_TYPE[Clock], clock)
             connected = True
         if clock.now_ns() is not None:
             return clock

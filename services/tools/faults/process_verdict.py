@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.tools.faults import recorded
 from services.tools.faults.attacks import ENDING
 from services.tools.faults.draw import Run
@@ -134,7 +134,7 @@ def _lost(read: Recorded) -> int:
 
 def _holes(read: Recorded, key: str) -> int:
     """Count the missing sequence numbers of a key between the first and the last recorded one of each epoch."""
-    losses = Losses()
+    losses = LossAccounting()
     for epoch, sequence in sorted((sent.epoch, sent.sequence) for sent in read.sent if sent.key == key):
         losses.begins(key, epoch, sequence)
         losses.saw(key, epoch, sequence)

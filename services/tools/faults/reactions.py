@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.messages import Health, PlanOrigin
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import AFLOAT, INSTRUMENTS, MESSAGES
 from services.tools.faults.lockstep_runs import INTRUDERS_EPOCH, Observed
@@ -95,7 +95,7 @@ def uncounted(case: Case) -> int:
 
 def _refused(case: Case) -> int:
     """Count the rejected frames of the harmed keys, until the last frame that the fault affected can have arrived."""
-    keys = {BY_SIGNAL[kind].key for kind in MESSAGES[case.fault.target]}
+    keys = {BY_TYPE[kind].key for kind in MESSAGES[case.fault.target]}
     until_ns = case.end_ns + 2 * REPORT_NS
     return sum(key in keys and case.start_ns <= t <= until_ns for t, _, key in case.of.log.rejected)
 
@@ -177,7 +177,7 @@ def _silence_flagged(case: Case) -> Reaction:
     name, fault = case.fault.target, case.fault
     if name == "imu":
         return Reaction(None)  # without it there is neither estimate nor report: the health says so
-    threshold_ns = case.start_ns + SILENT_PERIODS * BY_SIGNAL[INSTRUMENTS[name]].period_ns
+    threshold_ns = case.start_ns + SILENT_PERIODS * BY_TYPE[INSTRUMENTS[name]].period_ns
     until_ns = min(case.end_ns, 0) if name in AFLOAT else case.end_ns
     due = [report for report in case.of.log.reports if threshold_ns + REPORT_NS < report.t_ns <= until_ns]
     if not due:

@@ -9,14 +9,14 @@ from typing import NamedTuple
 from ltv_mpc.messages import Estimate, NodeStatus, Plan, Rejected, StepRecord, Truth
 from ltv_mpc.node import Arrival
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.recording.reader import Recording
-from services.recording.sequence_gaps import Gaps
+from services.recording.sequence_gaps import SequenceGaps
 from services.tools.faults.lockstep_runs import Log
 
 CONTROLLER, PLANT = "controller", "plant"
-ESTIMATE, PLAN, TRUTH = (BY_SIGNAL[kind].key for kind in (Estimate, Plan, Truth))
+ESTIMATE, PLAN, TRUTH = (BY_TYPE[kind].key for kind in (Estimate, Plan, Truth))
 
 
 class Taken(NamedTuple):
@@ -56,7 +56,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     words: list[NodeStatus] = []
     last: dict[int, NodeStatus] = {}
     messages: Counter[int] = Counter()
-    sources: dict[tuple[str, int], Gaps] = {}
+    sources: dict[tuple[str, int], SequenceGaps] = {}
     steps: list[StepRecord] = []
     stamps: dict[tuple[int, int], int] = {}
     until_ns = unreadable = 0
@@ -70,7 +70,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
             continue
         key, t_ns = message.key, message.t_ns
         until_ns = max(until_ns, t_ns)
-        if sources.setdefault((key, header.epoch), Gaps()).saw(header.sequence):
+        if sources.setdefault((key, header.epoch), SequenceGaps()).saw(header.sequence):
             messages[header.epoch] += 1
         match signal:
             case StepRecord() if signal.node in (CONTROLLER, PLANT):

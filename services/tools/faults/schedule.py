@@ -68,7 +68,7 @@ def problem(asked: Injection) -> tuple[str, str] | None:
     if asked.harm is Harm.DELAY and not 0 < asked.size <= LONGEST_DELAY_S:
         return "size", f"must be > 0 and <= {LONGEST_DELAY_S:g} (s) for {asked.harm}"
     # NaN in an array with gaps is a missing value.
-    harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.signal).values())
+    harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
     if asked.harm is Harm.NOT_A_NUMBER and not any(harmable):
         return "key", "has no number that could be none"
     return None

@@ -19,10 +19,10 @@ from ltv_mpc.node import Arrival
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.processes.controller import rehearse
 from services.supervisor.parent_death import die_with_parent
@@ -64,14 +64,14 @@ class _VehicleController:
 
     def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
         self.node = node
-        self.door = Door()
+        self.door = MessageValidator()
         self.overtaken = 0  # estimates
         self._frames: list[Frame] = []
         self._armed = False
         under = namespace(number)
         self.out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), under=under)
         for kind in (Applied, Estimate):
-            session.subscribe(f"{under}/{BY_SIGNAL[kind].key}", BY_SIGNAL[kind], mailbox)
+            session.subscribe(f"{under}/{BY_TYPE[kind].key}", BY_TYPE[kind], mailbox)
 
     def hear(self, frame: Frame) -> None:
         """Keep a frame for the next cycle, which decodes only the newest estimate."""
@@ -100,12 +100,12 @@ class _VehicleController:
 
 
 def _is_estimate(frame: Frame) -> bool:
-    return frame.topic is not None and frame.topic.signal is Estimate
+    return frame.topic is not None and frame.topic.message_type is Estimate
 
 
 def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
-    of = {f"{namespace(n)}/{BY_SIGNAL[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
+    of = {f"{namespace(n)}/{BY_TYPE[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
     waiting: dict[_VehicleController, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
     before: tuple[float, Counter[str]] | None = None

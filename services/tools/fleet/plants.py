@@ -17,10 +17,10 @@ from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
 from ltv_mpc.safety.plan_gate import Gate, Verdict
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import Door
+from services.bus.message_validation import MessageValidator
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet.place import Fleet, Wire, begin, namespace, now_ns
@@ -67,7 +67,7 @@ def main(fleet: Fleet, wire: Wire, parent: int) -> None:
 class _World:
     def __init__(self, fleet: Fleet, plants: list[_Plant], session: Session, mailbox: Mailbox) -> None:
         self._fleet, self._plants = fleet, plants
-        epoch, topic = new_epoch(), BY_SIGNAL[Plan]
+        epoch, topic = new_epoch(), BY_TYPE[Plan]
         self._out = [
             Outbox(session, node="plant", epoch=epoch, kinds=(Estimate, Applied), under=namespace(i))
             for i in range(len(plants))
@@ -75,7 +75,7 @@ class _World:
         self._of = {f"{namespace(i)}/{topic.key}": i for i in range(len(plants))}
         for key in self._of:
             session.subscribe(key, topic, mailbox)
-        self._door = Door()
+        self._door = MessageValidator()
         self._latencies_ns: list[int] = []
         self._errors_m: list[float] = []
         self._plans = self._estimates = self._late = self._refused = 0

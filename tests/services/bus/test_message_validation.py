@@ -10,11 +10,11 @@ import pytest
 
 from ltv_mpc.messages import Manual, PressureDepth
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import MOST_KINDS, MOST_SOURCES, Door, rejection
-from services.bus.topics import BY_SIGNAL
+from services.bus.message_validation import MOST_KINDS, MOST_SOURCES, MessageValidator, rejection
+from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, crc, encode, unpack
 
-TOPIC = BY_SIGNAL[PressureDepth]
+TOPIC = BY_TYPE[PressureDepth]
 MANUAL = Manual(thrust_N=(0.0, 0.0, 0.0))
 
 
@@ -24,7 +24,7 @@ def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOP
 
 
 def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
-    door = Door()
+    door = MessageValidator()
     for sequence in (5, 6, 9):  # it joined late: what was before 5 it never was to have
         door.admit(frame(sequence))
     assert (door.received, door.dropped, door.rejected) == (3, 2, 0)
@@ -32,7 +32,7 @@ def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
 
 @pytest.mark.parametrize("again", [7, 3])
 def test_a_doubled_or_reordered_frame_is_refused(again: int) -> None:
-    door = Door()
+    door = MessageValidator()
     for sequence in (3, 7):
         door.admit(frame(sequence))
     with pytest.raises(WireError, match="out of order"):
@@ -42,7 +42,7 @@ def test_a_doubled_or_reordered_frame_is_refused(again: int) -> None:
 
 
 def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(100, epoch=1))
     door.admit(frame(0, epoch=2))
     with pytest.raises(WireError, match="former epoch"):
@@ -54,7 +54,7 @@ def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
 @pytest.mark.parametrize("damaged", [(1, 2**40), (2**40, 57)], ids=["sequence", "epoch"])
 def test_one_damaged_header_does_not_silence_the_true_source(damaged: tuple[int, int]) -> None:
     """Of right form, but of a sequence or an epoch that nobody has sent."""
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(56))
     epoch, sequence = damaged
     with pytest.raises(WireError, match="far ahead"):
@@ -66,7 +66,7 @@ def test_one_damaged_header_does_not_silence_the_true_source(damaged: tuple[int,
 
 @pytest.mark.parametrize(("epoch", "lost"), [(1, 20_000 - 56 - 2), (2, 0)], ids=["a long silence", "another source"])
 def test_what_two_frames_say_is_believed(epoch: int, lost: int) -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(56))
     with pytest.raises(WireError, match="far ahead"):
         door.admit(frame(20_000 - 1, epoch=epoch))
@@ -76,7 +76,7 @@ def test_what_two_frames_say_is_believed(epoch: int, lost: int) -> None:
 
 
 def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
-    door = Door()
+    door = MessageValidator()
     for sequence in range(0, 3000, 30):
         with contextlib.suppress(WireError):
             door.admit(frame(sequence))
@@ -86,7 +86,7 @@ def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
 
 
 def test_another_source_in_the_midst_of_its_count_does_not_take_over_from_one_that_speaks() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(0))
     for sequence in range(1, 20):
         door.admit(frame(sequence))
@@ -96,7 +96,7 @@ def test_another_source_in_the_midst_of_its_count_does_not_take_over_from_one_th
 
 
 def test_two_damaged_headers_that_disagree_are_not_believed() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(56))
     for sequence in (2**40, 2**30, 2**41):
         with pytest.raises(WireError, match="far ahead"):
@@ -106,7 +106,7 @@ def test_two_damaged_headers_that_disagree_are_not_believed() -> None:
 
 
 def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(56))
     for k, epoch in enumerate((2**40, 2**41, 2**42)):
         with pytest.raises(WireError, match="far ahead"):
@@ -116,7 +116,7 @@ def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
 
 def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
     """Epochs on one key, operators, reasons: each bounded, and who speaks all the time is not forgotten for them."""
-    door, manual = Door(), BY_SIGNAL[Manual]
+    door, manual = MessageValidator(), BY_TYPE[Manual]
     for k in range(MOST_SOURCES + 500):
         door.admit(frame(0, epoch=k))
         door.admit(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
@@ -132,14 +132,14 @@ def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
 
 
 def test_keys_are_counted_apart() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(5, key="status/a"))
     door.admit(frame(0, key="status/b"))
     assert door.dropped == 0
 
 
 def test_refusals_are_counted_by_kind_not_by_value_so_that_the_count_stays_small() -> None:
-    door = Door()
+    door = MessageValidator()
     for i in range(100):
         for bad in (frame(i, depth_m=2e4 + i), Frame(TOPIC, TOPIC.key, b"", 0), Frame(None, "who/knows", b"", 0)):
             with pytest.raises(WireError):
@@ -150,7 +150,7 @@ def test_refusals_are_counted_by_kind_not_by_value_so_that_the_count_stays_small
 
 
 def test_a_refused_frame_does_not_move_the_sequence() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(0))
     with pytest.raises(WireError):
         door.admit(frame(900, depth_m=float("nan")))
@@ -178,13 +178,13 @@ def test_a_mailbox_gives_back_in_order_of_arrival_and_drops_beyond_its_capacity(
 
 
 def test_on_a_key_on_which_operators_command_each_is_a_source_of_its_own() -> None:
-    topic = BY_SIGNAL[Manual]
+    topic = BY_TYPE[Manual]
 
     def by_hand(sequence: int, epoch: int) -> Frame:
         payload = encode(Manual(thrust_N=(0.0, 0.0, 0.0)), Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0))
         return Frame(topic, topic.key, payload, 0)
 
-    door = Door()
+    door = MessageValidator()
     for sequence, epoch in ((0, 1), (7, 2), (1, 1), (8, 2)):
         door.admit(by_hand(sequence, epoch))
     for sequence, epoch in ((1, 1), (8, 2)):
@@ -194,7 +194,7 @@ def test_on_a_key_on_which_operators_command_each_is_a_source_of_its_own() -> No
 
 
 def test_what_is_turned_back_after_it_was_let_in_is_counted_as_refused() -> None:
-    door = Door()
+    door = MessageValidator()
     door.admit(frame(0))
     door.turn_back("no time yet: it would be late")
     assert (door.received, door.rejected, dict(door.refused)) == (0, 1, {"no time yet": 1})

@@ -41,7 +41,7 @@ def test_every_message_is_on_the_page_once_with_all_its_fields() -> None:
     by_key = {section.partition("`")[0].removesuffix("/<node>"): section for section in sections}
     assert len(sections) == len(by_key) == len(TOPICS)
     for topic in TOPICS:
-        own = list(fields(topic.signal))
+        own = list(fields(topic.message_type))
         listed = re.findall(r"^\| `(\w+)` \|", by_key[topic.key].partition("\n\nAn entry of")[0], flags=re.M)
         assert listed[: len(own)] == own, topic.key
 

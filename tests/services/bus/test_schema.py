@@ -28,7 +28,7 @@ from ltv_mpc.messages import (
 from services.bus import schema, wire
 from services.bus.topics import TOPICS
 
-KINDS = [topic.signal for topic in TOPICS]
+KINDS = [topic.message_type for topic in TOPICS]
 HEADER = wire.Header(epoch=1, sequence=2, sent_monotonic_us=3)
 
 PLAN = Plan(

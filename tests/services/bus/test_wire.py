@@ -41,7 +41,7 @@ def same(a: object, b: object) -> bool:
 
 
 def test_every_topic_has_an_example_here() -> None:
-    assert {topic.signal for topic in TOPICS} == {type(example) for example in EXAMPLES}
+    assert {topic.message_type for topic in TOPICS} == {type(example) for example in EXAMPLES}
 
 
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda s: type(s).__name__)

@@ -18,10 +18,10 @@ import pytest
 
 from ltv_mpc import config, references
 from ltv_mpc.messages import Authority, Estimate, Plan
-from services.bus.latest_cache import Newest
+from services.bus.latest_cache import LatestCache
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.cli.app import run
 from services.runtime.stopping import StopRequest
@@ -35,13 +35,13 @@ class Alone(NamedTuple):
     """A controller at a router, and the newest of its plans."""
 
     endpoint: str
-    newest: Newest
+    newest: LatestCache
 
     def ctl(self, *words: str) -> int:
         return run(["ctl", *words, "--connect", self.endpoint, "--namespace", "boat"])
 
     def plan(self) -> Plan | None:
-        found = self.newest.get(BY_SIGNAL[Plan].key)
+        found = self.newest.get(BY_TYPE[Plan].key)
         return None if found is None else decode(Plan, found[1])[0]
 
 
@@ -72,14 +72,14 @@ def controller(endpoint: str, log: Path) -> Iterator[None]:
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Alone]:
     endpoint = f"tcp/127.0.0.1:{loopback.free_port()}"
     log = tmp_path_factory.mktemp("controller") / "stderr"
-    newest, ended = Newest(), threading.Event()
+    newest, ended = LatestCache(), threading.Event()
     options = BusOptions(connect=(endpoint,), namespace="boat")
     with (
         open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print),
         controller(endpoint, log),
         open_session(options, stop=StopRequest(), say=print) as session,
     ):
-        session.subscribe(BY_SIGNAL[Plan].key, BY_SIGNAL[Plan], newest)
+        session.subscribe(BY_TYPE[Plan].key, BY_TYPE[Plan], newest)
         out = Outbox(session, node="navigation", epoch=1, kinds=(Estimate,))
 
         def speak() -> None:

@@ -28,7 +28,7 @@ from ltv_mpc.messages import (
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.dashboard import page, serve
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
@@ -62,7 +62,7 @@ class MadeUpVehicle:
         self.clock_epoch = EPOCH
         self._box = Mailbox()
         for kind in (Command, ClockCommand, Disturbance, Kill):
-            session.subscribe(BY_SIGNAL[kind].key, BY_SIGNAL[kind], self._box)
+            session.subscribe(BY_TYPE[kind].key, BY_TYPE[kind], self._box)
         self._out = {
             node: Outbox(session, node=node, epoch=EPOCH, kinds=kinds)
             for node, kinds in (
@@ -134,7 +134,7 @@ class MadeUpVehicle:
     def _obey(self) -> None:
         while (frame := self._box.take(0.0)) is not None:
             assert frame.topic is not None
-            signal, header = decode(frame.topic.signal, frame.payload)
+            signal, header = decode(frame.topic.message_type, frame.payload)
             if header.epoch == EPOCH:  # the dive's own
                 continue
             self.heard.append(signal)

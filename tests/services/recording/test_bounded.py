@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from services.recording import loss_accounting, publish_counts, sequence_gaps
-from services.recording.loss_accounting import Losses
-from services.recording.publish_counts import Promises
-from services.recording.sequence_gaps import Gaps
+from services.recording.loss_accounting import LossAccounting
+from services.recording.publish_counts import PublishCounts
+from services.recording.sequence_gaps import SequenceGaps
 
 
 @pytest.fixture(autouse=True)
@@ -18,7 +18,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_forgotten_sources_have_lost_stays_counted() -> None:
-    of = Losses()
+    of = LossAccounting()
     for epoch in range(1000):
         of.saw("plan", epoch, 0)
         of.saw("plan", epoch, 3)  # two are missing
@@ -33,7 +33,7 @@ def test_what_forgotten_sources_have_lost_stays_counted() -> None:
 
 
 def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> None:
-    of = Losses()
+    of = LossAccounting()
     for epoch in range(20):
         of.saw("plan", epoch, 0)
     of.saw("plan", 0, 500)
@@ -42,7 +42,7 @@ def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> No
 
 
 def test_of_too_many_keys_the_sums_are_one() -> None:
-    of = Losses()
+    of = LossAccounting()
     for k in range(100):
         of.saw(f"status/{k}", 1, 0)
         of.saw(f"status/{k}", 1, 2)  # one is missing
@@ -53,7 +53,7 @@ def test_of_too_many_keys_the_sums_are_one() -> None:
 
 def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sequence_gaps, "MOST_GAPS", 3)
-    of = Gaps()
+    of = SequenceGaps()
     for sequence in range(0, 20, 2):
         assert of.saw(sequence)
     assert (of.missing, of.ranges) == (9, ((13, 13), (15, 15), (17, 17)))
@@ -63,10 +63,10 @@ def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.Monk
 
 
 def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
-    of = Losses()
+    of = LossAccounting()
     assert [of.saw("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
     assert (of.published, of.missing, of.by_key()) == (4, 1, {"plan": 1})
-    kept = Promises()
+    kept = PublishCounts()
     for again in (False, True, False):
         kept.saw(7)
         if again:
@@ -76,7 +76,7 @@ def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
 
 
 def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> None:
-    of = Promises()
+    of = PublishCounts()
     for epoch in range(1000):
         of.saw(epoch)
         of.promise(epoch, f"node {epoch % 2}", 3)  # two are missing
@@ -88,7 +88,7 @@ def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> 
 
 
 def test_who_spoke_before_anybody_counted_keeps_every_word() -> None:
-    of = Promises()
+    of = PublishCounts()
     assert not of.saw(1, late=True)
     assert not of.saw(1)
     assert of.saw(2)

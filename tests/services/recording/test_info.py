@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ltv_mpc.messages import RunEvent
 from services.recording import info
 from services.recording.recover import segments
-from services.recording.sequence_gaps import Gaps
+from services.recording.sequence_gaps import SequenceGaps
 from services.reporting import log_text
 from tests.services.recording.recordings import START_NS, depth, foreign, write, write_depths
 
@@ -20,7 +20,7 @@ S = 1_000_000_000
 
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=60))
 def test_gaps_are_what_a_set_says_whatever_the_order(sequences: list[int]) -> None:
-    gaps = Gaps()
+    gaps = SequenceGaps()
     for sequence in sequences:
         gaps.saw(sequence)
     missing = sorted(set(range(max(sequences) + 1)) - set(sequences))

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import AdcpPing, Estimate, Message, PressureDepth
 from services.bus import schema, wire
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recorded, Recording
 from services.recording.records import watched
 from services.recording.writer import RunWriter
@@ -248,7 +248,7 @@ def test_a_key_that_no_topic_has_stays_readable_as_a_plain_map() -> None:
 
 
 def test_losses_are_the_gaps_of_each_key_and_epoch() -> None:
-    losses = Losses()
+    losses = LossAccounting()
     for key, epoch, sequence in (
         ("plan", 5, 0),
         ("plan", 5, 1),

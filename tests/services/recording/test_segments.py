@@ -12,7 +12,7 @@ import pytest
 from ltv_mpc.messages import PressureDepth
 from services.bus import wire
 from services.recording import join, segments
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.recording.segments import SegmentWriter
 
@@ -164,7 +164,7 @@ def test_a_file_that_may_not_be_written_is_refused_at_once_and_nothing_is_left_o
 
 
 def test_losses_of_one_who_comes_later_begin_with_what_it_hears_first() -> None:
-    losses = Losses()
+    losses = LossAccounting()
     losses.begins(KEY, 7, 500)
     losses.saw(KEY, 7, 500)
     losses.begins(KEY, 7, 502)  # it has begun already

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import Clock, ClockState
 from services.runtime.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock, fraction_of
-from services.runtime.clock_master import MOST_CATCH_UP_US, KeepsTime, TimeKeeping
+from services.runtime.clock_master import MOST_CATCH_UP_US, ClockMaster, ClockMasterSettings
 from services.runtime.node_status import MOST_BEHIND_US
 from tests.services.words import status
 
@@ -224,9 +224,9 @@ def test_a_speed_that_differs_from_the_time_keepers_is_an_error_that_names_both(
     told.hear(at_speed(k, T0_US, 7))  # a change on the way is none
 
 
-def keeping_time(clock: VehicleClock, sent: list[object], *expects: str) -> TimeKeeping:
-    settings = KeepsTime(start_ns=START_NS, end_ns=0, speed=10.0, expects=expects)
-    return TimeKeeping(settings, clock, epoch=1, now_us=T0_US, publish=sent.append)
+def keeping_time(clock: VehicleClock, sent: list[object], *expects: str) -> ClockMaster:
+    settings = ClockMasterSettings(start_ns=START_NS, end_ns=0, speed=10.0, expects=expects)
+    return ClockMaster(settings, clock, epoch=1, now_us=T0_US, publish=sent.append)
 
 
 def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ltv_mpc.messages import Clock, ClockCommand, ClockState, RunEvent
 from services.runtime.clock import LEAD_US, VehicleClock
-from services.runtime.clock_master import KeepsTime, TimeKeeping
+from services.runtime.clock_master import ClockMaster, ClockMasterSettings
 
 MS = 1_000
 
@@ -15,8 +15,8 @@ class Kept:
     def __init__(self, *expects: str) -> None:
         self.said: list[Clock | RunEvent] = []
         self.clock = VehicleClock()
-        settings = KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=expects)
-        self.keeping = TimeKeeping(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
+        settings = ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=expects)
+        self.keeping = ClockMaster(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
         self.keeping.tend(0)
 
     def asked(self, now_us: int, *, paused: bool = False, speed: float = 1.0) -> None:

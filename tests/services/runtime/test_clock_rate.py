@@ -9,24 +9,24 @@ import pytest
 
 from ltv_mpc.messages import Clock, RunEvent
 from services.runtime.clock import VehicleClock
-from services.runtime.clock_master import KeepsTime, TimeKeeping
-from services.runtime.clock_rate import FIRST_WINDOW_US, GROWTH, MOST_GIVEN_UP, WINDOW_US, Pace
+from services.runtime.clock_master import ClockMaster, ClockMasterSettings
+from services.runtime.clock_rate import FIRST_WINDOW_US, GROWTH, MOST_GIVEN_UP, WINDOW_US, ClockRate
 from services.runtime.node_status import MOST_BEHIND_US
 from tests.services.words import status
 
 ASKED = Fraction(10)
 
 
-def found(asked: Fraction) -> Pace:
+def found(asked: Fraction) -> ClockRate:
     """On a machine that can do what is asked for, once that is known."""
-    pace, now_us = Pace(asked), 0
+    pace, now_us = ClockRate(asked), 0
     while pace.speed < asked:
         now_us += FIRST_WINDOW_US
         pace.window_over(now_us)
     return pace
 
 
-def windows(pace: Pace, *given_up_us: int) -> list[float]:
+def windows(pace: ClockRate, *given_up_us: int) -> list[float]:
     """The speed after each window."""
     pace.begin_anew()
     pace.window_over(0)
@@ -61,7 +61,7 @@ def test_nobody_is_kept_below_real_time_who_did_not_ask_for_it() -> None:
 
 def test_it_begins_in_real_time_and_doubles_until_it_was_too_much_or_enough() -> None:
     def speeds(asked: Fraction, *given_up_us: int) -> list[float]:
-        pace, now_us, of = Pace(asked), 0, []
+        pace, now_us, of = ClockRate(asked), 0, []
         pace.window_over(now_us)
         for us in given_up_us:
             of.append(float(pace.speed))
@@ -107,8 +107,8 @@ class Machine:
         self._can = can
         self.said: list[Clock | RunEvent] = []
         self.clock = VehicleClock()
-        settings = KeepsTime(start_ns=0, end_ns=10**15, speed=float(ASKED), expects=())
-        self.keeping = TimeKeeping(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
+        settings = ClockMasterSettings(start_ns=0, end_ns=10**15, speed=float(ASKED), expects=())
+        self.keeping = ClockMaster(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
         self.keeping.tend(0)
         self.now_us = 0
         self._done_ns = 0.0

@@ -25,9 +25,9 @@ from ltv_mpc.messages import (
     SolveStatus,
 )
 from ltv_mpc.node import Arrival
-from services.bus.message_validation import Door
-from services.runtime.controller_status import ControllerReport
-from services.runtime.foreign_clock import Reading
+from services.bus.message_validation import MessageValidator
+from services.runtime.clock_sync import Reading
+from services.runtime.controller_status import ControllerStatusReporter
 from services.runtime.metrics import Metrics, serving
 from services.runtime.status_line import ERASE, StatusLine
 from services.supervisor import loopback
@@ -71,8 +71,8 @@ def node() -> ControllerNode:
 
 def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(node: ControllerNode) -> None:
     shown: list[ControllerStatus] = []
-    report = ControllerReport(node, [lambda status, _: shown.append(status)])
-    first = report.status(0, 0, Door(), SHARED)
+    report = ControllerStatusReporter(node, [lambda status, _: shown.append(status)])
+    first = report.status(0, 0, MessageValidator(), SHARED)
     assert (first.estimate_age_ns, first.cycle_median_us, first.error_m) == (None, None, None)
     assert (first.authority, first.health) == ("disarmed", "degraded")
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
@@ -84,7 +84,7 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     for k in range(100):
         report.stepped([plan(0.0)], k + 1, (2 + k // 20) * S)
     report.stepped([], 10**6, 6 * S)  # no plan: no cycle
-    status = report.status(11 * S + 1, 7_300_000_000, Door(), Reading(ClockMode.ONE_WAY, 5, None))
+    status = report.status(11 * S + 1, 7_300_000_000, MessageValidator(), Reading(ClockMode.ONE_WAY, 5, None))
     assert status.estimate_age_ns == 300_000_000
     assert status.applied_age_ns is None
     assert (status.cycle_median_us, status.cycle_p99_us) == (51.0, 100.0)

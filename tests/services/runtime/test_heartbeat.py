@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from services.runtime import heartbeat, stopwatch
-from services.runtime.heartbeat import FORMAT, LAST, LENGTH, PULSE_US, Supervised
+from services.runtime.heartbeat import FORMAT, LAST, LENGTH, PULSE_US, Heartbeat
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def words(pipe: tuple[int, int]) -> list[int]:
 
 
 def test_a_loop_beats_as_often_as_it_comes_round_but_not_more_often_than_is_looked_for(pipe: tuple[int, int]) -> None:
-    process = Supervised()
+    process = Heartbeat()
     process.by(pipe[1])
     for now_us in range(1_000_000, 1_200_001, 10_000):
         process.beat(now_us)
@@ -52,9 +52,9 @@ def test_a_loop_beats_as_often_as_it_comes_round_but_not_more_often_than_is_look
 
 
 def test_a_cycle_beats_with_each_of_its_stages(pipe: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
-    process = Supervised()
+    process = Heartbeat()
     process.by(pipe[1])
-    monkeypatch.setattr(stopwatch, "SUPERVISED", process)
+    monkeypatch.setattr(stopwatch, "HEARTBEAT", process)
     timer = stopwatch.StageTimer()
     timer.start()
     timer("build")
@@ -62,7 +62,7 @@ def test_a_cycle_beats_with_each_of_its_stages(pipe: tuple[int, int], monkeypatc
 
 
 def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() -> None:
-    process = Supervised()
+    process = Heartbeat()
     process.beat(1)
     process.last_beat()
     assert process.due_us is None
@@ -70,7 +70,7 @@ def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() 
 
 
 def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]) -> None:
-    process = Supervised()
+    process = Heartbeat()
     process.by(pipe[1])
     for k in range(20_000):
         process.beat(k * PULSE_US)
@@ -80,7 +80,7 @@ def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]
 def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(pipe: tuple[int, int], stdin: Path) -> None:
     stdin.write_bytes(LENGTH.pack(5) + b"state")
     read: list[None] = []
-    process = Supervised()
+    process = Heartbeat()
     process.by(pipe[1], restored=lambda: read.append(None))
     assert (process.state(), len(read)) == (b"state", 1)
     assert process.state() == b""  # it has had it
@@ -88,7 +88,7 @@ def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(pipe
 
 def test_there_may_be_no_state_to_go_on_from(pipe: tuple[int, int], stdin: Path) -> None:
     stdin.write_bytes(LENGTH.pack(0))
-    process = Supervised()
+    process = Heartbeat()
     process.by(pipe[1])
     assert process.state() == b""
 
@@ -96,7 +96,7 @@ def test_there_may_be_no_state_to_go_on_from(pipe: tuple[int, int], stdin: Path)
 def test_a_process_whose_supervisor_is_no_more_never_begins(pipe: tuple[int, int], stdin: Path) -> None:
     stdin.write_bytes(LENGTH.pack(100) + b"half")
     read: list[None] = []
-    process = Supervised()
+    process = Heartbeat()
     process.by(pipe[1], restored=lambda: read.append(None))
     with pytest.raises(SystemExit):
         process.state()

@@ -10,18 +10,18 @@ import pytest
 
 from ltv_mpc.messages import ClockState, GnssFix, NodeStatus, UsblFix
 from services.runtime.clock import Line, VehicleClock
-from services.runtime.node_status import HURRIED_PERIOD_US, LONGEST_WAY_US, MOST_BEHIND_US, StatusReport
+from services.runtime.node_status import HURRIED_PERIOD_US, LONGEST_WAY_US, MOST_BEHIND_US, NodeStatusReporter
 
 MS = 1_000
 SENT, WAY = 10**9, 70 * MS
 
 
-def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> StatusReport:
+def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> NodeStatusReporter:
     """Of a message that was 70 ms on its way and then waited."""
     clock = VehicleClock()
     clock.go_by(Line(0, 0, speed, 1, ClockState.RUNNING))
     nothing: Any = None
-    report = StatusReport("n", outbox=nothing, counts=nothing, mailbox=nothing, clock=clock, reads=(), say=print)
+    report = NodeStatusReporter("n", outbox=nothing, counts=nothing, mailbox=nothing, clock=clock, reads=(), say=print)
     report.due_us = 10**18
     report.waited(sent_us, SENT + WAY, SENT + WAY + waits_us)
     return report
@@ -69,7 +69,7 @@ def test_a_node_that_knows_what_it_needs_is_asked(missing: Callable[[], str] | N
     outbox: Any = SimpleNamespace(publish=said.append, published=0)
     counts: Any = SimpleNamespace(received=0, dropped=0, rejected=0)
     mailbox: Any = SimpleNamespace(overflowed=0)
-    report = StatusReport(
+    report = NodeStatusReporter(
         "n",
         outbox=outbox,
         counts=counts,

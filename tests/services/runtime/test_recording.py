@@ -16,20 +16,20 @@ import pytest
 from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, Rejected, RunEvent
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, plain
 from services.recording import segments
 from services.recording.reader import Recorded, Recording
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime.clock import boot_id, monotonic_us
-from services.runtime.node_status import StatusReport
+from services.runtime.node_status import NodeStatusReporter
 from services.runtime.recording import RecordingLoop
 from services.runtime.stopping import StopRequest
 from tests.services.words import status
 
 S = 1_000_000_000
-KEY = BY_SIGNAL[PressureDepth].key
+KEY = BY_TYPE[PressureDepth].key
 EPOCH = 77
 
 UNREAD = "read/by/nobody"
@@ -125,14 +125,14 @@ def test_what_a_mailbox_had_no_room_for_is_among_the_dropped_of_the_status(tmp_p
     def say(_: Outbox, put: Callable[[bytes], None]) -> None:
         put(encode(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=3, sent_monotonic_us=0)))
 
-    original = StatusReport.publish
+    original = NodeStatusReporter.publish
 
-    def crowded(report: StatusReport, now_us: int, *, others: str = "", finished: bool = False) -> None:
+    def crowded(report: NodeStatusReporter, now_us: int, *, others: str = "", finished: bool = False) -> None:
         report._mailbox.overflowed = 5
         original(report, now_us, others=others, finished=finished)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StatusReport, "publish", crowded)
+        patch.setattr(NodeStatusReporter, "publish", crowded)
         messages = record(tmp_path / "run.mcap", free_port, say)
     own = [message.plain for message in messages if message.key == "status/recorder"]
     assert own[-1]["dropped"] == 5  # 3 of which are also the gap before sequence 3

@@ -36,10 +36,10 @@ from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, Session, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, crc, decode
 from services.runtime.clock import monotonic_us
-from services.runtime.clock_master import KeepsTime
+from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.runner import Runner
 from services.runtime.stopping import StopRequest
 from tests.stepping import OneByOne
@@ -179,7 +179,7 @@ def read(frames: Sequence[Frame]) -> list[tuple[Frame, Message, Header]]:
     messages = []
     for frame in frames:
         assert frame.topic is not None
-        messages.append((frame, *decode(frame.topic.signal, frame.payload)))
+        messages.append((frame, *decode(frame.topic.message_type, frame.payload)))
     return messages
 
 
@@ -207,13 +207,13 @@ def run(
     """
     frames: list[Frame] = []
     others = tuple(node.name for node, _ in nodes[1:])
-    keeps_time = KeepsTime(start_ns=-100_000_000, end_ns=end_ns, speed=speed, expects=others)
+    clock_master = ClockMasterSettings(start_ns=-100_000_000, end_ns=end_ns, speed=speed, expects=others)
     runners = [
         Runner(
             node,
             stop=StopRequest(),
             say=print,
-            keeps_time=keeps_time if i == 0 else None,
+            clock_master=clock_master if i == 0 else None,
             compute_delay_ns=delay_ns,
         )
         for i, (node, delay_ns) in enumerate(nodes)
@@ -323,7 +323,7 @@ def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
-        raw = session.publisher(BY_SIGNAL[PressureDepth].key)
+        raw = session.publisher(BY_TYPE[PressureDepth].key)
         out = Outbox(session, node="test", epoch=5, kinds=(PressureDepth,))
         raw.put(b"\xc1")
         out.publish(PressureDepth(t_ns=0, depth_m=float("nan")))
@@ -400,8 +400,8 @@ def test_a_step_that_is_late_takes_all_that_has_arrived_before_it_starts(bus: Bu
         time.sleep(0.02)  # past the next cycle's time
 
     node = Slow(burst)
-    keeps_time = KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=())
-    runner = Runner(node, stop=StopRequest(), say=print, keeps_time=keeps_time)
+    clock_master = ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=())
+    runner = Runner(node, stop=StopRequest(), say=print, clock_master=clock_master)
     with listening(bus) as (session, _), running(bus, runner):
         until(lambda: len(node.inboxes) > 2)
     assert node.inboxes[:3] == [[], list(range(50)), []]
@@ -425,9 +425,12 @@ class Flooded(OneByOne):
 
 def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
     """Rubbish on an input: each frame is refused, and the next one is there already."""
-    node, topic = Flooded(), BY_SIGNAL[PressureDepth]
+    node, topic = Flooded(), BY_TYPE[PressureDepth]
     runner = Runner(
-        node, stop=StopRequest(), say=print, keeps_time=KeepsTime(start_ns=0, end_ns=10**12, speed=1.0, expects=())
+        node,
+        stop=StopRequest(),
+        say=print,
+        clock_master=ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=()),
     )
     take = runner.mailbox.take
 
@@ -460,13 +463,13 @@ def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_b
                 header, plan = plans[-1]
                 out.publish(answer(header, plan, now_ns))
             time.sleep(0.05)
-            mode = None if runner.foreign is None else runner.foreign.reading(monotonic_us()).mode
+            mode = None if runner.clock_sync is None else runner.clock_sync.reading(monotonic_us()).mode
             return mode == ("two-way" if answers else "one-way") and len(plans) >= 2
 
         until(lambda: said(answers=False))
         until(lambda: said(answers=True))
-        assert runner.foreign is not None
-        reading = runner.foreign.reading(monotonic_us())
+        assert runner.clock_sync is not None
+        reading = runner.clock_sync.reading(monotonic_us())
         assert reading.error_ns is not None
         assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
     (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, Rejected))
@@ -522,9 +525,9 @@ class Rare(Commanded):
 
 
 def test_a_command_does_not_wait_for_the_next_cycle(bus: BusOptions) -> None:
-    keeps_time = KeepsTime(start_ns=1, end_ns=10**15, speed=1.0, expects=())
+    clock_master = ClockMasterSettings(start_ns=1, end_ns=10**15, speed=1.0, expects=())
     controller = Rare()
-    runner = Runner(controller, stop=StopRequest(), say=print, keeps_time=keeps_time)
+    runner = Runner(controller, stop=StopRequest(), say=print, clock_master=clock_master)
     frames: list[Frame] = []
     with listening(bus) as (session, box), running(bus, runner):
         until(lambda: any(isinstance(s, NodeStatus) and s.t_ns > 1 for _, s, _ in read(drained(box, []))))

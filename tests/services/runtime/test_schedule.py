@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Cycle, Grid, OnMessage
-from services.runtime.schedule import Timetable
+from services.runtime.schedule import StepSchedule
 
 PERIOD_NS = 300_000_000
 
 
 @given(start=st.integers(-(10**12), 10**12), lateness=st.lists(st.integers(0, 10**10), max_size=20))
 def test_a_grid_takes_every_multiple_of_its_period_however_late_each_step_is(start: int, lateness: list[int]) -> None:
-    table = Timetable(Grid(PERIOD_NS))
+    table = StepSchedule(Grid(PERIOD_NS))
     table.begin(start)
     taken = []
     for late in lateness:
@@ -28,7 +28,7 @@ def test_a_grid_takes_every_multiple_of_its_period_however_late_each_step_is(sta
 
 
 def test_quick_cycles_do_not_drift_when_each_starts_and_ends_a_little_late() -> None:
-    table = Timetable(Cycle(PERIOD_NS))
+    table = StepSchedule(Cycle(PERIOD_NS))
     table.begin(0)
     for k in range(1000):
         assert table.next_ns == k * PERIOD_NS
@@ -36,7 +36,7 @@ def test_quick_cycles_do_not_drift_when_each_starts_and_ends_a_little_late() -> 
 
 
 def test_after_a_slow_cycle_the_next_one_starts_when_it_ends_and_the_period_counts_from_there() -> None:
-    table = Timetable(Cycle(PERIOD_NS))
+    table = StepSchedule(Cycle(PERIOD_NS))
     table.begin(0)
     table.stepped(710_000_000)
     assert table.next_ns == 710_000_000
@@ -45,21 +45,21 @@ def test_after_a_slow_cycle_the_next_one_starts_when_it_ends_and_the_period_coun
 
 
 def test_cycles_wait_for_what_was_measured_at_their_instant_and_a_grid_does_not() -> None:
-    table = Timetable(Cycle(PERIOD_NS))
+    table = StepSchedule(Cycle(PERIOD_NS))
     table.begin(-1, phase_ns=60_000_000)
     assert table.next_ns == 60_000_000
     table.stepped(70_000_000)
     assert table.next_ns == PERIOD_NS + 60_000_000
-    grid = Timetable(Grid(PERIOD_NS))
+    grid = StepSchedule(Grid(PERIOD_NS))
     grid.begin(-1, phase_ns=60_000_000)
     assert grid.next_ns == 0
 
 
 def test_messages_need_no_timetable_and_a_grid_ends_after_its_last_step() -> None:
-    on_message = Timetable(OnMessage((ImuSample,)))
+    on_message = StepSchedule(OnMessage((ImuSample,)))
     on_message.begin(0)
     assert on_message.next_ns is None
-    grid = Timetable(Grid(10), end_ns=20)
+    grid = StepSchedule(Grid(10), end_ns=20)
     grid.begin(0)
     ends = []
     for t in (0, 10, 20):

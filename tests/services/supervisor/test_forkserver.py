@@ -29,7 +29,7 @@ QUICK = """
 import os, re, signal, sys, time, types
 import msgspec
 from services.supervisor import forkserver
-from services.runtime.heartbeat import SUPERVISED
+from services.runtime.heartbeat import HEARTBEAT
 
 class Config(msgspec.Struct):
     task: str
@@ -38,8 +38,8 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    SUPERVISED.state()
-    SUPERVISED.beat(time.monotonic_ns() // 1000)
+    HEARTBEAT.state()
+    HEARTBEAT.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":
             return config.code

@@ -17,7 +17,7 @@ from msgspec import structs
 
 from ltv_mpc.currents import read_prior
 from ltv_mpc.messages import ControllerState, EstimatorState, NodeStatus, Plan, RunEvent, StepRecord, Truth
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
 from services.run import folder
@@ -94,7 +94,7 @@ def until(condition: Callable[[], bool], within_s: float = PATIENCE_S) -> None:
 
 def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
     """The recording, its messages by key, and what is missing, by key from the sequences, by node from last words."""
-    recording, count, losses = Recording(path), dict[str, int](), Losses()
+    recording, count, losses = Recording(path), dict[str, int](), LossAccounting()
     promised: dict[int, tuple[str, int]] = {}
     of_epoch: dict[int, int] = {}
     for message in recording:

@@ -18,7 +18,7 @@ from ltv_mpc.messages import (
     NodeStatus,
     Plan,
 )
-from services.bus.topics import BY_SIGNAL, STATES, Topic, topic_at
+from services.bus.topics import BY_TYPE, STATES, Topic, topic_at
 from services.bus.wire import Header, decode, encode
 from services.supervisor.bus_monitor import Sign, Watch
 from services.supervisor.restore_state import state_of
@@ -35,7 +35,7 @@ class Ether:
         self._inlets[key.removesuffix("/*")] = inlet.offer  # type: ignore[attr-defined]
 
     def put(self, signal: Message, *, epoch: int = 1, sequence: int = 0, node: str = "") -> None:
-        key = BY_SIGNAL[type(signal)].key + (f"/{node}" if node else "")
+        key = BY_TYPE[type(signal)].key + (f"/{node}" if node else "")
         self._inlets[key](topic_at(key), key, encode(signal, Header(epoch=epoch, sequence=sequence)))
 
 

@@ -15,7 +15,7 @@ import pytest
 from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
 from ltv_mpc.node import Arrival
 from services.bus import topics, wire
-from services.recording.loss_accounting import Losses
+from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recorded, Recording
 from services.run import folder
 from services.run.folder import RunFolder
@@ -90,7 +90,7 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
     recorded: tuple[Situation, RunFolder, Summary],
 ) -> None:
     here, place, summary = recorded
-    losses, times = Losses(), []
+    losses, times = LossAccounting(), []
     for message in Recording(place.recording):
         losses.saw(message.key, message.plain["epoch"], message.plain["sequence"])
         times.append(message.t_ns)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus
 from services.bus.mailbox import Mailbox
 from services.bus.session import BusOptions, open_session
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, decode, encode
 from services.cli.app import run
 from services.edges.ros2 import cdr
@@ -305,7 +305,7 @@ def test_the_process_translates_between_the_two_key_spaces(free_port: int) -> No
     command = [sys.executable, "-P", "-m", "services.cli", "ros2", "--connect", endpoint, "--namespace", "auv/7"]
     with open_session(BusOptions(listen=(endpoint,)), stop=StopRequest(), say=print) as session:
         estimates, forces = Mailbox(), Mailbox()
-        session.subscribe("auv/7/estimate", BY_SIGNAL[Estimate], estimates)
+        session.subscribe("auv/7/estimate", BY_TYPE[Estimate], estimates)
         session.subscribe("bridge/thrusters/starboard/thrust", None, forces)
         edge = subprocess.Popen([*command, "--ros-namespace", "bridge"], stdin=subprocess.DEVNULL)
         try:

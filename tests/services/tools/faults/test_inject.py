@@ -6,13 +6,13 @@ import pytest
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Harm, Injection, PressureDepth
-from services.bus.topics import BY_SIGNAL
+from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, decode, encode
 from services.tools.faults import schedule
 from services.tools.faults.inject import Interference, unlike_at_a
 
 MS, S = 1_000_000, 1_000_000_000
-TOPIC = BY_SIGNAL[PressureDepth]
+TOPIC = BY_TYPE[PressureDepth]
 
 
 def frame(sequence: int) -> bytes:

@@ -12,8 +12,7 @@ import pytest
 
 from ltv_mpc.messages import Applied, ClockMode, Estimate
 from services.runtime.clock import TimeKeeper, VehicleClock
-from services.runtime.foreign_clock import BELIEVED_AT, WINDOW_US, ForeignClock
-from services.runtime.foreign_time import GRACE_US, ForeignTime
+from services.runtime.clock_sync import BELIEVED_AT, GRACE_US, WINDOW_US, ClockOffsetEstimator, ClockSync
 
 YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025
 BOOT_NS = -5_000_000_000
@@ -46,7 +45,14 @@ class Theirs:
 
 
 def exchanged(
-    clock: ForeignClock, theirs: Theirs, *, out: Delay, back: Delay, reports: bool, until_s: int = 60, seed: int = 1
+    clock: ClockOffsetEstimator,
+    theirs: Theirs,
+    *,
+    out: Delay,
+    back: Delay,
+    reports: bool,
+    until_s: int = 60,
+    seed: int = 1,
 ) -> Iterator[int]:
     """A message each 0.1 s from there, a plan each 0.3 s from here, a tenth of both doubled; the time of each event.
 
@@ -103,7 +109,7 @@ def exchanged(
 def test_with_reports_the_truth_is_always_within_the_stated_error_which_is_half_the_smallest_round_trip(
     ppm, offset_ns, out, back, most_s
 ):
-    clock, theirs = ForeignClock(), Theirs(offset_ns, ppm)
+    clock, theirs = ClockOffsetEstimator(), Theirs(offset_ns, ppm)
     two_way = []
     for m_us in exchanged(clock, theirs, out=out, back=back, reports=True):
         reading = clock.read(m_us)
@@ -123,7 +129,7 @@ def test_with_reports_the_truth_is_always_within_the_stated_error_which_is_half_
 def test_one_way_the_reading_is_behind_by_the_smallest_delay_less_what_was_told_and_no_error_is_stated(
     ppm, told_s, back
 ):
-    clock, theirs = ForeignClock(input_delay_ns=round(told_s * 1e9)), Theirs(YEARS_NS, ppm)
+    clock, theirs = ClockOffsetEstimator(input_delay_ns=round(told_s * 1e9)), Theirs(YEARS_NS, ppm)
     behind = []
     for m_us in exchanged(clock, theirs, out=steady, back=back, reports=False):
         reading = clock.read(m_us)
@@ -142,7 +148,7 @@ def test_one_way_the_reading_is_behind_by_the_smallest_delay_less_what_was_told_
 
 
 def test_a_round_trip_that_was_short_once_counts_for_thirty_seconds_and_drift_widens_it():
-    clock = ForeignClock()
+    clock = ClockOffsetEstimator()
     clock.stamped(1_000_000, 1000)
     clock.received(2_000_000, 0)  # m = 0 -> theta <= 2 ms; m = 1 ms -> theta >= 0
     assert clock.read(1000) == (ClockMode.TWO_WAY, 1_000_050, 1_000_050)
@@ -158,7 +164,7 @@ def test_a_round_trip_that_was_short_once_counts_for_thirty_seconds_and_drift_wi
 
 
 def test_one_stamp_out_of_all_reason_is_not_believed_and_three_in_a_row_set_the_clock():
-    clock = ForeignClock()
+    clock = ClockOffsetEstimator()
     for k in range(50):
         assert clock.stamped(YEARS_NS + k * 100_000_000, k * 100_000)
     before = clock.read(5_000_000)
@@ -176,7 +182,7 @@ def test_one_stamp_out_of_all_reason_is_not_believed_and_three_in_a_row_set_the_
 
 @pytest.mark.parametrize("off_s", [-0.5, 3600.0])
 def test_a_report_of_a_receipt_before_it_can_have_been_or_long_after_it_is_left_out(off_s):
-    clock = ForeignClock()
+    clock = ClockOffsetEstimator()
     clock.stamped(YEARS_NS, 0)
     clock.received(YEARS_NS + round(off_s * 1e9), 0)
     assert clock.read(0).mode is ClockMode.ONE_WAY
@@ -205,10 +211,10 @@ def applied(t_ns: int, received_ns: int, sequence: int, epoch: int = EPOCH) -> A
     )
 
 
-def begun() -> tuple[VehicleClock, ForeignTime, int]:
+def begun() -> tuple[VehicleClock, ClockSync, int]:
     """In force, by estimates that took 20 ms; and the time."""
     clock = VehicleClock()
-    time = ForeignTime(clock, epoch=EPOCH)
+    time = ClockSync(clock, epoch=EPOCH)
     for m_us in range(0, GRACE_US + 100_001, 100_000):
         assert clock.newest is None or m_us > GRACE_US
         assert time.heard(estimate(YEARS_NS + (m_us - 20_000) * 1000), m_us) == ""
@@ -253,7 +259,7 @@ def test_a_reading_never_steps_back_unless_the_other_side_has_set_its_clock():
 def test_where_a_clock_is_published_the_stamps_are_not_held_against_ours_at_whatever_speed():
     clock = VehicleClock()
     keeper = TimeKeeper(epoch=3, start_ns=0, speed=10.0, now_us=0)
-    time = ForeignTime(clock, epoch=EPOCH)
+    time = ClockSync(clock, epoch=EPOCH)
     assert time.heard(estimate(0), 0) == ""
     clock.hear(keeper.run(0))
     for m_us in range(100_000, 5_000_000, 100_000):

@@ -26,7 +26,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Arrival
 from services.runtime.clock import VehicleClock
-from services.runtime.foreign_time import ForeignTime
+from services.runtime.clock_sync import ClockSync
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario
 from sim.water import make
@@ -100,7 +100,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
     plant = Plant(scenario, VEHICLE, make(scenario.water, 1))
     here, there = (Link(lambda: delay_s(rng), rng) for _ in range(2))
     clock = VehicleClock()
-    foreign = ForeignTime(clock, epoch=EPOCH)
+    foreign = ClockSync(clock, epoch=EPOCH)
     node = ControllerNode(VEHICLE, references.Point(north_m=0.0, east_m=0.0), ControllerConfig())
     inbox = [Arrival(Command(command_id=1, action=Action.ARM), 1, 0, 0)]
     due_ns: int | None = None
