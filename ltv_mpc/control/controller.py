@@ -25,7 +25,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.control import nominal_trajectory
+from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
@@ -34,8 +34,8 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
 from ltv_mpc.control.problem_data import pack
 from ltv_mpc.control.qp.failed_qp import FailedQp
-from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
 from ltv_mpc.control.vertical import VerticalPlan, follow
@@ -105,7 +105,7 @@ class Controller:
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
-        self.config = config = settled(config or ControllerConfig(), vehicle)
+        self.config = config = resolve_weights(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
         self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S, config.limits.most)
         self._lap = stopwatch
@@ -405,7 +405,7 @@ class Controller:
         """The lateral thrusters go to goal (N+1, 3), zero where there is none, at the slew limit."""
         X, U = self._room()
         lateral = self._nothing if goal is None else np.ascontiguousarray(goal[:, :2])
-        nominal_trajectory.release(self._numbers, start.lateral, lateral, self._lin.C, X, U)
+        nominal_trajectory.ramp_to_zero(self._numbers, start.lateral, lateral, self._lin.C, X, U)
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return _Lateral(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
@@ -442,19 +442,19 @@ class Controller:
                 # As far as it came: brought into box and slew, and taken only as far as the exact flow is no worse.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            part = nominal_trajectory.step(numbers, lin.flat, target, commands, X, U)
+            part = line_search.line_search(numbers, lin.flat, target, commands, X, U)
             # A step that was taken has a finite cost, and that takes finite states and commands.
             if part == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
-                nominal_trajectory.again(numbers, lin.flat, self.config.stages, X, U)
+                nominal_trajectory.relinearise(numbers, lin.flat, self.config.stages, X, U)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
     @cached_property
-    def _form(self) -> SparseForm:
+    def _form(self) -> SparseQp:
         """The QP's layout, for a problem that was not solved."""
         limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.most)
-        return SparseForm(self._knots, limits, self.config.weights)
+        return SparseQp(self._knots, limits, self.config.weights)
 
     def _keep(self, solve: Solve) -> None:
         """Keep the problem that was not solved, for whoever wants to look at it."""
@@ -483,11 +483,13 @@ class Controller:
         else:
             stages = (start.t_ns - int(old.t_ns[0])) / STAGE_NS
             commands = np.ascontiguousarray(old.thrust_N[:, :2])
-        kind = nominal_trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
+        kind = nominal_trajectory.choose_nominal(
+            self._numbers, start.lateral, self._target, commands, stages, self._lin.flat
+        )
         if kind == nominal_trajectory.CARRIED:
-            self._solver.shift(stages)
+            self._solver.shift_warm_start(stages)
         else:
-            self._solver.forget()
+            self._solver.reset_warm_start()
 
     def _fallback(self, start: Start, solve: Solve) -> _Lateral:
         """The rungs below the solved plan. The solver is made anew before it is asked again."""
@@ -506,10 +508,10 @@ class Controller:
         """
         X, U = self._room()
         commands, stages = np.ascontiguousarray(thrust_N[:, :2]), (start.t_ns - began_ns) / STAGE_NS
-        nominal_trajectory.shifted(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
+        nominal_trajectory.shifted_trajectory(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
         goal = U.copy()
         goal[start.t_ns + self._ahead_ns > self._solved_until_ns] = 0.0
-        nominal_trajectory.release(self._numbers, start.lateral, goal, self._lin.C, X, U)
+        nominal_trajectory.ramp_to_zero(self._numbers, start.lateral, goal, self._lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
