@@ -30,8 +30,8 @@ from benchmarks.optimum import Optimum
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.scaling import settled
-from ltv_mpc.control.solvers.interface import Answer, Solver
+from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Array
 from services.run.provenance import made_by
 from services.run.run_config import Situation
@@ -65,7 +65,7 @@ class Converged:
         self._lin, self._target = lin, target
         self._inner.build(lin, target)
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """IPOPT's commands where it converges to no more than the QP's cost, else the QP's."""
         answer, lin, optimum = self._inner.solve(), self._lin, self._optimum
         self.cycles += 1
@@ -74,13 +74,13 @@ class Converged:
         commands, done = optimum.solve(start, answer.commands, C, target)
         self.converged += done
         if done and optimum.cost(X0, commands, C, target) <= optimum.cost(X0, answer.commands, C, target):
-            return Answer(commands, answer.solve)
+            return SolverResult(commands, answer.solve)
         return answer
 
 
 def cost(of: Situation, flown: Outcome) -> float:
     """J of a flight."""
-    weights = settled(of.scenario.controller, of.vehicle).weights
+    weights = resolve_weights(of.scenario.controller, of.vehicle).weights
     scale = HorizonLimits.of(of.vehicle, of.scenario.controller.period_s).scale
     every = of.scenario.controller.period_ns // STEP_NS
     distance, f = flown.distance_m[every - 1 :: every], flown.commands_N[every - 1 :: every] / scale

@@ -31,7 +31,7 @@ from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import roll_out
 from ltv_mpc.control.problem_data import objective, pack_objective
-from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, lag_weights, substeps
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -59,7 +59,7 @@ class Optimum:
     """The nonlinear problem of N stages: multiple shooting, IPOPT."""
 
     def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
-        self._p, self._weights = vehicle.coefficients(), settled(config, vehicle).weights
+        self._p, self._weights = vehicle.coefficients(), resolve_weights(config, vehicle).weights
         self._limits = HorizonLimits.of(vehicle, STAGE_S)
         self._packed = pack_objective(config.knots, self._limits, self._weights)
         self._N = N = config.stages

@@ -12,14 +12,14 @@ import msgspec
 from benchmarks.ablation import controller_events as events
 from benchmarks.ablation import variants
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from ltv_mpc.control import controller, horizon_selection, nominal_trajectory, scaling
+from ltv_mpc.control import controller, horizon_selection, line_search, nominal_trajectory, scaling
 from ltv_mpc.control.config import ControllerConfig, Weights
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import osqp, osqp_workspace
-from ltv_mpc.control.solvers.osqp import SparseOsqp
+from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Estimate, Harm, Plan
 from ltv_mpc.references import follower
 from ltv_mpc.safety import health, model_check
@@ -47,7 +47,7 @@ def kernels(*, steers: bool = True, looks: bool = True, searches: bool = True) -
     def step(*arguments: Any) -> float:
         return variants.step(*arguments, searches, looks)
 
-    return without((nominal_trajectory, "begin", begin), (nominal_trajectory, "step", step))
+    return without((nominal_trajectory, "choose_nominal", begin), (line_search, "line_search", step))
 
 
 def one_qp() -> AbstractContextManager[Any]:
@@ -115,9 +115,9 @@ def solver(*, guesses: bool = True, scaled: int = variants.OWN, turns: bool = Tr
     return without(*changes)
 
 
-def forget(self: SparseOsqp, _stages: float) -> None:
+def forget(self: OsqpSolver, _stages: float) -> None:
     """Forget the duals instead of shifting them."""
-    self.forget()
+    self.reset_warm_start()
 
 
 def public(*arguments: Any) -> osqp_workspace.PublicWorkspace:
@@ -320,9 +320,9 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("row scaling by active set", CYCLES_TIGHT, solver(scaled=variants.FIXED), TIME, timed=True),
     row("rescaling between turns", CYCLES_TIGHT, solver(turns=False), TIME, timed=True),
     row("rescaling between turns", CYCLES_HARD, solver(turns=False), TIME, timed=True),
-    row("shifted duals", CYCLES, without((SparseOsqp, "shift", forget)), TIME, timed=True),
-    row("shifted duals", CYCLES_HARD, without((SparseOsqp, "shift", forget)), TIME, timed=True),
-    row("shifted duals", CYCLES_TIGHT, without((SparseOsqp, "shift", forget)), TIME, timed=True),
+    row("shifted duals", CYCLES, without((OsqpSolver, "shift_warm_start", forget)), TIME, timed=True),
+    row("shifted duals", CYCLES_HARD, without((OsqpSolver, "shift_warm_start", forget)), TIME, timed=True),
+    row("shifted duals", CYCLES_TIGHT, without((OsqpSolver, "shift_warm_start", forget)), TIME, timed=True),
     row("raw OSQP extension", CYCLES, without((osqp, "workspace", public)), TIME, timed=True),
     row("growing stages", CYCLES_20, equal_stages, TIME, timed=True),
     row(

@@ -10,9 +10,10 @@ import numpy as np
 
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import LIMITED, bring_in
-from ltv_mpc.control.initial_guess import steer
+from ltv_mpc.control.initial_guess import steering_guess
+from ltv_mpc.control.line_search import STEPS
 from ltv_mpc.control.linearisation import linearise_ahead, roll, transposed_times, velocity_over_ground, views
-from ltv_mpc.control.nominal_trajectory import AHEAD, ASTERN, CARRIED, STEPS, _carry_in, _set_out
+from ltv_mpc.control.nominal_trajectory import AHEAD, ASTERN, CARRIED, _carry_in, _set_out
 from ltv_mpc.control.problem_data import constants, length, limited_states, objective, state_scale
 from ltv_mpc.control.qp.sparse import WIDTH, Places, fill, map_of
 from ltv_mpc.control.solvers.osqp import (
@@ -31,7 +32,7 @@ from ltv_mpc.control.solvers.osqp import (
     growth,
     room,
 )
-from ltv_mpc.control.terminal_check import Outlook, outlook
+from ltv_mpc.control.terminal_check import TerminalCheck, check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
@@ -44,19 +45,19 @@ OWN, FIXED, NONE = range(3)
 def begin(
     numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, steers: bool, looks: bool
 ) -> int:
-    """``trajectory.begin``; ``steers``: with steered guesses, ``looks``: with the terminal check."""
+    """``nominal_trajectory.choose_nominal``; ``steers``: with steered guesses, ``looks``: with the terminal check."""
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
     _set_out(start, X, U)
     kind, least = AHEAD, np.inf
-    end = Outlook(False, 0.0)
+    end = TerminalCheck(False, 0.0)
     if not np.isnan(stages):
         _carry_in(old, stages, o, U)
         linearise_ahead(lin, o.t, c.stage_s, c.p)
         kind, least = CARRIED, cost(X, U, lin.C, target, o)
         if looks:
-            end = outlook(X, lin.C, target, c)
+            end = check_terminal(X, lin.C, target, c)
     if not steers:
         if kind != CARRIED:
             for k in range(1, U.shape[0]):
@@ -67,12 +68,12 @@ def begin(
     other_X, other_U = np.empty_like(X), np.empty_like(U)
     _set_out(start, other_X, other_U)
     for astern in (False, True):
-        other = steer(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
+        other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
         if np.isinf(other) and not np.isinf(least):
             continue
-        other_end = Outlook(False, 0.0)
+        other_end = TerminalCheck(False, 0.0)
         if looks:
-            other_end = outlook(other_X, lin.C, target, c)
+            other_end = check_terminal(other_X, lin.C, target, c)
         counts = 1.0 if end.stuck or other_end.stuck else 0.0
         if other + counts * other_end.beyond < least + counts * end.beyond or np.isinf(least):
             copy_to(X, other_X)
@@ -87,7 +88,7 @@ def begin(
 def step(
     numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
-    """``trajectory.step``; ``searches``: with the line search, else the whole step; ``looks`` as in ``begin``."""
+    """``line_search``; ``searches``: with the line search, else the whole step; ``looks`` as in ``begin``."""
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
@@ -101,7 +102,11 @@ def step(
         if not searches:
             return part
         if cost(X, U, lin.C, target, o) <= before:
-            if looks and outlook(X, lin.C, target, c).stuck and not outlook(lin.X, lin.C, target, c).stuck:
+            if (
+                looks
+                and check_terminal(X, lin.C, target, c).stuck
+                and not check_terminal(lin.X, lin.C, target, c).stuck
+            ):
                 break
             return part
     copy_to(X, lin.X)

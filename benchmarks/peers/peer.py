@@ -13,8 +13,8 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.scaling import settled
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -29,16 +29,16 @@ class Peer:
 
     def __init__(self, config: ControllerConfig, limits: HorizonLimits, vehicle: Vehicle) -> None:
         self.stages, self.knots = config.stages, config.knots
-        self.weights = settled(config, vehicle).weights
+        self.weights = resolve_weights(config, vehicle).weights
         self.limits = limits
         self.vehicle = vehicle
         self.lin: Linearisation
         self.reference: Array
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """Shift the warm start by this number of stages."""
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """Reset the warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
@@ -48,14 +48,16 @@ class Peer:
     def update(self) -> None:
         """Nothing: peers set up and solve in one."""
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """Solve what was built."""
         raise NotImplementedError
 
-    def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> Answer:
+    def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> SolverResult:
         """Commands (N+1, 2) from those after the first (N, 2); None: there is no solution, for the reason ``why``."""
         commands = self.lin.U.copy()
         if following is None or not np.isfinite(following).all():
-            return Answer(commands, Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite"))
+            return SolverResult(
+                commands, Solve(status=SolveStatus.FAILED, iterations=iterations, why=why or "not finite")
+            )
         commands[1:] = following
-        return Answer(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))
+        return SolverResult(commands, Solve(status=SolveStatus.SOLVED, iterations=iterations))

@@ -14,7 +14,7 @@ from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -68,11 +68,11 @@ class CasadiIpopt(Peer):
         self._slew = np.tile(limits.change / limits.scale, N)
         self._duals: dict[str, Array] = {}
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """Duals of another problem are no help."""
         self._duals = {}
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """To the nearest whole stage, the last one repeated."""
         by = np.minimum(np.arange(self.stages) + round(stages), self.stages - 1)
         gaps = self.stages * STATES
@@ -80,7 +80,7 @@ class CasadiIpopt(Peer):
             blocks = (dual[:gaps], dual[gaps:]) if name == "lam_g0" else (dual,)
             self._duals[name] = np.concatenate([block.reshape(self.stages, -1)[by].ravel() for block in blocks])
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """From the guess, and the duals of the last solution."""
         lin, F, N = self.lin, self.limits.scale, self.stages
         low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))
@@ -97,7 +97,7 @@ class CasadiIpopt(Peer):
         stats = self._solver.stats()
         iterations = int(stats["iter_count"])
         if not stats["success"]:
-            self.forget()
+            self.reset_warm_start()
             return self.answer(None, iterations=iterations, why=str(stats["return_status"]))
         self._duals = {"lam_x0": found["lam_x"].full().ravel(), "lam_g0": found["lam_g"].full().ravel()}
         return self.answer(found["x"].full().reshape(N, -1)[:, STATES:] * F, iterations=iterations)

@@ -21,7 +21,7 @@ from benchmarks.peers import symbolic
 from benchmarks.peers.peer import Peer
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.vehicle.parameters import Vehicle
 
 ca.GlobalOptions.setNumpyMode(-1)  # do-mpc relies on what numpy's functions did with CasADi's values before 3.8
@@ -58,11 +58,11 @@ class DoMpcIpopt(Peer):
         mpc.setup()
         self._begun = False
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """Reset the initial guess: the last solution does not suit the next problem."""
         self._begun = False
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """One ``make_step``."""
         lin, F, N, mpc = self.lin, self.limits.scale, self.stages, self._mpc
         middle, slope = (lin.C[:-1] + lin.C[1:]) / 2, np.diff(lin.C, axis=0) / STAGE_S
@@ -78,7 +78,7 @@ class DoMpcIpopt(Peer):
         mpc.make_step(x0[:, None])
         iterations = int(mpc.solver_stats["iter_count"])
         if not mpc.solver_stats["success"]:
-            self.forget()
+            self.reset_warm_start()
             return self.answer(None, iterations=iterations, why=str(mpc.solver_stats["return_status"]))
         at_end = [mpc.opt_x_num["_x", k + 1, 0, -1].full().ravel()[8:10] for k in range(N)]
         return self.answer(np.array(at_end) * F, iterations=iterations)

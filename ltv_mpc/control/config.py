@@ -124,8 +124,8 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         return round(self.period_s * 1e9)
 
 
-class SettledConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings for one vehicle, with every weight in its place: made by ``scales.settled`` alone."""
+class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Settings for one vehicle, with every weight in its place: made by ``scaling.resolve_weights`` alone."""
 
     weights: Weights = Weights()
 

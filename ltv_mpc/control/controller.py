@@ -25,7 +25,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.control import nominal_trajectory
+from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
@@ -34,11 +34,11 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
 from ltv_mpc.control.problem_data import pack
 from ltv_mpc.control.qp.failed_qp import FailedQp
-from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import Solver, make
-from ltv_mpc.control.vertical import VerticalPlan, follow
+from ltv_mpc.control.vertical import VerticalLaw, VerticalPlan, ramp
 from ltv_mpc.messages import (
     Applied,
     Array,
@@ -64,9 +64,6 @@ from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
 STAGE_S = STAGE_NS * 1e-9
-
-LONGEST_INTEGRATION_S = 2.0
-"""After a longer silence the depth error was not this all the time."""
 
 LONGEST_SHIFT_NS = 10_000_000_000
 """After its plan was solved a vehicle follows it no longer than this: the water is not what was foreseen then."""
@@ -105,7 +102,7 @@ class Controller:
         stopwatch: Stopwatch = no_stopwatch,
     ) -> None:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
-        self.config = config = settled(config or ControllerConfig(), vehicle)
+        self.config = config = resolve_weights(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
         self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S, config.limits.most)
         self._lap = stopwatch
@@ -117,14 +114,13 @@ class Controller:
         self._target = np.zeros((config.stages + 1, 2))
         self._nothing = np.zeros((config.stages + 1, 2))
         self._commands = SentCommands(vehicle)
+        self._vertical = VerticalLaw(vehicle, self._numbers)
         self._prediction = Prediction(vehicle)
         self._bias = None if config.disturbance.sd_mps == 0 else CurrentBias(config.disturbance)
         self._first_delay_ns = round(config.first_delay_s * 1e9)
         self._delay = self._new_delay(self._first_delay_ns)
         self._last: Plan | None = None  # the last plan that was sent
         self._solved_until_ns = 0  # what a shifted plan may still be made of
-        self._integral_N = 0.0
-        self._integrated_ns: int | None = None
         self._shifts_ns = min(int(self._ahead_ns[-1]), LONGEST_SHIFT_NS)
         self._doubtful = False  # the solver has not given what it should
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
@@ -216,7 +212,7 @@ class Controller:
             self._follower.advance(knots, start.lateral, here)
         goal = None if override is None else override.goal(knots)
         if goal is not None:
-            vertical = self._ramped(start, knots, goal[:, 2])
+            vertical = self._vertical.ramp_to(start, knots, goal[:, 2])
         elif rest:
             vertical = self._rested(start, knots)
         elif stops:
@@ -256,7 +252,7 @@ class Controller:
             remaining_m=progress.remaining_m,
         )
         self._sent(plan)
-        self._integrate(vertical, start.t_ns)
+        self._vertical.advance_integral(vertical, start.t_ns)
         self._lap("read")
         return plan
 
@@ -299,7 +295,7 @@ class Controller:
             schedule_s=follower.tau_s,
             schedule_rate=follower.rate,
             progress=self._follower.progress.share,
-            depth_integral_N=self._integral_N,
+            depth_integral_N=self._vertical.integral_N,
             plan_delays_ns=plan_delays_ns,
             cycle_times_ns=cycle_times_ns,
             plan=self._last,
@@ -322,7 +318,7 @@ class Controller:
                 self._last = None  # of another horizon: its commands are in force, but no cycle can begin from it
         self._delay = self._new_delay(first_ns)
         self._delay.restore(state.plan_delays_ns, state.cycle_times_ns)
-        self._integral_N = state.depth_integral_N
+        self._vertical.integral_N = state.depth_integral_N
         followed = FollowerState(state.began, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         self._follower.restore(followed, t_ns)
 
@@ -358,28 +354,7 @@ class Controller:
         if wanted is None:
             rest = self._commands.at(knots)[:, 2]
             return VerticalPlan(np.full(len(knots), start.depth_m), rest, 0.0)
-        return self._depth_law(start, *wanted)
-
-    def _depth_law(self, start: Start, depth_m: Array, sinking_mps: Array) -> VerticalPlan:
-        """Towards depths (N+1,) and their rates (N+1,)."""
-        plan = follow(
-            self._numbers,
-            start.depth_m,
-            start.sinking_mps,
-            start.vertical_N,
-            start.vertical_command_N,
-            self._integral_N,
-            depth_m,
-            sinking_mps,
-        )
-        return VerticalPlan(*plan)
-
-    def _integrate(self, vertical: VerticalPlan, start_ns: int) -> None:
-        """The integral goes on from the last plan's start to this one's."""
-        if self._integrated_ns is not None:
-            seconds = min(max(start_ns - self._integrated_ns, 0) * 1e-9, LONGEST_INTEGRATION_S)
-            self._integral_N += vertical.integral_rate_N_per_s * seconds
-        self._integrated_ns = start_ns
+        return self._vertical.track(start, *wanted)
 
     def _room(self) -> tuple[Array, Array]:
         """For states (N+1, 8) and commands (N+1, 2) of a plan."""
@@ -390,22 +365,17 @@ class Controller:
         if estimate.depth_m is None or self._follower.depth_m is None:
             return self._vertical_plan(start, knots, False)
         still = np.zeros(len(knots))
-        return self._depth_law(start, still + estimate.depth_m, still)
+        return self._vertical.track(start, still + estimate.depth_m, still)
 
     def _rested(self, start: Start, knots: Times) -> VerticalPlan:
         """The vertical thruster goes to what the vehicle's file wants of it when all else fails."""
-        return self._ramped(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
-
-    def _ramped(self, start: Start, knots: Times, goal: Array) -> VerticalPlan:
-        """The vertical thruster goes to ``goal`` (N+1,) at the slew limit."""
-        thrust = ramp(start.vertical_command_N, goal, knots, self.vehicle.thrusters[2].slew_N_per_s)
-        return VerticalPlan(np.full(len(knots), start.depth_m), thrust, 0.0)
+        return self._vertical.ramp_to(start, knots, np.full(len(knots), self.vehicle.failsafe_vertical_N))
 
     def _released(self, start: Start, why: str, goal: Array | None) -> _Lateral:
         """The lateral thrusters go to goal (N+1, 3), zero where there is none, at the slew limit."""
         X, U = self._room()
         lateral = self._nothing if goal is None else np.ascontiguousarray(goal[:, :2])
-        nominal_trajectory.release(self._numbers, start.lateral, lateral, self._lin.C, X, U)
+        nominal_trajectory.ramp_to_zero(self._numbers, start.lateral, lateral, self._lin.C, X, U)
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return _Lateral(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
@@ -442,19 +412,19 @@ class Controller:
                 # As far as it came: brought into box and slew, and taken only as far as the exact flow is no worse.
             elif not math.isfinite(np.vdot(commands, commands)):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the solver's commands are not finite")
-            part = nominal_trajectory.step(numbers, lin.flat, target, commands, X, U)
+            part = line_search.line_search(numbers, lin.flat, target, commands, X, U)
             # A step that was taken has a finite cost, and that takes finite states and commands.
             if part == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
                 return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
             if left > 1:
-                nominal_trajectory.again(numbers, lin.flat, self.config.stages, X, U)
+                nominal_trajectory.relinearise(numbers, lin.flat, self.config.stages, X, U)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve
 
     @cached_property
-    def _form(self) -> SparseForm:
+    def _form(self) -> SparseQp:
         """The QP's layout, for a problem that was not solved."""
         limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.most)
-        return SparseForm(self._knots, limits, self.config.weights)
+        return SparseQp(self._knots, limits, self.config.weights)
 
     def _keep(self, solve: Solve) -> None:
         """Keep the problem that was not solved, for whoever wants to look at it."""
@@ -483,11 +453,13 @@ class Controller:
         else:
             stages = (start.t_ns - int(old.t_ns[0])) / STAGE_NS
             commands = np.ascontiguousarray(old.thrust_N[:, :2])
-        kind = nominal_trajectory.begin(self._numbers, start.lateral, self._target, commands, stages, self._lin.flat)
+        kind = nominal_trajectory.choose_nominal(
+            self._numbers, start.lateral, self._target, commands, stages, self._lin.flat
+        )
         if kind == nominal_trajectory.CARRIED:
-            self._solver.shift(stages)
+            self._solver.shift_warm_start(stages)
         else:
-            self._solver.forget()
+            self._solver.reset_warm_start()
 
     def _fallback(self, start: Start, solve: Solve) -> _Lateral:
         """The rungs below the solved plan. The solver is made anew before it is asked again."""
@@ -506,10 +478,10 @@ class Controller:
         """
         X, U = self._room()
         commands, stages = np.ascontiguousarray(thrust_N[:, :2]), (start.t_ns - began_ns) / STAGE_NS
-        nominal_trajectory.shifted(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
+        nominal_trajectory.shifted_trajectory(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
         goal = U.copy()
         goal[start.t_ns + self._ahead_ns > self._solved_until_ns] = 0.0
-        nominal_trajectory.release(self._numbers, start.lateral, goal, self._lin.C, X, U)
+        nominal_trajectory.ramp_to_zero(self._numbers, start.lateral, goal, self._lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
@@ -555,12 +527,3 @@ def _of_use(commands: Array, solve: Solve) -> bool:
         and solve.primal_residual <= MOST_RESIDUAL
         and bool(np.isfinite(commands).all())
     )
-
-
-def ramp(start: float, goal: Array, knots: Times, slew_N_per_s: float) -> Array:
-    """Commands (N+1,) from ``start`` towards goal (N+1,) at knots (N+1,), no faster than the slew limit."""
-    thrust = np.empty(len(knots))
-    thrust[0] = start
-    for k, reach in enumerate(np.diff(knots) * (1e-9 * slew_N_per_s)):
-        thrust[k + 1] = thrust[k] + min(max(goal[k + 1] - thrust[k], -reach), reach)
-    return thrust

@@ -47,7 +47,7 @@ def _wanted_velocity(target: Array, k: int, o: Objective, stage_s: float) -> tup
 
 
 @jit
-def steer(X: Array, U: Array, C: Array, target: Array, astern: bool, most: float, c: Constants) -> float:
+def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, most: float, c: Constants) -> float:
     """X[1:] (N, 8) and U[1:] (N, 2) under the law from X[0] and U[0], and what that costs; infinity as soon as it costs
     more than ``most``: the rest is then left as it was.
 

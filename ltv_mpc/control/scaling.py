@@ -29,7 +29,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.config import ControllerConfig, SettledConfig, Weights
+from ltv_mpc.control.config import ControllerConfig, ResolvedConfig, Weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady
@@ -104,14 +104,14 @@ def weights_of(vehicle: Vehicle) -> Weights:
     )
 
 
-def settled(config: ControllerConfig, vehicle: Vehicle) -> SettledConfig:
-    """``config`` with every weight: those that it names, the others of the vehicle. What is settled already stays."""
-    if isinstance(config, SettledConfig):
+def resolve_weights(config: ControllerConfig, vehicle: Vehicle) -> ResolvedConfig:
+    """Return ``config`` with every weight given: those that it names, and for the others the vehicle's defaults."""
+    if isinstance(config, ResolvedConfig):
         return config
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
     weights = msgspec.structs.replace(weights_of(vehicle), **given)
     rest = {field: getattr(config, field) for field in config.__struct_fields__ if field != "weights"}
-    return SettledConfig(**rest, weights=weights)
+    return ResolvedConfig(**rest, weights=weights)
 
 
 def _rounded(weight: float) -> float:

@@ -36,7 +36,7 @@ than the plan that comes of it.
 TIME_S = PAPER.time_s
 
 
-class Outlook(NamedTuple):
+class TerminalCheck(NamedTuple):
     """Of the end of one trajectory."""
 
     stuck: bool
@@ -52,14 +52,14 @@ def closing_speed(en: float, ee: float, bn: float, be: float, V: float) -> float
 
 
 @jit
-def outlook(X: Array, C: Array, target: Array, c: Constants) -> Outlook:
+def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalCheck:
     """Of states X (N+1, 8) in a current C (N+1, 2); ``target`` (N+1, 2) as in ``Solver``."""
     N, o, p = len(target) - 1, c.objective, c.p
     dn, de = target[N - 1, 0] - X[N, 0], target[N - 1, 1] - X[N, 1]
     d = math.sqrt(dn * dn + de * de)
     T, ahead = TIME_S * c.slowness, steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     if d <= NEAR * ahead * T:
-        return Outlook(False, 0.0)
+        return TerminalCheck(False, 0.0)
     en, ee = dn / d, de / d
     bn, be = target[N, 0] - C[N, 0], target[N, 1] - C[N, 1]
     s = closing_speed(en, ee, bn, be, ahead)
@@ -69,4 +69,4 @@ def outlook(X: Array, C: Array, target: Array, c: Constants) -> Outlook:
     t = FAR * T
     if s * t > d:
         t = d / s
-    return Outlook(s < SLOW * ahead, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))
+    return TerminalCheck(s < SLOW * ahead, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))

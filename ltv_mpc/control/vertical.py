@@ -14,10 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ltv_mpc.control.prediction import Start
 from ltv_mpc.control.problem_data import constants
 from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.flow import advance_heave
+from ltv_mpc.vehicle.parameters import Vehicle
 
 NATURAL_RADPS = 0.3
 """w0: slow against the thruster's lag, fast against a descent."""
@@ -25,6 +27,8 @@ DAMPING = 1.0
 """zeta: no overshoot."""
 INTEGRAL_S = 20.0
 """T_i: several times 1 / w0, so that it only takes up what the feed-forward misses."""
+LONGEST_INTEGRATION_S = 2.0
+"""Longest time between two plans that is integrated: after a longer silence the depth error was not constant."""
 
 
 @jit
@@ -74,3 +78,99 @@ class VerticalPlan(NamedTuple):
     depth_m: Array  # (N+1,)
     thrust_N: Array  # (N+1,) commands
     integral_rate_N_per_s: float  # at the first knot: cycles may be any time apart
+
+
+class VerticalLaw:
+    """Depth law of the vertical thruster, with its integral.
+
+    The integral is carried from the start of one plan to the start of the next.
+    """
+
+    def __init__(self, vehicle: Vehicle, numbers: Array) -> None:
+        """Begin with an integral of zero.
+
+        Parameters
+        ----------
+        vehicle : its vertical thruster's slew limit is used.
+        numbers : packed constants (``problem_data.pack``).
+        """
+        self._slew_N_per_s = vehicle.thrusters[2].slew_N_per_s
+        self._numbers = numbers
+        self.integral_N = 0.0
+        """Integral term of the law (N)."""
+        self._integrated_ns: int | None = None
+
+    def track(self, start: Start, depth_m: Array, sinking_mps: Array) -> VerticalPlan:
+        """Follow a depth reference.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        depth_m : (N+1,) reference depths at the knots (m).
+        sinking_mps : (N+1,) reference sinking speeds at the knots (m/s).
+
+        Returns
+        -------
+        The commands and the depths that they lead to.
+        """
+        plan = follow(
+            self._numbers,
+            start.depth_m,
+            start.sinking_mps,
+            start.vertical_N,
+            start.vertical_command_N,
+            self.integral_N,
+            depth_m,
+            sinking_mps,
+        )
+        return VerticalPlan(*plan)
+
+    def ramp_to(self, start: Start, knots: Times, goal: Array) -> VerticalPlan:
+        """Move the vertical thruster towards given commands at the slew limit.
+
+        Parameters
+        ----------
+        start : the vehicle at the plan's start.
+        knots : (N+1,) times of the knots (ns).
+        goal : (N+1,) wanted commands (N).
+
+        Returns
+        -------
+        The commands; the depth is taken to stay that of the start.
+        """
+        thrust = ramp(start.vertical_command_N, goal, knots, self._slew_N_per_s)
+        return VerticalPlan(np.full(len(knots), start.depth_m), thrust, 0.0)
+
+    def advance_integral(self, plan: VerticalPlan, start_ns: int) -> None:
+        """Integrate the depth error from the start of the last plan to the start of this one.
+
+        Parameters
+        ----------
+        plan : the plan of this cycle.
+        start_ns : its start, vehicle time (ns).
+        """
+        if self._integrated_ns is not None:
+            seconds = min(max(start_ns - self._integrated_ns, 0) * 1e-9, LONGEST_INTEGRATION_S)
+            self.integral_N += plan.integral_rate_N_per_s * seconds
+        self._integrated_ns = start_ns
+
+
+def ramp(start: float, goal: Array, knots: Times, slew_N_per_s: float) -> Array:
+    """Return the commands of one thruster that approach a goal no faster than the slew limit.
+
+    Parameters
+    ----------
+    start : command in force at the first knot (N).
+    goal : (N+1,) wanted commands (N).
+    knots : (N+1,) times of the knots (ns).
+    slew_N_per_s : slew limit (N/s).
+
+    Returns
+    -------
+    (N+1,) commands at the knots (N).
+    """
+    thrust = np.empty(len(knots))
+    thrust[0] = start
+    for k, reach in enumerate(np.diff(knots) * (1e-9 * slew_N_per_s)):
+        thrust[k + 1] = thrust[k] + min(max(goal[k + 1] - thrust[k], -reach), reach)
+    return thrust

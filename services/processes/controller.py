@@ -15,7 +15,7 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import make
 from ltv_mpc.messages import (
@@ -160,7 +160,7 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
 
 def rehearse_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
     """Have compiled what ``rehearse`` comes to last: for a process that runs beside the one that does."""
-    settings = settled(config, vehicle)
+    settings = resolve_weights(config, vehicle)
     solver, lin = make(vehicle, settings), Linearisation.empty(settings.stages)
     lin.flat[:] = 0.0
     solver.build(lin, np.zeros((settings.stages + 1, 2)))

@@ -18,7 +18,7 @@ from scipy.sparse import csc_matrix, triu
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.qp.sparse import WIDTH
-from ltv_mpc.control.solvers.osqp import ACTIVE, EQUALITY_ROW, LIMIT_ROW, SparseOsqp
+from ltv_mpc.control.solvers.osqp import ACTIVE, EQUALITY_ROW, LIMIT_ROW, OsqpSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate
 from ltv_mpc.references import Point
@@ -79,7 +79,7 @@ class Exported(NamedTuple):
     thrust_N: Array  # (2,)
 
 
-def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Array]:
+def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolver, Array]:
     """Return a solver with the problem loaded, and the first free commands (2,) of the linearisation trajectory.
 
     Raises ``ConfigError`` where another solver is configured.
@@ -88,7 +88,7 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Arra
     first = msgspec.structs.replace(config, sqp_iterations=1)
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first)
     solver = controller._solver
-    if not isinstance(solver, SparseOsqp):
+    if not isinstance(solver, OsqpSolver):
         problem = "must be osqp: the code is OSQP's"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
     if solver.form.limited:
@@ -99,7 +99,7 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[SparseOsqp, Arra
     return solver, controller._lin.U[1]
 
 
-def export(folder: Path, solver: SparseOsqp, before: Array, config: ControllerConfig) -> Exported:
+def export(folder: Path, solver: OsqpSolver, before: Array, config: ControllerConfig) -> Exported:
     """Write the code into ``folder``, over what is there; ``solver`` and ``before`` as ``solved`` gives them."""
     answer = solver.solve()
     qp, settings = solver.scaled()

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ltv_mpc.control import controller
-from ltv_mpc.control.solvers.interface import Answer, Solver
+from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Message, Solve, SolveStatus
 from ltv_mpc.node import Due, Node, Schedule
 from sim.faults.interval import Spell
@@ -59,7 +59,7 @@ class TroubledSolver:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._solver, name)
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """Its answer, or trouble."""
         answer = self._solver.solve()
         for trouble, spell in self._troubles:
@@ -68,7 +68,7 @@ class TroubledSolver:
             if trouble is Trouble.RAISES:
                 raise SolverRaised("in trouble")
             status = SolveStatus.SOLVED if trouble is Trouble.LIES else SolveStatus.FAILED
-            return Answer(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {trouble}"))
+            return SolverResult(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {trouble}"))
         return answer
 
 

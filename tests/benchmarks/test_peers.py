@@ -11,10 +11,10 @@ import pytest
 from benchmarks.peers import known, table
 from benchmarks.peers.loop import Entry, Held, closed
 from benchmarks.peers.peer import Peer
-from ltv_mpc.control.config import STAGE_NS, SettledConfig
+from ltv_mpc.control.config import STAGE_NS, ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.solvers import solve_qp
 from ltv_mpc.messages import Array, SolveStatus
 from ltv_mpc.vehicle.dynamics import rates
@@ -27,7 +27,7 @@ from services.tools.profile.run import Spread
 H = STAGE_NS * 1e-9
 N = 8
 VEHICLE = Vehicle.load("paper")
-CONFIG = SettledConfig(horizon_s=N * H)
+CONFIG = ResolvedConfig(horizon_s=N * H)
 LIMITS = HorizonLimits.of(VEHICLE, H)
 NO_SLEW = HorizonLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3), LIMITS.state_scale)
 P = VEHICLE.coefficients()
@@ -63,7 +63,7 @@ def along(commands: Array, lin: Linearisation) -> Linearisation:
 
 def optimum(lin: Linearisation, target: Array, limits: HorizonLimits = LIMITS) -> Array:
     """Commands (N+1, 2) of the QP."""
-    form = SparseForm(CONFIG.knots, limits, CONFIG.weights)
+    form = SparseQp(CONFIG.knots, limits, CONFIG.weights)
     return form.commands(lin, solve_qp(form.build(lin, target), "daqp").x)
 
 
@@ -127,13 +127,13 @@ def test_ipopts_duals_move_with_the_plan() -> None:
     peer.build(*trajectory(0, gap=0.0))
     peer.solve()
     before = {name: dual.copy() for name, dual in peer._duals.items()}
-    peer.shift(1.1)
+    peer.shift_warm_start(1.1)
     for name, first, width in (("lam_x0", 0, 10), ("lam_g0", 0, 8), ("lam_g0", 8 * N, 2)):
         was, now = (duals[name][first : first + width * N].reshape(N, width) for duals in (before, peer._duals))
         np.testing.assert_array_equal(now[:-1], was[1:])
         np.testing.assert_array_equal(now[-1], was[-1])
     assert np.abs(before["lam_g0"]).max() > 0
-    peer.forget()
+    peer.reset_warm_start()
     assert not peer._duals
 
 

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def folder_in(tree: Path) -> str:
     """The cache's folder that a copy of the sources names."""
-    code = "from ltv_mpc import compiled; print(jit.fingerprint())"
+    code = "from ltv_mpc import jit; print(jit.fingerprint())"
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tree, env=environment, capture_output=True, text=True, check=True
@@ -40,7 +40,7 @@ def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(
     environment |= {"HOME": str(tmp_path / "file" / "nothing"), "TMPDIR": str(tmp_path)}
     code = (
         "import numpy as np\n"
-        "from ltv_mpc import compiled\n"
+        "from ltv_mpc import jit\n"
         "from ltv_mpc.vehicle.thruster import thrust\n"
         "assert not jit.CACHE_IS_KEPT\n"
         "print(jit.CACHE, thrust(2.0, 0.0, 1025.0, 0.25))"
@@ -54,7 +54,7 @@ def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(
 
 def test_a_folder_that_is_given_gets_one_of_these_sources_in_it_and_children_take_it_as_it_is(tmp_path):
     """A value of the user's for numba must not bring back stale code."""
-    code = "from ltv_mpc import compiled; print(jit.CACHE)"
+    code = "from ltv_mpc import jit; print(jit.CACHE)"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-P", "-c", code]
     first = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()

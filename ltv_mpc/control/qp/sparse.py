@@ -74,12 +74,12 @@ class Map(NamedTuple):
 
 @jit
 def map_of(flat: Places, entries: int) -> Map:
-    """The parts of a flat array, as ``SparseForm.map`` holds them."""
+    """The parts of a flat array, as ``SparseQp.map`` holds them."""
     taken = (len(flat) - 6 - entries) // 2
     return Map(flat[:taken], flat[taken : 2 * taken], flat[2 * taken : 2 * taken + 6], flat[2 * taken + 6 :])
 
 
-class SparseForm:
+class SparseQp:
     """The layout for given knots: where each number of a cycle goes.
 
     Columns: 10 a stage (the state at its end, both commands there), then the terminal velocity, then an excess of each
@@ -236,7 +236,7 @@ def fill(
     l: Array,  # noqa: E741
     u: Array,
 ) -> None:
-    """What ``SparseForm.fill`` does."""
+    """What ``SparseQp.fill`` does."""
     N = len(target) - 1
     lin, c = views(flat, N), objective(numbers)
     X, U, F = lin.X, lin.U, c.scale
@@ -306,5 +306,5 @@ def build_qp(
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    form = SparseForm(np.arange(float(len(U))), HorizonLimits.of(vehicle, stage_s), weights or weights_of(vehicle))
+    form = SparseQp(np.arange(float(len(U))), HorizonLimits.of(vehicle, stage_s), weights or weights_of(vehicle))
     return form.build(lin, np.vstack([reference, end_velocity_mps]))

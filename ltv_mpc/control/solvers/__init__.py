@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.scaling import settled
-from ltv_mpc.control.solvers.interface import Answer, Solver
-from ltv_mpc.control.solvers.osqp import SparseOsqp
-from ltv_mpc.control.solvers.qpsolvers_backend import ByName, known_solvers, solve_qp
-from ltv_mpc.control.solvers.riccati_solver import Stagewise
+from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.solvers.interface import Solver, SolverResult
+from ltv_mpc.control.solvers.osqp import OsqpSolver
+from ltv_mpc.control.solvers.qpsolvers_backend import QpsolversBackend, known_solvers, solve_qp
+from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -18,20 +18,20 @@ OSQP, RICCATI = "osqp", "riccati"
 
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """Return the solver that ``config`` names. Raises ``ConfigError`` if it is unknown or cannot solve the problem."""
-    config = settled(config, vehicle)
+    config = resolve_weights(config, vehicle)
     limits = HorizonLimits.of(vehicle, STAGE_NS * 1e-9, config.limits.most)
     if config.solver == OSQP:
-        return SparseOsqp(config, limits)
+        return OsqpSolver(config, limits)
     if config.solver == RICCATI:
         if limits.limited:
             problem = "cannot do limits of the motion; osqp and every solver of qpsolvers can"
             raise ConfigError("controller settings", "solver", problem, value=config.solver)
-        return Stagewise(config, limits)
+        return RiccatiSolver(config, limits)
     known = (RICCATI, *known_solvers())
     if config.solver not in known:
         problem = f"not installed or not known; installed: {', '.join(known)}"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
-    return ByName(config, limits)
+    return QpsolversBackend(config, limits)
 
 
-__all__ = ["Answer", "Solver", "make", "solve_qp"]
+__all__ = ["Solver", "SolverResult", "make", "solve_qp"]

@@ -8,7 +8,7 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.messages import Array, Solve
 
 
-class Answer(NamedTuple):
+class SolverResult(NamedTuple):
     """Commands (N+1, 2) at the knots, the first of them the one in force there, and the solver's account."""
 
     commands: Array
@@ -18,11 +18,11 @@ class Answer(NamedTuple):
 class Solver(Protocol):
     """Keeps its workspace and its warm start from cycle to cycle; never raises for a problem it cannot solve."""
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """The next problem's knots begin so many first stages after the last one's, along the same plan."""
         ...
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """The next problem has nothing to do with the last one."""
         ...
 
@@ -38,6 +38,6 @@ class Solver(Protocol):
         """The numbers into the solver."""
         ...
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """Solve what was built; commands that are not finite are never handed out."""
         ...

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.control.config import SettledConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import LIMITED, HorizonLimits
 from ltv_mpc.control.linearisation import (
     Linearisation,
@@ -39,9 +39,9 @@ from ltv_mpc.control.problem_data import Objective, length, limited_states, obje
 from ltv_mpc.control.qp.failed_qp import worst
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.riccati import ROWS
-from ltv_mpc.control.qp.sparse import WIDTH, Places, SparseForm, fill, map_of
+from ltv_mpc.control.qp.sparse import WIDTH, Places, SparseQp, fill, map_of
 from ltv_mpc.control.solvers import riccati_solver
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.control.solvers.osqp_workspace import PLAIN, Settings, Workspace, workspace
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
@@ -83,7 +83,7 @@ CHECK = 3
 """Iterations between two looks at the residuals."""
 
 
-class Room(NamedTuple):
+class SolveArrays(NamedTuple):
     """The numbers of one solve, in one array."""
 
     A: Array  # (nnz,) of the problem
@@ -100,7 +100,7 @@ class Room(NamedTuple):
 
 
 @jit
-def room(flat: Array, N: int, limited: int) -> Room:
+def room(flat: Array, N: int, limited: int) -> SolveArrays:
     """The parts of a flat array for N stages and so many limited states."""
     n, m = N * (WIDTH + limited) + 2, N * (STATES + 4 + 3 * limited) + 2
     e = (len(flat) - 2 * n - 7 * m) // 2
@@ -110,7 +110,7 @@ def room(flat: Array, N: int, limited: int) -> Room:
     y = x + n
     As = y + 2 * m
     ls = As + e
-    return Room(
+    return SolveArrays(
         flat[:q],
         flat[q:l],
         flat[l : l + m],
@@ -125,28 +125,28 @@ def room(flat: Array, N: int, limited: int) -> Room:
     )
 
 
-class SparseOsqp:
+class OsqpSolver:
     """The default solver."""
 
-    def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
         """``config.tolerance`` is absolute, on the residuals of the scaled problem."""
-        self.form = form = SparseForm(config.knots, limits, config.weights)
+        self.form = form = SparseQp(config.knots, limits, config.weights)
         self._most = config.max_iterations
         self._tolerance = self._eps = config.tolerance
         entries = form.pattern.nnz
         self._flat = np.zeros(2 * entries + 2 * form.variables + 7 * form.rows)
-        self._room: Room = room(self._flat, form.stages, len(form.limited))
+        self._room: SolveArrays = room(self._flat, form.stages, len(form.limited))
         self._room.A[:] = form.template()
         self._shift = math.nan
         self._finite, self._why = False, "nothing was built"
         self._lin: Linearisation | None = None
         self._workspace: Workspace | None = None
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """As in ``Solver``."""
         self._shift = stages
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """As in ``Solver``."""
         self._shift = math.nan
 
@@ -178,7 +178,7 @@ class SparseOsqp:
         solver.update_vectors(at.q, at.ls, at.us)
         solver.warm_start(at.x, at.ys)
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """As in ``Solver``. Ends after ``max_iterations`` or a few more, never by time."""
         lin, solver = self._lin, self._workspace
         assert lin is not None  # built
@@ -214,7 +214,7 @@ class SparseOsqp:
             dual_residual=account.dual_residual,
             why=why,
         )
-        return Answer(commands, solve)
+        return SolverResult(commands, solve)
 
     def problem(self) -> QP:
         """Return the problem that was built last, without the scales of its rows."""
@@ -237,9 +237,9 @@ class SparseOsqp:
         """Primal (n,) and dual (m,) of ``problem`` where the last solve ended."""
         return self._room.x.copy(), self._room.y.copy()
 
-    def _nothing(self, lin: Linearisation, why: str) -> Answer:
-        self.forget()
-        return Answer(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why=why))
+    def _nothing(self, lin: Linearisation, why: str) -> SolverResult:
+        self.reset_warm_start()
+        return SolverResult(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why=why))
 
 
 @jit

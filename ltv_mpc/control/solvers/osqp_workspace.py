@@ -56,7 +56,7 @@ PLAIN: Settings = {
 iterations and never by time."""
 
 
-class Account(NamedTuple):
+class SolveStatistics(NamedTuple):
     """What OSQP says of its last solve."""
 
     iterations: int
@@ -91,7 +91,7 @@ class Workspace(Protocol):
         """x (n,), y (m,) of the last solve: the caller's own."""
         ...
 
-    def account(self) -> Account:
+    def account(self) -> SolveStatistics:
         """The last solve's account."""
         ...
 
@@ -165,10 +165,10 @@ class RawWorkspace:
         solution = self._solver.solution
         return solution.x, solution.y
 
-    def account(self) -> Account:
+    def account(self) -> SolveStatistics:
         """As in ``Workspace``."""
         info = self._info
-        return Account(info.iter, info.prim_res, info.dual_res)
+        return SolveStatistics(info.iter, info.prim_res, info.dual_res)
 
 
 class PublicWorkspace:
@@ -215,10 +215,10 @@ class PublicWorkspace:
         """As in ``Workspace``."""
         return np.array(self._result.x), np.array(self._result.y)
 
-    def account(self) -> Account:
+    def account(self) -> SolveStatistics:
         """As in ``Workspace``."""
         info = self._result.info
-        return Account(int(info.iter), float(info.prim_res), float(info.dual_res))
+        return SolveStatistics(int(info.iter), float(info.prim_res), float(info.dual_res))
 
 
 @functools.cache

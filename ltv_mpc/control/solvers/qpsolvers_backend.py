@@ -10,12 +10,12 @@ import warnings
 import numpy as np
 from scipy.sparse import csc_matrix, vstack
 
-from ltv_mpc.control.config import SettledConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.qp.problem import QP, Solution
-from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
@@ -27,20 +27,20 @@ def known_solvers() -> list[str]:
     return list(qpsolvers.available_solvers)
 
 
-class ByName:
+class QpsolversBackend:
     """One of qpsolvers' backends on the sparse QP, from nothing in each cycle."""
 
-    def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
         """``config`` names the backend."""
         self._name = config.solver
-        self._form = SparseForm(config.knots, limits, config.weights)
+        self._form = SparseQp(config.knots, limits, config.weights)
         self._lin: Linearisation | None = None
         self._qp: QP | None = None
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """As in ``Solver``; it has no warm start."""
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """As in ``Solver``; it has no warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
@@ -50,12 +50,12 @@ class ByName:
     def update(self) -> None:
         """As in ``Solver``; the backend takes the whole problem at once."""
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """As in ``Solver``."""
         assert self._lin is not None, "nothing was built"
         assert self._qp is not None, "nothing was built"
         solution = solve_qp(self._qp, self._name)
-        return Answer(self._form.commands(self._lin, solution.x), solution.solve)
+        return SolverResult(self._form.commands(self._lin, solution.x), solution.solve)
 
 
 def solve_qp(qp: QP, solver: str = "osqp") -> Solution:

@@ -23,12 +23,12 @@ import math
 import numpy as np
 
 from ltv_mpc.control import shooting_grid
-from ltv_mpc.control.config import SettledConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, not_finite, views
 from ltv_mpc.control.problem_data import Objective, objective, pack_objective
 from ltv_mpc.control.qp.riccati import ROWS, Work, sweep, work_on
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 
@@ -67,10 +67,10 @@ NOTHING, UNSETTLED, SETTLED = -1, 0, 1
 """What came of it: nothing of use; nearly a solution; the solution."""
 
 
-class Stagewise:
+class RiccatiSolver:
     """The method by itself: nothing is laid out, factorised or copied but what the sweeps want."""
 
-    def __init__(self, config: SettledConfig, limits: HorizonLimits) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits) -> None:
         """``config`` says how many stages, and the weights; ``limits`` has none of the motion."""
         self._most = config.max_iterations
         self._numbers = pack_objective(config.knots, limits, config.weights)
@@ -79,11 +79,11 @@ class Stagewise:
         self._lin: Linearisation | None = None
         self._target = np.zeros((config.stages + 1, 2))
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """Duals of box and slew move with the plan, the last ones stay."""
         self._shift = stages
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """The next solve begins with no active row."""
         self._shift = math.nan
 
@@ -94,7 +94,7 @@ class Stagewise:
     def update(self) -> None:
         """As in ``Solver``: nor to hand over."""
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """As in ``Solver``."""
         lin = self._lin
         assert lin is not None, "nothing was built"
@@ -103,16 +103,16 @@ class Stagewise:
             self._numbers, lin.flat, self._target, self._shift, self._most, self._duals, commands
         )
         if came_to == NOTHING:
-            self.forget()
+            self.reset_warm_start()
             finite = np.isfinite(lin.flat).all() and np.isfinite(self._target).all()
             why = "the cost does not say what the commands should be" if finite else not_finite(lin, self._target)
             status = SolveStatus.FAILED if finite else SolveStatus.NON_FINITE
-            return Answer(lin.U.copy(), Solve(status=status, iterations=sweeps, why=why))
+            return SolverResult(lin.U.copy(), Solve(status=status, iterations=sweeps, why=why))
         self._shift = 0.0
         solved = came_to == SETTLED
         why = "" if solved else f"the active limits were not found in {sweeps} sweeps"
         status = SolveStatus.SOLVED if solved else SolveStatus.ITERATION_LIMIT
-        return Answer(commands, Solve(status=status, iterations=sweeps, primal_residual=beyond, why=why))
+        return SolverResult(commands, Solve(status=status, iterations=sweeps, primal_residual=beyond, why=why))
 
 
 @jit

@@ -24,9 +24,9 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.scaling import settled
-from ltv_mpc.control.solvers.interface import Answer, Solver
+from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.scaling import resolve_weights
+from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from services.runtime.stopwatch import StageTimer
@@ -210,17 +210,21 @@ class _Witness:
 
     lin: Linearisation
     target: Array
-    answer: Answer
+    answer: SolverResult
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
-        self.shift, self.forget, self.update = solver.shift, solver.forget, solver.update
+        self.shift_warm_start, self.reset_warm_start, self.update = (
+            solver.shift_warm_start,
+            solver.reset_warm_start,
+            solver.update,
+        )
 
     def build(self, lin: Linearisation, target: Array) -> None:
         self.lin, self.target = lin, target
         self._solver.build(lin, target)
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         self.answer = self._solver.solve()
         return self.answer
 
@@ -230,7 +234,7 @@ class _Exact:
 
     def __init__(self, episode: Episode) -> None:
         config = episode.config
-        self._form = SparseForm(config.knots, limits_of(episode), settled(config, episode.vehicle).weights)
+        self._form = SparseQp(config.knots, limits_of(episode), resolve_weights(config, episode.vehicle).weights)
         self._along: tuple[bytes, bytes, bytes] | None = None
         self._commands: Array = np.empty(0)
 

@@ -13,11 +13,11 @@ import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
 
-from ltv_mpc.control.config import SettledConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.qp.sparse import WIDTH, SparseQp
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
 
@@ -25,9 +25,9 @@ from ltv_mpc.vehicle.flow import STATES
 class PiqpYardstick:
     """PIQP workspace for problems of one sparsity pattern."""
 
-    def __init__(self, config: SettledConfig, limits: HorizonLimits, tolerance: float | None = None) -> None:
+    def __init__(self, config: ResolvedConfig, limits: HorizonLimits, tolerance: float | None = None) -> None:
         """Lay out the QP. ``tolerance`` is absolute and relative; None: PIQP's own."""
-        self.form = form = SparseForm(config.knots, limits, config.weights)
+        self.form = form = SparseQp(config.knots, limits, config.weights)
         self._tolerance = tolerance
         self._A, self._q = form.template(), np.empty(form.variables)
         self._l, self._u = np.empty(form.rows), np.empty(form.rows)
@@ -44,10 +44,10 @@ class PiqpYardstick:
         self._solver: Any = None
         self._finite = False
 
-    def shift(self, stages: float) -> None:
+    def shift_warm_start(self, stages: float) -> None:
         """Do nothing: PIQP has no warm start."""
 
-    def forget(self) -> None:
+    def reset_warm_start(self) -> None:
         """Do nothing: PIQP has no warm start."""
 
     def build(self, lin: Linearisation, target: Array) -> None:
@@ -83,17 +83,17 @@ class PiqpYardstick:
                 x_l=self._low, x_u=self._high,
             )  # fmt: skip
 
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         """Solve the QP (see ``Solver``)."""
         lin = self._lin
         assert lin is not None  # built
         if not self._finite or self._solver is None:
-            return Answer(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why="the problem is not finite"))
+            return SolverResult(lin.U.copy(), Solve(status=SolveStatus.NON_FINITE, why="the problem is not finite"))
         status = self._solver.solve()
         x, info = self._solver.result.x, self._solver.result.info
         if not np.isfinite(x).all():
             self._solver = None
-            return Answer(
+            return SolverResult(
                 lin.U.copy(),
                 Solve(status=SolveStatus.NON_FINITE, why="PIQP returned a value that is not finite; rebuilt"),
             )
@@ -111,4 +111,4 @@ class PiqpYardstick:
             dual_residual=float(info.dual_res),
             why="" if known is SolveStatus.SOLVED else f"PIQP: {status}",
         )
-        return Answer(self.form.commands(lin, np.array(x)), solve)
+        return SolverResult(self.form.commands(lin, np.array(x)), solve)

@@ -13,9 +13,9 @@ from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Plan
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction, Start
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.control.solvers.osqp import SparseOsqp
+from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Applied, Array
 from tests.ltv_mpc.reports import report
 
@@ -74,7 +74,7 @@ def closed_loop() -> Callable[..., tuple[list[Estimate], list[Plan]]]:
 class Cycle:
     """What one cycle's QP was made of."""
 
-    form: SparseForm
+    form: SparseQp
     lin: Linearisation
     target: Array
     stages: float  # since the last problem, NaN where this one has nothing to do with it
@@ -84,7 +84,7 @@ class Cycle:
 def cycles() -> list[Cycle]:
     """Over 200 problems of closed loops: descents, one from 2 m off with the heading wrong."""
     seen: list[Cycle] = []
-    build = SparseOsqp.build
+    build = OsqpSolver.build
 
     def remembered(self, lin, target):  # type: ignore[no-untyped-def]
         copied = Linearisation.of(*lin[:-1])  # the controller's own is used again
@@ -92,7 +92,7 @@ def cycles() -> list[Cycle]:
         return build(self, lin, target)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SparseOsqp, "build", remembered)
+        patch.setattr(OsqpSolver, "build", remembered)
         descend(1, 70)
         descend(2, 70)
         descend(3, 70, start={"north_m": 2.0, "heading_rad": 3.0})

@@ -12,8 +12,8 @@ from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise, roll_out
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import SparseForm
-from ltv_mpc.control.solvers import Answer, Solver
+from ltv_mpc.control.qp.sparse import SparseQp
+from ltv_mpc.control.solvers import Solver, SolverResult
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -72,19 +72,19 @@ def precise(qp: QP) -> Array:
     return np.array(solver.result.x)
 
 
-def solved(solver: Solver, lin: Linearisation, target: Array) -> Answer:
+def solved(solver: Solver, lin: Linearisation, target: Array) -> SolverResult:
     """A cycle's answer, from wherever the solver is."""
     solver.build(lin, target)
     solver.update()
     return solver.solve()
 
 
-def answer(solver: Solver, lin: Linearisation, target: Array, stages: float = math.nan) -> Answer:
+def answer(solver: Solver, lin: Linearisation, target: Array, stages: float = math.nan) -> SolverResult:
     """The same so many first stages after the last cycle; NaN: after none."""
     if math.isnan(stages):
-        solver.forget()
+        solver.reset_warm_start()
     else:
-        solver.shift(stages)
+        solver.shift_warm_start(stages)
     return solved(solver, lin, target)
 
 
@@ -92,5 +92,5 @@ def optimum(
     lin: Linearisation, target: Array, limits: HorizonLimits, weights: Weights, knots: Array | None = None
 ) -> Array:
     """Commands (N+1, 2) of the sparse QP's optimum; the knots are equidistant if none are given."""
-    form = SparseForm(equidistant(len(lin.U) - 1) if knots is None else knots, limits, weights)
+    form = SparseQp(equidistant(len(lin.U) - 1) if knots is None else knots, limits, weights)
     return form.commands(lin, precise(form.build(lin, target)))

@@ -248,7 +248,7 @@ def test_the_integral_grows_with_time_not_with_the_number_of_cycles(period_s):
     still = Estimate.at_rest(depth_m=10.0)
     for t_s in np.arange(0.0, 7.0 + 1e-9, period_s):
         controller.plan(msgspec.structs.replace(still, t_ns=round(t_s * 1e9)))
-    assert controller._integral_N == pytest.approx(0.0506 * 7.0, rel=0.1)
+    assert controller.save(7_000_000_000).depth_integral_N == pytest.approx(0.0506 * 7.0, rel=0.1)
 
 
 def test_an_estimate_that_is_too_old_is_named_and_the_thrusters_go_to_rest():

@@ -15,10 +15,10 @@ from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import LIMITED, PENALTY, HorizonLimits
 from ltv_mpc.control.problem_data import objective, pack_objective
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import WIDTH, SparseForm
-from ltv_mpc.control.scaling import settled
+from ltv_mpc.control.qp.sparse import WIDTH, SparseQp
+from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers import Solver, make, solve_qp
-from ltv_mpc.control.solvers.osqp import SparseOsqp
+from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.messages import Array, Estimate, SolveStatus
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.flow import STATES
@@ -33,17 +33,17 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
     return ControllerConfig(limits=limits, max_iterations=4000, **fields)  # type: ignore[arg-type]
 
 
-def form_of(limits: MotionLimits) -> SparseForm:
-    config = settled(settings(limits), PAPER)
-    return SparseForm(equidistant(N), HorizonLimits.of(PAPER, 0.3, limits.most), config.weights)
+def form_of(limits: MotionLimits) -> SparseQp:
+    config = resolve_weights(settings(limits), PAPER)
+    return SparseQp(equidistant(N), HorizonLimits.of(PAPER, 0.3, limits.most), config.weights)
 
 
-def excesses(form: SparseForm, x: Array) -> Array:
+def excesses(form: SparseQp, x: Array) -> Array:
     """(N, limited) of a solution."""
     return x[form.variables - N * len(form.limited) :].reshape(N, -1)
 
 
-def hard(form: SparseForm, qp: QP) -> Array | None:
+def hard(form: SparseQp, qp: QP) -> Array | None:
     """The solution with every excess at zero; None where there is none."""
     u = qp.u.copy()
     u[form.equalities + 4 * N + 2 :: 3] = 0.0
@@ -64,7 +64,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
         else:
             np.testing.assert_allclose(form.commands(lin, x), form.commands(lin, within), atol=1e-6)
             assert excesses(form, x).max() < 1e-7
-            free = SparseForm(equidistant(N), HorizonLimits.of(PAPER, 0.3), form.weights)
+            free = SparseQp(equidistant(N), HorizonLimits.of(PAPER, 0.3), form.weights)
             off = form.commands(lin, x) - free.commands(lin, precise(free.build(lin, target)))
             kept += bool(np.abs(off).max() > 1.0)  # and it holds something back
     assert kept >= 3
@@ -106,9 +106,9 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
         solver.build(lin, target)
         solver.update()
         first = solver.solve()
-        assert isinstance(solver, SparseOsqp)
+        assert isinstance(solver, OsqpSolver)
         form, (x, y) = solver.form, solver.point()
-        solver.shift(0.0)
+        solver.shift_warm_start(0.0)
         solver.build(lin, target)
         limits = form.equalities + 4 * N
         duals = solver.point()[1][limits:].reshape(-1, 3)
@@ -122,7 +122,7 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
         np.testing.assert_allclose(gradient[~thrusts], 0.0, atol=1e-9)
         quiet = excesses(form, x).ravel() < 1e-9
         np.testing.assert_allclose(duals[quiet, :2], y[limits:].reshape(-1, 3)[quiet, :2])
-        solver.shift(1.0)
+        solver.shift_warm_start(1.0)
         solver.build(lin, target)
         later = solver.point()[1][limits:].reshape(N, -1)
         bound_by_none = (later[:, 1::3] > -PENALTY + 1e-9) & (later[:, 0::3] < PENALTY - 1e-9)
@@ -145,7 +145,7 @@ def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
     limits = HorizonLimits.of(PAPER, 0.3, np.array([0.2, 0.1]))
-    weights = settled(ControllerConfig(), PAPER).weights
+    weights = resolve_weights(ControllerConfig(), PAPER).weights
     free, bound = (objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.of(PAPER, 0.3), limits))
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
-from ltv_mpc.control.config import GivenWeights, SettledConfig, Weights
+from ltv_mpc.control.config import GivenWeights, ResolvedConfig, Weights
 from ltv_mpc.control.scaling import PAPER as FOUND_FOR
-from ltv_mpc.control.scaling import scales_of, settled, slowness, state_scale, weaker_couple, weights_of
+from ltv_mpc.control.scaling import resolve_weights, scales_of, slowness, state_scale, weaker_couple, weights_of
 from ltv_mpc.errors import ConfigError
 
 PAPER = Vehicle.load("paper")
@@ -82,16 +82,16 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
 
 def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     surface = Vehicle.load("surface")
-    config = settled(ControllerConfig(weights=GivenWeights(thrust=0.5), horizon_s=7.2), surface)
+    config = resolve_weights(ControllerConfig(weights=GivenWeights(thrust=0.5), horizon_s=7.2), surface)
     assert config.weights == msgspec.structs.replace(weights_of(surface), thrust=0.5)
     assert config.horizon_s == 7.2
-    assert settled(config, PAPER) is config  # what is settled stays
+    assert resolve_weights(config, PAPER) is config  # what is settled stays
 
 
 def test_the_controller_uses_them_and_says_so() -> None:
     surface = Vehicle.load("surface")
     controller = Controller(surface, references.Point(north_m=0.0, east_m=0.0))
-    assert isinstance(controller.config, SettledConfig)
+    assert isinstance(controller.config, ResolvedConfig)
     assert controller.config.weights == weights_of(surface) != Weights()
     assert controller._numbers[0] == weights_of(surface).position_per_m2
     assert controller._solver.form.weights == weights_of(surface)

@@ -10,7 +10,7 @@ from ltv_mpc.control.config import STAGE_NS, Weights
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, roll_out
-from ltv_mpc.control.nominal_trajectory import carry
+from ltv_mpc.control.nominal_trajectory import shift_controls
 from ltv_mpc.control.problem_data import objective, pack, pack_objective
 from ltv_mpc.control.shooting_grid import knots, position
 from ltv_mpc.control.solvers import osqp
@@ -49,7 +49,7 @@ def test_a_position_is_a_stage_and_a_part_of_it_and_stays_within():
 
 def test_commands_are_carried_over_in_time():
     old, new = np.random.default_rng(0).normal(size=(N + 1, 2)), np.empty((N + 1, 2))
-    carry(old, GROWING, 1.7, new)
+    shift_controls(old, GROWING, 1.7, new)
     want = [np.interp(GROWING[1:] + 1.7, GROWING, old[:, i]) for i in range(2)]
     np.testing.assert_allclose(new[1:], np.transpose(want))
 

@@ -13,7 +13,7 @@ from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehi
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.problem_data import Constants, constants, pack
 from ltv_mpc.control.scaling import scales_of
-from ltv_mpc.control.terminal_check import FAR, Outlook, closing_speed, outlook
+from ltv_mpc.control.terminal_check import FAR, TerminalCheck, check_terminal, closing_speed
 
 PAPER, WEAK = Vehicle.load("paper"), Vehicle.load("weak-reverse")
 STAGE_S = 0.3
@@ -23,12 +23,12 @@ def numbers(vehicle: Vehicle) -> Constants:
     return constants(pack(vehicle, Weights(), np.arange(5.0), STAGE_S))
 
 
-def ends(vehicle: Vehicle, off_m: float, heading: float, flow_mps: float, target_mps: float = 0.0) -> Outlook:
+def ends(vehicle: Vehicle, off_m: float, heading: float, flow_mps: float, target_mps: float = 0.0) -> TerminalCheck:
     """Of a trajectory that ends ``off_m`` east of its target, in a current to the east."""
     X, C, target = np.zeros((5, 8)), np.zeros((5, 2)), np.zeros((5, 2))
     X[-1, 1], X[-1, 4] = off_m, heading
     C[-1, 1], target[-1, 1] = flow_mps, target_mps
-    return outlook(X, C, target, numbers(vehicle))
+    return check_terminal(X, C, target, numbers(vehicle))
 
 
 @pytest.mark.parametrize("seed", range(20))

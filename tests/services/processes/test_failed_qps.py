@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.qp.failed_qp import FailedQp
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.messages import Solve, SolveStatus
 from services.cli.app import run
 from services.processes import failed_qps
@@ -20,7 +20,7 @@ from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
 
 @pytest.fixture
 def failure():
-    form = SparseForm(equidistant(5), LIMITS, Weights())
+    form = SparseQp(equidistant(5), LIMITS, Weights())
     qp = form.build(*motion(3, 5))
     solve = Solve(status=SolveStatus.ITERATION_LIMIT, iterations=400, why="slew of port in stage 2 violated by 3 N")
     return lambda: FailedQp(qp, form.row_names, solve)

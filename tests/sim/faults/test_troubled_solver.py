@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 
 from ltv_mpc.control import controller
-from ltv_mpc.control.solvers.interface import Answer
+from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Solve, SolveStatus
 from sim.faults.interval import Spell
 from sim.faults.solver import Now, SolverRaised, Trouble, Troubled, TroubledSolver, troubled
 
 SPELL = Spell(100, 200)
-GOOD = Answer(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
+GOOD = SolverResult(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
 
 
 class Good:
-    def solve(self) -> Answer:
+    def solve(self) -> SolverResult:
         return GOOD
 
-    def forget(self) -> str:
+    def reset_warm_start(self) -> str:
         return "forgotten"
 
 
-def answer(trouble: Trouble, t_ns: int) -> Answer:
+def answer(trouble: Trouble, t_ns: int) -> SolverResult:
     now = Now()
     now.t_ns = t_ns
     return TroubledSolver(Good(), [Troubled(trouble, SPELL)], now).solve()
@@ -49,5 +49,5 @@ def test_solvers_made_while_it_lasts_are_in_trouble_and_those_made_after_are_not
     with troubled([Troubled(Trouble.FAILS, SPELL)], Now()):
         made = controller.make("vehicle", "config")
         assert isinstance(made, TroubledSolver)
-        assert made.forget() == "forgotten"
+        assert made.reset_warm_start() == "forgotten"
     assert isinstance(controller.make("vehicle", "config"), Good)

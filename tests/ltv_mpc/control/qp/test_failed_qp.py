@@ -12,7 +12,7 @@ from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveSta
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.qp.failed_qp import FailedQp, worst
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
 from tests.ltv_mpc.control.problems import LIMITS, equidistant, motion
@@ -21,7 +21,7 @@ PAPER = Vehicle.load("paper")
 
 
 def built():
-    form = SparseForm(equidistant(5), LIMITS, Weights())
+    form = SparseQp(equidistant(5), LIMITS, Weights())
     return form.build(*motion(3, 5)), form.row_names
 
 

@@ -8,7 +8,7 @@ import pytest
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.qp.sparse import SparseQp
 
 N = 3
 KNOTS = np.array([0.0, 1.0, 2.0, 3.7])
@@ -23,7 +23,7 @@ WEIGHTS = Weights(
     thrust=0.17,
     thrust_change=0.05,
 )
-FORM = SparseForm(KNOTS, LIMITS, WEIGHTS)
+FORM = SparseQp(KNOTS, LIMITS, WEIGHTS)
 
 
 @pytest.fixture
@@ -132,7 +132,7 @@ def test_commands_are_those_that_a_point_stands_for(lin):
 
 
 def test_one_stage_is_a_horizon_too(lin, target):
-    one = SparseForm(KNOTS[:2], LIMITS, WEIGHTS)
+    one = SparseQp(KNOTS[:2], LIMITS, WEIGHTS)
     short = Linearisation.of(lin.X[:2], lin.U[:2], lin.C[:2], *(x[:1] for x in (lin.Phi, lin.A, lin.B0, lin.B1)))
     qp = one.build(short, target[:2])
     assert qp.A.shape == (14, 12)

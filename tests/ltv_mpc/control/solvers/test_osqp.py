@@ -8,16 +8,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import SettledConfig, Weights
+from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.qp.residuals import residuals
 from ltv_mpc.control.qp.sparse import WIDTH
 from ltv_mpc.control.solvers import osqp, osqp_workspace
-from ltv_mpc.control.solvers.osqp import SparseOsqp
+from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.osqp_workspace import PublicWorkspace
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, answer, motion, optimum
 
-CONFIG = SettledConfig()
+CONFIG = ResolvedConfig()
 PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 """Residuals end at 1e-6, which is rounding on rows scaled by 300."""
 
@@ -26,7 +26,7 @@ PRECISE = msgspec.structs.replace(CONFIG, tolerance=1e-12, max_iterations=6000)
 @pytest.mark.parametrize("stages", [1, 17, 34])
 def test_its_commands_are_the_sparse_qp_s_optimum(stages, limits):
     config = msgspec.structs.replace(PRECISE, horizon_s=0.3 * stages, period_s=0.3)
-    solver = SparseOsqp(config, limits)
+    solver = OsqpSolver(config, limits)
     for seed in range(3):
         lin, target = motion(seed, stages, gap=0.02)
         ours = answer(solver, lin, target)
@@ -35,7 +35,7 @@ def test_its_commands_are_the_sparse_qp_s_optimum(stages, limits):
 
 
 def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_closed_loop(cycles):
-    solver = SparseOsqp(CONFIG, LIMITS)
+    solver = OsqpSolver(CONFIG, LIMITS)
     off, iterations = [], []
     for cycle in cycles:
         ours = answer(solver, cycle.lin, cycle.target, cycle.stages)
@@ -51,9 +51,9 @@ def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_cl
 
 def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_stationary_in_every_state():
     """Gaps closed by a forward sweep, duals of the dynamics by a backward one: their residuals are zero."""
-    solver = SparseOsqp(CONFIG, LIMITS)
+    solver = OsqpSolver(CONFIG, LIMITS)
     lin, target = motion(3, CONFIG.stages, gap=0.02)
-    solver.forget()
+    solver.reset_warm_start()
     solver.build(lin, target)
     (x, y), qp = solver.point(), solver.problem()
     equal = solver.form.equalities
@@ -66,9 +66,9 @@ def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_station
 
 
 def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_residuals_is_enough(cycles):
-    solver = SparseOsqp(CONFIG, LIMITS)
+    solver = OsqpSolver(CONFIG, LIMITS)
     for cycle in cycles:
-        solver.forget() if math.isnan(cycle.stages) else solver.shift(cycle.stages)
+        solver.reset_warm_start() if math.isnan(cycle.stages) else solver.shift_warm_start(cycle.stages)
         solver.build(cycle.lin, cycle.target)
         kkt = residuals(solver.problem(), *solver.point())
         assert max(kkt.stationarity, kkt.primal, kkt.complementarity) <= 2e-5
@@ -79,7 +79,7 @@ def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_r
 @pytest.mark.parametrize("off_m", [10.0, 100.0])
 def test_far_from_its_line_it_ends_as_soon(off_m):
     """Duals grow with the distance, and with them what rounding leaves of OSQP's own solution."""
-    solver = SparseOsqp(CONFIG, LIMITS)
+    solver = OsqpSolver(CONFIG, LIMITS)
     for seed in range(8):
         lin, target = motion(seed, CONFIG.stages)
         target[:-1] += off_m
@@ -92,12 +92,12 @@ def test_far_from_its_line_it_ends_as_soon(off_m):
 def test_without_the_sweeps_it_begins_at_the_trajectory_with_the_duals_of_the_last_solve():
     """A cost that does not say what the last command should be: no weight on thrust, no effect of the last one."""
     weights = Weights(thrust=0.0, thrust_change=0.0)
-    solver = SparseOsqp(msgspec.structs.replace(PRECISE, weights=weights, horizon_s=1.5), LIMITS)
+    solver = OsqpSolver(msgspec.structs.replace(PRECISE, weights=weights, horizon_s=1.5), LIMITS)
     lin, target = motion(3, 5)
     lin.B1[-1] = 0.0
     answer(solver, lin, target)
     x, y = solver.point()
-    solver.shift(0.0)
+    solver.shift_warm_start(0.0)
     solver.build(lin, target)
     again, duals = solver.point()
     assert np.abs(x[:-2].reshape(-1, WIDTH)[:, 8:]).max() > 0.1
@@ -120,7 +120,7 @@ def test_duals_between_stages_are_read_linearly_and_the_last_ones_kept():
 
 def test_the_tolerance_is_on_the_residuals(cycles):
     precise = msgspec.structs.replace(CONFIG, tolerance=1e-6, max_iterations=5000)
-    solver = SparseOsqp(precise, LIMITS)
+    solver = OsqpSolver(precise, LIMITS)
     for cycle in cycles[::20]:
         answer(solver, cycle.lin, cycle.target)
         kkt = residuals(solver.problem(), *solver.point())
@@ -132,7 +132,7 @@ def test_the_tolerance_is_on_the_residuals(cycles):
 
 def test_a_solve_depends_on_its_problem_and_its_first_guess_alone(cycles):
     """Replay needs the same bits whatever was solved before."""
-    used, fresh = SparseOsqp(CONFIG, LIMITS), SparseOsqp(CONFIG, LIMITS)
+    used, fresh = OsqpSolver(CONFIG, LIMITS), OsqpSolver(CONFIG, LIMITS)
     for cycle in cycles[150:160]:
         answer(used, cycle.lin, cycle.target)
     first = cycles[20]
@@ -141,10 +141,10 @@ def test_a_solve_depends_on_its_problem_and_its_first_guess_alone(cycles):
 
 
 def test_the_public_wrapper_gives_the_same_commands(cycles, monkeypatch):
-    raw = SparseOsqp(CONFIG, LIMITS)
+    raw = OsqpSolver(CONFIG, LIMITS)
     ours = [answer(raw, c.lin, c.target, c.stages) for c in cycles[::10]]
     monkeypatch.setattr(osqp_workspace, "raw_works", lambda: False)
-    public = SparseOsqp(CONFIG, LIMITS)
+    public = OsqpSolver(CONFIG, LIMITS)
     theirs = [answer(public, c.lin, c.target, c.stages) for c in cycles[::10]]
     assert isinstance(public._workspace, PublicWorkspace)
     for a, b in zip(ours, theirs, strict=True):
@@ -157,7 +157,7 @@ def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(cycl
     good, target = cycles[30].lin, cycles[30].target
     bad = type(good).of(*good[:-1])
     getattr(bad, field)[4] = np.nan
-    used, fresh = SparseOsqp(CONFIG, LIMITS), SparseOsqp(CONFIG, LIMITS)
+    used, fresh = OsqpSolver(CONFIG, LIMITS), OsqpSolver(CONFIG, LIMITS)
     answer(used, good, target)
     failed = answer(used, bad, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
@@ -178,7 +178,7 @@ def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt(cycl
             x, y = self.real.read()
             return np.full_like(x, np.nan), y
 
-    solver, lin, target = SparseOsqp(CONFIG, LIMITS), cycles[30].lin, cycles[30].target
+    solver, lin, target = OsqpSolver(CONFIG, LIMITS), cycles[30].lin, cycles[30].target
     good = answer(solver, lin, target)
     solver._workspace = Poisoned(solver._workspace)
     failed = answer(solver, lin, target)
@@ -189,7 +189,7 @@ def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt(cycl
 
 def test_the_iteration_limit_ends_a_solve_and_says_so(cycles):
     config = msgspec.structs.replace(CONFIG, tolerance=1e-14, max_iterations=20)
-    solve = answer(SparseOsqp(config, LIMITS), cycles[150].lin, cycles[150].target).solve
+    solve = answer(OsqpSolver(config, LIMITS), cycles[150].lin, cycles[150].target).solve
     assert solve.status is SolveStatus.ITERATION_LIMIT
     assert solve.iterations <= 20 + osqp.TURN
     assert "after 2" in solve.why

@@ -8,14 +8,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import ControllerConfig, MotionLimits, SettledConfig, Weights
+from ltv_mpc.control.config import ControllerConfig, MotionLimits, ResolvedConfig, Weights
 from ltv_mpc.control.solvers import make, riccati_solver
-from ltv_mpc.control.solvers.riccati_solver import Stagewise
+from ltv_mpc.control.solvers.riccati_solver import RiccatiSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import SolveStatus
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, answer, motion, optimum, unlike_any_motion
 
-CONFIG = SettledConfig()
+CONFIG = ResolvedConfig()
 EXACT_N = 2e-3
 """``OFF`` is six tenths of it."""
 
@@ -24,7 +24,7 @@ EXACT_N = 2e-3
 @pytest.mark.parametrize("stages", [1, 2, 17, 34])
 @pytest.mark.parametrize("problem", [motion, unlike_any_motion])
 def test_its_commands_are_the_optimum(problem, stages, limits):
-    solver = Stagewise(msgspec.structs.replace(CONFIG, horizon_s=0.3 * stages, period_s=0.3), limits)
+    solver = RiccatiSolver(msgspec.structs.replace(CONFIG, horizon_s=0.3 * stages, period_s=0.3), limits)
     sweeps = []
     for seed in range(5):
         lin, target = problem(seed, stages)
@@ -41,7 +41,7 @@ def test_its_commands_are_the_optimum(problem, stages, limits):
 
 def test_stages_that_grow_and_gaps():
     config = msgspec.structs.replace(CONFIG, horizon_s=20.1, most_stages=17)
-    solver = Stagewise(config, LIMITS)
+    solver = RiccatiSolver(config, LIMITS)
     for seed in range(3):
         lin, target = motion(seed, 17, gap=0.02)
         theirs = optimum(lin, target, LIMITS, config.weights, config.knots)
@@ -49,7 +49,7 @@ def test_stages_that_grow_and_gaps():
 
 
 def test_in_a_closed_loop_the_last_cycle_s_active_limits_mostly_hold(cycles):
-    solver = Stagewise(CONFIG, LIMITS)
+    solver = RiccatiSolver(CONFIG, LIMITS)
     warm, cold = [], []
     for cycle in cycles:
         ours = answer(solver, cycle.lin, cycle.target, cycle.stages)
@@ -57,13 +57,13 @@ def test_in_a_closed_loop_the_last_cycle_s_active_limits_mostly_hold(cycles):
         exact = optimum(cycle.lin, cycle.target, LIMITS, CONFIG.weights)
         np.testing.assert_allclose(ours.commands, exact, atol=EXACT_N)
         warm.append(ours.solve.iterations)
-        cold.append(answer(Stagewise(CONFIG, LIMITS), cycle.lin, cycle.target).solve.iterations)
+        cold.append(answer(RiccatiSolver(CONFIG, LIMITS), cycle.lin, cycle.target).solve.iterations)
     assert np.median(warm) == 1
     assert sum(warm) < 0.9 * sum(cold)
 
 
 def test_a_problem_that_comes_again_takes_one_sweep():
-    solver = Stagewise(CONFIG, LIMITS)
+    solver = RiccatiSolver(CONFIG, LIMITS)
     lin, target = motion(1, CONFIG.stages)
     first = answer(solver, lin, target)
     again = answer(solver, lin, target, 0.0)
@@ -73,7 +73,7 @@ def test_a_problem_that_comes_again_takes_one_sweep():
 
 def test_the_iteration_limit_ends_it_and_its_commands_are_still_of_use():
     config = msgspec.structs.replace(CONFIG, max_iterations=9)
-    solver = Stagewise(config, LIMITS)
+    solver = RiccatiSolver(config, LIMITS)
     lin, target = motion(1, CONFIG.stages)
     ours = answer(solver, lin, target)
     assert ours.solve.status is SolveStatus.ITERATION_LIMIT
@@ -87,13 +87,13 @@ def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(fiel
     good, target = motion(2, CONFIG.stages)
     bad = type(good).of(*good[:-1])
     getattr(bad, field)[-1] = np.nan
-    used = Stagewise(CONFIG, LIMITS)
+    used = RiccatiSolver(CONFIG, LIMITS)
     answer(used, good, target)
     failed = answer(used, bad, target)
     assert failed.solve.status is SolveStatus.NON_FINITE
     assert field in failed.solve.why
     np.testing.assert_array_equal(failed.commands, bad.U)
-    ours, theirs = (answer(s, good, target, 1.0) for s in (used, Stagewise(CONFIG, LIMITS)))
+    ours, theirs = (answer(s, good, target, 1.0) for s in (used, RiccatiSolver(CONFIG, LIMITS)))
     np.testing.assert_allclose(ours.commands, theirs.commands, atol=EXACT_N)
 
 
@@ -101,7 +101,9 @@ def test_a_cost_that_does_not_say_what_the_commands_should_be_is_refused():
     flat = Weights(thrust=0.0, thrust_change=0.0, terminal_position_per_m2=0.0, terminal_velocity_s2_per_m2=0.0)
     lin, target = motion(2, 5)
     lin.B1[...] = 0.0
-    solve = answer(Stagewise(msgspec.structs.replace(CONFIG, weights=flat, horizon_s=1.5), LIMITS), lin, target).solve
+    solve = answer(
+        RiccatiSolver(msgspec.structs.replace(CONFIG, weights=flat, horizon_s=1.5), LIMITS), lin, target
+    ).solve
     assert solve.status is SolveStatus.FAILED
     assert "does not say" in solve.why
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ltv_mpc.control.config import SettledConfig
+from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.qp.sparse import SparseForm
+from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.solvers import solve_qp
 from ltv_mpc.messages import SolveStatus
 from services.tools.profile.piqp_yardstick import PiqpYardstick
 from tests.ltv_mpc.control.problems import LIMITS, LOWERED, PAPER, motion, solved
 
-CONFIG = SettledConfig()
+CONFIG = ResolvedConfig()
 TURNS_SLOWLY = HorizonLimits.of(PAPER, 0.3, np.array([np.inf, 0.15]))
 
 
 @pytest.mark.parametrize("limits", [LIMITS, LOWERED, TURNS_SLOWLY], ids=["box", "lowered box", "yaw rate"])
 def test_its_commands_are_those_of_an_active_set_method(limits: HorizonLimits) -> None:
-    solver, form = PiqpYardstick(CONFIG, limits, 1e-11), SparseForm(CONFIG.knots, limits, CONFIG.weights)
+    solver, form = PiqpYardstick(CONFIG, limits, 1e-11), SparseQp(CONFIG.knots, limits, CONFIG.weights)
     for seed in range(4):  # the second and later ones update the first one's workspace
         lin, target = motion(seed, CONFIG.stages, gap=0.02)
         ours = solved(solver, lin, target)

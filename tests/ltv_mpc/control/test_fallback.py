@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control import controller as module
-from ltv_mpc.control import nominal_trajectory
+from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.messages import Health, Solve
 from ltv_mpc.safety.health import Ages
 from ltv_mpc.safety.plan_gate import Gate, Verdict
@@ -147,7 +147,7 @@ def test_a_motion_that_nobody_can_foresee_ends_in_thrusts_of_zero(monkeypatch):
     estimate, before = fly(controller, moving(), 20)
     broken(monkeypatch, controller, "infeasible")
     monkeypatch.setattr(
-        module.nominal_trajectory, "shifted", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
+        nominal_trajectory, "shifted_trajectory", lambda _numbers, _start, _old, _stages, _C, _X, U: U.fill(math.nan)
     )
     plan = controller.plan(estimate)
     check(plan, before)
@@ -194,8 +194,8 @@ def test_whatever_raises_the_same_cycle_has_a_plan_and_the_next_good_one_is_solv
     check(after, None if method == "sent" else plan)  # what was sent is then known from the actuators alone
 
 
-@pytest.mark.parametrize("method", ["begin", "step", "shifted"])
-def test_compiled_code_that_raises_costs_a_rung_and_no_more(method):
+@pytest.mark.parametrize("method", ["choose_nominal", "line_search", "shifted_trajectory"])
+def test_compiled_code_that_raises_costs_one_fallback_level(method):
     controller = Controller(SURFACES, POINT)
     estimate, before = fly(controller, moving(), 5)
 
@@ -203,9 +203,9 @@ def test_compiled_code_that_raises_costs_a_rung_and_no_more(method):
         raise FloatingPointError("as asked")
 
     with pytest.MonkeyPatch.context() as patch:
-        if method == "shifted":
+        if method == "shifted_trajectory":
             broken(patch, controller, "infeasible")
-        patch.setattr(nominal_trajectory, method, raises)
+        patch.setattr(line_search if method == "line_search" else nominal_trajectory, method, raises)
         plan = controller.plan(estimate)
         check(plan, before)
         assert plan.origin in (SHIFTED, ZERO)
@@ -223,7 +223,7 @@ def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(sol
     config = ControllerConfig(solver=solver)
     controller, spared = (Controller(SURFACES, POINT, config) for _ in range(2))
     estimate, _ = fly(controller, moving(), 4)
-    begin = nominal_trajectory.begin
+    begin = nominal_trajectory.choose_nominal
 
     def rubbish(numbers, start, target, commands, stages, flat):
         kind = begin(numbers, start, target, commands, stages, flat)
@@ -231,7 +231,7 @@ def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(sol
         return kind
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(nominal_trajectory, "begin", rubbish)
+        patch.setattr(nominal_trajectory, "choose_nominal", rubbish)
         for k in range(3):
             plan = controller.plan(estimate, t_ns=estimate.t_ns + k)
             check(plan)
