@@ -13,12 +13,12 @@ import numpy as np
 from benchmarks.ablation import descent
 from benchmarks.ablation.descent import BEGINS_S, Descent, S, Timed
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
-from ltv_mpc.localisation import estimator, imu_dropout, out_of_sequence
+from ltv_mpc.localisation import imu_dropout, out_of_sequence, supervision
 from ltv_mpc.localisation.adaptive.process_noise import Adaptation, Change
 from ltv_mpc.localisation.filter import correction, error_state_filter
 from ltv_mpc.localisation.reinitialisation import Restarts
 from ltv_mpc.localisation.sensor_config import Suite
-from ltv_mpc.localisation.sensor_screening import Door
+from ltv_mpc.localisation.sensor_screening import SensorScreening
 from ltv_mpc.messages import (
     AdcpPing,
     CompassHeading,
@@ -166,7 +166,7 @@ class NoShadow:
 
 def no_shadow() -> AbstractContextManager[None]:
     """Switch the shadow filter off."""
-    return replaced((estimator, "Former", NoShadow))
+    return replaced((supervision, "Former", NoShadow))
 
 
 def no_reinitialisation() -> AbstractContextManager[None]:
@@ -234,13 +234,13 @@ def no_screening(*reasons: str) -> Off:
     """Let in what would be refused for one of these reasons."""
 
     def off() -> AbstractContextManager[None]:
-        refusal = Door.refusal
+        refusal = SensorScreening.refusal
 
-        def lenient(self: Door, *args: Any) -> str | None:
+        def lenient(self: SensorScreening, *args: Any) -> str | None:
             why = refusal(self, *args)
             return None if why in reasons else why
 
-        return replaced((Door, "refusal", lenient), (Door, "lets_through", lambda *_: False))
+        return replaced((SensorScreening, "refusal", lenient), (SensorScreening, "lets_through", lambda *_: False))
 
     return off
 
@@ -312,7 +312,7 @@ SEEN = (*ERRORS, "missed", "delay s", "alarms before")
 SHADOW = (
     "shadow_filter.py",
     "filter/error_state_filter.py:Filter.twin",
-    "estimator.py:Estimator._look_back",
+    "supervision.py:Supervision._compare",
     "reinitialisation.py:Memory",
     "reinitialisation.py:Restarts.memory",
     "reinitialisation.py:Restarts.recall",
@@ -353,7 +353,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         no_reinitialisation,
         (IMU_WORSE, IMU_WRONG, PROFILER_WRONG, IMU_LASTING),
         (*ERRORS, "crashed", "reinitialised"),
-        ("reinitialisation.py", "estimator.py:Estimator._replace"),
+        ("reinitialisation.py", "supervision.py:Supervision._reinitialise"),
         ("test_reinitialisation.py",),
     ),
     *of(
@@ -528,7 +528,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         no_screening("wild"),
         (IMU_GARBAGE,),
         (*ERRORS, "crashed", "reinitialised"),
-        ("sensor_screening.py:Door._is_wild",),
+        ("sensor_screening.py:SensorScreening._is_wild",),
     ),
     *of("screening: ahead", no_screening("ahead"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
     *of(
@@ -536,7 +536,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         no_screening("stale"),
         (CLOCK_BACK,),
         (*ERRORS, "no estimate"),
-        ("sensor_screening.py:Door._went_back",),
+        ("sensor_screening.py:SensorScreening._went_back",),
     ),
     *of(
         "window of depths",

@@ -9,18 +9,167 @@ Covariance  J P J^T of [n, e, v_n, v_e, heading, heading'], J by the fifteen cor
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numpy as np
 
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.localisation.filter.error_state_filter import Filter
-from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS
+from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS, Belief
+from ltv_mpc.localisation.sensor_config import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
 from ltv_mpc.localisation.sensors.compass import heading_partials
 from ltv_mpc.localisation.water import current_model
-from ltv_mpc.messages import Array, Estimate, Triple
+from ltv_mpc.messages import (
+    AdcpPing,
+    Array,
+    BottomTrack,
+    CompassHeading,
+    Estimate,
+    GnssFix,
+    Message,
+    PressureDepth,
+    TdcpFix,
+    Triple,
+)
 
 _TILT, _GYRO = ATTITUDE.start, GYRO_BIAS.start
+
+CHECKPOINT_NS = 5_000_000_000
+UNDER_M, UP_M = 1.0, 0.5
+"""Depths between which the vehicle keeps its side of the surface: submerged below the first, surfaced above the
+second."""
+
+_Open: TypeAlias = tuple[int, bool]
+
+
+class EstimateSchedule:
+    """Instants of the estimates: one at every multiple of the period, open until all that is due then has arrived.
+
+    The estimate of an instant holds all measurements up to and at that instant that have arrived. It is complete when
+    every sensor without latency that is due at the instant has been received.
+    """
+
+    def __init__(self, suite: Suite, period_ns: int) -> None:
+        """Create a schedule that has not begun.
+
+        Parameters
+        ----------
+        suite : settings of the sensors: period and latency of each.
+        period_ns : between two estimates (ns).
+        """
+        self.next_ns = 0
+        self.is_open = False
+        self._suite = suite
+        self._period_ns = period_ns
+        self._awaited: list[type[Message]] = []
+
+    @property
+    def is_complete(self) -> bool:
+        """True if an estimate is open and no message is awaited for it."""
+        return self.is_open and not self._awaited
+
+    def begin(self, t_ns: int) -> None:
+        """Set the next estimate to the first multiple of the period after ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : time of the first belief (ns).
+        """
+        self.next_ns = (t_ns // self._period_ns + 1) * self._period_ns
+
+    def reach(self, t_ns: int) -> None:
+        """Open the estimate of ``t_ns`` if one is due then.
+
+        Parameters
+        ----------
+        t_ns : the filter's time (ns).
+        """
+        if t_ns == self.next_ns:
+            self.is_open = True
+            self.next_ns += self._period_ns
+            self._awaited = self._due(t_ns)
+
+    def receive(self, kind: type[Message]) -> None:
+        """Note that a message of the open estimate's instant has arrived.
+
+        Parameters
+        ----------
+        kind : type of the message.
+        """
+        if self.is_open and kind in self._awaited:
+            self._awaited.remove(kind)
+
+    def suspend(self) -> _Open:
+        """Close the schedule while past messages are applied again; return its state for ``resume``."""
+        state = self.next_ns, self.is_open
+        self.is_open = False
+        return state
+
+    def resume(self, state: _Open) -> None:
+        """Continue where ``suspend`` was called.
+
+        Parameters
+        ----------
+        state : what ``suspend`` returned.
+        """
+        self.next_ns, self.is_open = state
+
+    def _due(self, t_ns: int) -> list[type[Message]]:
+        """Return the messages that are valid at ``t_ns`` and arrive at once; of satellites only until t = 0."""
+        s = self._suite
+        tables: list[tuple[type[Message], Gnss | Tdcp | Adcp | Pressure | Compass | BottomTracking]] = [
+            (AdcpPing, s.adcp),
+            (PressureDepth, s.pressure),
+            (CompassHeading, s.compass),
+        ]
+        if s.bottom_track is not None:
+            tables.append((BottomTrack, s.bottom_track))
+        if t_ns <= 0:
+            tables += [(GnssFix, s.gnss), (TdcpFix, s.tdcp)]
+        return [kind for kind, table in tables if table.latency_ns == 0 and t_ns % table.period_ns == 0]
+
+
+class CheckpointSchedule:
+    """Instants of the checkpoints: every ``CHECKPOINT_NS``, and when the vehicle submerges or surfaces."""
+
+    def __init__(self) -> None:
+        self._next_ns = 0
+        self._submerged = False
+
+    def begin(self, belief: Belief) -> None:
+        """Make a checkpoint due at the first estimate.
+
+        Parameters
+        ----------
+        belief : the first belief.
+        """
+        self._next_ns = belief.t_ns
+        self._submerged = float(belief.x[2]) > UNDER_M
+
+    def is_due(self, belief: Belief) -> bool:
+        """Return True if a checkpoint is due, by time or by depth.
+
+        Parameters
+        ----------
+        belief : the filter's belief at the estimate's instant.
+        """
+        return self._crossed(belief) or belief.t_ns >= self._next_ns
+
+    def advance(self, belief: Belief) -> None:
+        """Schedule the next checkpoint after one of ``belief`` has been published.
+
+        Parameters
+        ----------
+        belief : that of the published checkpoint.
+        """
+        self._submerged ^= self._crossed(belief)
+        self._next_ns = (belief.t_ns // CHECKPOINT_NS + 1) * CHECKPOINT_NS
+
+    def _crossed(self, belief: Belief) -> bool:
+        """Return True if the vehicle has surfaced or submerged since the last checkpoint."""
+        depth_m = float(belief.x[2])
+        return depth_m < UP_M if self._submerged else depth_m > UNDER_M
 
 
 def estimate(filter_: Filter, depth_m: Array) -> Estimate:

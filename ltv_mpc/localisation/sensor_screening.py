@@ -52,7 +52,7 @@ class _Way:
     back: bool = False
 
 
-class Door:
+class SensorScreening:
     """Of one estimator; it remembers the last reading of each instrument."""
 
     def __init__(self) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.preintegration import readings
-from ltv_mpc.localisation.sensor_screening import AHEAD_NS, Door
+from ltv_mpc.localisation.sensor_screening import AHEAD_NS, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
 from ltv_mpc.node import Arrival, Due
 from services.bus import wire
@@ -177,7 +177,7 @@ def test_what_the_quick_look_lets_through_the_door_does() -> None:
     rng = np.random.default_rng(4)
     let = refused = 0
     for _ in range(300):
-        door, other = Door(), Door()
+        door, other = SensorScreening(), SensorScreening()
         samples: list[ImuSample] = []
         t_ns = 0
         force = np.array([0.0, 0.0, -9.8])

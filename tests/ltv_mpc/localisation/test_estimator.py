@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import SENSORS, Estimator
+from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.publishing import estimate
 from ltv_mpc.localisation.sensor_config import BottomTracking, Suite
+from ltv_mpc.localisation.sequencing import SENSORS
 from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
 from tests.stepping import step
 

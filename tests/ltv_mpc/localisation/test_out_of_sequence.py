@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import SENSORS, Estimator
+from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
 from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
 from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.localisation.sequencing import SENSORS
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,

@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import Suite
-from ltv_mpc.localisation.sensor_screening import AGREEING, AHEAD_NS, Door
+from ltv_mpc.localisation.sensor_screening import AGREEING, AHEAD_NS, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 from ltv_mpc.node import Arrival
 from tests.stepping import step
@@ -26,7 +26,7 @@ SAID = (
 
 @pytest.mark.parametrize("message", SAID, ids=lambda message: type(message).__name__)
 def test_an_instrument_that_repeats_itself_is_stuck_until_it_says_something_else(message):
-    door = Door()
+    door = SensorScreening()
     assert door.refusal(S, message, S) is None
     assert door.refusal(S, message, S) is None  # the same message twice: of that the history knows
     assert [door.refusal(t, message, t) for t in (2 * S, 3 * S)] == ["stuck"] * 2
@@ -39,7 +39,7 @@ def test_an_instrument_that_repeats_itself_is_stuck_until_it_says_something_else
 
 @pytest.mark.parametrize("message", [PressureDepth(t_ns=S, depth_m=3.0), CompassHeading(t_ns=S, heading_rad=1.0)])
 def test_one_number_may_come_twice_and_a_ping_without_any_return_too(message):
-    door = Door()
+    door = SensorScreening()
     nothing = AdcpPing(t_ns=S, range_m=np.arange(2.0), beam_velocity_mps=np.full((4, 2), np.nan))
     assert [door.refusal(t, one, t) for t in (S, 2 * S) for one in (message, nothing)] == [None] * 4
 
@@ -52,7 +52,7 @@ def sample(t_ns, force, rate=0.3):
 
 @pytest.mark.parametrize(("force", "rate"), [(2.1, 0.3), (0.0, 0.51)])
 def test_an_inertial_unit_that_raves_is_believed_again_once_five_samples_follow_one_another(force, rate):
-    door, said = Door(), []
+    door, said = SensorScreening(), []
     for k in range(1, 14):
         odd = k == 5
         one = sample(k * 10 * MS, force + 1e-3 * k if odd else 1e-3 * k, rate if odd else 0.3)
@@ -62,7 +62,7 @@ def test_an_inertial_unit_that_raves_is_believed_again_once_five_samples_follow_
 
 
 def test_over_a_longer_time_a_vehicle_may_turn_further():
-    door = Door()
+    door = SensorScreening()
     samples = sample(10 * MS, 0.0), sample(110 * MS, 9.0, 1.2)
     assert [door.refusal(one.t_ns, one, one.t_ns) for one in samples] == [None, None]
 
@@ -94,12 +94,12 @@ def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
     ],
 )
 def test_stamps_ahead_of_their_arrival_are_refused(stamp_ns, why):
-    assert Door().refusal(stamp_ns, CompassHeading(t_ns=stamp_ns, heading_rad=1.0), 10 * S) == why
+    assert SensorScreening().refusal(stamp_ns, CompassHeading(t_ns=stamp_ns, heading_rad=1.0), 10 * S) == why
 
 
 def test_what_a_slow_bus_brings_is_used_and_given_up_only_once_newer_ones_have_come():
     """A delay of 0.8 s that ends: the newest first, and what was under way between newer ones."""
-    door = Door()
+    door = SensorScreening()
     for k in range(100):
         one = sample(k * 10 * MS, 1e-3 * k)
         assert door.refusal(one.t_ns, one, one.t_ns + 800 * MS) is None

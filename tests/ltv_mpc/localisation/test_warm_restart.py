@@ -9,8 +9,9 @@ import pytest
 from ltv_mpc.frames import roll_pitch_heading, wrap_angle
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.estimator import CHECKPOINT_NS, UNDER_M, Estimator
+from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import POSITION, VELOCITY
+from ltv_mpc.localisation.publishing import CHECKPOINT_NS, UNDER_M
 from ltv_mpc.localisation.reinitialisation import GRACE_NS
 from ltv_mpc.localisation.sensor_config import Suite
 from ltv_mpc.localisation.warm_restart import TURN_WALK, VELOCITY_WALK, Resumption

@@ -1,0 +1,242 @@
+"""Sequencing of measurements in time: which message is used, at which instant, and in which order.
+
+Order     Measurements are applied in order of validity time. A measurement newer than the last inertial sample waits
+          for the sample that covers it, which is then split at the measurement's time.
+Late      A measurement older than the filter is applied at its own time if it is at most ``REACH_NS`` old
+          (``out_of_sequence.py``). Older measurements and late inertial samples are dropped (``imu_dropout.py``
+          describes how the filter bridges missing samples).
+Duplicate A second message of the same sensor and validity time is dropped.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from ltv_mpc.localisation import imu_dropout
+from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.out_of_sequence import History, spacing_ns
+from ltv_mpc.localisation.publishing import EstimateSchedule
+from ltv_mpc.localisation.reinitialisation import finite
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.messages import (
+    AdcpPing,
+    Array,
+    BottomTrack,
+    CompassHeading,
+    GnssFix,
+    ImuSample,
+    LblRange,
+    Message,
+    PressureDepth,
+    TdcpFix,
+    UsblFix,
+)
+from ltv_mpc.node import Progress
+
+SENSORS: dict[type[Message], str] = {
+    ImuSample: "imu",
+    GnssFix: "gnss",
+    TdcpFix: "tdcp",
+    AdcpPing: "adcp",
+    PressureDepth: "pressure",
+    CompassHeading: "compass",
+    BottomTrack: "bottom_track",
+    LblRange: "lbl",
+    UsblFix: "usbl",
+}
+"""The messages that the estimator reads, and each sensor's name in the account and in the sensors file."""
+
+_MAX_WAITING = 1000
+"""Maximum number of measurements that wait for an inertial sample. Beyond it the inertial unit has failed, and the
+oldest measurement is dropped."""
+
+
+class FollowsFilter(Protocol):
+    """A second filter that receives the same samples and measurements as the active one."""
+
+    def advance(self, t_ns: int, sample: ImuSample) -> None:
+        """Propagate to ``t_ns`` by the rates of ``sample``."""
+        ...
+
+    def use(self, message: Aiding) -> None:
+        """Correct by a measurement, at its own time."""
+        ...
+
+
+class Sequencing:
+    """Applies samples and measurements to the active filter in order of their validity times.
+
+    ``shadow`` is None, or a second filter that receives the same samples and measurements.
+    """
+
+    def __init__(
+        self,
+        suite: Suite,
+        schedule: EstimateSchedule,
+        account: Counter[str],
+        publish: Callable[[Filter], None],
+        progress: Progress,
+    ) -> None:
+        """Create a sequencing without a filter.
+
+        Parameters
+        ----------
+        suite : settings of the sensors.
+        schedule : instants of the estimates; the filter stops at each of them.
+        account : counts by "<sensor>.<outcome>", updated in place.
+        publish : called with the filter when it stands at an estimate's instant and the estimate is complete.
+        progress : called with every propagation step, as a sign of life.
+        """
+        self.shadow: FollowsFilter | None = None
+        self._spacing_ns = spacing_ns(suite)
+        self._schedule = schedule
+        self._account = account
+        self._publish = publish
+        self._progress = progress
+        self._history: History | None = None
+        self._waiting: list[Aiding] = []  # for the inertial sample that covers them; by time, then order of arrival
+
+    @property
+    def filter(self) -> Filter | None:
+        """The active filter; None until one has been set."""
+        return None if self._history is None else self._history.filter
+
+    @property
+    def is_idle(self) -> bool:
+        """True if no measurement waits, no estimate is open and no shadow filter runs."""
+        return not (self._schedule.is_open or self._waiting or self.shadow is not None)
+
+    def set_filter(self, filter_: Filter) -> None:
+        """Make ``filter_`` the active filter, with an empty buffer of past measurements.
+
+        Parameters
+        ----------
+        filter_ : the filter that all further messages are applied to.
+        """
+        self._history = History(filter_, self._spacing_ns, self._progress)
+
+    def apply(self, message: ImuSample | Aiding) -> None:
+        """Apply one message to the filter, or store it until the inertial sample that covers it.
+
+        Parameters
+        ----------
+        message : an inertial sample, or a measurement of any validity time.
+        """
+        history = self._required()
+        if isinstance(message, ImuSample):
+            self._propagate(history, message)
+            return
+        now_ns, sensor = history.filter.belief.t_ns, SENSORS[type(message)]
+        if message.t_ns > now_ns:
+            bisect.insort(self._waiting, message, key=lambda m: m.t_ns)
+            if len(self._waiting) > _MAX_WAITING:
+                self._account[f"{SENSORS[type(self._waiting.pop(0))]}.without_imu"] += 1
+        elif message.t_ns == now_ns:
+            self._correct(history, message)
+        elif not history.reaches(message.t_ns):
+            self._account[f"{sensor}.late"] += 1
+        elif history.knows(message):
+            self._account[f"{sensor}.duplicate"] += 1
+        elif finite(history.filter.belief):
+            self._use(history, message)
+            self._account[f"{sensor}.late_applied"] += 1
+
+    def reapply(self, messages: Sequence[ImuSample | Aiding]) -> None:
+        """Apply past messages to a new filter without publishing an estimate on the way.
+
+        Parameters
+        ----------
+        messages : in the order in which they were first applied.
+        """
+        state = self._schedule.suspend()
+        for message in messages:
+            self.apply(message)
+        self._schedule.resume(state)
+
+    def consecutive(self, samples: Sequence[ImuSample]) -> int:
+        """Return how many of ``samples`` can be integrated at once, because nothing happens between them.
+
+        Parameters
+        ----------
+        samples : inertial samples in order of arrival.
+
+        Returns
+        -------
+        The number of samples, from the first on; 0 if the filter's belief is not finite.
+        """
+        history = self._required()
+        return history.follows(samples) if finite(history.filter.belief) else 0
+
+    def apply_consecutive(self, samples: Sequence[ImuSample], measured: Array) -> int:
+        """Integrate samples that follow one another.
+
+        Parameters
+        ----------
+        samples : (K,) inertial samples, as many as ``consecutive`` returned.
+        measured : (K, 6) their angular rates (rad/s) and specific forces (m/s2), body axes.
+
+        Returns
+        -------
+        The number of samples that were integrated: fewer than K if the belief ceased to be finite.
+        """
+        return self._required().advance_through(samples, measured)
+
+    def reach(self, t_ns: int) -> None:
+        """Publish the estimate of ``t_ns`` if it is due and complete.
+
+        Parameters
+        ----------
+        t_ns : validity time of the last sample that was integrated (ns).
+        """
+        self._schedule.reach(t_ns)
+        if self._schedule.is_complete:
+            self._publish(self._required().filter)
+
+    def _required(self) -> History:
+        assert self._history is not None, "set_filter comes first"
+        return self._history
+
+    def _propagate(self, history: History, sample: ImuSample) -> None:
+        """Propagate to the sample's time; stop at every waiting measurement and every estimate on the way."""
+        filter_ = history.filter
+        if sample.t_ns <= filter_.belief.t_ns:
+            self._account["imu.late"] += 1
+            return
+        if imu_dropout.before(sample, filter_.belief.t_ns):
+            self._account["imu.gap"] += 1
+        while filter_.belief.t_ns < sample.t_ns:
+            stop_ns = min(sample.t_ns, self._schedule.next_ns)
+            if self._waiting:
+                stop_ns = min(stop_ns, self._waiting[0].t_ns)
+            if self._schedule.is_open:  # time continues: what is still awaited corrects the next estimate
+                self._publish(filter_)
+            history.advance(stop_ns, sample)
+            if self.shadow is not None:
+                self.shadow.advance(stop_ns, sample)
+            self._schedule.reach(stop_ns)
+            while self._waiting and self._waiting[0].t_ns == stop_ns:
+                self._correct(history, self._waiting.pop(0))
+            if self._schedule.is_complete:
+                self._publish(filter_)
+
+    def _correct(self, history: History, message: Aiding) -> None:
+        """Correct by a measurement of the filter's own instant."""
+        if history.knows(message):
+            self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
+            return
+        if finite(history.filter.belief):
+            self._use(history, message)
+        self._schedule.receive(type(message))
+        if self._schedule.is_complete:
+            self._publish(history.filter)
+
+    def _use(self, history: History, message: Aiding) -> None:
+        """Correct both filters at the message's own time; after a ping, adapt the water's process noise."""
+        history.use(message)
+        if isinstance(message, AdcpPing):
+            history.adapt()
+        if self.shadow is not None:
+            self.shadow.use(message)

@@ -1,0 +1,255 @@
+"""Supervision of the active filter: its health, its reinitialisation and its shadow.
+
+Health            Once a second a report judges the filter by the innovations of its sensors (``health.py``).
+Reinitialisation  A filter that has diverged is replaced by one that starts from the last good position
+                  (``reinitialisation.py``). It takes over at the time that the old filter has reached.
+Shadow filter     A copy is taken when innovations first become inconsistent. It replaces the active filter if the
+                  sensors agree with the copy again (``shadow_filter.py``).
+Warm restart      A filter that continues from a checkpoint is reported as restarted for ``GRACE_NS``
+                  (``warm_restart.py``).
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+
+from ltv_mpc.currents import WaterPrior
+from ltv_mpc.localisation.adaptive.process_noise import Change
+from ltv_mpc.localisation.config import EstimatorConfig
+from ltv_mpc.localisation.filter.alignment import Alignment
+from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.filter.state import Belief
+from ltv_mpc.localisation.health import Monitor, verdict_of
+from ltv_mpc.localisation.out_of_sequence import spacing_ns
+from ltv_mpc.localisation.reinitialisation import GRACE_NS, Restarts, finite, usable
+from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sequencing import Sequencing
+from ltv_mpc.localisation.shadow_filter import Former
+from ltv_mpc.messages import FilterStatus, ImuSample, LocalisationReport, SensorReport
+
+REPORT_NS = 1_000_000_000
+
+RECENT_NS = 2_500_000_000
+"""Age up to which messages are stored for a reinitialisation: it holds two headings of a compass at 1 Hz."""
+
+_MAX_RECENT = 6000
+"""Maximum number of stored messages, for the case that the inertial unit has failed: 2.5 s of a unit at 1 kHz, and the
+other sensors."""
+
+
+class Supervision:
+    """Judges the active filter once a second, and replaces it if it has diverged."""
+
+    def __init__(
+        self,
+        suite: Suite,
+        config: EstimatorConfig,
+        prior: WaterPrior | None,
+        sequencing: Sequencing,
+        account: Counter[str],
+    ) -> None:
+        """Create a supervision without a filter.
+
+        Parameters
+        ----------
+        suite : settings of the sensors.
+        config : settings of the filter.
+        prior : water known from an earlier dive; None: that of ``config``.
+        sequencing : applies messages to the active filter; a new filter is set there.
+        account : counts by "<sensor>.<outcome>"; those of a replaced filter are added to it.
+        """
+        self._suite, self._config = suite, config
+        self._sequencing = sequencing
+        self._account = account
+        self._monitor = Monitor(suite, config.gate_probability)
+        self._restarts = Restarts(suite, config, prior)
+        self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MAX_RECENT)
+        self._replacement: Alignment | None = None  # of the filter that is to replace the diverged one
+        self._shadow: Former | None = None
+        self._returned_ns: int | None = None  # when the shadow filter took over
+        self._warm_started_ns: int | None = None
+        self._report_ns = 0  # of the next report
+
+    @property
+    def restarts(self) -> int:
+        """Number of reinitialisations, those before a warm restart included."""
+        return self._restarts.count
+
+    @property
+    def is_idle(self) -> bool:
+        """True if no filter is being aligned to replace the active one."""
+        return self._replacement is None
+
+    @property
+    def is_in_doubt(self) -> bool:
+        """True while the filter's innovations are inconsistent."""
+        return self._restarts.doubts
+
+    def restore(self, restarts: int) -> None:
+        """Continue to count reinitialisations from a checkpoint's number.
+
+        Parameters
+        ----------
+        restarts : reinitialisations up to the checkpoint.
+        """
+        self._restarts.count = restarts
+
+    def begin(self, belief: Belief, *, warm: bool) -> None:
+        """Start the first filter.
+
+        Parameters
+        ----------
+        belief : the aligned belief.
+        warm : it continues from a checkpoint.
+        """
+        self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
+        if warm:
+            self._warm_started_ns = belief.t_ns
+        self._set_filter(Filter(self._suite, self._config, belief))
+
+    def receive(self, message: ImuSample | Aiding) -> None:
+        """Store a message for a reinitialisation, and give it to one that is under way.
+
+        Parameters
+        ----------
+        message : before it is applied to the filter.
+        """
+        self.store([message])
+        if self._replacement is not None:
+            self._replacement.take(message)
+
+    def store(self, messages: Sequence[ImuSample | Aiding]) -> None:
+        """Store messages for a reinitialisation, and drop those older than ``RECENT_NS``.
+
+        Parameters
+        ----------
+        messages : at least one, in order of arrival.
+        """
+        self._recent.extend(messages)
+        newest = messages[-1]
+        if isinstance(newest, ImuSample):
+            while self._recent[0].t_ns < newest.t_ns - RECENT_NS:
+                self._recent.popleft()
+
+    def check(self) -> None:
+        """Replace the filter if it is not finite, if its replacement is aligned, or if its shadow is right."""
+        active = self._active()
+        if self._replacement is None and not finite(active.belief) and self._restarts.knows_a_place:
+            self._replacement = self._restarts.begin(active.belief.t_ns, self._recent)
+        if self._replacement is not None and not self._replacement.waiting_for:
+            self._reinitialise(active, self._replacement)
+        if self._shadow is not None:
+            self._compare(self._active(), self._shadow)
+
+    def is_report_due(self, t_ns: int) -> bool:
+        """Return True if the report of this second has not been made yet.
+
+        Parameters
+        ----------
+        t_ns : time of the estimate (ns).
+        """
+        return t_ns >= self._report_ns
+
+    def report(self, account: Mapping[str, int]) -> LocalisationReport:
+        """Judge the filter over the last second; begin a reinitialisation or a shadow filter if that is necessary.
+
+        Parameters
+        ----------
+        account : counts by "<sensor>.<outcome>" since the node's start, those of the active filter included.
+
+        Returns
+        -------
+        The report of the filter's instant.
+        """
+        filter_ = self._active()
+        t_ns = filter_.belief.t_ns
+        self._report_ns = (t_ns // REPORT_NS + 1) * REPORT_NS
+        sensors = self._monitor.sensors(t_ns, account)
+        status, why = verdict_of(sensors)
+        if filter_.water.beyond(t_ns) and status is FilterStatus.NOMINAL:
+            status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
+        # The status that is reported may depend on what this second begins, but not the other way round.
+        walk = filter_.water.walk_mps_per_rts(t_ns)
+        self._react(filter_, status)
+        return self._published(filter_, status, why, walk, sensors)
+
+    def _react(self, filter_: Filter, status: FilterStatus) -> None:
+        """Begin a reinitialisation or a shadow filter, or store a good belief."""
+        t_ns = filter_.belief.t_ns
+        if self._replacement is None and self._restarts.watch(filter_.belief, status, broken=self._monitor.broken):
+            self._replacement = self._restarts.begin(t_ns, self._recent)
+        elif self._restarts.began_to_doubt(t_ns) and self._shadow is None:
+            self._set_shadow(Former(filter_, spacing_ns(self._suite), self._restarts.memory()))
+        elif self._restarts.is_belief_due(t_ns) and usable(filter_.belief):
+            self._restarts.keep(filter_.settled())
+
+    def _published(
+        self, filter_: Filter, status: FilterStatus, why: str, walk: float, sensors: tuple[SensorReport, ...]
+    ) -> LocalisationReport:
+        """Return the report: a restart goes before the status by the sensors."""
+        t_ns = filter_.belief.t_ns
+        if self._warm_started_ns is not None and t_ns - self._warm_started_ns < GRACE_NS:
+            status, why = FilterStatus.RESTARTED, why or "went on from a checkpoint"
+        elif self._returned_ns is not None and t_ns - self._returned_ns < GRACE_NS:
+            status, why = FilterStatus.RESTARTED, why or "went back to what it was before it was doubted"
+        elif self._restarts.recent(t_ns):
+            status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
+        elif status is FilterStatus.NOMINAL and walk > 0.0:
+            status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
+            if filter_.water.change(t_ns) is Change.UNIT:
+                why = "water that changes for longer than a front, or a gyro's fault: both are allowed for"
+        return LocalisationReport(
+            t_ns=t_ns,
+            status=status,
+            why=why,
+            restarts=self._restarts.count,
+            water_walk_mps_per_rts=walk,
+            sensors=sensors,
+        )
+
+    def _active(self) -> Filter:
+        filter_ = self._sequencing.filter
+        assert filter_ is not None, "begin comes first"
+        return filter_
+
+    def _set_filter(self, filter_: Filter) -> None:
+        """Make ``filter_`` the active one, observed by the monitor alone."""
+        filter_.observers[:] = [self._monitor.hear]
+        self._sequencing.set_filter(filter_)
+
+    def _set_shadow(self, shadow: Former | None) -> None:
+        self._shadow = self._sequencing.shadow = shadow
+
+    def _reinitialise(self, old: Filter, alignment: Alignment) -> None:
+        """Replace the filter at the time that it has reached; nothing is published on the way."""
+        self._replacement = None
+        shadow = self._shadow
+        self._set_shadow(None)  # it has received these messages already
+        self._account.update(old.account)
+        self._monitor.forget()
+        belief, since = alignment.belief()
+        # With the wide prior of unknown water, a first motion of it must not be taken for a front.
+        adapts_from_ns = None if self._restarts.graft(belief) else belief.t_ns + GRACE_NS
+        new = Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
+        self._set_filter(new)
+        self._sequencing.reapply([message for message in since if message.t_ns <= old.belief.t_ns])
+        new.account.clear()  # these messages were counted when the old filter used them
+        self._set_shadow(shadow)
+
+    def _compare(self, active: Filter, shadow: Former) -> None:
+        """Let the shadow filter take over if it agrees with what it rejected; drop it if it is of no more use."""
+        t_ns = active.belief.t_ns
+        in_doubt = self._restarts.doubts or self._restarts.recent(t_ns)
+        if shadow.expired or not finite(shadow.filter.belief) or (shadow.agrees and not in_doubt):
+            self._set_shadow(None)
+        elif shadow.agrees and shadow.is_worth_more(active):
+            self._set_shadow(None)
+            self._replacement = None
+            self._account.update(active.account)
+            self._monitor.forget()
+            shadow.filter.account.clear()  # counted by the filter that it replaces
+            shadow.filter.water.forget(shadow.filter.belief)
+            self._set_filter(shadow.filter)
+            self._restarts.recall(shadow.memory)
+            self._returned_ns = t_ns
