@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from benchmarks.peers.loop import Held
 from services.tools.profile.machine import Machine
+from services.tools.profile.machine import line as machine_line
 from services.tools.profile.run import Spread
 
 
@@ -50,7 +51,7 @@ def markdown(
         )
     out += ["", *notes, "", "| | settings |", "|---|---|"]
     out += [_row([line.name, line.settings]) for line in lines]
-    out += ["", "Measured on: " + machine.line(machine, packages) + f"; commit {machine['commit']}."]
+    out += ["", "Measured on: " + machine_line(machine, packages) + f"; commit {machine['commit']}."]
     return "\n".join(out) + "\n"
 
 
