@@ -20,6 +20,7 @@ from ltv_mpc.control.prediction import Prediction
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import osqp, osqp_workspace
 from ltv_mpc.control.solvers.osqp import OsqpSolver
+from ltv_mpc.control.vertical import VerticalLaw
 from ltv_mpc.messages import Estimate, Harm, Plan
 from ltv_mpc.references import follower
 from ltv_mpc.safety import health, model_check
@@ -343,7 +344,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row(
         "depth integral",
         BALLAST,
-        without((Controller, "_integrate", nothing)),
+        without((VerticalLaw, "advance_integral", nothing)),
         ("depth error, rms (m)", "depth error, last 30 s, mean size (m)"),
     ),
     row("delay prediction", DELAY, without((Delay, "expected_ns", no_delay)), LOCKED),
