@@ -157,7 +157,12 @@ def test_a_refusal_names_field_entry_value_and_bound_also_inside() -> None:
 
 
 def test_a_missing_value_is_nan_where_an_array_may_have_gaps_and_nowhere_else() -> None:
-    gaps = {(t.message_type.__name__, name) for t in TOPICS for name, of in bounds(t.message_type).items() if of.has_gaps}
+    gaps = {
+        (topic.message_type.__name__, name)
+        for topic in TOPICS
+        for name, of in bounds(topic.message_type).items()
+        if of.has_gaps
+    }
     assert gaps == {
         (AdcpPing.__name__, "beam_velocity_mps"),
         (BottomTrack.__name__, "range_m"),
