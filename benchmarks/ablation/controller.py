@@ -245,6 +245,17 @@ FAILS_SQUARE = Event(
 LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, Harm.LOSS, 0.5))
 ABEAM = Event("abeam", "start at rest 1 to 5 m abeam, still water", E.abeam)
 REPLACED = Event("replaced", "a controller that does not know the plan in force takes over", E.replaced_controller)
+TAKEN_OVER = Event(
+    "taken over", "start 5 m off; at 3 s a controller takes over with a state of 3 s ago", E.taken_over(with_plan=True)
+)
+TAKEN_OVER_BLIND = Event(
+    "taken over without a plan",
+    "start 5 m off; at 3 s a controller takes over without the plan in force",
+    E.taken_over(with_plan=False),
+)
+LATE_FAR_OFF = Event("late far off", "start 5 m off; cycles take 1 s from 3 to 9 s", E.late_far_off)
+PLAIN = Event("plain", "descent, cycles of 20 ms", E.plain)
+AT_ONCE = Event("at once", "descent, cycles that take no time", E.at_once)
 FIRST = Event("first solves", "cycles take 5 ms until the descent, 80 to 120 ms from then on", E.first_solves)
 DELAY = Event("delay", "0.71 s of computing each cycle", E.constant_delay)
 SCATTER = Event("scattered delay", "computing 0.1 s at the median, 0.3 s at 99 %", E.scattered_delay)
@@ -264,6 +275,7 @@ TRUE = "true error, rms (m)"
 ERROR = (TRUE, "true error, 95 % (m)", "mean thrust (N)", "saturated (%)")
 EVENT = (TRUE, "true error, largest (m)", "recovery (s)", "cycles solved (%)")
 TIME = ("cycle, median (us)", "cycle, 99 % (us)", "iterations, mean", TRUE, "cycles solved (%)")
+JUNCTION = ("largest jump (N)", "mean jump (N)", "true error in the window, rms (m)", "plans refused", "late plans (%)")
 LOCKED = (TRUE, "true error, largest (m)", "recovery (s)", "late plans (%)", "bad thrusts (%)")
 HELD = ("largest distance, last 40 s (m)", "settled after (s)")
 EXCURSION = ("cross-track error, largest after 30 s (m)", "cross-track error, rms (m)", "path done after (s)")
@@ -299,6 +311,11 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("line search", SHORT, kernels(searches=False), ERROR),
     row("line search", TIGHT, kernels(searches=False), EVENT),
     row("line search", STUCK, kernels(searches=False), HELD),
+    row("commands reported", TAKEN_OVER, without((SentCommands, "reported", nothing)), JUNCTION),
+    row("commands reported", TAKEN_OVER_BLIND, without((SentCommands, "reported", nothing)), JUNCTION),
+    row("commands reported", LATE_FAR_OFF, without((SentCommands, "reported", nothing)), JUNCTION),
+    row("delay of cycles that solve", PLAIN, without((Delay, "solves_from", nothing)), LOCKED),
+    row("delay of cycles that solve", AT_ONCE, without((Delay, "solves_from", nothing)), LOCKED),
     row("commands reported", REPLACED, without((SentCommands, "reported", nothing)), LOCKED),
     row("delay of cycles that solve", FIRST, without((Delay, "solves_from", nothing)), LOCKED),
     row("second QP", NOMINAL, one_qp, ERROR),

@@ -117,6 +117,9 @@ SILENCE = Event(
     Descent(broken=tuple(Broken(kind, Failure.OFF, spell(9.0), 1.0, seed=1) for kind in SENSORS)),
 )
 IMU_LOSS = Event("imu loss", "half of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.5))
+IMU_HEAVY_LOSS = Event(
+    "imu heavy loss", "85 % of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.85)
+)
 IMU_GARBAGE = Event("imu garbage", "inertial unit says anything for 5 s", broken(ImuSample, Failure.GARBAGE, 5.0, 0.5))
 IMU_STUCK = Event("imu stuck", "inertial unit repeats itself for 8 s", broken(ImuSample, Failure.STUCK, 8.0))
 PROFILER_STUCK = Event("profiler stuck", "profiler repeats itself for 20 s", broken(AdcpPing, Failure.STUCK, 20.0))
@@ -132,6 +135,7 @@ CLOCK_AHEAD = Event("clock ahead", "sensors' clock 60 s ahead for 8 s", harmed(S
 CLOCK_BACK = Event("clock back", "sensors' clock 1 s back for 8 s", harmed(SENSORS, Harm.CLOCK_JUMP, 8.0, -1.0))
 PINGS_LATE = Event("pings late", "pings come 0.5 s late for 40 s", broken(AdcpPing, Failure.DELAYED, 40.0, 0.5))
 PINGS_TWICE = Event("pings twice", "the profiler's driver publishes every ping twice", Descent(twice=(AdcpPing,)))
+ALL_TWICE = Event("all twice", "every driver publishes every message twice", Descent(twice=SENSORS))
 RESTARTED = Event("restart", "the estimator's process is replaced under water", Descent(restarted=True))
 WRONG_FIX = Event(
     "wrong fix",
@@ -139,6 +143,14 @@ WRONG_FIX = Event(
     Descent(gnss_velocity_mps=0.1, surface_s=1.0),
 )
 ONE_FIX = Event("one fix", "one satellite fix before the descent, nothing wrong", Descent(surface_s=1.0))
+LONG = Event("long", "one satellite fix, a descent of 160 s", Descent(surface_s=1.0, duration_s=160.0))
+LONG_BLIND = Event(
+    "long, no compass",
+    "one satellite fix, a descent of 160 s, the compass off",
+    Descent(
+        surface_s=1.0, duration_s=160.0, broken=(Broken(CompassHeading, Failure.OFF, spell(400.0, 1.0), 1.0, seed=1),)
+    ),
+)
 DEEP_GRID = Event(
     "deep grid", "water kept over a grid of 500 m", Descent(settings=("estimator.deepest_m=500",), duration_s=60.0)
 )
@@ -203,6 +215,25 @@ def no_adaptation() -> AbstractContextManager[None]:
         (Adaptation, "began", lambda *_: None),
         (filter, "COLUMNS", 0),
     )
+
+
+def no_going_back() -> AbstractContextManager[None]:
+    """Grant the water what it needs from now on only, and make up for every front as if it were an old one."""
+
+    def adapt(self: late.History) -> Change:
+        water, belief = self.filter.water, self.filter.belief
+        now_ns = belief.t_ns
+        began = water.began(belief)
+        if began is not None:
+            began.make_up(belief)
+            water.forget(belief)
+        change = Change.FAST if began is not None else water.seen(now_ns)
+        if change is not Change.NONE:
+            water.grant(change, water.hold(change, now_ns), now_ns)
+            self._stretches[:] = [late._Stretch(self.filter.snapshot(), [])]
+        return change
+
+    return replaced((late.History, "adapt", adapt), (late, "BACK_NS", late.REACH_NS))
 
 
 def seen_as(change: Callable[[Change], Change]) -> AbstractContextManager[None]:
@@ -297,6 +328,8 @@ def of(
 
 
 ERRORS = ("true rms m", "true 95 % m", "drift end m", "velocity rms m/s", "silent")
+CONSISTENT = (*ERRORS, "outside", "position nees", "velocity nees")
+HEADING = ("heading rms deg", "heading nees, end", "heading outside 2 sigma", "heading sd, end deg")
 SEEN = (*ERRORS, "missed", "delay s", "alarms before")
 SHADOW = (
     "former.py", "filter.py:Filter.twin", "estimator.py:Estimator._look_back", "restart.py:Memory",
@@ -353,6 +386,10 @@ MECHANISMS: tuple[Mechanism, ...] = (
         "going back 10 s before a walk is granted", lambda: replaced((late, "BACK_NS", late.REACH_NS)),
         (FAST_FRONT, MEDIUM_FRONT), SEEN,
     ),
+    *of(
+        "going back before a walk is granted", no_going_back,
+        (FAST_FRONT, MEDIUM_FRONT, SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST, WAVES, STEP), SEEN,
+    ),
     *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
     *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptation.py:_doubt",)),
     *of(
@@ -377,8 +414,8 @@ MECHANISMS: tuple[Mechanism, ...] = (
         (*ERRORS, "reinitialised"), ("gap.py:level",),
     ),
     *of(
-        "IMU dropout: noise over bridged samples", lambda: replaced((gap, "doubt", lambda *_: None)), (IMU_LOSS,),
-        ERRORS, ("gap.py:doubt",),
+        "IMU dropout: noise over bridged samples", lambda: replaced((gap, "doubt", lambda *_: None)),
+        (IMU_LOSS, IMU_HEAVY_LOSS), CONSISTENT, ("gap.py:doubt",),
     ),
     *of(
         "warm restart", restored(checkpoint=False, estimate=True), (RESTARTED,), (*ERRORS, "no estimate"),
@@ -392,8 +429,8 @@ MECHANISMS: tuple[Mechanism, ...] = (
         "out-of-sequence buffer", lambda: replaced((late.History, "reaches", lambda *_: False)), (PINGS_LATE,), ERRORS,
         ("late.py",), ("test_late.py",),
     ),
-    *of("refusal of repeated messages", lambda: replaced((late.History, "knows", lambda *_: False)), (PINGS_TWICE,),
-        ERRORS, ("late.py:same", "late.py:History.knows")),
+    *of("refusal of repeated messages", lambda: replaced((late.History, "knows", lambda *_: False)),
+        (PINGS_TWICE, ALL_TWICE), CONSISTENT, ("late.py:same", "late.py:History.knows")),
     *of(
         "measurement compression", lambda: replaced((correction, "_MUCH_LESS", 0.0)),
         (Event("foretold, timed", FORETOLD.description, Descent()),), ("estimator ms per s", "drift end m"),
@@ -404,7 +441,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         lambda: replaced(
             (correction, "swing", lambda error, _: np.zeros(len(error))), (correction, "_correct_few", uncoupled)
         ),
-        (FORETOLD, ONE_FIX), (*ERRORS, "heading rms deg"),
+        (FORETOLD, ONE_FIX, LONG, LONG_BLIND), (*CONSISTENT, *HEADING),
         ("turning.py", "correction.py:_turn", "correction.py:_swing_too"), ("test_turning.py",),
     ),
     *of("screening: stuck", no_screening("stuck"), (PROFILER_STUCK, FIX_STUCK, IMU_STUCK), ERRORS, ("door.py",),
@@ -421,5 +458,5 @@ MECHANISMS: tuple[Mechanism, ...] = (
     *of("ADCP bias by beam as states", given(adcp={"beam_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("ADCP bias of near cells as states", given(adcp={"near_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("ADCP mounting as states", given(adcp={"mounting_known_to_rad": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
-    *of("compass bias as a state", given(compass={"bias_sd_rad": 0.0}), (FORETOLD,), (*ERRORS, "heading rms deg")),
+    *of("compass bias as a state", given(compass={"bias_sd_rad": 0.0}), (FORETOLD, LONG), (*CONSISTENT, *HEADING)),
 )  # fmt: skip
