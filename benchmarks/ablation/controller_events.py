@@ -556,18 +556,8 @@ class Replaced:
         return out
 
 
-def replaced_controller(seed: int) -> Measures:
-    """Descend; at 20 s another controller takes over that does not know the plan in force."""
-
-    def around(nodes: list[Node]) -> list[Node]:
-        *others, _ = nodes
-        s = situation(f"run.seed={seed}", "run.duration_s=60.0")
-        return [*others, Replaced(lambda: locked.nodes(s)[-1], 20 * S)]
-
-    return Locked(seed=seed, around=around).run(20.0)
-
-
 TAKEN_OVER_S = 3.0
+"""When another controller takes over."""
 
 
 def far_off_locked(seed: int, **others: Any) -> Locked:
@@ -596,23 +586,6 @@ def late_far_off(seed: int) -> Measures:
     """Start 5 m off; from 3 s on each cycle takes a second, for 6 s."""
     delay_ns = lambda t: S if 3 * S <= t < 9 * S else 20_000_000  # noqa: E731
     return far_off_locked(seed, delay_ns=delay_ns).run(9.0, (3.0, 13.0))
-
-
-def plain(seed: int) -> Measures:
-    """Descend with cycles of 20 ms."""
-    return Locked(seed=seed, delay_ns=20_000_000).run()
-
-
-def at_once(seed: int) -> Measures:
-    """Descend with cycles that take no time."""
-    return Locked(seed=seed).run()
-
-
-def first_solves(seed: int) -> Measures:
-    """Descend; cycles take 5 ms before the descent and 80 to 120 ms from then on."""
-    rng = np.random.default_rng(seed)
-    delay_ns = lambda t: 5_000_000 if t < 0 else round(1e6 * rng.uniform(80.0, 120.0))  # noqa: E731
-    return Locked(seed=seed, delay_ns=delay_ns, settings=("run.surface_time_s=20",)).run()
 
 
 def constant_delay(seed: int) -> Measures:

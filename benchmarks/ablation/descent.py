@@ -217,7 +217,7 @@ class Watch:
             "drift after m": float(drift[after].max()),
             "velocity rms m/s": rms(np.hypot(*(ev - v)[after & fresh].T)),
             "heading rms deg": math.degrees(rms(heading)),
-            **consistency(heading[after], [s for s, is_after in zip(estimates, after, strict=True) if is_after]),
+            **consistency(heading[after & fresh], [s for s, use in zip(estimates, after & fresh, strict=True) if use]),
             "position nees": float(np.mean(squares[after, 0])) / 2.0,
             "velocity nees": float(np.mean(squares[after, 1])) / 2.0,
             "outside": float((outside & after).sum() / after.sum()),

@@ -217,25 +217,6 @@ def no_adaptation() -> AbstractContextManager[None]:
     )
 
 
-def no_going_back() -> AbstractContextManager[None]:
-    """Grant the water what it needs from now on only, and make up for every front as if it were an old one."""
-
-    def adapt(self: late.History) -> Change:
-        water, belief = self.filter.water, self.filter.belief
-        now_ns = belief.t_ns
-        began = water.began(belief)
-        if began is not None:
-            began.make_up(belief)
-            water.forget(belief)
-        change = Change.FAST if began is not None else water.seen(now_ns)
-        if change is not Change.NONE:
-            water.grant(change, water.hold(change, now_ns), now_ns)
-            self._stretches[:] = [late._Stretch(self.filter.snapshot(), [])]
-        return change
-
-    return replaced((late.History, "adapt", adapt), (late, "BACK_NS", late.REACH_NS))
-
-
 def seen_as(change: Callable[[Change], Change]) -> AbstractContextManager[None]:
     """Grant something else than what is seen."""
     seen = Adaptation.seen
@@ -384,11 +365,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "going back 10 s before a walk is granted", lambda: replaced((late, "BACK_NS", late.REACH_NS)),
-        (FAST_FRONT, MEDIUM_FRONT), SEEN,
-    ),
-    *of(
-        "going back before a walk is granted", no_going_back,
-        (FAST_FRONT, MEDIUM_FRONT, SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST, WAVES, STEP), SEEN,
+        (FAST_FRONT, MEDIUM_FRONT, GYRO, GYRO_FAST, WAVES), SEEN,
     ),
     *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
     *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptation.py:_doubt",)),
