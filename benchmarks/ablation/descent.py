@@ -277,13 +277,13 @@ def normalised(estimate: Estimate, position_m: np.ndarray, velocity_mps: np.ndar
 
 
 def consistency(error_rad: np.ndarray, estimates: Sequence[Estimate]) -> dict[str, float]:
-    """Return how the heading's errors (K,) compare with the reported standard deviations."""
+    """Return how the heading's errors (K,) compare with the reported standard deviations; NaN of no estimate."""
     sd_rad = np.array([math.nan if s.covariance is None else math.sqrt(s.covariance[4, 4]) for s in estimates])
     ratio = error_rad / sd_rad
     return {
-        "heading nees, end": float(ratio[-1] ** 2),
-        "heading outside 2 sigma": float(np.mean(np.abs(ratio) > 2.0)),
-        "heading sd, end deg": math.degrees(float(sd_rad[-1])),
+        "heading nees, end": float(ratio[-1] ** 2) if len(ratio) else math.nan,
+        "heading outside 2 sigma": float(np.mean(np.abs(ratio) > 2.0)) if len(ratio) else math.nan,
+        "heading sd, end deg": math.degrees(float(sd_rad[-1])) if len(ratio) else math.nan,
     }
 
 
