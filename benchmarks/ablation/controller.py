@@ -139,13 +139,13 @@ def nothing(*_: Any, **__: Any) -> None:
 def largest(self: Delay) -> None:
     """Expect the largest delay measured lately."""
     measured = self._receipts or self._computing
-    self._expected_ns = max(*measured, self._least_ns, 0) if measured else self._first_ns
+    self._expected_ns = max(*measured, self._least_ns, 0)
 
 
 def median(self: Delay) -> None:
     """Expect the median delay."""
     measured = sorted(self._receipts or self._computing)
-    self._expected_ns = measured[len(measured) // 2] if measured else self._first_ns
+    self._expected_ns = measured[len(measured) // 2]
 
 
 def no_delay(self: Delay) -> int:
@@ -245,8 +245,15 @@ FAILS_SQUARE = Event(
 )
 LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, Harm.LOSS, 0.5))
 ABEAM = Event("abeam", "start at rest 1 to 5 m abeam, still water", E.abeam)
-REPLACED = Event("replaced", "a controller that does not know the plan in force takes over", E.replaced_controller)
-FIRST = Event("first solves", "cycles take 5 ms until the descent, 80 to 120 ms from then on", E.first_solves)
+TAKEN_OVER = Event(
+    "taken over", "start 5 m off; at 3 s a controller takes over with a state of 3 s ago", E.taken_over(with_plan=True)
+)
+TAKEN_OVER_BLIND = Event(
+    "taken over without a plan",
+    "start 5 m off; at 3 s a controller takes over without the plan in force",
+    E.taken_over(with_plan=False),
+)
+LATE_FAR_OFF = Event("late far off", "start 5 m off; cycles take 1 s from 3 to 9 s", E.late_far_off)
 DELAY = Event("delay", "0.71 s of computing each cycle", E.constant_delay)
 SCATTER = Event("scattered delay", "computing 0.1 s at the median, 0.3 s at 99 %", E.scattered_delay)
 OVERRUN = Event("overrun", "computing takes 0.5 to 1.5 s for 6 s", E.overrun)
@@ -265,6 +272,7 @@ TRUE = "true error, rms (m)"
 ERROR = (TRUE, "true error, 95 % (m)", "mean thrust (N)", "saturated (%)")
 EVENT = (TRUE, "true error, largest (m)", "recovery (s)", "cycles solved (%)")
 TIME = ("cycle, median (us)", "cycle, 99 % (us)", "iterations, mean", TRUE, "cycles solved (%)")
+JUNCTION = ("largest jump (N)", "mean jump (N)", "true error in the window, rms (m)", "plans refused", "late plans (%)")
 LOCKED = (TRUE, "true error, largest (m)", "recovery (s)", "late plans (%)", "bad thrusts (%)")
 HELD = ("largest distance, last 40 s (m)", "settled after (s)")
 EXCURSION = ("cross-track error, largest after 30 s (m)", "cross-track error, rms (m)", "path done after (s)")
@@ -300,8 +308,9 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("line search", SHORT, kernels(searches=False), ERROR),
     row("line search", TIGHT, kernels(searches=False), EVENT),
     row("line search", STUCK, kernels(searches=False), HELD),
-    row("commands reported", REPLACED, without((SentCommands, "reported", nothing)), LOCKED),
-    row("delay of cycles that solve", FIRST, without((Delay, "solves_from", nothing)), LOCKED),
+    row("commands reported", TAKEN_OVER, without((SentCommands, "reported", nothing)), JUNCTION),
+    row("commands reported", TAKEN_OVER_BLIND, without((SentCommands, "reported", nothing)), JUNCTION),
+    row("commands reported", LATE_FAR_OFF, without((SentCommands, "reported", nothing)), JUNCTION),
     row("second QP", NOMINAL, one_qp, ERROR),
     row("second QP", SHORT, one_qp, ERROR),
     row("second QP", FAR_OFF, one_qp, EVENT),
@@ -351,7 +360,6 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("delay quantile, against the median", SCATTER, without((Delay, "_learn", median)), LOCKED),
     row("delay quantile, against the largest", SCATTER, without((Delay, "_learn", largest)), LOCKED),
     row("delay quantile, against the largest", OVERRUN, without((Delay, "_learn", largest)), LOCKED),
-    row("delay of cycles that solve", OVERRUN, without((Delay, "solves_from", nothing)), LOCKED),
     row("commands reported", OVERRUN, without((SentCommands, "reported", nothing)), LOCKED),
     row("commands reported", INTRUDED, without((SentCommands, "reported", nothing)), LOCKED),
     row("commands reported", LOST_PLANS, without((SentCommands, "reported", nothing)), LOCKED),

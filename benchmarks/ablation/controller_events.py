@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
@@ -21,8 +21,9 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
-from ltv_mpc.messages import ControllerState, Estimate, Harm, Message, Plan
+from ltv_mpc.messages import Applied, ControllerState, Estimate, Harm, Message, Plan
 from ltv_mpc.node import Arrival, Due, Inbox, Node
+from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.nodes import make_nodes
 from services.run.run_config import Situation
@@ -426,6 +427,37 @@ def square(
 # --- lock step with messages ---
 
 
+@dataclass
+class Jumps:
+    """Differences between the command in force and a plan's own command, where the plan takes over (N)."""
+
+    plans: dict[int, Plan] = field(default_factory=dict)  # by cycle
+    seen: list[tuple[int, float]] = field(default_factory=list)  # time, largest difference of the three thrusters
+    refused: int = 0
+
+    def __call__(self, message: Message) -> None:
+        """Keep a plan, or compare the one accepted last with the command at its start or its later arrival."""
+        match message:
+            case Plan() as plan:
+                self.plans[plan.cycle_t_ns] = plan
+            case Applied() as applied if applied.plan_cycle_t_ns in self.plans:
+                self.refused = applied.plans_refused
+                plan = self.plans[applied.plan_cycle_t_ns]
+                if applied.t_ns >= max(int(plan.t_ns[0]), applied.plan_received_t_ns):
+                    difference = np.abs(np.array(applied.command_N) - plan.thrust_at(applied.t_ns))
+                    self.seen.append((applied.t_ns, float(difference.max())))
+                    del self.plans[applied.plan_cycle_t_ns]
+
+    def measures(self, begins_s: float, ends_s: float) -> dict[str, float]:
+        """Return figures of the plans that took over between these times."""
+        within = [size for t_ns, size in self.seen if begins_s * S <= t_ns < ends_s * S]
+        return {
+            "largest jump (N)": max(within, default=math.nan),
+            "mean jump (N)": float(np.mean(within)) if within else math.nan,
+            "plans refused": float(self.refused),
+        }
+
+
 @dataclass(kw_only=True)
 class Locked:
     """A descent in lock step, state known, with the messages harmed or the computing delay varied."""
@@ -437,11 +469,18 @@ class Locked:
     around: Callable[[list[Node]], list[Node]] = list
     duration_s: float = 60.0
     settings: tuple[str, ...] = ()
+    reference: Reference | None = None
 
-    def run(self, ended_s: float = 0.0) -> dict[str, float]:
-        """Make the run."""
+    def situation(self) -> Situation:
+        """Make the situation of the run."""
         s = situation(f"run.seed={self.seed}", f"run.duration_s={self.duration_s}", *self.settings)
-        log = Log(s.vehicle)
+        return s if self.reference is None else replace(s, reference=self.reference)
+
+    def run(self, ended_s: float = 0.0, window_s: tuple[float, float] = (0.0, math.inf)) -> dict[str, float]:
+        """Make the run; ``window_s`` is the time of which jumps and the error in the window are taken."""
+        s = self.situation()
+        jumps = Jumps()
+        log = Log(s.vehicle, jumps)
         bus = Bus(list(self.harms))
         lockstep = LockStep(
             [*self.others, *self.around(make_nodes(s))],
@@ -460,6 +499,10 @@ class Locked:
         plans = [p for p in log.plans if p.cycle_ns >= 0]
         return {
             **distances(np.hypot(n, e), ended_s),
+            **jumps.measures(*window_s),
+            "true error in the window, rms (m)": float(
+                np.sqrt(np.mean(np.hypot(n, e)[(t >= window_s[0]) & (t < window_s[1])] ** 2))
+            ),
             "mean thrust (N)": float(np.mean(np.abs(np.array(log.asked)[:, 1:]))),
             "cycles solved (%)": 100.0 * float(np.mean([p.origin.value == "solved" for p in plans])),
             "late plans (%)": 100.0 * log.applied[-1][4] / len(plans),
@@ -486,10 +529,13 @@ def intruded(seed: int) -> Measures:
 
 
 class Replaced:
-    """A controller node that another one replaces: armed, along the same reference, without the plan in force."""
+    """A controller node that another one replaces: armed, along the same reference.
 
-    def __init__(self, make: Callable[[], Node], at_ns: int) -> None:
-        self._make, self._at_ns = make, at_ns
+    The other one is given the state that was saved last, at most 5 s ago, with its plan or without.
+    """
+
+    def __init__(self, make: Callable[[], Node], at_ns: int, *, with_plan: bool = False) -> None:
+        self._make, self._at_ns, self._with_plan = make, at_ns, with_plan
         self._node = make()
         self._replaced = False
         self.name, self.schedule = self._node.name, self._node.schedule
@@ -504,29 +550,43 @@ class Replaced:
         if not self._replaced and t_ns >= self._at_ns:
             self._replaced, self._node = True, self._make()
             if self._state is not None:
-                state = msgspec.structs.replace(self._state, plan=None)
+                state = self._state if self._with_plan else msgspec.structs.replace(self._state, plan=None)
                 inbox = [Arrival(state, 1, 0, t_ns), *inbox]
         (out,) = self._node.steps([(t_ns, inbox)])
         self._state = next((m for m in out if isinstance(m, ControllerState)), self._state)
         return out
 
 
-def replaced_controller(seed: int) -> Measures:
-    """Descend; at 20 s another controller takes over that does not know the plan in force."""
-
-    def around(nodes: list[Node]) -> list[Node]:
-        *others, _ = nodes
-        s = situation(f"run.seed={seed}", "run.duration_s=60.0")
-        return [*others, Replaced(lambda: make_nodes(s)[-1], 20 * S)]
-
-    return Locked(seed=seed, around=around).run(20.0)
+TAKEN_OVER_S = 3.0
+"""When another controller takes over."""
 
 
-def first_solves(seed: int) -> Measures:
-    """Descend; cycles take 5 ms before the descent and 80 to 120 ms from then on."""
-    rng = np.random.default_rng(seed)
-    delay_ns = lambda t: 5_000_000 if t < 0 else round(1e6 * rng.uniform(80.0, 120.0))  # noqa: E731
-    return Locked(seed=seed, delay_ns=delay_ns, settings=("run.surface_time_s=20",)).run()
+def far_off_locked(seed: int, **others: Any) -> Locked:
+    """Return a run that starts 5 m off the line with any heading: thrusts are large for ten seconds."""
+    heading = f"plant.heading_rad={(seed % 20) * 0.3 - 2.8:.1f}"
+    start = heading, "plant.north_m=3.0", "plant.east_m=-4.0"
+    return Locked(seed=seed, settings=start, reference=hard.line(), duration_s=40.0, **others)
+
+
+def taken_over(*, with_plan: bool) -> Callable[[int], Measures]:
+    """Return a run in which another controller takes over while thrusts are large."""
+
+    def run(seed: int) -> Measures:
+        def around(nodes: list[Node]) -> list[Node]:
+            *others, _ = nodes
+            s = far_off_locked(seed).situation()
+            return [*others, Replaced(lambda: make_nodes(s)[-1], round(TAKEN_OVER_S * S), with_plan=with_plan)]
+
+        window_s = TAKEN_OVER_S, TAKEN_OVER_S + 10.0
+        return far_off_locked(seed, around=around, delay_ns=20_000_000).run(TAKEN_OVER_S, window_s)
+
+    return run
+
+
+def late_far_off(seed: int) -> Measures:
+    """Start 5 m off; from 3 s on each cycle takes a second, for 6 s."""
+    delay_ns = lambda t: S if 3 * S <= t < 9 * S else 20_000_000  # noqa: E731
+    return far_off_locked(seed, delay_ns=delay_ns).run(9.0, (3.0, 13.0))
 
 
 def constant_delay(seed: int) -> Measures:

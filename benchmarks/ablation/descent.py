@@ -206,7 +206,8 @@ class Watch:
         after = np.array(times) >= BEGINS_S * S
         fresh = np.array([s.t_ns == t for s, t in zip(estimates, times, strict=True)])
         well = np.array([self.nominal(t) for t in times])
-        outside = np.array([beyond(s, q, w) for s, q, w in zip(estimates, p, v, strict=True)])
+        squares = np.array([normalised(s, q, w) for s, q, w in zip(estimates, p, v, strict=True)])
+        outside = ~(squares.max(axis=1) <= THREE_SIGMA)  # written so that NaN is outside
         noticed = [t for t, is_well in zip(times, well, strict=True) if t >= BEGINS_S * S and not is_well]
         cells = [self.cells(s, t) for s, t, is_well in zip(estimates, times, well, strict=True) if is_well]
         seen = sum(count for count, _ in cells)
@@ -217,6 +218,9 @@ class Watch:
             "drift after m": float(drift[after].max()),
             "velocity rms m/s": rms(np.hypot(*(ev - v)[after & fresh].T)),
             "heading rms deg": math.degrees(rms(heading)),
+            **consistency(heading[after & fresh], [s for s, use in zip(estimates, after & fresh, strict=True) if use]),
+            "position nees": float(np.mean(squares[after, 0])) / 2.0,
+            "velocity nees": float(np.mean(squares[after, 1])) / 2.0,
             "outside": float((outside & after).sum() / after.sum()),
             "silent": float((outside & well & after).sum() / after.sum()),
             "cells silent": sum(wrong for _, wrong in cells) / seen if seen else 0.0,
@@ -262,15 +266,26 @@ def latest(times: Sequence[int], estimates: dict[int, Estimate]) -> list[Estimat
     return out
 
 
-def beyond(estimate: Estimate, position_m: np.ndarray, velocity_mps: np.ndarray) -> bool:
-    """Return whether the horizontal position or velocity is outside the estimate's 3 sigma ellipse."""
+def normalised(estimate: Estimate, position_m: np.ndarray, velocity_mps: np.ndarray) -> tuple[float, float]:
+    """Return the squared errors of horizontal position and velocity, normalised by the covariance (mean: 2)."""
     P = estimate.covariance
     if P is None:
-        return False
+        return 0.0, 0.0
     dp = np.array([estimate.north_m, estimate.east_m]) - position_m
     dv = np.array([estimate.velocity_north_mps, estimate.velocity_east_mps]) - velocity_mps
-    squares = [float(d @ np.linalg.solve(C, d)) for d, C in ((dp, P[:2, :2]), (dv, P[2:4, 2:4]))]
-    return not max(squares) <= THREE_SIGMA
+    position, velocity = (float(d @ np.linalg.solve(C, d)) for d, C in ((dp, P[:2, :2]), (dv, P[2:4, 2:4])))
+    return position, velocity
+
+
+def consistency(error_rad: np.ndarray, estimates: Sequence[Estimate]) -> dict[str, float]:
+    """Return how the heading's errors (K,) compare with the reported standard deviations; NaN of no estimate."""
+    sd_rad = np.array([math.nan if s.covariance is None else math.sqrt(s.covariance[4, 4]) for s in estimates])
+    ratio = error_rad / sd_rad
+    return {
+        "heading nees, end": float(ratio[-1] ** 2) if len(ratio) else math.nan,
+        "heading outside 2 sigma": float(np.mean(np.abs(ratio) > 2.0)) if len(ratio) else math.nan,
+        "heading sd, end deg": math.degrees(float(sd_rad[-1])) if len(ratio) else math.nan,
+    }
 
 
 def rms(values: np.ndarray) -> float:

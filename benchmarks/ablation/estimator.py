@@ -122,6 +122,9 @@ SILENCE = Event(
     Descent(broken=tuple(Broken(kind, Failure.OFF, spell(9.0), 1.0, seed=1) for kind in SENSORS)),
 )
 IMU_LOSS = Event("imu loss", "half of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.5))
+IMU_HEAVY_LOSS = Event(
+    "imu heavy loss", "85 % of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.85)
+)
 IMU_GARBAGE = Event("imu garbage", "inertial unit says anything for 5 s", broken(ImuSample, Failure.GARBAGE, 5.0, 0.5))
 IMU_STUCK = Event("imu stuck", "inertial unit repeats itself for 8 s", broken(ImuSample, Failure.STUCK, 8.0))
 PROFILER_STUCK = Event("profiler stuck", "profiler repeats itself for 20 s", broken(AdcpPing, Failure.STUCK, 20.0))
@@ -137,6 +140,7 @@ CLOCK_AHEAD = Event("clock ahead", "sensors' clock 60 s ahead for 8 s", harmed(S
 CLOCK_BACK = Event("clock back", "sensors' clock 1 s back for 8 s", harmed(SENSORS, Harm.CLOCK_JUMP, 8.0, -1.0))
 PINGS_LATE = Event("pings late", "pings come 0.5 s late for 40 s", broken(AdcpPing, Failure.DELAYED, 40.0, 0.5))
 PINGS_TWICE = Event("pings twice", "the profiler's driver publishes every ping twice", Descent(twice=(AdcpPing,)))
+ALL_TWICE = Event("all twice", "every driver publishes every message twice", Descent(twice=SENSORS))
 RESTARTED = Event("restart", "the estimator's process is replaced under water", Descent(restarted=True))
 WRONG_FIX = Event(
     "wrong fix",
@@ -144,6 +148,14 @@ WRONG_FIX = Event(
     Descent(gnss_velocity_mps=0.1, surface_s=1.0),
 )
 ONE_FIX = Event("one fix", "one satellite fix before the descent, nothing wrong", Descent(surface_s=1.0))
+LONG = Event("long", "one satellite fix, a descent of 160 s", Descent(surface_s=1.0, duration_s=160.0))
+LONG_BLIND = Event(
+    "long, no compass",
+    "one satellite fix, a descent of 160 s, the compass off",
+    Descent(
+        surface_s=1.0, duration_s=160.0, broken=(Broken(CompassHeading, Failure.OFF, spell(400.0, 1.0), 1.0, seed=1),)
+    ),
+)
 DEEP_GRID = Event(
     "deep grid", "water kept over a grid of 500 m", Descent(settings=("estimator.deepest_m=500",), duration_s=60.0)
 )
@@ -308,6 +320,8 @@ def of(
 
 
 ERRORS = ("true rms m", "true 95 % m", "drift end m", "velocity rms m/s", "silent")
+CONSISTENT = (*ERRORS, "outside", "position nees", "velocity nees")
+HEADING = ("heading rms deg", "heading nees, end", "heading outside 2 sigma", "heading sd, end deg")
 SEEN = (*ERRORS, "missed", "delay s", "alarms before")
 SHADOW = (
     "shadow_filter.py",
@@ -418,7 +432,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     *of(
         "going back 10 s before a walk is granted",
         lambda: replaced((out_of_sequence, "BACK_NS", out_of_sequence.REACH_NS)),
-        (FAST_FRONT, MEDIUM_FRONT),
+        (FAST_FRONT, MEDIUM_FRONT, GYRO, GYRO_FAST, WAVES),
         SEEN,
     ),
     *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
@@ -463,8 +477,8 @@ MECHANISMS: tuple[Mechanism, ...] = (
     *of(
         "IMU dropout: noise over bridged samples",
         lambda: replaced((imu_dropout, "doubt", lambda *_: None)),
-        (IMU_LOSS,),
-        ERRORS,
+        (IMU_LOSS, IMU_HEAVY_LOSS),
+        CONSISTENT,
         ("imu_dropout.py:doubt",),
     ),
     *of(
@@ -492,8 +506,8 @@ MECHANISMS: tuple[Mechanism, ...] = (
     *of(
         "refusal of repeated messages",
         lambda: replaced((out_of_sequence.History, "knows", lambda *_: False)),
-        (PINGS_TWICE,),
-        ERRORS,
+        (PINGS_TWICE, ALL_TWICE),
+        CONSISTENT,
         ("out_of_sequence.py:same", "out_of_sequence.py:History.knows"),
     ),
     *of(
@@ -510,8 +524,8 @@ MECHANISMS: tuple[Mechanism, ...] = (
         lambda: replaced(
             (correction, "swing", lambda error, _: np.zeros(len(error))), (correction, "_correct_few", uncoupled)
         ),
-        (FORETOLD, ONE_FIX),
-        (*ERRORS, "heading rms deg"),
+        (FORETOLD, ONE_FIX, LONG, LONG_BLIND),
+        (*CONSISTENT, *HEADING),
         ("filter/invariant_correction.py", "filter/correction.py:_turn", "filter/correction.py:_swing_too"),
         ("filter/test_invariant_correction.py",),
     ),
@@ -550,5 +564,5 @@ MECHANISMS: tuple[Mechanism, ...] = (
     *of("ADCP bias by beam as states", given(adcp={"beam_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("ADCP bias of near cells as states", given(adcp={"near_bias_sd_mps": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
     *of("ADCP mounting as states", given(adcp={"mounting_known_to_rad": 0.0}), (FORETOLD, ONE_FIX), ERRORS),
-    *of("compass bias as a state", given(compass={"bias_sd_rad": 0.0}), (FORETOLD,), (*ERRORS, "heading rms deg")),
+    *of("compass bias as a state", given(compass={"bias_sd_rad": 0.0}), (FORETOLD, LONG), (*CONSISTENT, *HEADING)),
 )

@@ -201,8 +201,6 @@ class Controller:
             idle = "the reference has not begun"
         if not (idle or self.config.lateral):
             idle = "lateral control is off"
-        if not (idle or stops):
-            self._delay.solves_from(now)
         delay_ns = self._delay.expected_ns()
         start = self._prediction.roll(estimate, now + delay_ns, self._commands)
         knots = start.t_ns + self._ahead_ns

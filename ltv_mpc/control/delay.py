@@ -17,47 +17,32 @@ from ltv_mpc.messages import Applied, CycleTiming
 REMEMBERED = 100
 """Cycles: 30 s at the default period."""
 
-EARLIEST_NS = -(2**63)
-
 
 class Delay:
     """Expected delay in vehicle nanoseconds."""
 
     def __init__(self, first_ns: int, quantile: float, least_ns: int = 0) -> None:
-        self._first_ns = self._expected_ns = max(first_ns, least_ns)
+        self._expected_ns = max(first_ns, least_ns)
         self._quantile = quantile
         self._least_ns = least_ns
         self._receipts: deque[int] = deque(maxlen=REMEMBERED)
         self._computing: deque[int] = deque(maxlen=REMEMBERED)
-        self._solves_from: int | None = None
         self._receipt_of: int | None = None  # the cycle whose receipt came last
 
-    def solves_from(self, cycle_t_ns: int) -> None:
-        """The first cycle that solves: what easier ones took before it says no more than the least it can take."""
-        if self._solves_from is None:
-            self._solves_from = cycle_t_ns
-            self._first_ns = max(self._first_ns, self.expected_ns())
-            self._receipts.clear()
-            self._computing.clear()
-            self._learn()
-
     def save(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return what was measured of the cycles that solve (ns): until the plan's arrival, and computing alone."""
-        return ((), ()) if self._solves_from is None else (tuple(self._receipts), tuple(self._computing))
+        """Return what was measured (ns): until the plan's arrival, and computing alone."""
+        return tuple(self._receipts), tuple(self._computing)
 
     def restore(self, receipts: Iterable[int], computing: Iterable[int]) -> None:
-        """Continue from what another one has measured, if it had come to cycles that solve."""
+        """Continue from what another one has measured."""
         self._receipts.extend(receipts)
         self._computing.extend(computing)
         if self._receipts or self._computing:
-            self._solves_from = EARLIEST_NS
             self._learn()
 
     def receipt(self, applied: Applied) -> None:
         """The actuators say which plan they got, and when."""
         if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._receipt_of:
-            return
-        if self._solves_from is not None and applied.plan_cycle_t_ns < self._solves_from:
             return
         self._receipt_of = applied.plan_cycle_t_ns
         self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
@@ -65,9 +50,8 @@ class Delay:
 
     def timing(self, timing: CycleTiming) -> None:
         """What the last cycle took, without transport."""
-        if self._solves_from is None or timing.t_ns >= self._solves_from:
-            self._computing.append(timing.compute_ns)
-            self._learn()
+        self._computing.append(timing.compute_ns)
+        self._learn()
 
     def expected_ns(self) -> int:
         """From the start of a cycle to its plan's arrival."""
@@ -75,10 +59,6 @@ class Delay:
 
     def _learn(self) -> None:
         """Between cycles: what is expected from now on."""
-        measured = self._receipts or self._computing
-        if not measured:
-            self._expected_ns = self._first_ns
-            return
-        in_order = sorted(measured)
+        in_order = sorted(self._receipts or self._computing)
         middle, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
         self._expected_ns = max(high + (high - middle), self._least_ns)

@@ -162,7 +162,6 @@ STAGES = (
     ("_follower", "begin"),
     ("_follower", "advance"),
     ("_follower", "fill"),
-    ("_delay", "solves_from"),
     ("_commands", "sent"),
     ("_commands", "at"),
     ("guard", "admit"),

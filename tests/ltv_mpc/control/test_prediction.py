@@ -176,22 +176,3 @@ def test_no_plan_accepted_yet_is_no_receipt(sequence):
     delay = Delay(5, 1.0)
     delay.receipt(applied(10, plan_sequence=sequence))
     assert delay.expected_ns() == 5
-
-
-def test_cycles_that_do_not_solve_say_only_the_least_that_a_solving_one_takes():
-    delay = Delay(50, 1.0)
-    received(delay, 20, 20, 30)
-    assert delay.expected_ns() == 40
-    delay.solves_from(10_000_000)
-    assert delay.expected_ns() == 50
-    delay.receipt(applied(10, plan_cycle_t_ns=3_000_000, plan_received_t_ns=3_000_010))  # of before
-    assert delay.expected_ns() == 50
-    delay.receipt(applied(10, plan_cycle_t_ns=10_000_000, plan_received_t_ns=10_000_180))
-    assert delay.expected_ns() == 180
-
-
-def test_a_delay_that_was_long_already_without_a_solve_is_expected_of_the_first_solve():
-    delay = Delay(50, 1.0)
-    received(delay, 710, 710)
-    delay.solves_from(10_000_000)
-    assert delay.expected_ns() == 710

@@ -187,13 +187,6 @@ def test_what_the_vehicle_has_been_so_far_is_handed_over_and_checked_at_the_door
     assert before.states[-1].model_products is None
 
 
-def test_delays_of_before_the_first_solve_are_not_handed_over():
-    flight = Flight(references.load("line"))
-    flight.step(CycleTiming(t_ns=0, compute_ns=10**6, compute_wall_ns=0, estimate_age_ns=0, stage_us={}))
-    state = flight.node.controller.save(0)
-    assert (state.plan_delays_ns, state.cycle_times_ns) == ((), ())
-
-
 def test_without_anything_to_go_on_it_begins_disarmed_as_ever():
     empty = Flight(references.load("line"))
     plan = empty.step(ControllerState(t_ns=0))
