@@ -1,4 +1,4 @@
-"""The time of the other side, whose clock has another origin and another rate than ours.
+"""Synchronisation with another side's clock, whose origin and rate differ from ours.
 
     its time = m + theta,   theta changes by at most rho = 1e-4 of the time that passes
 
@@ -45,12 +45,26 @@ BELIEVED_AT = 3
 """So many stamps in a row that contradict the bounds are right, and the bounds are wrong."""
 
 
+GRACE_US = 500_000
+"""Time without a published clock after which the other side's stamps count: a clock is repeated ten times a second."""
+
+REMEMBERED = 200
+"""Plans whose receipt may still be reported: a minute of them."""
+
+STAMPED = (Estimate, Applied)
+"""Inputs that carry the time of the other side."""
+
+
 class Reading(NamedTuple):
     """What is known of theta at one instant."""
 
     mode: ClockMode
     offset_ns: int
     error_ns: int | None  # at most so far off; None: nobody can tell
+
+
+OF_ALL = Reading(ClockMode.SHARED, 0, 0)
+"""One clock for all: nothing to find out."""
 
 
 class Bounds:
@@ -134,20 +148,12 @@ def drift_ns(age_us: int) -> int:
     return -(-abs(age_us) * DRIFT_US_PER_S // 1000)
 
 
-GRACE_US = 500_000
-"""A clock is repeated ten times a second."""
-
-REMEMBERED = 200
-"""Plans whose receipt may still be reported: a minute of them."""
-
-OF_ALL = Reading(ClockMode.SHARED, 0, 0)
-"""One clock for all: nothing to find out."""
-
-STAMPED = (Estimate, Applied)
-
-
 class ClockSync:
-    """Sets ``clock`` by what comes and goes, once it is clear that nobody publishes one."""
+    """Choice of the clock that a process follows, when its inputs may come from a side with a clock of its own.
+
+    If a ``clock`` is published, the process follows it. If none has arrived within ``GRACE_US`` of the first input, the
+    process sets ``clock`` from the stamps of its inputs and from the other side's reports of what it received.
+    """
 
     def __init__(self, clock: VehicleClock, *, epoch: int, input_delay_ns: int = 0) -> None:
         """``epoch``: under which this process publishes."""
