@@ -88,7 +88,7 @@ def begin(
 def step(
     numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
-    """``line_search``; ``searches``: with the line search, else the whole step; ``looks`` as in ``begin``."""
+    """``line_search``; ``searches``: with the line search, else the whole step; ``looks``: with the terminal check."""
     c, lin = constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)

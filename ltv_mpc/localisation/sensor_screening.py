@@ -1,4 +1,4 @@
-"""What of an instrument's message can be seen to be wrong before any filter is asked.
+"""Sensor screening: reject measurements that are implausible by themselves, before the filter uses them.
 
 ahead  stamped later than it came: a clock has jumped. A belief that had followed it would refuse all true ones after it
        as late.

@@ -1,4 +1,4 @@
-"""A node's door: each frame is decoded, checked and held against its predecessors, then let in or refused by reason.
+"""Message validation: each frame is decoded, checked against its predecessors, then accepted or rejected with a reason.
 
 Of one key the newest epoch counts: a restarted source takes over from its former self, whose frames are refused from
 then on. Within an epoch the sequence must grow; what it skips is counted as dropped on the way. One frame alone moves
@@ -118,7 +118,7 @@ def _forget_oldest(kept: dict[Any, Any]) -> None:
 
 
 def rejection(frame: Frame, reason: str, *, node: str, t_ns: int) -> Rejected:
-    """What the door's keeper publishes of a frame that it refused."""
+    """Return the message that reports a rejected frame."""
     return Rejected(
         t_ns=t_ns,
         node=node,

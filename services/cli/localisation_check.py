@@ -44,7 +44,7 @@ def localisation_check(
     from rich.progress import Progress
 
     from services.tools.batch.results_store import open_store
-    from services.tools.localisation_check import check as check
+    from services.tools.localisation_check import check
 
     settings = (f"sensors={sensors}", f"run.surface_time_s={surface_time_s}")
     jobs = check.jobs(scenario, settings, first_seed=seed, runs=runs)

@@ -59,9 +59,8 @@ def profile(
     from rich.progress import Progress
 
     from services.run import folder
-    from services.tools.profile import problems as problems
+    from services.tools.profile import problems, table
     from services.tools.profile import run as latency
-    from services.tools.profile import table
 
     stages = latency.parse_horizons(horizons)
     by_horizon = [

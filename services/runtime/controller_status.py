@@ -50,14 +50,14 @@ class ControllerStatusReporter:
             self._plan = plan
             self._cycles.append((now_us, took_us))
 
-    def status(self, now_us: int, t_ns: int, door: MessageValidator, clock: Reading) -> ControllerStatus:
+    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: Reading) -> ControllerStatus:
         """The word that is due, shown as well as returned."""
         self.due_us = now_us + PERIOD_US
         while self._cycles and self._cycles[0][0] < now_us - LOOKED_BACK_US:
             self._cycles.popleft()
         took_us = sorted(took for _, took in self._cycles)
         estimate, node = self._estimate, self._node
-        refused = Counter(door.refused)
+        refused = Counter(validator.refused)
         if node.helm.manual_refused:
             refused["manual outside the box"] = node.helm.manual_refused
         refused.update({f"estimate: {why}": count for why, count in node.controller.guard.refused.items()})
@@ -67,8 +67,8 @@ class ControllerStatusReporter:
             applied_age_ns=None if self._applied_ns is None else t_ns - self._applied_ns,
             cycle_median_us=_quantile(took_us, 0.5),
             cycle_p99_us=_quantile(took_us, 0.99),
-            received=door.received,
-            dropped=door.dropped,
+            received=validator.received,
+            dropped=validator.dropped,
             rejected=dict(refused),
             clock=clock.mode,
             clock_error_ns=clock.error_ns,

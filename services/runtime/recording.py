@@ -114,7 +114,7 @@ class RecordingLoop:
         return self._clock.read(monotonic_us()) or 0
 
     def _account(self) -> str:
-        """LossAccounting in words; empty where there are none."""
+        """Return the losses as a text; empty if there are none."""
         gaps = [f"{count} of {node}" for node, count in self.missing.items()]
         gaps += [f"{count} on {key}" for key, count in self._losses.by_key().items()]
         return f"lost: {', '.join(gaps)}" if gaps else ""

@@ -1,7 +1,8 @@
 """The second caller of nodes: one pure node on a Zenoh session, by the vehicle clock.
 
-All that a step sees comes through its inbox, one ordered list, past the node's door; the step's record goes out before
-the step's outputs. Records of steps without outputs wait for the next step that has some, at most half a second.
+All that a step sees has passed message validation and comes through its inbox, one ordered list. The step's record goes
+out before the step's outputs. Records of steps without outputs wait for the next step that has some, at most half a
+second.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class Report(Protocol):
         """A step is done and published."""
         ...
 
-    def status(self, now_us: int, t_ns: int, door: MessageValidator, clock: Reading) -> Message:
+    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: Reading) -> Message:
         """What is due."""
         ...
 

@@ -26,22 +26,22 @@ SAID = (
 
 @pytest.mark.parametrize("message", SAID, ids=lambda message: type(message).__name__)
 def test_an_instrument_that_repeats_itself_is_stuck_until_it_says_something_else(message):
-    door = SensorScreening()
-    assert door.refusal(S, message, S) is None
-    assert door.refusal(S, message, S) is None  # the same message twice: of that the history knows
-    assert [door.refusal(t, message, t) for t in (2 * S, 3 * S)] == ["stuck"] * 2
+    screening = SensorScreening()
+    assert screening.refusal(S, message, S) is None
+    assert screening.refusal(S, message, S) is None  # the same message twice: of that the history knows
+    assert [screening.refusal(t, message, t) for t in (2 * S, 3 * S)] == ["stuck"] * 2
     name = {ImuSample: "specific_force_mps2", AdcpPing: "beam_velocity_mps"}.get(type(message), "north_m")
     old = getattr(message, name)
     new = (0.0, 1e-9, -9.8) if isinstance(old, tuple) else old + 1e-9
-    assert door.refusal(4 * S, msgspec.structs.replace(message, **{name: new}), 4 * S) is None
-    assert door.refusal(5 * S, message, 5 * S) is None
+    assert screening.refusal(4 * S, msgspec.structs.replace(message, **{name: new}), 4 * S) is None
+    assert screening.refusal(5 * S, message, 5 * S) is None
 
 
 @pytest.mark.parametrize("message", [PressureDepth(t_ns=S, depth_m=3.0), CompassHeading(t_ns=S, heading_rad=1.0)])
 def test_one_number_may_come_twice_and_a_ping_without_any_return_too(message):
-    door = SensorScreening()
+    screening = SensorScreening()
     nothing = AdcpPing(t_ns=S, range_m=np.arange(2.0), beam_velocity_mps=np.full((4, 2), np.nan))
-    assert [door.refusal(t, one, t) for t in (S, 2 * S) for one in (message, nothing)] == [None] * 4
+    assert [screening.refusal(t, one, t) for t in (S, 2 * S) for one in (message, nothing)] == [None] * 4
 
 
 def sample(t_ns, force, rate=0.3):
@@ -52,19 +52,19 @@ def sample(t_ns, force, rate=0.3):
 
 @pytest.mark.parametrize(("force", "rate"), [(2.1, 0.3), (0.0, 0.51)])
 def test_an_inertial_unit_that_raves_is_believed_again_once_five_samples_follow_one_another(force, rate):
-    door, said = SensorScreening(), []
+    screening, said = SensorScreening(), []
     for k in range(1, 14):
         odd = k == 5
         one = sample(k * 10 * MS, force + 1e-3 * k if odd else 1e-3 * k, rate if odd else 0.3)
-        said.append(door.refusal(one.t_ns, one, one.t_ns))
+        said.append(screening.refusal(one.t_ns, one, one.t_ns))
     # the odd one, the first after it, which is as far from it, and four more
     assert said == [None] * 4 + ["wild"] * (1 + AGREEING) + [None] * 3
 
 
 def test_over_a_longer_time_a_vehicle_may_turn_further():
-    door = SensorScreening()
+    screening = SensorScreening()
     samples = sample(10 * MS, 0.0), sample(110 * MS, 9.0, 1.2)
-    assert [door.refusal(one.t_ns, one, one.t_ns) for one in samples] == [None, None]
+    assert [screening.refusal(one.t_ns, one, one.t_ns) for one in samples] == [None, None]
 
 
 def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
@@ -99,14 +99,14 @@ def test_stamps_ahead_of_their_arrival_are_refused(stamp_ns, why):
 
 def test_what_a_slow_bus_brings_is_used_and_given_up_only_once_newer_ones_have_come():
     """A delay of 0.8 s that ends: the newest first, and what was under way between newer ones."""
-    door = SensorScreening()
+    screening = SensorScreening()
     for k in range(100):
         one = sample(k * 10 * MS, 1e-3 * k)
-        assert door.refusal(one.t_ns, one, one.t_ns + 800 * MS) is None
+        assert screening.refusal(one.t_ns, one, one.t_ns + 800 * MS) is None
     for k in range(100, 180):
         fresh, old = (sample(j * 10 * MS, 1e-3 * j) for j in (k + 80, k))
-        assert door.refusal(fresh.t_ns, fresh, fresh.t_ns) is None
-        assert door.refusal(old.t_ns, old, fresh.t_ns) == "stale"
+        assert screening.refusal(fresh.t_ns, fresh, fresh.t_ns) is None
+        assert screening.refusal(old.t_ns, old, fresh.t_ns) == "stale"
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -4.0, -1.2], ids=["ahead", "back", "a little back"])

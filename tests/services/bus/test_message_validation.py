@@ -1,4 +1,4 @@
-"""A door lets each frame in once, in order, and counts the rest by reason."""
+"""A validator accepts each frame once, in order, and counts the others by reason."""
 
 from __future__ import annotations
 
@@ -24,138 +24,138 @@ def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOP
 
 
 def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
-    door = MessageValidator()
+    validator = MessageValidator()
     for sequence in (5, 6, 9):  # it joined late: what was before 5 it never was to have
-        door.admit(frame(sequence))
-    assert (door.received, door.dropped, door.rejected) == (3, 2, 0)
+        validator.admit(frame(sequence))
+    assert (validator.received, validator.dropped, validator.rejected) == (3, 2, 0)
 
 
 @pytest.mark.parametrize("again", [7, 3])
 def test_a_doubled_or_reordered_frame_is_refused(again: int) -> None:
-    door = MessageValidator()
+    validator = MessageValidator()
     for sequence in (3, 7):
-        door.admit(frame(sequence))
+        validator.admit(frame(sequence))
     with pytest.raises(WireError, match="out of order"):
-        door.admit(frame(again))
-    door.admit(frame(8))
-    assert (door.received, door.dropped, door.rejected) == (3, 3, 1)
+        validator.admit(frame(again))
+    validator.admit(frame(8))
+    assert (validator.received, validator.dropped, validator.rejected) == (3, 3, 1)
 
 
 def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
-    door = MessageValidator()
-    door.admit(frame(100, epoch=1))
-    door.admit(frame(0, epoch=2))
+    validator = MessageValidator()
+    validator.admit(frame(100, epoch=1))
+    validator.admit(frame(0, epoch=2))
     with pytest.raises(WireError, match="former epoch"):
-        door.admit(frame(101, epoch=1))
-    door.admit(frame(1, epoch=2))
-    assert (door.received, door.dropped, door.rejected) == (3, 0, 1)
+        validator.admit(frame(101, epoch=1))
+    validator.admit(frame(1, epoch=2))
+    assert (validator.received, validator.dropped, validator.rejected) == (3, 0, 1)
 
 
 @pytest.mark.parametrize("damaged", [(1, 2**40), (2**40, 57)], ids=["sequence", "epoch"])
 def test_one_damaged_header_does_not_silence_the_true_source(damaged: tuple[int, int]) -> None:
     """Of right form, but of a sequence or an epoch that nobody has sent."""
-    door = MessageValidator()
-    door.admit(frame(56))
+    validator = MessageValidator()
+    validator.admit(frame(56))
     epoch, sequence = damaged
     with pytest.raises(WireError, match="far ahead"):
-        door.admit(frame(sequence, epoch=epoch))
+        validator.admit(frame(sequence, epoch=epoch))
     for sequence in (57, 58):
-        door.admit(frame(sequence))
-    assert (door.received, door.dropped, door.rejected) == (3, 0, 1)
+        validator.admit(frame(sequence))
+    assert (validator.received, validator.dropped, validator.rejected) == (3, 0, 1)
 
 
 @pytest.mark.parametrize(("epoch", "lost"), [(1, 20_000 - 56 - 2), (2, 0)], ids=["a long silence", "another source"])
 def test_what_two_frames_say_is_believed(epoch: int, lost: int) -> None:
-    door = MessageValidator()
-    door.admit(frame(56))
+    validator = MessageValidator()
+    validator.admit(frame(56))
     with pytest.raises(WireError, match="far ahead"):
-        door.admit(frame(20_000 - 1, epoch=epoch))
-    door.admit(frame(20_000, epoch=epoch))
-    door.admit(frame(20_001, epoch=epoch))
-    assert (door.received, door.dropped, door.rejected) == (3, lost, 1)
+        validator.admit(frame(20_000 - 1, epoch=epoch))
+    validator.admit(frame(20_000, epoch=epoch))
+    validator.admit(frame(20_001, epoch=epoch))
+    assert (validator.received, validator.dropped, validator.rejected) == (3, lost, 1)
 
 
 def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
-    door = MessageValidator()
+    validator = MessageValidator()
     for sequence in range(0, 3000, 30):
         with contextlib.suppress(WireError):
-            door.admit(frame(sequence))
-    assert (door.received, door.rejected) == (50, 50)
+            validator.admit(frame(sequence))
+    assert (validator.received, validator.rejected) == (50, 50)
     last_in = 2940
-    assert door.received + door.dropped + (door.rejected - 1) == last_in + 1
+    assert validator.received + validator.dropped + (validator.rejected - 1) == last_in + 1
 
 
 def test_another_source_in_the_midst_of_its_count_does_not_take_over_from_one_that_speaks() -> None:
-    door = MessageValidator()
-    door.admit(frame(0))
+    validator = MessageValidator()
+    validator.admit(frame(0))
     for sequence in range(1, 20):
-        door.admit(frame(sequence))
+        validator.admit(frame(sequence))
         with pytest.raises(WireError, match="far ahead"):
-            door.admit(frame(500 + sequence, epoch=9))
-    assert (door.received, door.rejected) == (20, 19)
+            validator.admit(frame(500 + sequence, epoch=9))
+    assert (validator.received, validator.rejected) == (20, 19)
 
 
 def test_two_damaged_headers_that_disagree_are_not_believed() -> None:
-    door = MessageValidator()
-    door.admit(frame(56))
+    validator = MessageValidator()
+    validator.admit(frame(56))
     for sequence in (2**40, 2**30, 2**41):
         with pytest.raises(WireError, match="far ahead"):
-            door.admit(frame(sequence))
-    door.admit(frame(57))
-    assert door.dropped == 0
+            validator.admit(frame(sequence))
+    validator.admit(frame(57))
+    assert validator.dropped == 0
 
 
 def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
-    door = MessageValidator()
-    door.admit(frame(56))
+    validator = MessageValidator()
+    validator.admit(frame(56))
     for k, epoch in enumerate((2**40, 2**41, 2**42)):
         with pytest.raises(WireError, match="far ahead"):
-            door.admit(frame(500 + k, epoch=epoch))
-    door.admit(frame(57))
+            validator.admit(frame(500 + k, epoch=epoch))
+    validator.admit(frame(57))
 
 
 def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
     """Epochs on one key, operators, reasons: each bounded, and who speaks all the time is not forgotten for them."""
-    door, manual = MessageValidator(), BY_TYPE[Manual]
+    validator, manual = MessageValidator(), BY_TYPE[Manual]
     for k in range(MOST_SOURCES + 500):
-        door.admit(frame(0, epoch=k))
-        door.admit(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
+        validator.admit(frame(0, epoch=k))
+        validator.admit(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
         letters = "".join(chr(ord("a") + int(digit)) for digit in str(k))
         with pytest.raises(WireError, match="unknown field"):
-            door.admit(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
-    assert len(door._sources) == MOST_SOURCES
-    assert len(door.refused) == MOST_KINDS + 1
-    assert door.rejected == MOST_SOURCES + 500
-    assert len(door._sources[TOPIC.key].former) == MOST_SOURCES
+            validator.admit(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
+    assert len(validator._sources) == MOST_SOURCES
+    assert len(validator.refused) == MOST_KINDS + 1
+    assert validator.rejected == MOST_SOURCES + 500
+    assert len(validator._sources[TOPIC.key].former) == MOST_SOURCES
     with pytest.raises(WireError, match="former epoch"):
-        door.admit(frame(1, epoch=MOST_SOURCES))
+        validator.admit(frame(1, epoch=MOST_SOURCES))
 
 
 def test_keys_are_counted_apart() -> None:
-    door = MessageValidator()
-    door.admit(frame(5, key="status/a"))
-    door.admit(frame(0, key="status/b"))
-    assert door.dropped == 0
+    validator = MessageValidator()
+    validator.admit(frame(5, key="status/a"))
+    validator.admit(frame(0, key="status/b"))
+    assert validator.dropped == 0
 
 
 def test_refusals_are_counted_by_kind_not_by_value_so_that_the_count_stays_small() -> None:
-    door = MessageValidator()
+    validator = MessageValidator()
     for i in range(100):
         for bad in (frame(i, depth_m=2e4 + i), Frame(TOPIC, TOPIC.key, b"", 0), Frame(None, "who/knows", b"", 0)):
             with pytest.raises(WireError):
-                door.admit(bad)
-    assert door.rejected == 300
-    assert len(door.refused) == 3
-    assert door.refused["depth_m"] == 100
+                validator.admit(bad)
+    assert validator.rejected == 300
+    assert len(validator.refused) == 3
+    assert validator.refused["depth_m"] == 100
 
 
 def test_a_refused_frame_does_not_move_the_sequence() -> None:
-    door = MessageValidator()
-    door.admit(frame(0))
+    validator = MessageValidator()
+    validator.admit(frame(0))
     with pytest.raises(WireError):
-        door.admit(frame(900, depth_m=float("nan")))
-    door.admit(frame(1))
-    assert door.dropped == 0
+        validator.admit(frame(900, depth_m=float("nan")))
+    validator.admit(frame(1))
+    assert validator.dropped == 0
 
 
 def test_a_rejection_holds_the_frame_by_its_crc_and_at_most_four_kibibytes_of_it() -> None:
@@ -184,17 +184,17 @@ def test_on_a_key_on_which_operators_command_each_is_a_source_of_its_own() -> No
         payload = encode(Manual(thrust_N=(0.0, 0.0, 0.0)), Header(epoch=epoch, sequence=sequence, sent_monotonic_us=0))
         return Frame(topic, topic.key, payload, 0)
 
-    door = MessageValidator()
+    validator = MessageValidator()
     for sequence, epoch in ((0, 1), (7, 2), (1, 1), (8, 2)):
-        door.admit(by_hand(sequence, epoch))
+        validator.admit(by_hand(sequence, epoch))
     for sequence, epoch in ((1, 1), (8, 2)):
         with pytest.raises(WireError, match="out of order"):
-            door.admit(by_hand(sequence, epoch))
-    assert (door.received, door.dropped, door.rejected) == (4, 0, 2)
+            validator.admit(by_hand(sequence, epoch))
+    assert (validator.received, validator.dropped, validator.rejected) == (4, 0, 2)
 
 
 def test_what_is_turned_back_after_it_was_let_in_is_counted_as_refused() -> None:
-    door = MessageValidator()
-    door.admit(frame(0))
-    door.turn_back("no time yet: it would be late")
-    assert (door.received, door.rejected, dict(door.refused)) == (0, 1, {"no time yet": 1})
+    validator = MessageValidator()
+    validator.admit(frame(0))
+    validator.turn_back("no time yet: it would be late")
+    assert (validator.received, validator.rejected, dict(validator.refused)) == (0, 1, {"no time yet": 1})

@@ -18,7 +18,7 @@ from services.cli.localisation_check import localisation_check
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
 from services.tools.batch.results_store import NAME
-from services.tools.localisation_check import check as check
+from services.tools.localisation_check import check
 from services.tools.localisation_check.probe import Probe, Record, Squares, descend
 from sim.evaluation.consistency import band
 
