@@ -10,19 +10,15 @@ DIR/
 
 from __future__ import annotations
 
-import math
-import os
-import resource
 import shutil
-import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
 from ltv_mpc.errors import ConfigError
+from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import made_by
 from services.tools.batch.executor import each
 from services.tools.batch.results_store import ResultsStore, decode
@@ -33,6 +29,7 @@ from services.tools.faults.draw import Pace, Run
 from services.tools.faults.fault import FaultOutcome, Place
 from services.tools.faults.judge import Errors, errors, judge
 from services.tools.faults.kinds import KINDS, NAMES, FaultClass
+from services.tools.faults.parallel_runs import CORES_A_RUN, run_in_parallel
 from services.tools.faults.process_verdict import OfProcesses
 from services.tools.faults.process_verdict import judge as judge_processes
 from services.tools.faults.result import problems
@@ -57,12 +54,6 @@ processes restart takes a minute.
 
 LAST_S = 10.0
 """Extra duration of a run of processes (s), so that it lasts 70 s after the end of its last fault."""
-
-CORES_A_RUN = 0.4
-LOAD = 0.7
-"""Assumed processor use of a run at twice real time (cores), and the share of all cores that runs may use: limits in
-wall time can only be met on a machine that is not overloaded.
-"""
 
 Tell = Callable[[int], None]
 
@@ -116,16 +107,27 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> FaultCount
 
 
 def run(
-    asked: FaultCounts, store: ResultsStore, *, seed: int, quick: bool, progress: Tell = lambda _: None
+    asked: FaultCounts,
+    store: ResultsStore,
+    *,
+    seed: int,
+    quick: bool,
+    progress: Tell = lambda _: None,
+    maker: RunMaker | None = None,
 ) -> list[FaultOutcome]:
     """Make all runs that ``store`` lacks and return the verdict on every fault. ``progress`` receives counts of faults
     done.
     """
     names: list[str] = []
+    maker = maker or RunMaker()
     if asked.n_inside:
-        names += in_lockstep(asked.inside, asked.n_inside, store, seed=seed, quick=quick, progress=progress)
+        names += in_lockstep(
+            asked.inside, asked.n_inside, store, seed=seed, quick=quick, maker=maker, progress=progress
+        )
     if asked.n_outside:
-        names += in_processes(asked.outside, asked.n_outside, store, seed=seed, quick=quick, progress=progress)
+        names += in_processes(
+            asked.outside, asked.n_outside, store, seed=seed, quick=quick, maker=maker, progress=progress
+        )
     found = dict(store.results())
     return [one for name in names for one in decode(found[name], list[FaultOutcome])]
 
@@ -146,23 +148,47 @@ class Job(NamedTuple):
     baseline: Errors | None
 
 
-def judged(job: Job) -> list[FaultOutcome]:
-    """Make a run in lock step in this process and judge its faults."""
-    return judge(job.run, lockstep_runs.observe(job.run), job.baseline)
+class RunMaker:
+    """The runs of a campaign as they are really made; a test replaces some of its methods."""
 
+    workers: int | None = None
+    """Number of simultaneous runs in lock step; None: one for each core."""
 
-def undisturbed(run: Run) -> Errors:
-    """Return the errors of a run without faults."""
-    return errors(lockstep_runs.observe(run).log)
+    ways: tuple[str, ...] = ("bus", "node")
+    """Ways to run processes: those whose messages are harmed, and those that are attacked themselves."""
+
+    def judged(self, job: Job) -> list[FaultOutcome]:
+        """Make a run in lock step in this process and judge its faults."""
+        return judge(job.run, lockstep_runs.observe(job.run), job.baseline)
+
+    def undisturbed(self, run: Run) -> Errors:
+        """Return the errors of a run in lock step without faults."""
+        return errors(lockstep_runs.observe(run).log)
+
+    def processes(self, way: str, run: Run, folder: Path) -> OfProcesses:
+        """Run processes in one of the ``ways``."""
+        return under_supervisor(run, folder) if way == "node" else behind_injector(run, folder)
+
+    def judged_processes(self, ended: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[FaultOutcome]:
+        """Judge the faults of a run of processes by its recording."""
+        return judge_processes(ended, vehicle, baseline)
+
+    def undisturbed_processes(self, recording: Path, vehicle: Vehicle) -> Errors:
+        """Return the errors of a recorded run of processes without faults."""
+        return errors(recorded.read(recording, vehicle).log)
+
+    def clear(self, folder: Path) -> None:
+        """Remove the folder of a run of processes in which all was well."""
+        remove(folder)
 
 
 def in_lockstep(
-    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, maker: RunMaker, progress: Tell
 ) -> list[str]:
     """Inject ``n`` faults of these classes in lock step and return the names of the runs. All available cores are used;
     a few quick faults run in this process, because starting other processes takes longer.
     """
-    pace, workers = (QUICK, 1) if quick else (PACE, None)
+    pace, workers = (QUICK, 1) if quick else (PACE, maker.workers)
     several = SEVERAL_QUICK if quick else SEVERAL
     runs = draw.runs(kinds, n, seed=seed, several=several, seeds=max(1, n // A_SEED), pace=pace)
     names = [f"lockstep-{i:03d}" for i in range(len(runs))]
@@ -170,11 +196,11 @@ def in_lockstep(
     progress(sum(len(run.faults) for i, run in enumerate(runs) if i not in missing))
     if missing and not quick:
         alone = [run for run in _alone(runs) if _without("lockstep", run.seed) not in store.keys]
-        for place, result in each(undisturbed, alone, workers=workers):
+        for place, result in each(maker.undisturbed, alone, workers=workers):
             store.append(_without("lockstep", alone[place].seed), result)
     baselines = {} if quick else without_faults(store)
     jobs = [Job(runs[i], baselines.get(_without("lockstep", runs[i].seed))) for i in missing]
-    for place, seen in each(judged, jobs, workers=workers):
+    for place, seen in each(maker.judged, jobs, workers=workers):
         store.append(names[missing[place]], seen)
         progress(len(jobs[place].run.faults))
     return names
@@ -198,33 +224,35 @@ def _alone(runs: Sequence[Run]) -> list[Run]:
 
 # --- in processes ----------------------------------------------------------------------------------------------------
 
-Make = Callable[[Run, Path], OfProcesses]
-
 
 class Task(NamedTuple):
     """Run of processes that has not been made yet."""
 
     name: str
-    way: str  # of ``WAYS``
+    way: str  # of ``RunMaker.ways``
     run: Run
 
 
 def in_processes(
-    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, progress: Tell
+    kinds: Sequence[FaultClass], n: int, store: ResultsStore, *, seed: int, quick: bool, maker: RunMaker, progress: Tell
 ) -> list[str]:
     """Inject ``n`` faults of these classes in processes and return the names of the runs. Each run has its own folder
     beside the store.
     """
     folder = store.path.parent
-    tasks = [task for way in WAYS for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
+    tasks = [task for way in maker.ways for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
     missing = [task for task in tasks if task.name not in store.keys]
     progress(sum(len(task.run.faults) for task in tasks if task not in missing))
     vehicle = lockstep_runs.situation(tasks[0].run).vehicle
     cores = CORES_A_RUN if quick else None
+
+    def make(task: Task) -> OfProcesses:
+        return maker.processes(task.way, task.run, _empty(folder / task.name))
+
     if missing and not quick:
         alone = [
             Task(name, way, run)
-            for way in WAYS
+            for way in maker.ways
             for run in _alone([task.run for task in tasks if task.way == way])
             if (name := _without(way, run.seed)) not in store.keys
         ]
@@ -232,20 +260,20 @@ def in_processes(
         def keep_errors(task: Task, ended: OfProcesses) -> None:
             if not (recording := ended.folder / "run.mcap").exists():
                 raise Unmeasured(f"{ended.folder}: the run without faults has no recording ({ended.uncontrolled})")
-            store.append(task.name, errors(recorded.read(recording, vehicle).log))
-            remove(ended.folder)
+            store.append(task.name, maker.undisturbed_processes(recording, vehicle))
+            maker.clear(ended.folder)
 
-        cores = _side_by_side(alone, folder, keep_errors, cores)
+        cores = run_in_parallel(make, alone, keep_errors, cores)
     baselines = {} if quick else without_faults(store)
 
     def keep(task: Task, ended: OfProcesses) -> None:
-        seen = judge_processes(ended, vehicle, baselines.get(_without(task.way, task.run.seed)))
+        seen = maker.judged_processes(ended, vehicle, baselines.get(_without(task.way, task.run.seed)))
         store.append(task.name, seen)
         progress(len(task.run.faults))
         if not any(map(problems, seen)):
-            remove(ended.folder)
+            maker.clear(ended.folder)
 
-    _side_by_side(missing, folder, keep, cores)
+    run_in_parallel(make, missing, keep, cores)
     return [task.name for task in tasks]
 
 
@@ -263,41 +291,6 @@ def _tasks(way: str, kinds: Sequence[FaultClass], n: int, *, seed: int, quick: b
         Task(f"{way}-{i:03d}", way, msgspec.structs.replace(run, duration_s=run.duration_s + longer_s))
         for i, run in enumerate(runs)
     ]
-
-
-def _side_by_side(
-    tasks: Sequence[Task], folder: Path, ended: Callable[[Task, OfProcesses], None], cores: float | None
-) -> float | None:
-    """Make as many runs at a time as the machine supports; call ``ended`` with each as it ends.
-
-    ``cores``: processor use of one run; None: measure it on the first run, made alone. Return the value if it is known.
-    """
-    if cores is None and len(tasks) > 1:
-        first, *tasks = tasks
-        before = _work_s(), time.monotonic()
-        ended(first, _make(folder, first))
-        cores = (_work_s() - before[0]) / (time.monotonic() - before[1])
-    if not tasks:
-        return cores
-    workers = at_a_time(cores or CORES_A_RUN)
-    for place, result in each(partial(_make, folder), tasks, workers=workers, threads=True):
-        ended(tasks[place], result)
-    return cores
-
-
-def at_a_time(cores_a_run: float) -> int:
-    """Return the number of simultaneous runs if each of them uses ``cores_a_run`` cores."""
-    return max(1, math.floor(LOAD * (os.cpu_count() or 1) / max(cores_a_run, 0.01) + 1e-9))
-
-
-def _make(folder: Path, task: Task) -> OfProcesses:
-    return WAYS[task.way](task.run, _empty(folder / task.name))
-
-
-def _work_s() -> float:
-    """Return the processor time (s) of all child processes that have ended, and of their children."""
-    of = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return of.ru_utime + of.ru_stime
 
 
 def _empty(folder: Path) -> Path:
@@ -328,7 +321,3 @@ def behind_injector(run: Run, folder: Path) -> OfProcesses:
     failed = {name: code for name, code in account.codes.items() if code != 0}
     uncontrolled = f"exit codes {failed}: {account.words}" if failed else ""
     return OfProcesses(run, folder, injected, account.harmed, uncontrolled)
-
-
-WAYS: dict[str, Make] = {"bus": behind_injector, "node": under_supervisor}
-"""How runs of processes are made: those whose messages are harmed, and those that are attacked themselves."""

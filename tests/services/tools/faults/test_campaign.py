@@ -24,7 +24,7 @@ from services.tools.faults.fault import Fault, Place
 
 @pytest.mark.timeout(400)
 def test_a_quick_campaign_ends_in_no_bad_thrust_no_uncounted_loss_and_no_late_reaction(capsys, tmp_path, monkeypatch):
-    monkeypatch.setattr(campaign, "remove", lambda _: None)  # runs in which all was well
+    monkeypatch.setattr(campaign.RunMaker, "clear", lambda *_: None)  # keeps runs in which all was well
     code = command(["faults", "--quick", "--seed", "3", "--json", "--out", str(tmp_path)])
     of = json.loads(capsys.readouterr().out)
     assert {name: of[name] for name in ("injected", "in_processes")} == {"injected": 25, "in_processes": 5}

@@ -1,19 +1,18 @@
-"""A campaign that is interrupted goes on with what is missing, and with nothing else."""
+"""An interrupted campaign continues with the missing runs, and with nothing else."""
 
 from __future__ import annotations
 
 import math
 import threading
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from services.tools.batch import executor
 from services.tools.batch.results_store import NAME, open_store
 from services.tools.faults import campaign
 from services.tools.faults.fault import Fault, FaultOutcome, Place
 from services.tools.faults.judge import Errors
+from services.tools.faults.parallel_runs import CORES_A_RUN, Machine, run_in_parallel
 from services.tools.faults.process_verdict import OfProcesses
 
 NOTHING = Errors(np.arange(3.0), np.ones(3), np.zeros((3, 2)), np.zeros(3, dtype=bool))
@@ -25,72 +24,78 @@ def seen(fault: Fault, **changes) -> FaultOutcome:
     return FaultOutcome(fault=fault, place=Place.LOCKSTEP, run_seed=1, **(values | changes))
 
 
-@pytest.fixture
-def made(monkeypatch):
-    """Runs that take no time: which of them were made, with and without faults; it stops at the third."""
-    made: list[int] = []
+class Interrupted(campaign.RunMaker):
+    """Runs that take no time, listed in ``made`` by their seeds (negative without faults); the third is interrupted."""
 
-    def judged(job):
-        if len(made) == 2 and job.run.faults[0].seed not in made:
+    workers = 1
+
+    def __init__(self) -> None:
+        self.made: list[int] = []
+
+    def judged(self, job):
+        if len(self.made) == 2 and job.run.faults[0].seed not in self.made:
             raise KeyboardInterrupt
-        made.append(job.run.faults[0].seed)
+        self.made.append(job.run.faults[0].seed)
         return [seen(fault) for fault in job.run.faults]
 
-    def undisturbed(run):
-        made.append(-run.seed)
+    def undisturbed(self, run):
+        self.made.append(-run.seed)
         return NOTHING
 
-    monkeypatch.setattr(executor, "core_count", lambda: 1)
-    monkeypatch.setattr(campaign, "judged", judged)
-    monkeypatch.setattr(campaign, "undisturbed", undisturbed)
-    return made
+
+def go(folder, maker) -> list[FaultOutcome]:
+    return results(campaign.plan("external_force", "lockstep", 40), folder, maker)
 
 
-def go(folder) -> list[FaultOutcome]:
-    return made_of(campaign.plan("external_force", "lockstep", 40), folder)
-
-
-def made_of(plan, folder, *, force=False) -> list[FaultOutcome]:
+def results(plan, folder, maker, *, force=False) -> list[FaultOutcome]:
     with open_store(folder, plan.settings(seed=3, quick=False), force=force) as store:
-        return campaign.run(plan, store, seed=3, quick=False)
+        return campaign.run(plan, store, seed=3, quick=False, maker=maker)
 
 
-def test_what_an_interrupted_campaign_has_found_is_not_made_again(made, tmp_path):
+def test_a_continued_campaign_repeats_no_run_that_has_a_result(tmp_path):
+    maker = Interrupted()
+    made = maker.made
     with pytest.raises(KeyboardInterrupt):
-        go(tmp_path)
+        go(tmp_path, maker)
     assert made[0] == -3000
     first = made[1]
     with (tmp_path / NAME).open("a") as file:
         file.write('{"key":"lockstep-001","re')  # cut off as it was written
     made.clear()
     with pytest.raises(KeyboardInterrupt):
-        go(tmp_path)
+        go(tmp_path, maker)
     assert len(made) == 2
     assert -3000 not in made
     assert first not in made
 
 
-def test_runs_of_processes_are_made_once_and_stay_only_if_something_was_not_as_promised(monkeypatch, tmp_path):
-    made: list[str] = []
-    recorded = True
+class Instant(campaign.RunMaker):
+    """Runs of processes that take no time; the verdict on "node-001" is a violation."""
 
-    def make(run, folder):
+    def __init__(self) -> None:
+        self.made: list[str] = []
+        self.records = True
+
+    def processes(self, _way, run, folder):
         folder.mkdir()
-        made.append(folder.name)
-        if recorded and not run.faults:
+        self.made.append(folder.name)
+        if self.records and not run.faults:
             (folder / "run.mcap").touch()
         return OfProcesses(run, folder, (), (), "")
 
-    def judged(of, _vehicle, _baseline):
-        late = "never back" if of.folder.name == "node-001" else ""
-        return [seen(fault, late=late) for fault in of.run.faults]
+    def judged_processes(self, ended, _vehicle, _baseline):
+        late = "never back" if ended.folder.name == "node-001" else ""
+        return [seen(fault, late=late) for fault in ended.run.faults]
 
-    monkeypatch.setattr(campaign, "WAYS", {"bus": make, "node": make})
-    monkeypatch.setattr(campaign, "judge_processes", judged)
-    monkeypatch.setattr(campaign.recorded, "read", lambda *_: SimpleNamespace(log=None))
-    monkeypatch.setattr(campaign, "errors", lambda _: NOTHING)
+    def undisturbed_processes(self, _recording, _vehicle):
+        return NOTHING
+
+
+def test_runs_of_processes_are_made_once_and_kept_only_after_a_violation(tmp_path):
+    maker = Instant()
+    made = maker.made
     plan = campaign.plan("process_crash,message_loss", "processes", 12)
-    found = made_of(plan, tmp_path)
+    found = results(plan, tmp_path, maker)
     assert sorted(made) == [
         *("bus-000", "bus-001", "node-000", "node-001"),
         *(f"without-{way}-{seed}" for way in ("bus", "node") for seed in (3000, 3001)),
@@ -100,50 +105,59 @@ def test_runs_of_processes_are_made_once_and_stay_only_if_something_was_not_as_p
     (tmp_path / "node-001" / "run.mcap").write_text("of the first time")
     lines = (tmp_path / NAME).read_text().splitlines()
     (tmp_path / NAME).write_text("".join(f"{line}\n" for line in lines if "node-001" not in line))
-    again = made_of(plan, tmp_path)
+    again = results(plan, tmp_path, maker)
     assert made == ["node-001"]
     assert not (tmp_path / "node-001" / "run.mcap").exists()
     assert again == found
     assert len(found) == 12
-    recorded = False
+    maker.records = False
     with pytest.raises(campaign.Unmeasured, match=r"without-\w+-300\d: the run"):
-        made_of(plan, tmp_path, force=True)
+        results(plan, tmp_path, maker, force=True)
 
 
-@pytest.mark.parametrize(("busy", "most"), [(True, 1), (False, 4)])
-def test_the_first_run_of_processes_is_alone_and_what_it_takes_says_how_many_go_side_by_side(
-    monkeypatch, tmp_path, busy, most
-):
+class FourCores(Machine):
+    """Machine of four cores; the first run takes ten seconds and ``processor_s`` of processor time."""
+
+    cores = 4
+
+    def __init__(self, processor_s: float) -> None:
+        self._processor_s, self._wall_s = iter([0.0, processor_s]), iter([0.0, 10.0])
+
+    def processor_s(self):
+        return next(self._processor_s)
+
+    def wall_s(self):
+        return next(self._wall_s)
+
+
+@pytest.mark.parametrize(("processor_s", "at_once"), [(30.0, 1), (7.0, 4)])
+def test_the_first_run_of_processes_measures_how_many_run_in_parallel(processor_s, at_once):
     """On four cores of which 2.8 may be used: one at a time where a run takes three, four of 0.7 each."""
     lock, running, together = threading.Lock(), [], []
-    meet = threading.Barrier(most)
-    times = iter([0.0, 30.0 if busy else 7.0])
+    meet = threading.Barrier(at_once)
 
-    def make(run, folder):
+    def make(task):
         with lock:
-            running.append(folder.name)
+            running.append(task)
             together.append(len(running))
         if len(together) > 1:
             meet.wait(20)
         with lock:
-            running.remove(folder.name)
-        return OfProcesses(run, folder, (), (), "")
+            running.remove(task)
+        return task
 
-    monkeypatch.setattr(campaign, "WAYS", {"bus": make})
-    monkeypatch.setattr(campaign, "_work_s", lambda: next(times))
-    monkeypatch.setattr(campaign.time, "monotonic", iter([0.0, 10.0]).__next__)
-    monkeypatch.setattr(campaign.os, "cpu_count", lambda: 4)
-    tasks = [campaign.Task(f"bus-{i:03d}", "bus", None) for i in range(1 + 2 * most)]
-    ended: list[str] = []
-    campaign._side_by_side(tasks, tmp_path, lambda task, _: ended.append(task.name), None)
-    assert sorted(ended) == [task.name for task in tasks]
+    tasks = list(range(1 + 2 * at_once))
+    machine = FourCores(processor_s)
+    ended: list[int] = []
+    run_in_parallel(make, tasks, lambda task, _: ended.append(task), None, machine)
+    assert sorted(ended) == tasks
     assert together[0] == 1
-    assert max(together) == most
-    assert campaign.at_a_time(campaign.CORES_A_RUN) == 7
+    assert max(together) == at_once
+    assert machine.at_a_time(CORES_A_RUN) == 7
 
 
-def test_errors_without_faults_come_back_as_they_were_and_alone(tmp_path):
-    """Those of a run too, of which no estimate was left."""
+def test_errors_without_faults_are_restored_from_the_store(tmp_path):
+    """Errors of a run without any estimate too."""
     empty = Errors(np.empty(0), np.empty(0), np.empty((0, 2)), np.empty(0, dtype=bool))
     fault = Fault(kind="external_force", target="vehicle", start_s=1.0, end_s=2.0, size=3.0, seed=4)
     with open_store(tmp_path, {}) as store:
