@@ -29,7 +29,7 @@ from rich.progress import Progress
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
 from services.run.nodes import make_nodes
@@ -77,7 +77,7 @@ class Cost(NamedTuple):
 class Descent(NamedTuple):
     """The sensors, and what an estimator was handed of them."""
 
-    suite: Suite
+    suite: SensorConfig
     steps: list[Due]
 
     @classmethod

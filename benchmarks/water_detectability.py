@@ -28,7 +28,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Verdict
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
 from ltv_mpc.node import Arrival, Due
 from services.run.nodes import make_nodes
@@ -38,8 +38,8 @@ from sim.scenario import Feature as Shape
 from sim.scenario import Water
 from sim.scheduler import LockStep, Step
 from sim.sensors.adcp import Profiler, beams
-from sim.sensors.injected import Mask
 from sim.sensors.node import Sensors
+from sim.sensors.outlier_masks import Mask
 from sim.water.features import Feature
 
 BEGINS_S = 50.0
@@ -116,7 +116,7 @@ class Descent:
         """Run the descent in lock step. Raises ``ConfigError``."""
         situation = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).situation()
         nodes = make_nodes(situation)
-        self.suite: Suite = situation.suite
+        self.suite: SensorConfig = situation.suite
         self.water: Water = situation.scenario.water
         self.steps: list[Due] = []  # of the estimator
         self.pings: dict[int, _Ping] = {}

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import (
     Estimate,
     EstimatorState,
@@ -46,7 +46,7 @@ settings: tuple[str, ...] = ()
 """Settings on top of those of every descent: a switch may replace them."""
 
 
-def as_given(suite: Suite) -> Suite:
+def as_given(suite: SensorConfig) -> SensorConfig:
     """Return the sensors file that the estimator is given: the true one. A switch may replace this function."""
     return suite
 

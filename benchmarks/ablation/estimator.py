@@ -16,8 +16,8 @@ from benchmarks.ablation.mechanism import Event, Mechanism, replaced
 from ltv_mpc.localisation import imu_dropout, out_of_sequence, supervision
 from ltv_mpc.localisation.adaptive.process_noise import Adaptation, Change
 from ltv_mpc.localisation.filter import correction, error_state_filter
-from ltv_mpc.localisation.reinitialisation import Restarts
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.reinitialisation import Reinitialisation
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensor_screening import SensorScreening
 from ltv_mpc.messages import (
     AdcpPing,
@@ -178,18 +178,20 @@ class NoShadow:
 
 def no_shadow() -> AbstractContextManager[None]:
     """Switch the shadow filter off."""
-    return replaced((supervision, "Former", NoShadow))
+    return replaced((supervision, "ShadowFilter", NoShadow))
 
 
 def no_reinitialisation() -> AbstractContextManager[None]:
     """Switch reinitialisation off: the filter goes on whatever becomes of it."""
-    watch = Restarts.watch
+    watch = Reinitialisation.watch
 
-    def watched(self: Restarts, *args: Any, **kwargs: Any) -> bool:
+    def watched(self: Reinitialisation, *args: Any, **kwargs: Any) -> bool:
         watch(self, *args, **kwargs)
         return False
 
-    return replaced((Restarts, "watch", watched), (Restarts, "knows_a_place", property(lambda _: False)))
+    return replaced(
+        (Reinitialisation, "watch", watched), (Reinitialisation, "has_good_position", property(lambda _: False))
+    )
 
 
 def no_slow_fronts() -> AbstractContextManager[None]:
@@ -246,13 +248,13 @@ def no_screening(*reasons: str) -> Off:
     """Let in what would be refused for one of these reasons."""
 
     def off() -> AbstractContextManager[None]:
-        refusal = SensorScreening.refusal
+        refusal = SensorScreening.rejection
 
         def lenient(self: SensorScreening, *args: Any) -> str | None:
             why = refusal(self, *args)
             return None if why in reasons else why
 
-        return replaced((SensorScreening, "refusal", lenient), (SensorScreening, "lets_through", lambda *_: False))
+        return replaced((SensorScreening, "rejection", lenient), (SensorScreening, "accepts_all", lambda *_: False))
 
     return off
 
@@ -260,7 +262,7 @@ def no_screening(*reasons: str) -> Off:
 def given(**tables: dict[str, float]) -> Off:
     """Give the estimator a sensors file with other values than the true ones."""
 
-    def other(suite: Suite) -> Suite:
+    def other(suite: SensorConfig) -> SensorConfig:
         changed = {name: msgspec.structs.replace(getattr(suite, name), **values) for name, values in tables.items()}
         return msgspec.structs.replace(suite, **changed)
 
@@ -327,9 +329,9 @@ SHADOW = (
     "shadow_filter.py",
     "filter/error_state_filter.py:Filter.twin",
     "supervision.py:Supervision._compare",
-    "reinitialisation.py:Memory",
-    "reinitialisation.py:Restarts.memory",
-    "reinitialisation.py:Restarts.recall",
+    "reinitialisation.py:PastBeliefs",
+    "reinitialisation.py:Reinitialisation.past_beliefs",
+    "reinitialisation.py:Reinitialisation.restore",
 )
 SLOW_FRONTS = (
     "adaptive/glr_detector.py",
@@ -343,7 +345,7 @@ ADAPTATION = (
     "adaptive/front_or_gyro_test.py",
     "adaptive/glr_detector.py",
     "adaptive/failure_signatures.py",
-    "out_of_sequence.py:History.adapt",
+    "out_of_sequence.py:MeasurementBuffer.adapt",
 )
 ALL_ADAPTATION_TESTS = (
     "adaptive/test_process_noise.py",
@@ -380,13 +382,13 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "water carried over a reinitialisation",
-        lambda: replaced((Restarts, "graft", lambda *_: False)),
+        lambda: replaced((Reinitialisation, "restore_water", lambda *_: False)),
         (IMU_WORSE, IMU_WRONG),
         ERRORS,
         (
-            "reinitialisation.py:Restarts.graft",
-            "reinitialisation.py:Restarts.keep",
-            "reinitialisation.py:Restarts.is_belief_due",
+            "reinitialisation.py:Reinitialisation.restore_water",
+            "reinitialisation.py:Reinitialisation.store",
+            "reinitialisation.py:Reinitialisation.is_belief_due",
         ),
     ),
     *of(
@@ -461,7 +463,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "IMU dropout: coasting",
-        lambda: replaced((imu_dropout, "BRIDGED_NS", 2**62)),
+        lambda: replaced((imu_dropout, "MAX_BRIDGED_NS", 2**62)),
         (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
         ERRORS,
         ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:Filter._cross"),
@@ -469,17 +471,17 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "IMU dropout: levelling after it",
-        lambda: replaced((imu_dropout, "LEVELLED_NS", 2**62)),
+        lambda: replaced((imu_dropout, "MIN_LEVELLED_NS", 2**62)),
         (IMU_OFF, SILENCE),
         (*ERRORS, "reinitialised"),
         ("imu_dropout.py:level",),
     ),
     *of(
         "IMU dropout: noise over bridged samples",
-        lambda: replaced((imu_dropout, "doubt", lambda *_: None)),
+        lambda: replaced((imu_dropout, "inflate", lambda *_: None)),
         (IMU_LOSS, IMU_HEAVY_LOSS),
         CONSISTENT,
-        ("imu_dropout.py:doubt",),
+        ("imu_dropout.py:inflate",),
     ),
     *of(
         "warm restart",
@@ -497,7 +499,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "out-of-sequence buffer",
-        lambda: replaced((out_of_sequence.History, "reaches", lambda *_: False)),
+        lambda: replaced((out_of_sequence.MeasurementBuffer, "is_within_reach", lambda *_: False)),
         (PINGS_LATE,),
         ERRORS,
         ("out_of_sequence.py",),
@@ -505,10 +507,10 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "refusal of repeated messages",
-        lambda: replaced((out_of_sequence.History, "knows", lambda *_: False)),
+        lambda: replaced((out_of_sequence.MeasurementBuffer, "contains", lambda *_: False)),
         (PINGS_TWICE, ALL_TWICE),
         CONSISTENT,
-        ("out_of_sequence.py:same", "out_of_sequence.py:History.knows"),
+        ("out_of_sequence.py:is_duplicate", "out_of_sequence.py:MeasurementBuffer.contains"),
     ),
     *of(
         "measurement compression",
@@ -538,13 +540,13 @@ MECHANISMS: tuple[Mechanism, ...] = (
         ("test_sensor_screening.py",),
     ),
     *of(
-        "screening: wild",
-        no_screening("wild"),
+        "screening: jump",
+        no_screening("jump"),
         (IMU_GARBAGE,),
         (*ERRORS, "crashed", "reinitialised"),
-        ("sensor_screening.py:SensorScreening._is_wild",),
+        ("sensor_screening.py:SensorScreening._jumps",),
     ),
-    *of("screening: ahead", no_screening("ahead"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
+    *of("screening: future", no_screening("future"), (CLOCK_AHEAD,), (*ERRORS, "no estimate")),
     *of(
         "screening: stale",
         no_screening("stale"),

@@ -18,14 +18,14 @@ from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.column import Column, Link
 from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.localisation.water.grid_window import given
 from ltv_mpc.messages import DroppedNode, EstimatorState, to_wire
 
 
-def settings_of(suite: Suite, config: EstimatorConfig, prior: WaterPrior | None) -> int:
+def settings_of(suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:
     """CRC-32 of all that decides which states there are and what they mean."""
     own = msgspec.structs.replace(config, water_prior="")  # where it was read is nobody's business, what it says is
     known = None if prior is None else asdict(prior)
@@ -53,7 +53,7 @@ def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorSta
 
 
 def belief_of(
-    checkpoint: EstimatorState, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None
+    checkpoint: EstimatorState, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None
 ) -> Belief | None:
     """The belief that ``checkpoint`` was made of; None where it is of other settings, or of no filter."""
     layout = Layout.of(suite, config)

@@ -25,12 +25,12 @@ from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
 from ltv_mpc.localisation.filter.preintegration import readings
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.publishing import CheckpointSchedule, EstimateSchedule, estimate
-from ltv_mpc.localisation.reinitialisation import usable
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.reinitialisation import is_usable
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensor_screening import SensorScreening
 from ltv_mpc.localisation.sequencing import SENSORS, Sequencing
 from ltv_mpc.localisation.supervision import Supervision
-from ltv_mpc.localisation.warm_restart import Resumption
+from ltv_mpc.localisation.warm_restart import WarmRestart
 from ltv_mpc.messages import Estimate, EstimatorState, ImuSample, LocalisationReport, Message
 from ltv_mpc.node import Due, Inbox, OnMessage, Progress, no_progress
 
@@ -45,7 +45,7 @@ class Estimator:
 
     def __init__(
         self,
-        suite: Suite,
+        suite: SensorConfig,
         config: EstimatorConfig,
         prior: WaterPrior | None = None,
         *,
@@ -65,7 +65,7 @@ class Estimator:
         self._settings = settings_of(suite, config, prior)
         self._account: Counter[str] = Counter()  # of the node, and of filters that have been replaced
         self._out: list[Message] = []  # of this step
-        self._alignment: Alignment | Resumption = Alignment(suite, config, prior)
+        self._alignment: Alignment | WarmRestart = Alignment(suite, config, prior)
         self._schedule = EstimateSchedule(suite, config.estimate_period_ns)
         self._checkpoints = CheckpointSchedule()
         self._screening = SensorScreening()
@@ -86,8 +86,8 @@ class Estimator:
     def account(self) -> Mapping[str, int]:
         """Counts by "<sensor>.<outcome>".
 
-        Scalar measurements: used, doubted (of these), gate, not_definite, no_return, outside_grid, other_epoch,
-        not_fitted, unknown_transponder. Messages: late, late_applied, duplicate, ahead, stale, stuck, wild,
+        Scalar measurements: used, deweighted (of these), gate, not_definite, no_return, outside_grid, other_epoch,
+        not_fitted, unknown_transponder. Messages: late, late_applied, duplicate, future, stale, stuck, jump,
         without_imu, gap.
         """
         account = Counter(self._account)
@@ -122,7 +122,7 @@ class Estimator:
             signal: Any = arrival.signal
             sensor = SENSORS.get(type(signal))  # a tenth of the time of isinstance() of nine types
             if sensor is not None:
-                why = self._screening.refusal(signal.t_ns, signal, arrival.received_t_ns)
+                why = self._screening.rejection(signal.t_ns, signal, arrival.received_t_ns)
                 if why is None:
                     self._take(signal)
                 else:
@@ -151,10 +151,10 @@ class Estimator:
             return []
         samples = samples[:number]
         measured = readings(samples)
-        if not self._screening.lets_through(samples, received_ns[:number], measured):
+        if not self._screening.accepts_all(samples, received_ns[:number], measured):
             return []
         number = self._sequencing.apply_consecutive(samples, measured)
-        self._screening.let_through(samples[number - 1], received_ns[number - 1], measured[number - 1 : number])
+        self._screening.record_last(samples[number - 1], received_ns[number - 1], measured[number - 1 : number])
         self._supervision.store(samples[:number])
         self._out = []
         self._sequencing.reach(samples[number - 1].t_ns)
@@ -167,9 +167,9 @@ class Estimator:
             return
         belief = belief_of(state, self._suite, self._config, self._prior)
         if belief is None:
-            self._account["checkpoint.of_other_settings"] += 1
+            self._account["checkpoint.other_settings"] += 1
             return
-        self._alignment = Resumption(self._suite, self._config, belief, state.estimate)
+        self._alignment = WarmRestart(self._suite, self._config, belief, state.estimate)
         self._supervision.restore(state.restarts)
 
     def _take(self, message: ImuSample | Aiding) -> None:
@@ -183,7 +183,7 @@ class Estimator:
         belief, since = self._alignment.belief()
         self._schedule.begin(belief.t_ns)
         self._checkpoints.begin(belief)
-        self._supervision.begin(belief, warm=isinstance(self._alignment, Resumption))
+        self._supervision.begin(belief, warm=isinstance(self._alignment, WarmRestart))
         for earlier in since:
             self._use(earlier)
 
@@ -199,7 +199,7 @@ class Estimator:
         self._out.append(estimate(filter_, self._depth_m))
         if self._supervision.is_report_due(belief.t_ns):
             self._out.append(self._supervision.report(self.account))
-        due = self._checkpoints.is_due(belief) and not self._supervision.is_in_doubt and usable(belief)
+        due = self._checkpoints.is_due(belief) and not self._supervision.is_inconsistent and is_usable(belief)
         if due:  # a filter in doubt is not worth a restart from
             self._checkpoints.advance(belief)
             self._out.append(checkpoint_of(filter_, self._settings, self._supervision.restarts))

@@ -11,8 +11,8 @@ Band    of a sensor: chi-square of N degrees of freedom over N, at 1e-6 on eithe
         Ranges and fixes from a ship come seldom and carry a second-order variance: for them only too large is wrong.
 Refused more than half of the rows of the window, of at least two messages.
 Filter  inconsistent when what ties its velocity or its depth down (profiler, bottom track, pressure) is refused, or
-        has innovations ``GROSS`` times as large as said, or two sensors at once are: then it is not the sensor that is
-        wrong; or it is, and the filter has no business without it. The compass alone is not reason enough, gyros are
+        has innovations ``GROSS_NIS`` times as large as said, or two sensors at once are: then it is not the sensor that
+        is wrong; or it is, and the filter has no business without it. The compass alone is not reason enough, gyros are
         better. Nor is a profiler a quarter noisier than its file says: that is the sensor's flag.
 """
 
@@ -29,19 +29,19 @@ from scipy.special import chdtr, chdtri
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.error_state_filter import Verdict
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
 SILENT_PERIODS = 3
-FEWEST = 3
+MIN_MESSAGES = 3
 """Messages below which a mean is not judged."""
 FALSE_ALARM = 1e-6
-GROSS = 2.3
+GROSS_NIS = 2.3
 """Upper end of the band of thirty messages, a window of pings, were all rows of a message one."""
 ONLY_TOO_LARGE = ("lbl", "usbl", "gnss", "tdcp")
-TIES = ("adcp", "bottom_track", "pressure")
-NOT_REFUSED = ("used", "doubted", "late_applied")
+ESSENTIAL = ("adcp", "bottom_track", "pressure")
+NOT_REJECTED = ("used", "deweighted", "late_applied")
 """The first counts what the others do."""
 AT_SURFACE = ("gnss", "tdcp")
 """Silent by design once the descent has begun."""
@@ -55,10 +55,10 @@ class _Judged(NamedTuple):
     pairs: float  # sum of rho_ij^2 over them
 
 
-class Monitor:
+class HealthMonitor:
     """Hears every verdict once; asked once a second."""
 
-    def __init__(self, suite: Suite, gate_probability: float) -> None:
+    def __init__(self, suite: SensorConfig, gate_probability: float) -> None:
         """Sensors that ``suite`` does not have are not reported."""
         gate = float(chdtri(1, 1.0 - gate_probability))
         self._expected = float(chdtr(3, gate) / chdtr(1, gate))
@@ -68,7 +68,7 @@ class Monitor:
         self._reported: Mapping[str, int] = {}
         self.broken = False  # a covariance of innovations was not positive definite: the filter's own is not either
 
-    def hear(self, verdict: Verdict) -> None:
+    def observe(self, verdict: Verdict) -> None:
         """What came of one message."""
         window = self._window.get(verdict.sensor)
         if window is None:
@@ -78,7 +78,7 @@ class Monitor:
         window.append(_Judged(verdict.t_ns, len(verdict.residual), passed, squares, pairs))
         self._last_ns[verdict.sensor] = max(verdict.t_ns, self._last_ns.get(verdict.sensor, verdict.t_ns))
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The filter has begun anew: what the old one said of the sensors does not count."""
         self.broken = False
         for window in self._window.values():
@@ -98,7 +98,7 @@ class Monitor:
             while window and window[0].t_ns <= t_ns - WINDOW_NS:
                 window.popleft()
             counts = new[name]
-            refused = {what: counts[what] for what in sorted(counts) if what not in NOT_REFUSED}
+            refused = {what: counts[what] for what in sorted(counts) if what not in NOT_REJECTED}
             nis, status = self._judge(name, t_ns)
             reports.append(
                 SensorReport(
@@ -125,7 +125,7 @@ class Monitor:
             return nis, SensorStatus.OK if ended else SensorStatus.SILENT
         if len(window) >= 2 and 2 * passed < rows:
             return nis, SensorStatus.REJECTED
-        if nis is not None and len(window) >= FEWEST:
+        if nis is not None and len(window) >= MIN_MESSAGES:
             low, high = band(passed * passed / pairs)
             if nis > high or (nis < low and name not in ONLY_TOO_LARGE):
                 return nis, SensorStatus.INCONSISTENT
@@ -159,17 +159,17 @@ def band(independent: float) -> tuple[float, float]:
     return float(low) / independent, float(high) / independent
 
 
-def verdict_of(reports: tuple[SensorReport, ...]) -> tuple[FilterStatus, str]:
+def filter_status(reports: tuple[SensorReport, ...]) -> tuple[FilterStatus, str]:
     """The filter's status by its sensors', and why in words."""
-    wrong = [r for r in reports if _grossly(r)]
-    if any(r.sensor in TIES for r in wrong) or len(wrong) > 1:
+    wrong = [r for r in reports if _is_gross(r)]
+    if any(r.sensor in ESSENTIAL for r in wrong) or len(wrong) > 1:
         return FilterStatus.INCONSISTENT, "; ".join(_words(r) for r in wrong)
     return FilterStatus.NOMINAL, ""
 
 
-def _grossly(report: SensorReport) -> bool:
+def _is_gross(report: SensorReport) -> bool:
     if report.status is SensorStatus.INCONSISTENT:
-        return report.nis is not None and report.nis > GROSS
+        return report.nis is not None and report.nis > GROSS_NIS
     return report.status is SensorStatus.REJECTED
 
 
@@ -179,7 +179,7 @@ def _words(report: SensorReport) -> str:
     return f"{report.sensor}: squared innovations {report.nis:.2g} times what is said"
 
 
-def _silent_after(suite: Suite) -> dict[str, int]:
+def _silent_after(suite: SensorConfig) -> dict[str, int]:
     """Of each sensor that corrects the filter, by name: how old its newest message may be (ns)."""
     tables = {
         "gnss": suite.gnss,

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, Change
 from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Snapshot
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Array, ImuSample, LblRange
 from ltv_mpc.node import Progress, no_progress
 
@@ -39,7 +39,7 @@ class Done(NamedTuple):
     what: ImuSample | Aiding
 
 
-class _Stretch(NamedTuple):
+class _Segment(NamedTuple):
     """From a snapshot to the next one."""
 
     snapshot: Snapshot
@@ -50,7 +50,7 @@ class _Stretch(NamedTuple):
         return self.snapshot.belief.t_ns
 
 
-def same(one: ImuSample | Aiding, other: ImuSample | Aiding) -> bool:
+def is_duplicate(one: ImuSample | Aiding, other: ImuSample | Aiding) -> bool:
     """Two messages of one sensor and time, of which the second says nothing new."""
     if type(one) is not type(other) or one.t_ns != other.t_ns:
         return False
@@ -59,14 +59,14 @@ def same(one: ImuSample | Aiding, other: ImuSample | Aiding) -> bool:
     return True
 
 
-def spacing_ns(suite: Suite) -> int:
+def snapshot_spacing_ns(suite: SensorConfig) -> int:
     """Between two snapshots: longer where only a bus makes messages late."""
     tables = (suite.gnss, suite.tdcp, suite.adcp, suite.pressure, suite.compass, suite.bottom_track)
     expected = any(table is not None and table.latency_ns > 0 for table in tables)
     return _OFTEN_NS if expected or suite.lbl is not None or suite.usbl is not None else _SELDOM_NS
 
 
-class History:
+class MeasurementBuffer:
     """Moves and corrects a filter, and can do so in the past."""
 
     def __init__(self, filter_: Filter, spacing_ns: int, progress: Progress = no_progress) -> None:
@@ -74,36 +74,36 @@ class History:
         self.filter = filter_
         self._progress = progress
         self._spacing_ns = spacing_ns
-        self._stretches = [_Stretch(filter_.snapshot(), [])]
+        self._segments = [_Segment(filter_.snapshot(), [])]
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
         """As ``Filter.advance``."""
         now_ns = self.filter.belief.t_ns
-        stretches = self._stretches
+        segments = self._segments
         # Taken on leaving an instant: it then holds all corrections of it.
-        if now_ns - stretches[-1].t_ns >= self._spacing_ns:
-            stretches.append(_Stretch(self.filter.snapshot(), []))
-            while len(stretches) > 1 and stretches[1].t_ns <= now_ns - BACK_NS:
-                del stretches[0]
+        if now_ns - segments[-1].t_ns >= self._spacing_ns:
+            segments.append(_Segment(self.filter.snapshot(), []))
+            while len(segments) > 1 and segments[1].t_ns <= now_ns - BACK_NS:
+                del segments[0]
         self._progress()
         self.filter.advance(t_ns, sample)
-        stretches[-1].done.append(Done(t_ns, sample))
+        segments[-1].done.append(Done(t_ns, sample))
 
     def follows(self, samples: Sequence[ImuSample]) -> int:
         """As ``Filter.follows``, until a snapshot is to be taken."""
-        return self.filter.follows(samples, self._stretches[-1].t_ns + self._spacing_ns)
+        return self.filter.follows(samples, self._segments[-1].t_ns + self._spacing_ns)
 
     def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
         """As ``Filter.advance_through``."""
         self._progress()
         done = self.filter.advance_through(samples, measured)
-        self._stretches[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
+        self._segments[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
         return done
 
     def correct(self, message: Aiding) -> None:
         """As ``Filter.correct``: of the filter's own instant."""
         self.filter.correct(message)
-        self._stretches[-1].done.append(Done(message.t_ns, message))
+        self._segments[-1].done.append(Done(message.t_ns, message))
 
     def use(self, message: Aiding) -> None:
         """Correct by a message of the filter's own instant, or of one before it within reach."""
@@ -112,37 +112,37 @@ class History:
         else:
             self.insert(message)
 
-    def knows(self, message: Aiding) -> bool:
+    def contains(self, message: Aiding) -> bool:
         """One of its kind and time has been used."""
-        for stretch in reversed(self._stretches):
-            for done in reversed(stretch.done):
+        for segment in reversed(self._segments):
+            for done in reversed(segment.done):
                 if done.t_ns < message.t_ns:
                     return False
-                if same(done.what, message):
+                if is_duplicate(done.what, message):
                     return True
         return False
 
-    def reaches(self, t_ns: int) -> bool:
+    def is_within_reach(self, t_ns: int) -> bool:
         """A message of this time, before the filter's, can still be used. Of the oldest instant nothing is known."""
-        return t_ns >= self.filter.belief.t_ns - REACH_NS and t_ns > self._stretches[0].t_ns
+        return t_ns >= self.filter.belief.t_ns - REACH_NS and t_ns > self._segments[0].t_ns
 
     def insert(self, message: Aiding) -> None:
         """Correct by a message of a time before the filter's, within reach."""
-        stretches = self._stretches
-        first = max(i for i, stretch in enumerate(stretches) if stretch.t_ns <= message.t_ns)
-        again = [done for stretch in stretches[first:] for done in stretch.done]
-        del stretches[first + 1 :]
-        stretches[first].done.clear()
-        self.filter.restore(stretches[first].snapshot)
+        segments = self._segments
+        first = max(i for i, segment in enumerate(segments) if segment.t_ns <= message.t_ns)
+        again = [done for segment in segments[first:] for done in segment.done]
+        del segments[first + 1 :]
+        segments[first].done.clear()
+        self.filter.restore(segments[first].snapshot)
 
         after = next(i for i, done in enumerate(again) if done.t_ns > message.t_ns)  # a move: only they pass time
-        with _unheard(self.filter):
+        with _uncounted(self.filter):
             self._repeat(again[:after])
         across = again[after].what
         if self.filter.belief.t_ns < message.t_ns and isinstance(across, ImuSample):
             self.advance(message.t_ns, across)
         self.correct(message)
-        with _unheard(self.filter):
+        with _uncounted(self.filter):
             self._repeat(again[after:])
 
     def adapt(self) -> Change:
@@ -157,17 +157,17 @@ class History:
             began.make_up(belief)
             water.forget(belief)
             water.grant(Change.FAST, water.hold(Change.FAST, now_ns), now_ns)
-            self._stretches[:] = [_Stretch(filter_.snapshot(), [])]
+            self._segments[:] = [_Segment(filter_.snapshot(), [])]
             return Change.FAST
         change = water.seen(now_ns, began)
         if change is not Change.NONE:
             until_ns = water.hold(change, now_ns)
-            first = max((i for i, s in enumerate(self._stretches) if s.t_ns <= now_ns - BACK_NS), default=0)
-            again = [done for stretch in self._stretches[first:] for done in stretch.done]
-            filter_.restore(self._stretches[first].snapshot)
+            first = max((i for i, s in enumerate(self._segments) if s.t_ns <= now_ns - BACK_NS), default=0)
+            again = [done for segment in self._segments[first:] for done in segment.done]
+            filter_.restore(self._segments[first].snapshot)
             filter_.water.grant(change, until_ns, now_ns)
-            self._stretches[first:] = [_Stretch(filter_.snapshot(), [])]
-            with _unheard(filter_):
+            self._segments[first:] = [_Segment(filter_.snapshot(), [])]
+            with _uncounted(filter_):
                 self._repeat(again)
         return change
 
@@ -180,7 +180,7 @@ class History:
 
 
 @contextmanager
-def _unheard(filter_: Filter) -> Iterator[None]:
+def _uncounted(filter_: Filter) -> Iterator[None]:
     """What the filter does within is neither counted nor observed."""
     account, observers = filter_.account, filter_.observers
     filter_.account, filter_.observers = Counter(), []

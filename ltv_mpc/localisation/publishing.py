@@ -17,7 +17,7 @@ from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS, Belief
-from ltv_mpc.localisation.sensor_config import Adcp, BottomTracking, Compass, Gnss, Pressure, Suite, Tdcp
+from ltv_mpc.localisation.sensor_config import Adcp, BottomTracking, Compass, Gnss, Pressure, SensorConfig, Tdcp
 from ltv_mpc.localisation.sensors.compass import heading_partials
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import (
@@ -36,7 +36,7 @@ from ltv_mpc.messages import (
 _TILT, _GYRO = ATTITUDE.start, GYRO_BIAS.start
 
 CHECKPOINT_NS = 5_000_000_000
-UNDER_M, UP_M = 1.0, 0.5
+SUBMERGED_M, SURFACED_M = 1.0, 0.5
 """Depths between which the vehicle keeps its side of the surface: submerged below the first, surfaced above the
 second."""
 
@@ -50,7 +50,7 @@ class EstimateSchedule:
     every sensor without latency that is due at the instant has been received.
     """
 
-    def __init__(self, suite: Suite, period_ns: int) -> None:
+    def __init__(self, suite: SensorConfig, period_ns: int) -> None:
         """Create a schedule that has not begun.
 
         Parameters
@@ -145,7 +145,7 @@ class CheckpointSchedule:
         belief : the first belief.
         """
         self._next_ns = belief.t_ns
-        self._submerged = float(belief.x[2]) > UNDER_M
+        self._submerged = float(belief.x[2]) > SUBMERGED_M
 
     def is_due(self, belief: Belief) -> bool:
         """Return True if a checkpoint is due, by time or by depth.
@@ -169,7 +169,7 @@ class CheckpointSchedule:
     def _crossed(self, belief: Belief) -> bool:
         """Return True if the vehicle has surfaced or submerged since the last checkpoint."""
         depth_m = float(belief.x[2])
-        return depth_m < UP_M if self._submerged else depth_m > UNDER_M
+        return depth_m < SURFACED_M if self._submerged else depth_m > SUBMERGED_M
 
 
 def estimate(filter_: Filter, depth_m: Array) -> Estimate:

@@ -145,7 +145,7 @@ class Usbl(_Table, frozen=True, kw_only=True):
     lever_arm_m: Lever = (0.0, 0.0, 0.0)
 
 
-class Suite(_Table, frozen=True, kw_only=True):
+class SensorConfig(_Table, frozen=True, kw_only=True):
     """All sensors of a vehicle."""
 
     name: str
@@ -162,7 +162,7 @@ class Suite(_Table, frozen=True, kw_only=True):
     usbl: Usbl | None = None
 
     @classmethod
-    def load(cls, name: str) -> Suite:
+    def load(cls, name: str) -> SensorConfig:
         """A shipped suite by name (``"paper"``, ``"realistic"``), or a TOML file by path. Raises ``ConfigError``.
 
         A file may name a shipped suite as its ``base``: its own keys then stand on top of that one's, table by table.

@@ -10,7 +10,7 @@ stuck  the same reading as the last, to the bit, at another time: every instrume
        Taken for new, a position with its noise would be believed more with each repetition. One number alone, as a
        depth, may come twice by rounding; for several at once that is next to impossible.
 wild   an inertial sample that differs from the one before by more than a vehicle can do in between, 0.2 rad/s and
-       2 m/s2 every 10 ms; and after it all until ``AGREEING`` in a row do follow one another.
+       2 m/s2 every 10 ms; and after it all until ``MIN_CONSISTENT`` in a row do follow one another.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.preintegration import readings
 from ltv_mpc.messages import AdcpPing, Array, GnssFix, ImuSample, LblRange, Message, TdcpFix, Triple
 
-AHEAD_NS = 250_000_000
+MAX_CLOCK_LEAD_NS = 250_000_000
 """The clocks of two computers may differ by some of it."""
 
-TURN_RADPS2, JERK_MPS3 = 20.0, 200.0
-LEAST_S = 0.01
+MAX_ANGULAR_ACCELERATION_RADPS2, MAX_JERK_MPS3 = 20.0, 200.0
+MIN_INTERVAL_S = 0.01
 """For so long at least: faster units too see vibration."""
 
-AGREEING = 5
+MIN_CONSISTENT = 5
 
 _READINGS: Mapping[type[Message], Callable[[Any], object]] = {
     ImuSample: lambda s: (s.angular_rate_radps, s.specific_force_mps2),
@@ -62,10 +62,10 @@ class SensorScreening:
         self._to_agree = 0
         self._ways: dict[type[Message], _Way] = {}
 
-    def refusal(self, t_ns: int, message: Message, received_ns: int) -> str | None:
+    def rejection(self, t_ns: int, message: Message, received_ns: int) -> str | None:
         """Why a message of time ``t_ns`` that came at ``received_ns`` is not used: a word of the account, or None."""
-        if t_ns > received_ns + AHEAD_NS:
-            return "ahead"
+        if t_ns > received_ns + MAX_CLOCK_LEAD_NS:
+            return "future"
         kind = type(message)
         if kind is not LblRange and self._went_back(kind, t_ns, received_ns):
             return "stale"
@@ -76,9 +76,9 @@ class SensorScreening:
             self._last[kind] = t_ns, reading
             if reading is not None and reading == before and t_ns != before_ns:
                 return "stuck"
-        return "wild" if isinstance(message, ImuSample) and self._is_wild(message) else None
+        return "jump" if isinstance(message, ImuSample) and self._jumps(message) else None
 
-    def lets_through(self, samples: Sequence[ImuSample], received_ns: Sequence[int], measured: Array) -> bool:
+    def accepts_all(self, samples: Sequence[ImuSample], received_ns: Sequence[int], measured: Array) -> bool:
         """Whether inertial samples, ``measured`` (K, 6), would all be let in, as far as a quick look can tell."""
         way, before = self._ways.get(ImuSample), self._sample
         if way is None or way.back or before is None or self._to_agree:
@@ -86,12 +86,12 @@ class SensorScreening:
         stamps = [before.t_ns, *[sample.t_ns for sample in samples]]
         if self._last[ImuSample][0] != before.t_ns or stamps[1] < way.newest_ns:
             return False
-        if stamps[-1] > min(received_ns) + AHEAD_NS:  # which all are before, if they are in order
+        if stamps[-1] > min(received_ns) + MAX_CLOCK_LEAD_NS:  # which all are before, if they are in order
             return False
         last = readings([before]) if self._measured is None else self._measured
         return _follow_one_another(np.array(stamps), last, measured)
 
-    def let_through(self, sample: ImuSample, received_ns: int, measured: Array) -> None:
+    def record_last(self, sample: ImuSample, received_ns: int, measured: Array) -> None:
         """The last of those that were; ``measured`` (1, 6)."""
         self._sample, self._last[ImuSample] = sample, (sample.t_ns, _READINGS[ImuSample](sample))
         self._measured = measured
@@ -103,21 +103,21 @@ class SensorScreening:
         if way is None:
             self._ways[kind] = _Way(t_ns, took_ns)
             return False
-        way.back = way.back or t_ns < way.newest_ns - AHEAD_NS
-        if way.back and took_ns > way.took_ns + AHEAD_NS:
+        way.back = way.back or t_ns < way.newest_ns - MAX_CLOCK_LEAD_NS
+        if way.back and took_ns > way.took_ns + MAX_CLOCK_LEAD_NS:
             return True
         if t_ns >= way.newest_ns:
             way.newest_ns, way.took_ns, way.back = t_ns, took_ns, False
         return False
 
-    def _is_wild(self, sample: ImuSample) -> bool:
+    def _jumps(self, sample: ImuSample) -> bool:
         before, self._sample, self._measured = self._sample, sample, None
         if before is None or before.t_ns == sample.t_ns:
             return False
-        seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, LEAST_S)
-        turned = _apart(sample.angular_rate_radps, before.angular_rate_radps, TURN_RADPS2 * seconds)
-        if turned or _apart(sample.specific_force_mps2, before.specific_force_mps2, JERK_MPS3 * seconds):
-            self._to_agree = AGREEING
+        seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, MIN_INTERVAL_S)
+        turned = _apart(sample.angular_rate_radps, before.angular_rate_radps, MAX_ANGULAR_ACCELERATION_RADPS2 * seconds)
+        if turned or _apart(sample.specific_force_mps2, before.specific_force_mps2, MAX_JERK_MPS3 * seconds):
+            self._to_agree = MIN_CONSISTENT
         elif self._to_agree:
             self._to_agree -= 1
         return self._to_agree > 0
@@ -127,13 +127,13 @@ class SensorScreening:
 def _follow_one_another(stamps_ns: npt.NDArray[np.int64], before: Array, measured: Array) -> bool:
     """Each sample (K, 6) after ``before`` (1, 6) is later, differs, and by no more than a vehicle can do in between."""
     for k in range(len(measured)):
-        seconds = max((stamps_ns[k + 1] - stamps_ns[k]) * 1e-9, LEAST_S)
+        seconds = max((stamps_ns[k + 1] - stamps_ns[k]) * 1e-9, MIN_INTERVAL_S)
         last = before[0] if k == 0 else measured[k - 1]
         differs = False
         for i in range(6):
             change = abs(measured[k, i] - last[i])
             differs |= change > 0.0
-            if not change <= (TURN_RADPS2 if i < 3 else JERK_MPS3) * seconds:
+            if not change <= (MAX_ANGULAR_ACCELERATION_RADPS2 if i < 3 else MAX_JERK_MPS3) * seconds:
                 return False
         if stamps_ns[k + 1] <= stamps_ns[k] or not differs:
             return False

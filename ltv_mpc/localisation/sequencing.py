@@ -17,10 +17,10 @@ from typing import Protocol
 
 from ltv_mpc.localisation import imu_dropout
 from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
-from ltv_mpc.localisation.out_of_sequence import History, spacing_ns
+from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer, snapshot_spacing_ns
 from ltv_mpc.localisation.publishing import EstimateSchedule
-from ltv_mpc.localisation.reinitialisation import finite
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.reinitialisation import is_finite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import (
     AdcpPing,
     Array,
@@ -74,7 +74,7 @@ class Sequencing:
 
     def __init__(
         self,
-        suite: Suite,
+        suite: SensorConfig,
         schedule: EstimateSchedule,
         account: Counter[str],
         publish: Callable[[Filter], None],
@@ -91,18 +91,18 @@ class Sequencing:
         progress : called with every propagation step, as a sign of life.
         """
         self.shadow: FollowsFilter | None = None
-        self._spacing_ns = spacing_ns(suite)
+        self._spacing_ns = snapshot_spacing_ns(suite)
         self._schedule = schedule
         self._account = account
         self._publish = publish
         self._progress = progress
-        self._history: History | None = None
+        self._buffer: MeasurementBuffer | None = None
         self._waiting: list[Aiding] = []  # for the inertial sample that covers them; by time, then order of arrival
 
     @property
     def filter(self) -> Filter | None:
         """The active filter; None until one has been set."""
-        return None if self._history is None else self._history.filter
+        return None if self._buffer is None else self._buffer.filter
 
     @property
     def is_idle(self) -> bool:
@@ -116,7 +116,7 @@ class Sequencing:
         ----------
         filter_ : the filter that all further messages are applied to.
         """
-        self._history = History(filter_, self._spacing_ns, self._progress)
+        self._buffer = MeasurementBuffer(filter_, self._spacing_ns, self._progress)
 
     def apply(self, message: ImuSample | Aiding) -> None:
         """Apply one message to the filter, or store it until the inertial sample that covers it.
@@ -125,23 +125,23 @@ class Sequencing:
         ----------
         message : an inertial sample, or a measurement of any validity time.
         """
-        history = self._required()
+        buffer = self._required()
         if isinstance(message, ImuSample):
-            self._propagate(history, message)
+            self._propagate(buffer, message)
             return
-        now_ns, sensor = history.filter.belief.t_ns, SENSORS[type(message)]
+        now_ns, sensor = buffer.filter.belief.t_ns, SENSORS[type(message)]
         if message.t_ns > now_ns:
             bisect.insort(self._waiting, message, key=lambda m: m.t_ns)
             if len(self._waiting) > _MAX_WAITING:
                 self._account[f"{SENSORS[type(self._waiting.pop(0))]}.without_imu"] += 1
         elif message.t_ns == now_ns:
-            self._correct(history, message)
-        elif not history.reaches(message.t_ns):
+            self._correct(buffer, message)
+        elif not buffer.is_within_reach(message.t_ns):
             self._account[f"{sensor}.late"] += 1
-        elif history.knows(message):
+        elif buffer.contains(message):
             self._account[f"{sensor}.duplicate"] += 1
-        elif finite(history.filter.belief):
-            self._use(history, message)
+        elif is_finite(buffer.filter.belief):
+            self._use(buffer, message)
             self._account[f"{sensor}.late_applied"] += 1
 
     def reapply(self, messages: Sequence[ImuSample | Aiding]) -> None:
@@ -167,8 +167,8 @@ class Sequencing:
         -------
         The number of samples, from the first on; 0 if the filter's belief is not finite.
         """
-        history = self._required()
-        return history.follows(samples) if finite(history.filter.belief) else 0
+        buffer = self._required()
+        return buffer.follows(samples) if is_finite(buffer.filter.belief) else 0
 
     def apply_consecutive(self, samples: Sequence[ImuSample], measured: Array) -> int:
         """Integrate samples that follow one another.
@@ -195,17 +195,17 @@ class Sequencing:
         if self._schedule.is_complete:
             self._publish(self._required().filter)
 
-    def _required(self) -> History:
-        assert self._history is not None, "set_filter comes first"
-        return self._history
+    def _required(self) -> MeasurementBuffer:
+        assert self._buffer is not None, "set_filter comes first"
+        return self._buffer
 
-    def _propagate(self, history: History, sample: ImuSample) -> None:
+    def _propagate(self, buffer: MeasurementBuffer, sample: ImuSample) -> None:
         """Propagate to the sample's time; stop at every waiting measurement and every estimate on the way."""
-        filter_ = history.filter
+        filter_ = buffer.filter
         if sample.t_ns <= filter_.belief.t_ns:
             self._account["imu.late"] += 1
             return
-        if imu_dropout.before(sample, filter_.belief.t_ns):
+        if imu_dropout.gap_before_ns(sample, filter_.belief.t_ns):
             self._account["imu.gap"] += 1
         while filter_.belief.t_ns < sample.t_ns:
             stop_ns = min(sample.t_ns, self._schedule.next_ns)
@@ -213,30 +213,30 @@ class Sequencing:
                 stop_ns = min(stop_ns, self._waiting[0].t_ns)
             if self._schedule.is_open:  # time continues: what is still awaited corrects the next estimate
                 self._publish(filter_)
-            history.advance(stop_ns, sample)
+            buffer.advance(stop_ns, sample)
             if self.shadow is not None:
                 self.shadow.advance(stop_ns, sample)
             self._schedule.reach(stop_ns)
             while self._waiting and self._waiting[0].t_ns == stop_ns:
-                self._correct(history, self._waiting.pop(0))
+                self._correct(buffer, self._waiting.pop(0))
             if self._schedule.is_complete:
                 self._publish(filter_)
 
-    def _correct(self, history: History, message: Aiding) -> None:
+    def _correct(self, buffer: MeasurementBuffer, message: Aiding) -> None:
         """Correct by a measurement of the filter's own instant."""
-        if history.knows(message):
+        if buffer.contains(message):
             self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
             return
-        if finite(history.filter.belief):
-            self._use(history, message)
+        if is_finite(buffer.filter.belief):
+            self._use(buffer, message)
         self._schedule.receive(type(message))
         if self._schedule.is_complete:
-            self._publish(history.filter)
+            self._publish(buffer.filter)
 
-    def _use(self, history: History, message: Aiding) -> None:
+    def _use(self, buffer: MeasurementBuffer, message: Aiding) -> None:
         """Correct both filters at the message's own time; after a ping, adapt the water's process noise."""
-        history.use(message)
+        buffer.use(message)
         if isinstance(message, AdcpPing):
-            history.adapt()
+            buffer.adapt()
         if self.shadow is not None:
             self.shadow.use(message)

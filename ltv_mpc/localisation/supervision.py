@@ -5,7 +5,7 @@ Reinitialisation  A filter that has diverged is replaced by one that starts from
                   (``reinitialisation.py``). It takes over at the time that the old filter has reached.
 Shadow filter     A copy is taken when innovations first become inconsistent. It replaces the active filter if the
                   sensors agree with the copy again (``shadow_filter.py``).
-Warm restart      A filter that continues from a checkpoint is reported as restarted for ``GRACE_NS``
+Warm restart      A filter that continues from a checkpoint is reported as restarted for ``RESTARTED_NS``
                   (``warm_restart.py``).
 """
 
@@ -20,12 +20,12 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
 from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
 from ltv_mpc.localisation.filter.state import Belief
-from ltv_mpc.localisation.health import Monitor, verdict_of
-from ltv_mpc.localisation.out_of_sequence import spacing_ns
-from ltv_mpc.localisation.reinitialisation import GRACE_NS, Restarts, finite, usable
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.health import HealthMonitor, filter_status
+from ltv_mpc.localisation.out_of_sequence import snapshot_spacing_ns
+from ltv_mpc.localisation.reinitialisation import RESTARTED_NS, Reinitialisation, is_finite, is_usable
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sequencing import Sequencing
-from ltv_mpc.localisation.shadow_filter import Former
+from ltv_mpc.localisation.shadow_filter import ShadowFilter
 from ltv_mpc.messages import FilterStatus, ImuSample, LocalisationReport, SensorReport
 
 REPORT_NS = 1_000_000_000
@@ -43,7 +43,7 @@ class Supervision:
 
     def __init__(
         self,
-        suite: Suite,
+        suite: SensorConfig,
         config: EstimatorConfig,
         prior: WaterPrior | None,
         sequencing: Sequencing,
@@ -62,11 +62,11 @@ class Supervision:
         self._suite, self._config = suite, config
         self._sequencing = sequencing
         self._account = account
-        self._monitor = Monitor(suite, config.gate_probability)
-        self._restarts = Restarts(suite, config, prior)
+        self._monitor = HealthMonitor(suite, config.gate_probability)
+        self._reinitialisation = Reinitialisation(suite, config, prior)
         self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MAX_RECENT)
         self._replacement: Alignment | None = None  # of the filter that is to replace the diverged one
-        self._shadow: Former | None = None
+        self._shadow: ShadowFilter | None = None
         self._returned_ns: int | None = None  # when the shadow filter took over
         self._warm_started_ns: int | None = None
         self._report_ns = 0  # of the next report
@@ -74,7 +74,7 @@ class Supervision:
     @property
     def restarts(self) -> int:
         """Number of reinitialisations, those before a warm restart included."""
-        return self._restarts.count
+        return self._reinitialisation.count
 
     @property
     def is_idle(self) -> bool:
@@ -82,9 +82,9 @@ class Supervision:
         return self._replacement is None
 
     @property
-    def is_in_doubt(self) -> bool:
+    def is_inconsistent(self) -> bool:
         """True while the filter's innovations are inconsistent."""
-        return self._restarts.doubts
+        return self._reinitialisation.is_inconsistent
 
     def restore(self, restarts: int) -> None:
         """Continue to count reinitialisations from a checkpoint's number.
@@ -93,7 +93,7 @@ class Supervision:
         ----------
         restarts : reinitialisations up to the checkpoint.
         """
-        self._restarts.count = restarts
+        self._reinitialisation.count = restarts
 
     def begin(self, belief: Belief, *, warm: bool) -> None:
         """Start the first filter.
@@ -135,8 +135,8 @@ class Supervision:
     def check(self) -> None:
         """Replace the filter if it is not finite, if its replacement is aligned, or if its shadow is right."""
         active = self._active()
-        if self._replacement is None and not finite(active.belief) and self._restarts.knows_a_place:
-            self._replacement = self._restarts.begin(active.belief.t_ns, self._recent)
+        if self._replacement is None and not is_finite(active.belief) and self._reinitialisation.has_good_position:
+            self._replacement = self._reinitialisation.begin(active.belief.t_ns, self._recent)
         if self._replacement is not None and not self._replacement.waiting_for:
             self._reinitialise(active, self._replacement)
         if self._shadow is not None:
@@ -166,7 +166,7 @@ class Supervision:
         t_ns = filter_.belief.t_ns
         self._report_ns = (t_ns // REPORT_NS + 1) * REPORT_NS
         sensors = self._monitor.sensors(t_ns, account)
-        status, why = verdict_of(sensors)
+        status, why = filter_status(sensors)
         if filter_.water.beyond(t_ns) and status is FilterStatus.NOMINAL:
             status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
         # The status that is reported may depend on what this second begins, but not the other way round.
@@ -177,23 +177,27 @@ class Supervision:
     def _react(self, filter_: Filter, status: FilterStatus) -> None:
         """Begin a reinitialisation or a shadow filter, or store a good belief."""
         t_ns = filter_.belief.t_ns
-        if self._replacement is None and self._restarts.watch(filter_.belief, status, broken=self._monitor.broken):
-            self._replacement = self._restarts.begin(t_ns, self._recent)
-        elif self._restarts.began_to_doubt(t_ns) and self._shadow is None:
-            self._set_shadow(Former(filter_, spacing_ns(self._suite), self._restarts.memory()))
-        elif self._restarts.is_belief_due(t_ns) and usable(filter_.belief):
-            self._restarts.keep(filter_.settled())
+        if self._replacement is None and self._reinitialisation.watch(
+            filter_.belief, status, broken=self._monitor.broken
+        ):
+            self._replacement = self._reinitialisation.begin(t_ns, self._recent)
+        elif self._reinitialisation.became_inconsistent(t_ns) and self._shadow is None:
+            self._set_shadow(
+                ShadowFilter(filter_, snapshot_spacing_ns(self._suite), self._reinitialisation.past_beliefs())
+            )
+        elif self._reinitialisation.is_belief_due(t_ns) and is_usable(filter_.belief):
+            self._reinitialisation.store(filter_.settled())
 
     def _published(
         self, filter_: Filter, status: FilterStatus, why: str, walk: float, sensors: tuple[SensorReport, ...]
     ) -> LocalisationReport:
         """Return the report: a restart goes before the status by the sensors."""
         t_ns = filter_.belief.t_ns
-        if self._warm_started_ns is not None and t_ns - self._warm_started_ns < GRACE_NS:
+        if self._warm_started_ns is not None and t_ns - self._warm_started_ns < RESTARTED_NS:
             status, why = FilterStatus.RESTARTED, why or "went on from a checkpoint"
-        elif self._returned_ns is not None and t_ns - self._returned_ns < GRACE_NS:
+        elif self._returned_ns is not None and t_ns - self._returned_ns < RESTARTED_NS:
             status, why = FilterStatus.RESTARTED, why or "went back to what it was before it was doubted"
-        elif self._restarts.recent(t_ns):
+        elif self._reinitialisation.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
             status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
@@ -203,7 +207,7 @@ class Supervision:
             t_ns=t_ns,
             status=status,
             why=why,
-            restarts=self._restarts.count,
+            restarts=self._reinitialisation.count,
             water_walk_mps_per_rts=walk,
             sensors=sensors,
         )
@@ -215,10 +219,10 @@ class Supervision:
 
     def _set_filter(self, filter_: Filter) -> None:
         """Make ``filter_`` the active one, observed by the monitor alone."""
-        filter_.observers[:] = [self._monitor.hear]
+        filter_.observers[:] = [self._monitor.observe]
         self._sequencing.set_filter(filter_)
 
-    def _set_shadow(self, shadow: Former | None) -> None:
+    def _set_shadow(self, shadow: ShadowFilter | None) -> None:
         self._shadow = self._sequencing.shadow = shadow
 
     def _reinitialise(self, old: Filter, alignment: Alignment) -> None:
@@ -227,29 +231,29 @@ class Supervision:
         shadow = self._shadow
         self._set_shadow(None)  # it has received these messages already
         self._account.update(old.account)
-        self._monitor.forget()
+        self._monitor.reset()
         belief, since = alignment.belief()
         # With the wide prior of unknown water, a first motion of it must not be taken for a front.
-        adapts_from_ns = None if self._restarts.graft(belief) else belief.t_ns + GRACE_NS
+        adapts_from_ns = None if self._reinitialisation.restore_water(belief) else belief.t_ns + RESTARTED_NS
         new = Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
         self._set_filter(new)
         self._sequencing.reapply([message for message in since if message.t_ns <= old.belief.t_ns])
         new.account.clear()  # these messages were counted when the old filter used them
         self._set_shadow(shadow)
 
-    def _compare(self, active: Filter, shadow: Former) -> None:
+    def _compare(self, active: Filter, shadow: ShadowFilter) -> None:
         """Let the shadow filter take over if it agrees with what it rejected; drop it if it is of no more use."""
         t_ns = active.belief.t_ns
-        in_doubt = self._restarts.doubts or self._restarts.recent(t_ns)
-        if shadow.expired or not finite(shadow.filter.belief) or (shadow.agrees and not in_doubt):
+        in_doubt = self._reinitialisation.is_inconsistent or self._reinitialisation.recent(t_ns)
+        if shadow.expired or not is_finite(shadow.filter.belief) or (shadow.agrees and not in_doubt):
             self._set_shadow(None)
-        elif shadow.agrees and shadow.is_worth_more(active):
+        elif shadow.agrees and shadow.is_better_than(active):
             self._set_shadow(None)
             self._replacement = None
             self._account.update(active.account)
-            self._monitor.forget()
+            self._monitor.reset()
             shadow.filter.account.clear()  # counted by the filter that it replaces
             shadow.filter.water.forget(shadow.filter.belief)
             self._set_filter(shadow.filter)
-            self._restarts.recall(shadow.memory)
+            self._reinitialisation.restore(shadow.past_beliefs)
             self._returned_ns = t_ns

@@ -31,11 +31,11 @@ from ltv_mpc.localisation.filter.error_state_filter import Aiding
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.imu_dropout import TURN_WALK, VELOCITY_WALK
 from ltv_mpc.localisation.reinitialisation import ACCELERATION_SD_MPS2
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, Estimate, ImuSample
 
-LATEST_NS = 30_000_000_000
+MAX_ESTIMATE_LEAD_NS = 30_000_000_000
 """An estimate that is so much newer than the checkpoint is not of the filter that made it."""
 
 _MOST_HEARD = 6000
@@ -43,15 +43,15 @@ _MOST_HEARD = 6000
 Message: TypeAlias = ImuSample | Aiding
 
 
-class Resumption:
+class WarmRestart:
     """Gathers messages until the belief can be levelled; then what ``Alignment`` gives."""
 
-    def __init__(self, suite: Suite, config: EstimatorConfig, belief: Belief, estimate: Estimate | None) -> None:
+    def __init__(self, suite: SensorConfig, config: EstimatorConfig, belief: Belief, estimate: Estimate | None) -> None:
         """``belief`` is the checkpoint's."""
         self._suite, self._config = suite, config
         self._belief = belief
         newer_ns = -1 if estimate is None else estimate.t_ns - belief.t_ns
-        self._estimate = estimate if 0 <= newer_ns <= LATEST_NS else None
+        self._estimate = estimate if 0 <= newer_ns <= MAX_ESTIMATE_LEAD_NS else None
         self._since_ns = belief.t_ns if self._estimate is None else self._estimate.t_ns
         self._heard: list[Message] = []  # by time, then arrival
 

@@ -12,7 +12,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.correction import update
 from ltv_mpc.localisation.filter.error_state_filter import Aiding
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.messages import (
     AdcpPing,
@@ -45,7 +45,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(config: Config) -> int:
     """Publish an estimate each period, from whatever measures."""
-    suite, settings = Suite.load(config.sensors), config.settings
+    suite, settings = SensorConfig.load(config.sensors), config.settings
     prior = told(settings)
     rehearse(suite, settings)
 
@@ -56,7 +56,7 @@ def main(config: Config) -> int:
     return serve(Estimator.name, config.bus, make)
 
 
-def rehearse(suite: Suite, config: EstimatorConfig) -> None:
+def rehearse(suite: SensorConfig, config: EstimatorConfig) -> None:
     """Have all compiled code loaded: a second afloat and at rest for a filter that is thrown away."""
     estimator = Estimator(suite, config)
     second, imu_ns = 1_000_000_000, suite.imu.period_ns

@@ -14,7 +14,7 @@ from ltv_mpc import config, references
 from ltv_mpc.control import solvers
 from ltv_mpc.control.config import STAGE_NS
 from ltv_mpc.currents import WaterPrior, read_profile
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import made_by
@@ -43,7 +43,7 @@ class Situation:
     name: str  # of the scenario: "descent"
     scenario: Scenario
     vehicle: Vehicle
-    suite: Suite
+    suite: SensorConfig
     reference: Reference
     water: water.WaterColumn
     prior: WaterPrior | None  # of the water, for the estimator; None: it knows nothing but the settings' prior
@@ -60,7 +60,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
         scenario = overridden(scenario, override.assignments, source=override.source)
     scenario = checked(scenario, source=f"scenario {name}")
     vehicle = Vehicle.load(scenario.vehicle)
-    suite = Suite.load(scenario.sensors)
+    suite = SensorConfig.load(scenario.sensors)
     solvers.make(vehicle, scenario.controller)  # refuses one that is not there
     reference = references.load(scenario.reference)
     prior = told(scenario.estimator)
@@ -85,7 +85,7 @@ def _called(name: str, scenario: Scenario) -> str:
     return origin if origin and plain else Path(name).stem
 
 
-def _files(scenario: Scenario, suite: Suite, called: str) -> dict[str, str]:
+def _files(scenario: Scenario, suite: SensorConfig, called: str) -> dict[str, str]:
     """Settings files as they were read, comments and all; the aboard tables without any word of the truth.
 
     Sensors upon a shipped base are resolved: the shipped one may be another when the run is run again.

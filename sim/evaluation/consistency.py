@@ -20,7 +20,7 @@ from scipy.special import gammaincinv
 
 from ltv_mpc.frames import rotation, rotation_log
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Array
 
 Mask = npt.NDArray[np.bool_]
@@ -150,7 +150,7 @@ def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float,
     return result
 
 
-def drawn(truth: TrueState, suite: Suite) -> dict[str, tuple[float, int]]:
+def drawn(truth: TrueState, suite: SensorConfig) -> dict[str, tuple[float, int]]:
     """Squares of the true biases against the sensors file's own deviations, with their degrees of freedom.
 
     Over few runs they say how far from 1 a NEES may lie by the seeds alone: what is hardly observed keeps its draw.

@@ -29,8 +29,8 @@ from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensor_config import Adcp
 from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
-from sim.sensors.injected import Injected, Mask
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.outlier_masks import Mask, OutlierMasks
+from sim.sensors.vehicle_state import VehicleState
 from sim.water.column import WaterColumn, velocity_at
 
 
@@ -65,10 +65,10 @@ class Profiler:
         fading = np.exp(-self.ranges_m / settings.near_bias_length_m)
         self.bias_mps = self.beam_bias_mps[:, None] + self.near_bias_mps[:, None] * fading
         self.outliers: Mask = np.zeros((4, cells), dtype=bool)  # of the last ping
-        self.injected = Injected()
+        self.outlier_masks = OutlierMasks()
         self._beams, self._lever = instrument.beams, np.array(settings.lever_arm_m)
 
-    def sample(self, now: Instant) -> list[AdcpPing]:
+    def sample(self, now: VehicleState) -> list[AdcpPing]:
         """One ping."""
         settings, shape = self._settings, self.bias_mps.shape
         earlier, later, share = self._water.between(now.t_ns)
@@ -92,7 +92,7 @@ class Profiler:
         velocity += self.bias_mps + settings.beam_noise_sd_mps * noise
         up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
         self.outliers = up | down
-        self.injected.put(now.t_ns, self.outliers)
+        self.outlier_masks.put(now.t_ns, self.outliers)
         velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))
         velocity[silent] = np.nan
         velocity[:, self.ranges_m > self._bottom_m - now.point_m(settings.lever_arm_m)[2]] = np.nan

@@ -20,23 +20,23 @@ from ltv_mpc.localisation.sensor_config import BottomTracking
 from ltv_mpc.messages import Array, BottomTrack
 from sim.random_streams import Stream, generator
 from sim.sensors.adcp import Instrument
-from sim.sensors.injected import Injected
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.outlier_masks import OutlierMasks
+from sim.sensors.vehicle_state import VehicleState
 
 _STEEPEST = math.cos(math.radians(70.0))
 
 
 class BottomTracker:
-    """``injected`` has the outliers (4,) of each ping."""
+    """``outlier_masks`` has the outliers (4,) of each ping."""
 
     def __init__(self, settings: BottomTracking, instrument: Instrument, bottom_m: float | None, seed: int) -> None:
         """Noise, gaps and outliers are drawn at each ping; ``bottom_m`` is the sea bed's depth, None out of reach."""
         self._settings, self._instrument = settings, instrument
         self._bottom_m = math.inf if bottom_m is None else bottom_m
         self._draws = generator(seed, Stream.BOTTOM_TRACK)
-        self.injected = Injected()
+        self.outlier_masks = OutlierMasks()
 
-    def sample(self, now: Instant) -> list[BottomTrack]:
+    def sample(self, now: VehicleState) -> list[BottomTrack]:
         """One ping; a message also where no beam has found the bottom."""
         settings, lever = self._settings, self._instrument.settings.lever_arm_m
         u = self._instrument.beams @ now.rotation.T
@@ -47,7 +47,7 @@ class BottomTracker:
         wild = self._draws.random(4)
         lost |= (u[:, 2] < _STEEPEST) | (not 0.0 < altitude <= settings.range_m)
         up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
-        self.injected.put(now.t_ns, up | down)
+        self.outlier_masks.put(now.t_ns, up | down)
         velocity = u @ -np.array(now.point_velocity_mps(lever)) + settings.beam_noise_sd_mps * noise
         velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))
         velocity[lost] = np.nan

@@ -7,7 +7,7 @@ from ltv_mpc.localisation.sensor_config import Compass
 from ltv_mpc.messages import CompassHeading
 from sim.random_streams import Stream, generator
 from sim.sensors.drift import Drift
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 
 
 class MagneticCompass:
@@ -24,7 +24,7 @@ class MagneticCompass:
         """True bias of the last heading."""
         return float(self._bias.value[0])
 
-    def sample(self, now: Instant) -> list[CompassHeading]:
+    def sample(self, now: VehicleState) -> list[CompassHeading]:
         """Heading now."""
         noise = self._sd * float(self._draws.standard_normal())
         bias = self._bias.value if self._last_ns is None else self._bias.advance((now.t_ns - self._last_ns) * 1e-9)

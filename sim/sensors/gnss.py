@@ -8,17 +8,17 @@ from __future__ import annotations
 from ltv_mpc.localisation.sensor_config import Gnss
 from ltv_mpc.messages import GnssFix
 from sim.random_streams import Stream, generator
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 
 
-class Receiver:
+class GnssReceiver:
     """Of its antenna, at lever arm l of the vehicle."""
 
     def __init__(self, settings: Gnss, seed: int) -> None:
         """Noise is drawn from the receiver's own stream."""
         self._settings, self._draws = settings, generator(seed, Stream.GNSS)
 
-    def sample(self, now: Instant) -> list[GnssFix]:
+    def sample(self, now: VehicleState) -> list[GnssFix]:
         """A fix, as long as there are satellites."""
         if now.t_ns > 0:
             return []

@@ -26,7 +26,7 @@ from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Nine
 from sim.random_streams import Stream, generator
 from sim.sensors.drift import Drift
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 
 
 class _End(NamedTuple):
@@ -68,7 +68,7 @@ class InertialUnit:
         """True bias of the last sample, (3,)."""
         return self._bias.value[3:].copy()
 
-    def sample(self, now: Instant) -> list[ImuSample]:
+    def sample(self, now: VehicleState) -> list[ImuSample]:
         """The mean over the interval that ends now."""
         before, here = self._last, _End(now.t_ns, now.rotation, now.velocity_mps)
         if before is None:

@@ -21,8 +21,8 @@ import numpy as np
 from ltv_mpc.localisation.sensor_config import Lbl
 from ltv_mpc.messages import MAX_TRAVEL_TIME_S, LblRange, Triple
 from sim.random_streams import Stream, generator
-from sim.sensors.injected import Injected
-from sim.sensors.vehicle_state import Instant, Motion
+from sim.sensors.outlier_masks import OutlierMasks
+from sim.sensors.vehicle_state import Motion, VehicleState
 
 
 class _Answer(NamedTuple):
@@ -35,17 +35,17 @@ class _Answer(NamedTuple):
     wild: bool
 
 
-class Transceiver:
-    """``sample`` calls and says nothing; ``answers`` are what comes back. ``injected`` has the outlier (1,) of each."""
+class AcousticTransceiver:
+    """``sample`` calls and says nothing; ``answers`` are what comes back. ``outlier_masks`` has that of each, (1,)."""
 
     def __init__(self, settings: Lbl, seed: int) -> None:
         """The sound's speed is drawn first; noise, gaps and outliers of all transponders at each call."""
         self._settings, self._draws = settings, generator(seed, Stream.LBL)
         self.sound_speed_mps = settings.sound_speed_mps + settings.sound_speed_sd_mps * self._draws.standard_normal()
-        self.injected = Injected()
+        self.outlier_masks = OutlierMasks()
         self._on_the_way: list[_Answer] = []
 
-    def sample(self, now: Instant) -> list[LblRange]:
+    def sample(self, now: VehicleState) -> list[LblRange]:
         """Call all transponders."""
         settings, count = self._settings, len(self._settings.transponders_m)
         # Everything is drawn at every call, so that no setting moves another's numbers.
@@ -77,7 +77,7 @@ class Transceiver:
                 tau = self._time_s(answer, motion, answer.called_ns + round(tau * 1e9))
             tau = max(tau + answer.error_s, 0.0)
             t_ns = answer.called_ns + round(0.5e9 * tau)
-            self.injected.put(t_ns, np.array([answer.wild]))
+            self.outlier_masks.put(t_ns, np.array([answer.wild]))
             back.append(LblRange(t_ns=t_ns, transponder=answer.transponder, travel_time_s=tau))
         self._on_the_way = waiting
         return back

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from heapq import heapify, heappush, heapreplace
 from typing import NamedTuple, Protocol
 
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -33,21 +33,21 @@ from sim.scenario import Scenario
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
-from sim.sensors.gnss import Receiver
+from sim.sensors.gnss import GnssReceiver
 from sim.sensors.imu import InertialUnit
-from sim.sensors.lbl import Transceiver, arrival_ns
+from sim.sensors.lbl import AcousticTransceiver, arrival_ns
 from sim.sensors.perfect import PerfectState
-from sim.sensors.pressure import Gauge
-from sim.sensors.tdcp import CarrierPhase
-from sim.sensors.usbl import Ship
-from sim.sensors.vehicle_state import Instant, Motion, through
+from sim.sensors.pressure import PressureGauge
+from sim.sensors.tdcp import CarrierPhaseReceiver
+from sim.sensors.usbl import ShipTransceiver
+from sim.sensors.vehicle_state import Motion, VehicleState, through
 from sim.water import WaterColumn
 
 
 class Sensor(Protocol):
     """Something that measures at an instant."""
 
-    def sample(self, now: Instant) -> Sequence[Message]:
+    def sample(self, now: VehicleState) -> Sequence[Message]:
         """What it says, if anything."""
         ...
 
@@ -79,7 +79,7 @@ class Sensors:
     def __init__(
         self,
         scenario: Scenario,
-        suite: Suite,
+        suite: SensorConfig,
         water: WaterColumn,
         *,
         heard: frozenset[type[Message]] | None = None,
@@ -102,18 +102,18 @@ class Sensors:
         imu, gnss, tdcp, adcp = suite.imu, suite.gnss, suite.tdcp, suite.adcp
         instrument = Instrument(adcp, seed)
         mount(ImuSample, imu.period_ns, InertialUnit(imu, suite.latitude_rad, seed))
-        mount(GnssFix, gnss.period_ns, Receiver(gnss, seed), gnss.latency_ns)
-        mount(TdcpFix, tdcp.period_ns, CarrierPhase(tdcp, seed, gnss.lever_arm_m), tdcp.latency_ns)
+        mount(GnssFix, gnss.period_ns, GnssReceiver(gnss, seed), gnss.latency_ns)
+        mount(TdcpFix, tdcp.period_ns, CarrierPhaseReceiver(tdcp, seed, gnss.lever_arm_m), tdcp.latency_ns)
         mount(AdcpPing, adcp.period_ns, Profiler(instrument, water, seed, bottom_m), adcp.latency_ns)
         if (bed := suite.bottom_track) is not None:
             mount(BottomTrack, bed.period_ns, BottomTracker(bed, instrument, bottom_m, seed), bed.latency_ns)
-        mount(PressureDepth, suite.pressure.period_ns, Gauge(suite.pressure, seed), suite.pressure.latency_ns)
+        mount(PressureDepth, suite.pressure.period_ns, PressureGauge(suite.pressure, seed), suite.pressure.latency_ns)
         mount(CompassHeading, suite.compass.period_ns, MagneticCompass(suite.compass, seed), suite.compass.latency_ns)
         if (usbl := suite.usbl) is not None:
-            mount(UsblFix, usbl.period_ns, Ship(usbl, seed), usbl.latency_ns)
-        self._lbl: Transceiver | None = None
+            mount(UsblFix, usbl.period_ns, ShipTransceiver(usbl, seed), usbl.latency_ns)
+        self._lbl: AcousticTransceiver | None = None
         if (lbl := suite.lbl) is not None:
-            self._lbl = Transceiver(lbl, seed)
+            self._lbl = AcousticTransceiver(lbl, seed)
             mount(LblRange, lbl.period_ns, self._lbl)
         if scenario.run.perfect_state:
             estimator = scenario.estimator

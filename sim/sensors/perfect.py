@@ -9,7 +9,7 @@ import numpy as np
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.messages import CurrentProfile, Estimate
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 from sim.water import WaterColumn
 
 
@@ -23,7 +23,7 @@ class PerfectState:
         self._depth = settings.cell_m * np.arange(cells + 1, dtype=np.float64)
         self._sd = np.zeros(cells + 1)
 
-    def sample(self, now: Instant) -> list[Estimate]:
+    def sample(self, now: VehicleState) -> list[Estimate]:
         """The truth now."""
         current = self._water.over(self._depth, now.t_ns)
         return [

@@ -5,17 +5,17 @@ from __future__ import annotations
 from ltv_mpc.localisation.sensor_config import Pressure
 from ltv_mpc.messages import PressureDepth
 from sim.random_streams import Stream, generator
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 
 
-class Gauge:
+class PressureGauge:
     """At lever arm l of the vehicle."""
 
     def __init__(self, settings: Pressure, seed: int) -> None:
         """Noise is drawn from the gauge's own stream."""
         self._settings, self._draws = settings, generator(seed, Stream.PRESSURE)
 
-    def sample(self, now: Instant) -> list[PressureDepth]:
+    def sample(self, now: VehicleState) -> list[PressureDepth]:
         """Depth now."""
         noise = self._settings.depth_sd_m * float(self._draws.standard_normal())
         return [PressureDepth(t_ns=now.t_ns, depth_m=now.point_m(self._settings.lever_arm_m)[2] + noise)]

@@ -8,10 +8,10 @@ from __future__ import annotations
 from ltv_mpc.localisation.sensor_config import Tdcp
 from ltv_mpc.messages import TdcpFix, Triple
 from sim.random_streams import Stream, generator
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 
 
-class CarrierPhase:
+class CarrierPhaseReceiver:
     """Two epochs make the first fix: a surface phase of 1 s at 1 Hz has one, at t = 0."""
 
     def __init__(self, settings: Tdcp, seed: int, antenna_m: Triple = (0.0, 0.0, 0.0)) -> None:
@@ -20,7 +20,7 @@ class CarrierPhase:
         self._antenna = antenna_m
         self._last: tuple[int, Triple] | None = None
 
-    def sample(self, now: Instant) -> list[TdcpFix]:
+    def sample(self, now: VehicleState) -> list[TdcpFix]:
         """The way since the last epoch, as long as there are satellites."""
         if now.t_ns > 0:
             return []

@@ -17,19 +17,19 @@ import numpy as np
 from ltv_mpc.localisation.sensor_config import Usbl
 from ltv_mpc.messages import UsblFix
 from sim.random_streams import Stream, generator
-from sim.sensors.injected import Injected
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.outlier_masks import OutlierMasks
+from sim.sensors.vehicle_state import VehicleState
 
 
-class Ship:
-    """``injected`` has the outliers (2,) of each fix."""
+class ShipTransceiver:
+    """``outlier_masks`` has the outliers (2,) of each fix."""
 
     def __init__(self, settings: Usbl, seed: int) -> None:
         """Noise, gaps and outliers are drawn at each fix."""
         self._settings, self._draws = settings, generator(seed, Stream.USBL)
-        self.injected = Injected()
+        self.outlier_masks = OutlierMasks()
 
-    def sample(self, now: Instant) -> list[UsblFix]:
+    def sample(self, now: VehicleState) -> list[UsblFix]:
         """Where the ship takes the beacon to be now."""
         settings = self._settings
         # Everything is drawn at every fix, so that no setting moves another's numbers.
@@ -41,7 +41,7 @@ class Ship:
             return []
         slant = math.dist(beacon, (*settings.ship_m, 0.0))
         up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
-        self.injected.put(now.t_ns, up | down)
+        self.outlier_masks.put(now.t_ns, up | down)
         error = math.hypot(settings.position_sd_m, settings.bearing_sd_rad * slant) * noise
         error += settings.outlier_m * (up.astype(np.float64) - down.astype(np.float64))
         north, east = error.tolist()

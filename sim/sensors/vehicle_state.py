@@ -20,7 +20,7 @@ from ltv_mpc.messages import Array, Triple, Truth
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
-class Instant(msgspec.Struct, frozen=True, eq=False):
+class VehicleState(msgspec.Struct, frozen=True, eq=False):
     """Where the vehicle is and how it moves. ``rotation`` is body to world, ``angular_rate_radps`` in body axes."""
 
     t_ns: int
@@ -53,13 +53,13 @@ class Motion(NamedTuple):
     phi: Array  # (3,) log(R1^T R2)
     rate: Array  # (3,) phi / h
 
-    def at(self, t_ns: int) -> Instant:
+    def at(self, t_ns: int) -> VehicleState:
         """The instant ``t_ns``, from that of the earlier truth to that of the later one."""
         a, b = self.earlier, self.later
         if t_ns == b.t_ns:
-            return Instant(t_ns, b.position_m, b.velocity_mps, self.R2, self.rate, b.yaw_rate_radps)
+            return VehicleState(t_ns, b.position_m, b.velocity_mps, self.R2, self.rate, b.yaw_rate_radps)
         s = (t_ns - a.t_ns) / (b.t_ns - a.t_ns)
-        return Instant(
+        return VehicleState(
             t_ns,
             _mix(a.position_m, b.position_m, s),
             _mix(a.velocity_mps, b.velocity_mps, s),

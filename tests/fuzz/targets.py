@@ -35,7 +35,7 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.pd0 import reader as pd0_reader
 from ltv_mpc.localisation.pd0.beams import to_beams
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -354,7 +354,7 @@ def settings() -> Iterator[Target]:
     estimator = [b"current_sd_mps = 0.04\ndeepest_m = 100.0\ncell_m = 1.0\n"]
     scenarios = texts("sim/scenarios")
     yield file_reader("vehicle", 1.5, of_text(vehicles), lambda p: Vehicle.load(str(p)), file="vehicle.toml")
-    yield file_reader("sensors", 1.5, of_text(suites), lambda p: Suite.load(str(p)), file="sensors.toml")
+    yield file_reader("sensors", 1.5, of_text(suites), lambda p: SensorConfig.load(str(p)), file="sensors.toml")
     yield file_reader("scenario", 1.5, of_text(scenarios), lambda p: Scenario.load(str(p)), file="scenario.toml")
     yield file_reader("reference", 1.5, of_text(paths), lambda p: references.load(str(p)), file="reference.toml")
     yield file_reader("controller", 1, of_text(controller), lambda p: ControllerConfig.load(str(p)), file="c.toml")

@@ -18,7 +18,7 @@ from ltv_mpc.config import not_there
 from ltv_mpc.control.config import ControllerConfig, GivenWeights
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Hold, Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -93,8 +93,8 @@ def test_an_integer_is_good_where_a_number_is_expected() -> None:
 
 
 def test_a_list_of_the_wrong_length_is_refused() -> None:
-    text = config.to_toml(Suite.load("paper")).replace("    0.0,\n    0.0,\n    0.0,\n", "    0.0,\n")
-    assert "] lever_arm_m = [0.0]: must be a list of 3, each a number" in refusal(text, Suite)
+    text = config.to_toml(SensorConfig.load("paper")).replace("    0.0,\n    0.0,\n    0.0,\n", "    0.0,\n")
+    assert "] lever_arm_m = [0.0]: must be a list of 3, each a number" in refusal(text, SensorConfig)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ scalars = (
         [10**400, datetime.date(2020, 1, 1), datetime.time(1), datetime.datetime(2020, 1, 1), -0.0, 1e308]
     )
 )
-KINDS = (ControllerConfig, EstimatorConfig, GivenWeights, Vehicle, Suite, Point, Hold, Reference)
+KINDS = (ControllerConfig, EstimatorConfig, GivenWeights, Vehicle, SensorConfig, Point, Hold, Reference)
 NAMES = sorted(
     {f.name for k in KINDS[:-1] for f in msgspec.structs.fields(k)} | {"kind", "port", "mass_kg", "lever_arm_m"}
 )

@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import references
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Acknowledged, Action, Applied, Command, Manual, Message, Plan
 from ltv_mpc.node import Arrival, Grid, Inbox
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -73,7 +73,7 @@ def fly(
     operator, seen = Operator(commands, stick), Seen()
     nodes = [
         Plant(scenario, VEHICLE, water),
-        Sensors(scenario, Suite.load("paper"), water),
+        Sensors(scenario, SensorConfig.load("paper"), water),
         operator,
         ControllerNode(VEHICLE, references.load("descent"), scenario.controller),
     ]

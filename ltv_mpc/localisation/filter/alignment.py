@@ -33,8 +33,8 @@ from ltv_mpc.localisation.filter.state import (
     Belief,
     Layout,
 )
-from ltv_mpc.localisation.out_of_sequence import same
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.out_of_sequence import is_duplicate
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import lever_arm
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
@@ -55,7 +55,7 @@ HEAVE_SD_MPS = 0.1
 class Alignment:
     """Gathers messages until a belief can be made of them."""
 
-    def __init__(self, suite: Suite, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
+    def __init__(self, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
         self._suite = suite
         self._config = config
         self._prior = prior
@@ -82,7 +82,7 @@ class Alignment:
         """One message, in order of arrival."""
         place = bisect.bisect_right(self._heard, message.t_ns, key=lambda m: m.t_ns)
         first = bisect.bisect_left(self._heard, message.t_ns, key=lambda m: m.t_ns)
-        if any(same(earlier, message) for earlier in self._heard[first:place]):
+        if any(is_duplicate(earlier, message) for earlier in self._heard[first:place]):
             return
         self._heard.insert(place, message)
         del self._heard[:-_MOST_HEARD]

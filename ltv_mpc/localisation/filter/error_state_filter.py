@@ -28,7 +28,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.correction import Correction, correct
 from ltv_mpc.localisation.filter.preintegration import carry, core_of, integrate, noise_of, readings
 from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief, reach_m
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
 from ltv_mpc.localisation.sensors.adcp import AdcpModel, Indices
 from ltv_mpc.localisation.sensors.rows import Rows
@@ -87,7 +87,7 @@ class Filter:
     """``belief`` stands at ``belief.t_ns``; its covariance only after ``settle``."""
 
     def __init__(
-        self, suite: Suite, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
+        self, suite: SensorConfig, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
     ) -> None:
         """``adapts_from_ns``: from then on water may change in unforeseen ways; None: from the beginning."""
         self.belief = belief
@@ -117,9 +117,9 @@ class Filter:
             self._at_epoch = False
             self.settle()
             belief.clone_position(self._suite.gnss.lever_arm_m)
-        gap_ns = imu_dropout.before(sample, belief.t_ns)
-        if self._coasted_ns and gap_ns <= imu_dropout.BRIDGED_NS:
-            if self._coasted_ns >= imu_dropout.LEVELLED_NS:
+        gap_ns = imu_dropout.gap_before_ns(sample, belief.t_ns)
+        if self._coasted_ns and gap_ns <= imu_dropout.MAX_BRIDGED_NS:
+            if self._coasted_ns >= imu_dropout.MIN_LEVELLED_NS:
                 self.settle()
                 correct(belief, imu_dropout.level(belief, sample.specific_force_mps2), math.inf)
             self._coasted_ns = 0
@@ -137,7 +137,9 @@ class Filter:
             return 0
         for number, sample in enumerate(samples):
             t_ns = sample.t_ns
-            goes_on = t_ns > now_ns and (t_ns - sample.interval_ns == now_ns or not imu_dropout.before(sample, now_ns))
+            goes_on = t_ns > now_ns and (
+                t_ns - sample.interval_ns == now_ns or not imu_dropout.gap_before_ns(sample, now_ns)
+            )
             if now_ns >= until_ns or not goes_on:
                 return number
             now_ns = t_ns
@@ -164,9 +166,9 @@ class Filter:
         """To ``t_ns``, within the ``gap_ns`` before ``sample`` of which nothing was measured."""
         belief = self.belief
         seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
-        if gap_ns <= imu_dropout.BRIDGED_NS:
+        if gap_ns <= imu_dropout.MAX_BRIDGED_NS:
             self._integrate([t_ns], [sample], readings([sample]))
-            imu_dropout.doubt(self._Q, seconds, gap_s)
+            imu_dropout.inflate(self._Q, seconds, gap_s)
             return
         down = belief.R[2]
         turns = [
@@ -301,7 +303,7 @@ class Filter:
         self.account[f"{sensor}.used"] += used
         refused = "gate" if correction.definite else "not_definite"
         if correction.doubted:
-            self.account[f"{sensor}.doubted"] += correction.doubted
+            self.account[f"{sensor}.deweighted"] += correction.doubted
         self.account[f"{sensor}.{refused}"] += len(rows.residual) - used
         if self.observers:
             where = np.arange(len(rows.residual)) if places is None else places

@@ -23,7 +23,7 @@ from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Adcp, Suite
+from ltv_mpc.localisation.sensor_config import Adcp, SensorConfig
 from ltv_mpc.localisation.water.column import Column
 from ltv_mpc.messages import Array, Triple
 
@@ -60,7 +60,7 @@ class Layout:
     size: int
 
     @classmethod
-    def of(cls, suite: Suite, config: EstimatorConfig) -> Layout:
+    def of(cls, suite: SensorConfig, config: EstimatorConfig) -> Layout:
         """The states that ``suite`` calls for: a bias of standard deviation 0 is left out."""
         end = CORE
 

@@ -32,10 +32,10 @@ from sim.sensors.adcp import Profiler, beams
 from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
-from sim.sensors.injected import Injected
-from sim.sensors.lbl import Transceiver
+from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.node import Sensors
-from sim.sensors.usbl import Ship
+from sim.sensors.outlier_masks import OutlierMasks
+from sim.sensors.usbl import ShipTransceiver
 
 LOOK_NS = 1_000_000_000
 TRACK_NS = 100_000_000
@@ -44,7 +44,7 @@ TRACK_NS = 100_000_000
 EIGENVALUE_NS = 10_000_000_000
 """Between two looks at the least eigenvalue, which takes as long as ten of the other looks."""
 
-_WILD = {Profiler: "adcp", BottomTracker: "bottom_track", Ship: "usbl", Transceiver: "lbl"}
+_WILD = {Profiler: "adcp", BottomTracker: "bottom_track", ShipTransceiver: "usbl", AcousticTransceiver: "lbl"}
 """Sensors that have outliers, by their name in a verdict."""
 
 N = TypeVar("N")
@@ -133,10 +133,10 @@ class Probe:
         units = sensors.sensors
         self.imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
         self._compass = _the(MagneticCompass, units)
-        self._injected: dict[str, Injected] = {
-            _WILD[type(unit)]: unit.injected
+        self._injected: dict[str, OutlierMasks] = {
+            _WILD[type(unit)]: unit.outlier_masks
             for unit in units
-            if isinstance(unit, Profiler | BottomTracker | Ship | Transceiver)
+            if isinstance(unit, Profiler | BottomTracker | ShipTransceiver | AcousticTransceiver)
         }
         config = situation.scenario.estimator
         self._grid, self._cell_m = grid(config), config.cell_m
@@ -253,8 +253,8 @@ class Probe:
     def _judge(self, verdict: Verdict) -> None:
         """Record the NIS of one message before the gate; simulated outliers are left out."""
         good = np.ones(len(verdict.residual), dtype=bool)
-        injected = self._injected.get(verdict.sensor)
-        if injected is not None and (wild := injected.at(verdict.t_ns)) is not None:
+        outlier_masks = self._injected.get(verdict.sensor)
+        if outlier_masks is not None and (wild := outlier_masks.at(verdict.t_ns)) is not None:
             good = ~(wild.ravel()[verdict.places] if wild.size > 1 else wild)
         if good.any():
             row = verdict.t_ns, squared(verdict.residual[good], verdict.S[np.ix_(good, good)]), int(good.sum())

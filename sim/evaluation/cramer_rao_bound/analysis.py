@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Array
 from sim.evaluation.cramer_rao_bound.model import (
     EPOCH,
@@ -59,7 +59,7 @@ class Bound(NamedTuple):
 
 
 def bound(
-    suite: Suite,
+    suite: SensorConfig,
     config: EstimatorConfig,
     trajectory: Trajectory,
     *,

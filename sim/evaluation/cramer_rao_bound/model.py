@@ -22,7 +22,7 @@ from scipy.linalg import expm
 
 from ltv_mpc.frames import earth_rate, gravity, rotation, skew
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Adcp, Suite
+from ltv_mpc.localisation.sensor_config import Adcp, SensorConfig
 from ltv_mpc.messages import Array
 
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -84,7 +84,7 @@ def at(trajectory: Trajectory, t_s: float) -> Instant:
 class ErrorModel:
     """Of a suite and the estimator's assumptions. ``size`` n; ``free`` (n,) says which errors exist at all."""
 
-    def __init__(self, suite: Suite, config: EstimatorConfig, known: Collection[str] = ()) -> None:
+    def __init__(self, suite: SensorConfig, config: EstimatorConfig, known: Collection[str] = ()) -> None:
         """``known``: keys of ``NAMES``. Raises ``KeyError`` for another."""
         self._suite, self._config = suite, config
         self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)

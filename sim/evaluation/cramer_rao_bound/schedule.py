@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 
 TOGETHER_S = 0.02
 """Instants this close are one: a satellite fix at 1 s and a ping at 0.999999999 s. Errors do not move meanwhile."""
@@ -22,7 +22,7 @@ class Events(NamedTuple):
     depths: int  # pressure readings
 
 
-def schedule(suite: Suite, extra: Sequence[float], surface_s: float, without: Collection[str]) -> list[Events]:
+def schedule(suite: SensorConfig, extra: Sequence[float], surface_s: float, without: Collection[str]) -> list[Events]:
     """Every instant from the first satellite fix to the last that is asked for; pressure readings at the nearest."""
     last = max(extra)
     gnss_s = suite.gnss.period_ns * 1e-9

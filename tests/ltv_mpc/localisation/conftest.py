@@ -14,7 +14,7 @@ from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import write_prior
 from ltv_mpc.messages import (
     AdcpPing,
@@ -61,7 +61,7 @@ def markov(rng: np.random.Generator, sd: float, tau: float, steps: int, h: float
     return b
 
 
-def dive(suite: Suite, seed: int, *, surface_s: float = 1.0, duration_s: float = 200.0) -> Dive:
+def dive(suite: SensorConfig, seed: int, *, surface_s: float = 1.0, duration_s: float = 200.0) -> Dive:
     """Afloat for ``surface_s``, then down at 0.2 m/s, with a turn of 90 deg, through 4 cm/s of Gauss-Markov water."""
     depth_rate = 0.2
     rng = np.random.default_rng(seed)
@@ -218,7 +218,9 @@ class Yoyo:
     velocity: Array
 
 
-def yoyo(suite: Suite, configs: list[EstimatorConfig], seed: int, depths_m: tuple[float, ...], **settings) -> Yoyo:
+def yoyo(
+    suite: SensorConfig, configs: list[EstimatorConfig], seed: int, depths_m: tuple[float, ...], **settings
+) -> Yoyo:
     """Level, heading roughly known, 0.5 m/s up or down between ``depths_m``, from a rough velocity fix at the first.
 
     20 inertial samples a second, so that many seeds cost little. ``settings``: ``saved`` is the filters' prior of the

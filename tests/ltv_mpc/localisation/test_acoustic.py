@@ -10,14 +10,14 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
 from tests.stepping import step
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.1, "outlier_share": 0.1}
-REALISTIC = Suite.load("realistic")
+REALISTIC = SensorConfig.load("realistic")
 LBL = Lbl(
     **ODD,
     period_ns=5 * SECOND,
@@ -141,7 +141,7 @@ def first_fixes(transponders, drift_m, *, calls, seeds=100):
     net = msgspec.structs.replace(
         LBL, transponders_m=transponders, sound_speed_sd_mps=0.0, range_sd_m=1.0, lever_arm_m=(0.0, 0.0, 0.0)
     )
-    suite = msgspec.structs.replace(Suite.load("paper"), lbl=net)
+    suite = msgspec.structs.replace(SensorConfig.load("paper"), lbl=net)
     nees, gated, deviation = np.empty(seeds), 0, 0.0
     for seed in range(seeds):
         rng = np.random.default_rng(seed)

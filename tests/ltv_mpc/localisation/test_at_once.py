@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.preintegration import readings
-from ltv_mpc.localisation.sensor_screening import AHEAD_NS, SensorScreening
+from ltv_mpc.localisation.sensor_screening import MAX_CLOCK_LEAD_NS, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
 from ltv_mpc.node import Arrival, Due
 from services.bus import wire
@@ -127,10 +127,10 @@ def test_where_samples_are_wild_stuck_or_ahead_of_time(situation: Situation, sai
         elif is_imu(message, 9.0, 9.2):
             message = changed(message, angular_rate_radps=(0.1, 0.0, 0.0), specific_force_mps2=(0.1, 0.0, -9.8))
         elif is_imu(message, 15.0, 15.05):
-            message = changed(message, t_ns=message.signal.t_ns + 2 * AHEAD_NS)  # type: ignore[attr-defined]
+            message = changed(message, t_ns=message.signal.t_ns + 2 * MAX_CLOCK_LEAD_NS)  # type: ignore[attr-defined]
         arrivals.append(message)
     _, account = both(situation, arrivals, 40)
-    assert min(account[f"imu.{why}"] for why in ("wild", "stuck", "ahead")) > 2
+    assert min(account[f"imu.{why}"] for why in ("jump", "stuck", "future")) > 2
 
 
 def test_where_others_come_late_or_before_the_samples_that_cover_them(
@@ -198,24 +198,26 @@ def test_what_the_quick_look_lets_through_the_door_does() -> None:
                     specific_force_mps2=tuple(force),
                 )
             )
-        came_ns = [s.t_ns + int(rng.choice([0, 5_000_000, -AHEAD_NS - 1], p=[0.5, 0.49, 0.01])) for s in samples]
+        came_ns = [
+            s.t_ns + int(rng.choice([0, 5_000_000, -MAX_CLOCK_LEAD_NS - 1], p=[0.5, 0.49, 0.01])) for s in samples
+        ]
         for sample, received_ns in zip(samples[:3], came_ns[:3], strict=True):
-            assert door.refusal(sample.t_ns, sample, received_ns) == other.refusal(sample.t_ns, sample, received_ns)
-        verdicts = [door.refusal(s.t_ns, s, r) for s, r in zip(samples[3:], came_ns[3:], strict=True)]
-        if other.lets_through(samples[3:], came_ns[3:], readings(samples[3:])):
+            assert door.rejection(sample.t_ns, sample, received_ns) == other.rejection(sample.t_ns, sample, received_ns)
+        verdicts = [door.rejection(s.t_ns, s, r) for s, r in zip(samples[3:], came_ns[3:], strict=True)]
+        if other.accepts_all(samples[3:], came_ns[3:], readings(samples[3:])):
             let += 1
             assert verdicts == [None] * 9
-            other.let_through(samples[-1], came_ns[-1], readings(samples[-1:]))
+            other.record_last(samples[-1], came_ns[-1], readings(samples[-1:]))
             later = msgspec.structs.replace(samples[-1], t_ns=samples[-1].t_ns + 10_000_000)
-            assert not other.lets_through([later], [came_ns[-1] + 10_000_000], readings([later]))  # stuck
+            assert not other.accepts_all([later], [came_ns[-1] + 10_000_000], readings([later]))  # stuck
             turned = msgspec.structs.replace(later, angular_rate_radps=(0.0, 0.0, 0.11))
-            assert other.lets_through([turned], [came_ns[-1] + 10_000_000], readings([turned]))
-            assert door.refusal(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
-            assert other.refusal(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
+            assert other.accepts_all([turned], [came_ns[-1] + 10_000_000], readings([turned]))
+            assert door.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
+            assert other.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
             # A sample that came by itself is what the next are held against, not the last of many before it.
-            assert other.refusal(turned.t_ns, turned, came_ns[-1] + 10_000_000) is None
+            assert other.rejection(turned.t_ns, turned, came_ns[-1] + 10_000_000) is None
             again = msgspec.structs.replace(turned, t_ns=turned.t_ns + 10_000_000)
-            assert not other.lets_through([again], [came_ns[-1] + 20_000_000], readings([again]))
+            assert not other.accepts_all([again], [came_ns[-1] + 20_000_000], readings([again]))
         else:
             refused += any(verdict is not None for verdict in verdicts)
     assert let > 50

@@ -12,15 +12,15 @@ import pytest
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, POSITION, VELOCITY, Belief, Layout
-from ltv_mpc.localisation.out_of_sequence import History
-from ltv_mpc.localisation.sensor_config import BottomTracking, Suite, Usbl
+from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
+from ltv_mpc.localisation.sensor_config import BottomTracking, SensorConfig, Usbl
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import BottomTrack, GnssFix, ImuSample, PressureDepth, TdcpFix, UsblFix
 
 DT_NS, DT = 20_000_000, 0.02
 STEPS = 120
 ODD = {"period_ns": 100_000_000, "missing_share": 0.0, "outlier_share": 0.0}
-PAPER = Suite.load("paper")
+PAPER = SensorConfig.load("paper")
 SUITE = msgspec.structs.replace(
     PAPER,
     imu=msgspec.structs.replace(
@@ -132,7 +132,7 @@ def test_all_measurements_of_a_trajectory_are_weighted_as_least_squares_does(see
     belief.P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.diag(SD[6:]) ** 2
     belief.clone_position(SUITE.gnss.lever_arm_m)
     filter_ = Filter(SUITE, OPEN, belief)
-    history = History(filter_, 250_000_000)
+    buffer = MeasurementBuffer(filter_, 250_000_000)
     inserted = 0
     for k in range(1, STEPS + 1 + 50):  # the last of them without news: all that is late has come
         if k <= STEPS:
@@ -140,13 +140,13 @@ def test_all_measurements_of_a_trajectory_are_weighted_as_least_squares_does(see
             sample = ImuSample(
                 t_ns=k * DT_NS, interval_ns=DT_NS, angular_rate_radps=(0.0, 0.0, 0.0), specific_force_mps2=tuple(force)
             )
-            history.advance(k * DT_NS, sample)
+            buffer.advance(k * DT_NS, sample)
         while queue and queue[0][1].t_ns + queue[0][0] <= k * DT_NS:
             message = queue.pop(0)[1]
             if message.t_ns == filter_.belief.t_ns:
-                history.correct(message)
+                buffer.correct(message)
             else:
-                history.insert(message)
+                buffer.insert(message)
                 inserted += 1
     assert not queue
     assert inserted > 50

@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc.frames import rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Estimate
 from tests.stepping import step
 
@@ -70,7 +70,7 @@ class Sailed:
 @pytest.fixture(scope="module")
 def sail(make_dive, inbox_of):
     def sail(name, seeds, **settings):
-        suite = Suite.load(name)
+        suite = SensorConfig.load(name)
         return [Sailed(suite, make_dive(suite, seed, **settings), inbox_of) for seed in seeds]
 
     return sail
@@ -149,7 +149,7 @@ def test_outliers_and_silent_beams_are_turned_away_and_counted(realistic):
 
 def test_water_unlike_the_prior_is_still_let_through_the_gate(make_dive, inbox_of):
     """A tide of 0.25 m/s where the prior holds 0.04 m/s: the part that all depths have in common takes it."""
-    suite = Suite.load("paper")
+    suite = SensorConfig.load("paper")
     dive = make_dive(suite, 1, duration_s=3.0)
     s = np.sin(suite.adcp.beam_angle_rad)
     estimator = Estimator(suite, EstimatorConfig())

@@ -11,12 +11,12 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.publishing import estimate
-from ltv_mpc.localisation.sensor_config import BottomTracking, Suite
+from ltv_mpc.localisation.sensor_config import BottomTracking, SensorConfig
 from ltv_mpc.localisation.sequencing import SENSORS
 from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
 from tests.stepping import step
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = EstimatorConfig()
 PERIOD_NS = CONFIG.estimate_period_ns
 

@@ -5,11 +5,11 @@ import pytest
 from scipy.stats import chi2
 
 from ltv_mpc.localisation.filter.error_state_filter import Verdict
-from ltv_mpc.localisation.health import FALSE_ALARM, Monitor, _judged, band, verdict_of
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.health import FALSE_ALARM, HealthMonitor, _judged, band, filter_status
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import FilterStatus, SensorReport, SensorStatus
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 GATE = 0.999
 SECOND = 1_000_000_000
 PERIODS = {"adcp": 333_333_333, "pressure": 100_000_000, "compass": SECOND}
@@ -24,7 +24,7 @@ def hear(monitor, rng, seconds, sensor, scale=1.0, outliers=0.0, start_s=0.0):
         S = np.diag(rng.uniform(0.5, 2.0, m))
         r = scale * np.sqrt(np.diagonal(S)) * rng.standard_normal(m)
         r[rng.random(m) < outliers] += 50.0
-        monitor.hear(Verdict(sensor, int(t), np.arange(m), r, S, r**2 / np.diagonal(S) <= limit))
+        monitor.observe(Verdict(sensor, int(t), np.arange(m), r, S, r**2 / np.diagonal(S) <= limit))
 
 
 def reports(monitor, t_s, account=()):
@@ -32,7 +32,7 @@ def reports(monitor, t_s, account=()):
 
 
 def nominal(rng, seconds=12.0, **wrong):
-    monitor = Monitor(SUITE, GATE)
+    monitor = HealthMonitor(SUITE, GATE)
     for sensor in PERIODS:
         hear(monitor, rng, seconds, sensor, **wrong.get(sensor, {}))
     return monitor
@@ -42,7 +42,7 @@ def test_sensors_as_their_file_says_are_ok_and_so_is_the_filter():
     for seed in range(20):
         said = reports(nominal(np.random.default_rng(seed)), 12.0)
         assert {said[name].status for name in PERIODS} == {SensorStatus.OK}
-        assert verdict_of(tuple(said.values())) == (FilterStatus.NOMINAL, "")
+        assert filter_status(tuple(said.values())) == (FilterStatus.NOMINAL, "")
 
 
 def test_the_mean_of_what_passed_is_one_whatever_the_gate_cuts_off():
@@ -69,7 +69,7 @@ def test_innovations_larger_or_smaller_than_said_make_a_sensor_inconsistent(scal
 def test_a_sensor_of_which_most_fails_the_gate_is_rejected_and_the_profiler_takes_the_filter_with_it():
     said = reports(nominal(np.random.default_rng(3), adcp={"scale": 20.0}), 12.0)
     assert said["adcp"].status is SensorStatus.REJECTED
-    status, why = verdict_of(tuple(said.values()))
+    status, why = filter_status(tuple(said.values()))
     assert status is FilterStatus.INCONSISTENT
     assert "adcp: most of it fails the gate" in why
 
@@ -78,9 +78,9 @@ def test_one_wrong_sensor_beside_the_profiler_is_that_sensors_fault_and_two_are_
     one = nominal(np.random.default_rng(4), compass={"scale": 20.0})
     said = reports(one, 12.0)
     assert said["compass"].status is SensorStatus.REJECTED
-    assert verdict_of(tuple(said.values()))[0] is FilterStatus.NOMINAL
+    assert filter_status(tuple(said.values()))[0] is FilterStatus.NOMINAL
     two = nominal(np.random.default_rng(4), compass={"scale": 20.0}, pressure={"scale": 20.0})
-    assert verdict_of(tuple(reports(two, 12.0).values()))[0] is FilterStatus.INCONSISTENT
+    assert filter_status(tuple(reports(two, 12.0).values()))[0] is FilterStatus.INCONSISTENT
 
 
 def test_a_sensor_is_silent_after_three_of_its_periods_and_satellites_are_not_missed_below():
@@ -91,28 +91,28 @@ def test_a_sensor_is_silent_after_three_of_its_periods_and_satellites_are_not_mi
     assert said["adcp"].last_t_ns == 36 * 333_333_333
     assert said["compass"].status is SensorStatus.OK
     assert said["gnss"].status is said["tdcp"].status is SensorStatus.OK
-    assert reports(Monitor(SUITE, GATE), -1.0)["gnss"].status is SensorStatus.SILENT
+    assert reports(HealthMonitor(SUITE, GATE), -1.0)["gnss"].status is SensorStatus.SILENT
 
 
 def test_what_is_older_than_the_window_counts_no_more():
     rng = np.random.default_rng(6)
-    monitor = Monitor(SUITE, GATE)
+    monitor = HealthMonitor(SUITE, GATE)
     hear(monitor, rng, 6.0, "adcp", scale=20.0)
     hear(monitor, rng, 4.0, "adcp", start_s=6.0)
     assert reports(monitor, 10.0)["adcp"].status is SensorStatus.REJECTED
     hear(monitor, rng, 6.5, "adcp", start_s=10.0)
     assert reports(monitor, 16.5)["adcp"].status is SensorStatus.OK
-    monitor.forget()
+    monitor.reset()
     assert reports(monitor, 16.6)["adcp"].nis is None
 
 
 def test_counts_are_those_since_the_last_report_with_the_reason():
-    monitor = Monitor(SUITE, GATE)
+    monitor = HealthMonitor(SUITE, GATE)
     account = {
         "adcp.used": 100,
         "adcp.gate": 3,
         "adcp.late_applied": 1,
-        "adcp.doubted": 2,
+        "adcp.deweighted": 2,
         "pressure.used": 9,
         "adcp_like.gate": 5,
     }
@@ -140,11 +140,11 @@ def test_rows_that_share_an_error_count_as_the_fewer_that_they_are_worth():
     L = np.linalg.cholesky(S)
     nis = []
     for _ in range(200):
-        monitor = Monitor(SUITE, GATE)
+        monitor = HealthMonitor(SUITE, GATE)
         for k in range(30):
             r = L @ rng.standard_normal(m)
             t_ns = (k + 1) * 333_333_333
-            monitor.hear(Verdict("adcp", t_ns, np.arange(m), r, S, np.abs(r) <= np.sqrt(chi2.ppf(GATE, 1))))
+            monitor.observe(Verdict("adcp", t_ns, np.arange(m), r, S, np.abs(r) <= np.sqrt(chi2.ppf(GATE, 1))))
         said = reports(monitor, 10.0)["adcp"]
         assert said.status is SensorStatus.OK
         nis.append(said.nis)
@@ -155,13 +155,13 @@ def test_rows_that_share_an_error_count_as_the_fewer_that_they_are_worth():
 def test_a_sensor_noisier_than_its_file_is_flagged_and_the_filter_is_not():
     said = reports(nominal(np.random.default_rng(9), adcp={"scale": 1.25}), 12.0)
     assert said["adcp"].status is SensorStatus.INCONSISTENT
-    assert verdict_of(tuple(said.values())) == (FilterStatus.NOMINAL, "")
+    assert filter_status(tuple(said.values())) == (FilterStatus.NOMINAL, "")
 
 
 def test_a_report_of_a_sensor_that_the_vehicle_does_not_have_is_not_made():
-    names = {r.sensor for r in Monitor(SUITE, GATE).sensors(0, {})}
+    names = {r.sensor for r in HealthMonitor(SUITE, GATE).sensors(0, {})}
     assert names == {"gnss", "tdcp", "adcp", "pressure", "compass"}
-    assert all(isinstance(r, SensorReport) for r in Monitor(SUITE, GATE).sensors(0, {}))
+    assert all(isinstance(r, SensorReport) for r in HealthMonitor(SUITE, GATE).sensors(0, {}))
 
 
 def test_rows_count_as_often_as_they_are_independent():

@@ -8,11 +8,11 @@ from ltv_mpc.frames import roll_pitch_heading, rotation, wrap_angle
 from ltv_mpc.localisation import imu_dropout
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import Estimate, FilterStatus, ImuSample, LocalisationReport
 from tests.stepping import step
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
 S = 1_000_000_000
 CHI_SQUARE_5 = 28.5  # 3e-5
@@ -103,9 +103,9 @@ def test_a_sample_that_comes_a_little_early_leaves_no_gap():
         t_ns=1_000_000_000, interval_ns=10_000_000, angular_rate_radps=(0.0,) * 3, specific_force_mps2=(0.0,) * 3
     )
     assert (
-        imu_dropout.before(sample, 990_000_000)
-        == imu_dropout.before(sample, 986_000_000)
-        == imu_dropout.before(sample, 995_000_000)
+        imu_dropout.gap_before_ns(sample, 990_000_000)
+        == imu_dropout.gap_before_ns(sample, 986_000_000)
+        == imu_dropout.gap_before_ns(sample, 995_000_000)
         == 0
     )
-    assert imu_dropout.before(sample, 980_000_000) == 10_000_000
+    assert imu_dropout.gap_before_ns(sample, 980_000_000) == 10_000_000

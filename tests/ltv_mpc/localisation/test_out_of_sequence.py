@@ -12,7 +12,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.localisation.sequencing import SENSORS
 from ltv_mpc.messages import (
@@ -31,7 +31,7 @@ from tests.stepping import step
 
 SECOND = 1_000_000_000
 ODD = {"missing_share": 0.0, "outlier_share": 0.0}
-REALISTIC = Suite.load("realistic")
+REALISTIC = SensorConfig.load("realistic")
 SUITE = msgspec.structs.replace(
     REALISTIC,
     bottom_track=BottomTracking(**ODD, period_ns=333_333_333, range_m=50.0, beam_noise_sd_mps=0.03, outlier_mps=0.5),

@@ -12,12 +12,12 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.reinitialisation import (
     ACCELERATION_SD_MPS2,
-    GRACE_NS,
-    PATIENCE_NS,
+    MAX_INCONSISTENT_NS,
+    RESTARTED_NS,
     VELOCITY_SD_MPS,
-    Restarts,
+    Reinitialisation,
 )
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.compass import heading
 from ltv_mpc.messages import (
     CompassHeading,
@@ -30,7 +30,7 @@ from ltv_mpc.messages import (
 )
 from tests.stepping import step
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=30.0, kept_m=5.0)
 SECOND = 1_000_000_000
 BAD, GOOD = FilterStatus.INCONSISTENT, FilterStatus.NOMINAL
@@ -45,8 +45,8 @@ def belief_at(t_s, sd_m=2.0):
 
 
 def watched(*spans):
-    """Restarts that have been told of each second of (until, status), and when they first called for one."""
-    restarts, t_s = Restarts(SUITE, CONFIG, None), 0
+    """Reinitialisation that have been told of each second of (until, status), and when they first called for one."""
+    restarts, t_s = Reinitialisation(SUITE, CONFIG, None), 0
     for until_s, status in spans:
         while t_s < until_s:
             t_s += 1
@@ -73,8 +73,8 @@ def recent(now_s, yaw_rate_radps=0.0, tilt_rad=0.0):
 
 
 def test_ten_seconds_in_a_row_are_called_for_and_a_good_one_between_starts_them_again():
-    assert watched((30, GOOD), (60, BAD))[1] == 31 + PATIENCE_NS // SECOND
-    assert watched((30, GOOD), (39, BAD), (40, GOOD), (60, BAD))[1] == 41 + PATIENCE_NS // SECOND
+    assert watched((30, GOOD), (60, BAD))[1] == 31 + MAX_INCONSISTENT_NS // SECOND
+    assert watched((30, GOOD), (39, BAD), (40, GOOD), (60, BAD))[1] == 41 + MAX_INCONSISTENT_NS // SECOND
     assert watched((30, GOOD), (40, BAD), (60, GOOD))[1] is None
 
 
@@ -140,8 +140,8 @@ def test_it_is_said_for_half_a_minute():
     restarts, at_s = watched((30, GOOD), (60, BAD))
     assert not restarts.recent(at_s * SECOND)
     restarts.begin(at_s * SECOND, recent(at_s))
-    assert restarts.recent(at_s * SECOND + GRACE_NS - 1)
-    assert not restarts.recent(at_s * SECOND + GRACE_NS)
+    assert restarts.recent(at_s * SECOND + RESTARTED_NS - 1)
+    assert not restarts.recent(at_s * SECOND + RESTARTED_NS)
 
 
 @pytest.mark.parametrize("spoil", ["covariance", "position"])
@@ -195,18 +195,18 @@ def test_water_that_was_known_tells_the_velocity_after_a_restart_as_before_it(ma
 
 def test_a_second_restart_soon_after_the_first_knows_nothing_of_the_water():
     """It may be the water that has changed."""
-    restarts, at_s = Restarts(SUITE, CONFIG, None), 41
+    restarts, at_s = Reinitialisation(SUITE, CONFIG, None), 41
     known = belief_at(20.0)
     known.x[known.layout.north] = 0.3
-    restarts.keep(known)
+    restarts.store(known)
     called = [restarts.watch(belief_at(float(t_s)), GOOD if t_s <= 30 else BAD) for t_s in range(21, at_s + 1)]
     assert called == [False] * 20 + [True]
     belief, _ = restarts.begin(at_s * SECOND, recent(at_s)).belief()
-    assert restarts.graft(belief)
+    assert restarts.restore_water(belief)
     np.testing.assert_array_equal(belief.x[belief.layout.north], 0.3)
     again_s = at_s + 30
-    restarts.keep(known)
+    restarts.store(known)
     restarts.watch(belief_at(float(again_s)), GOOD)
     belief, _ = restarts.begin(again_s * SECOND, recent(again_s)).belief()
-    assert not restarts.graft(belief)
+    assert not restarts.restore_water(belief)
     assert not belief.x[belief.layout.north].any()

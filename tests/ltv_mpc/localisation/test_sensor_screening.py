@@ -6,13 +6,13 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import Suite
-from ltv_mpc.localisation.sensor_screening import AGREEING, AHEAD_NS, SensorScreening
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensor_screening import MAX_CLOCK_LEAD_NS, MIN_CONSISTENT, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 from ltv_mpc.node import Arrival
 from tests.stepping import step
 
-SUITE = Suite.load("paper")
+SUITE = SensorConfig.load("paper")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
 MS, S = 1_000_000, 1_000_000_000
 
@@ -27,21 +27,21 @@ SAID = (
 @pytest.mark.parametrize("message", SAID, ids=lambda message: type(message).__name__)
 def test_an_instrument_that_repeats_itself_is_stuck_until_it_says_something_else(message):
     screening = SensorScreening()
-    assert screening.refusal(S, message, S) is None
-    assert screening.refusal(S, message, S) is None  # the same message twice: of that the history knows
-    assert [screening.refusal(t, message, t) for t in (2 * S, 3 * S)] == ["stuck"] * 2
+    assert screening.rejection(S, message, S) is None
+    assert screening.rejection(S, message, S) is None  # the same message twice: of that the history knows
+    assert [screening.rejection(t, message, t) for t in (2 * S, 3 * S)] == ["stuck"] * 2
     name = {ImuSample: "specific_force_mps2", AdcpPing: "beam_velocity_mps"}.get(type(message), "north_m")
     old = getattr(message, name)
     new = (0.0, 1e-9, -9.8) if isinstance(old, tuple) else old + 1e-9
-    assert screening.refusal(4 * S, msgspec.structs.replace(message, **{name: new}), 4 * S) is None
-    assert screening.refusal(5 * S, message, 5 * S) is None
+    assert screening.rejection(4 * S, msgspec.structs.replace(message, **{name: new}), 4 * S) is None
+    assert screening.rejection(5 * S, message, 5 * S) is None
 
 
 @pytest.mark.parametrize("message", [PressureDepth(t_ns=S, depth_m=3.0), CompassHeading(t_ns=S, heading_rad=1.0)])
 def test_one_number_may_come_twice_and_a_ping_without_any_return_too(message):
     screening = SensorScreening()
     nothing = AdcpPing(t_ns=S, range_m=np.arange(2.0), beam_velocity_mps=np.full((4, 2), np.nan))
-    assert [screening.refusal(t, one, t) for t in (S, 2 * S) for one in (message, nothing)] == [None] * 4
+    assert [screening.rejection(t, one, t) for t in (S, 2 * S) for one in (message, nothing)] == [None] * 4
 
 
 def sample(t_ns, force, rate=0.3):
@@ -56,15 +56,15 @@ def test_an_inertial_unit_that_raves_is_believed_again_once_five_samples_follow_
     for k in range(1, 14):
         odd = k == 5
         one = sample(k * 10 * MS, force + 1e-3 * k if odd else 1e-3 * k, rate if odd else 0.3)
-        said.append(screening.refusal(one.t_ns, one, one.t_ns))
+        said.append(screening.rejection(one.t_ns, one, one.t_ns))
     # the odd one, the first after it, which is as far from it, and four more
-    assert said == [None] * 4 + ["wild"] * (1 + AGREEING) + [None] * 3
+    assert said == [None] * 4 + ["jump"] * (1 + MIN_CONSISTENT) + [None] * 3
 
 
 def test_over_a_longer_time_a_vehicle_may_turn_further():
     screening = SensorScreening()
     samples = sample(10 * MS, 0.0), sample(110 * MS, 9.0, 1.2)
-    assert [screening.refusal(one.t_ns, one, one.t_ns) for one in samples] == [None, None]
+    assert [screening.rejection(one.t_ns, one, one.t_ns) for one in samples] == [None, None]
 
 
 def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
@@ -78,7 +78,7 @@ def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
             values = {"angular_rate_radps": tuple(noise[0]), "specific_force_mps2": tuple(noise[1])}
             said = msgspec.structs.replace(message, **values)
         step(estimator, message.t_ns, [Arrival(said, 1, 0, message.t_ns)])
-    assert estimator.account["imu.wild"] > 390
+    assert estimator.account["imu.jump"] > 390
     P, x, k = estimator.filter.core_covariance(), estimator.filter.belief.x, dive.at(12 * S)
     assert abs(x[3:5] - dive.velocity[k, :2]).max() < 3.5 * P[3, 3] ** 0.5
     assert P[3, 3] ** 0.5 < 0.05
@@ -87,14 +87,14 @@ def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
 @pytest.mark.parametrize(
     ("stamp_ns", "why"),
     [
-        (3600 * S, "ahead"),
-        (10 * S + AHEAD_NS + 1, "ahead"),
-        (10 * S + AHEAD_NS, None),
+        (3600 * S, "future"),
+        (10 * S + MAX_CLOCK_LEAD_NS + 1, "future"),
+        (10 * S + MAX_CLOCK_LEAD_NS, None),
         (0, None),  # a bus may be slow, and the history knows what is too late
     ],
 )
 def test_stamps_ahead_of_their_arrival_are_refused(stamp_ns, why):
-    assert SensorScreening().refusal(stamp_ns, CompassHeading(t_ns=stamp_ns, heading_rad=1.0), 10 * S) == why
+    assert SensorScreening().rejection(stamp_ns, CompassHeading(t_ns=stamp_ns, heading_rad=1.0), 10 * S) == why
 
 
 def test_what_a_slow_bus_brings_is_used_and_given_up_only_once_newer_ones_have_come():
@@ -102,11 +102,11 @@ def test_what_a_slow_bus_brings_is_used_and_given_up_only_once_newer_ones_have_c
     screening = SensorScreening()
     for k in range(100):
         one = sample(k * 10 * MS, 1e-3 * k)
-        assert screening.refusal(one.t_ns, one, one.t_ns + 800 * MS) is None
+        assert screening.rejection(one.t_ns, one, one.t_ns + 800 * MS) is None
     for k in range(100, 180):
         fresh, old = (sample(j * 10 * MS, 1e-3 * j) for j in (k + 80, k))
-        assert screening.refusal(fresh.t_ns, fresh, fresh.t_ns) is None
-        assert screening.refusal(old.t_ns, old, fresh.t_ns) == "stale"
+        assert screening.rejection(fresh.t_ns, fresh, fresh.t_ns) is None
+        assert screening.rejection(old.t_ns, old, fresh.t_ns) == "stale"
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -4.0, -1.2], ids=["ahead", "back", "a little back"])
@@ -124,7 +124,7 @@ def test_a_clock_that_jumps_and_comes_back_leaves_a_gap_and_nothing_else(make_di
     assert estimator.filter.belief.t_ns == 12 * S
     assert estimator.account["imu.gap"] == 1
     account = estimator.account
-    assert account["imu.ahead"] + account["imu.stale"] + account["imu.late"] == 500
+    assert account["imu.future"] + account["imu.stale"] + account["imu.late"] == 500
     P, x, k = estimator.filter.core_covariance(), estimator.filter.belief.x, dive.at(12 * S)
     assert abs(x[3:5] - dive.velocity[k, :2]).max() < 3.5 * P[3, 3] ** 0.5
     assert P[3, 3] ** 0.5 < 0.05

@@ -9,11 +9,11 @@ import pytest
 from ltv_mpc.localisation import shadow_filter
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Estimate, ImuSample, LocalisationReport, Message, PressureDepth
 from tests.stepping import step
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 SECOND = 1_000_000_000
 BACK = "went back to what it was before it was doubted"
 
@@ -121,7 +121,7 @@ def test_innovations_that_are_too_large_and_pass_the_gate_are_nothing_to_come_ba
 
 
 def test_it_is_forgotten_after_a_minute(make_dive, inbox_of, monkeypatch):
-    monkeypatch.setattr(shadow_filter, "KEPT_NS", 2 * SECOND)
+    monkeypatch.setattr(shadow_filter, "MAX_AGE_NS", 2 * SECOND)
     assert not Said(make_dive, inbox_of, profiler_off(30.0)).came_back
 
 
@@ -141,5 +141,5 @@ def test_one_that_has_come_to_the_same_is_nothing_to_come_back_to(make_dive, inb
 
 
 def test_nor_one_that_is_less_sure_of_its_velocity(make_dive, inbox_of, monkeypatch):
-    monkeypatch.setattr(shadow_filter, "UNSURE", 0.1)
+    monkeypatch.setattr(shadow_filter, "MAX_SD_RATIO", 0.1)
     assert not Said(make_dive, inbox_of, profiler_off(27.0)).came_back

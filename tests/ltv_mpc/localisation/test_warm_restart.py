@@ -11,10 +11,10 @@ from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_o
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.state import POSITION, VELOCITY
-from ltv_mpc.localisation.publishing import CHECKPOINT_NS, UNDER_M
-from ltv_mpc.localisation.reinitialisation import GRACE_NS
-from ltv_mpc.localisation.sensor_config import Suite
-from ltv_mpc.localisation.warm_restart import TURN_WALK, VELOCITY_WALK, Resumption
+from ltv_mpc.localisation.publishing import CHECKPOINT_NS, SUBMERGED_M
+from ltv_mpc.localisation.reinitialisation import RESTARTED_NS
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.warm_restart import TURN_WALK, VELOCITY_WALK, WarmRestart
 from ltv_mpc.messages import (
     Estimate,
     EstimatorState,
@@ -27,7 +27,7 @@ from ltv_mpc.node import Arrival
 from services.bus.wire import Header, decode, encode
 from tests.stepping import step
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=60.0, kept_m=0.0)
 S = 1_000_000_000
 GAP_NS = 3 * S
@@ -76,7 +76,7 @@ def test_a_checkpoint_comes_with_the_first_estimate_every_five_seconds_and_where
     _, outputs, _ = dived
     times = [checkpoint.t_ns for checkpoint in of(EstimatorState, outputs)]
     estimates = of(Estimate, outputs)
-    under = next(e.t_ns for e in estimates if e.depth_m > UNDER_M)
+    under = next(e.t_ns for e in estimates if e.depth_m > SUBMERGED_M)
     regular = [e.t_ns for e in estimates if e.t_ns % CHECKPOINT_NS == 0]
     assert times == sorted({estimates[0].t_ns, under, *regular})
 
@@ -122,11 +122,11 @@ def test_a_checkpoint_of_other_settings_is_not_gone_on_from(dived, inbox_of):
     coarser = msgspec.structs.replace(CONFIG, cell_m=2.0)
     assert belief_of(checkpoint, SUITE, coarser, None) is None
     assert belief_of(checkpoint, SUITE, msgspec.structs.replace(CONFIG, current_sd_mps=0.05), None) is None
-    assert belief_of(checkpoint, Suite.load("paper"), CONFIG, None) is None
+    assert belief_of(checkpoint, SensorConfig.load("paper"), CONFIG, None) is None
     assert belief_of(msgspec.structs.replace(checkpoint, first_node=60), SUITE, CONFIG, None) is None
     estimator = Estimator(SUITE, coarser)
     said(estimator, dive.messages[:3], inbox_of, state=checkpoint)
-    assert estimator.account["checkpoint.of_other_settings"] == 1
+    assert estimator.account["checkpoint.other_settings"] == 1
     assert estimator.waiting_for != ""  # as if there were none
 
 
@@ -174,7 +174,7 @@ def test_it_says_for_half_a_minute_that_it_was_restarted_and_keeps_the_count_of_
     dive, outputs, _ = dived
     reports = of(LocalisationReport, restored(dive, outputs, inbox_of, 10 * S))
     assert {report.status for report in reports} == {FilterStatus.RESTARTED}
-    assert GRACE_NS == 30 * S
+    assert RESTARTED_NS == 30 * S
     assert "checkpoint" in reports[0].why
     checkpoint = next(c for c in of(EstimatorState, outputs) if c.t_ns == 15 * S)
     checkpoint = msgspec.structs.replace(checkpoint, restarts=3)
@@ -196,7 +196,7 @@ def test_the_covariance_after_a_gap_is_one_and_holds_what_may_have_happened(dive
     _, outputs, _ = dived
     checkpoint = of(EstimatorState, outputs)[-1]
     start = belief_of(checkpoint, SUITE, CONFIG, None)
-    resumption = Resumption(SUITE, CONFIG, start, None)
+    resumption = WarmRestart(SUITE, CONFIG, start, None)
     T = 2.0
     first_ns = checkpoint.t_ns + round(T * S)
     for k in range(25):

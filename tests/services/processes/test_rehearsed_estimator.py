@@ -8,13 +8,13 @@ import math, sys
 import msgspec, numpy as np
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.node import Arrival
 from ltv_mpc.messages import *
 from services.processes.estimator import rehearse
 
 odd = {"period_ns": 10**9, "missing_share": 0.0, "outlier_share": 0.0, "outlier_m": 0.0}
-base = Suite.load("realistic")
+base = SensorConfig.load("realistic")
 full = msgspec.structs.replace(
     base,
     gnss=msgspec.structs.replace(base.gnss, lever_arm_m=(1.0, 0.0, -2.0)),

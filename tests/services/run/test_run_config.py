@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc.localisation import sensor_config
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from services.run.run_config import Override, resolve
 
 UPON = """
@@ -40,9 +40,9 @@ def test_sensors_upon_a_base_are_kept_resolved_so_that_the_base_may_change(mine:
     kept = tmp_path / "kept.toml"
     kept.write_text(here.files["config/sensors.toml"])
     assert "base" not in tomllib.loads(kept.read_text())
-    assert Suite.load(str(kept)) == here.suite == Suite.load(str(mine))
+    assert SensorConfig.load(str(kept)) == here.suite == SensorConfig.load(str(mine))
     assert here.suite.pressure.depth_sd_m == 0.001
-    assert here.suite.imu == Suite.load("realistic").imu
+    assert here.suite.imu == SensorConfig.load("realistic").imu
 
 
 def test_sensors_that_stand_alone_are_kept_as_they_were_written(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.evaluation.cramer_rao_bound import model as model_of_errors
 from sim.evaluation.cramer_rao_bound.model import (
@@ -23,7 +23,7 @@ from sim.evaluation.cramer_rao_bound.model import (
 )
 from sim.evaluation.cramer_rao_bound.schedule import schedule
 
-PAPER, REALISTIC = Suite.load("paper"), Suite.load("realistic")
+PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 ONE_AXIS = ("heading", "vertical")
 
 

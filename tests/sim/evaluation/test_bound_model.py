@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate, rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.evaluation.cramer_rao_bound.model import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -25,7 +25,7 @@ from sim.evaluation.cramer_rao_bound.model import (
 )
 from sim.sensors.adcp import beam_velocities, beams
 
-PAPER, REALISTIC = Suite.load("paper"), Suite.load("realistic")
+PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
 
 def strapdown(p, v, R, gyro_bias, accelerometer_bias, rate, force, W, dt, steps):

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.evaluation.consistency import (
     TrueState,
     band,
@@ -21,7 +21,7 @@ from sim.evaluation.consistency import (
 )
 
 RUNS, INSTANTS = 20, 1000
-PAPER, REALISTIC = Suite.load("paper"), Suite.load("realistic")
+PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
 
 def spread(rng, n):

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
 from ltv_mpc.node import Arrival
 from ltv_mpc.validation import refusal
@@ -19,11 +19,11 @@ from sim.water import make
 from tests.stepping import step
 
 EXAMPLES = Path(__file__).parents[3] / "examples" / "sensors"
-REALISTIC = Suite.load("realistic")
+REALISTIC = SensorConfig.load("realistic")
 
 
-def load(name: str) -> Suite:
-    return Suite.load(str(EXAMPLES / f"{name}.toml"))
+def load(name: str) -> SensorConfig:
+    return SensorConfig.load(str(EXAMPLES / f"{name}.toml"))
 
 
 def test_every_file_here_is_one_of_these():
@@ -97,7 +97,7 @@ def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
 def test_a_base_is_a_shipped_suite_and_nothing_else(tmp_path, base, says):
     (tmp_path / "own.toml").write_text(f'base = {base}\nname = "own"\n')
     with pytest.raises(ConfigError) as error:
-        Suite.load(str(tmp_path / "own.toml"))
+        SensorConfig.load(str(tmp_path / "own.toml"))
     assert says in str(error.value)
 
 
@@ -111,5 +111,5 @@ def test_keys_on_top_of_a_base_are_judged_as_any_others(tmp_path):
     ):
         (tmp_path / "own.toml").write_text(f'base = "realistic"\nname = "own"\n{text}\n')
         with pytest.raises(ConfigError) as error:
-            Suite.load(str(tmp_path / "own.toml"))
+            SensorConfig.load(str(tmp_path / "own.toml"))
         assert says in str(error.value)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -26,14 +26,14 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Arrival
 from ltv_mpc.validation import refusal
 from sim.scenario import Scenario, overridden
-from sim.sensors.lbl import Transceiver
+from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.node import Sensors
 from sim.water import make
 from tests.stepping import step
 
 MS, S = 1_000_000, 1_000_000_000
 encode = msgspec.json.Encoder(enc_hook=to_wire).encode
-PLAIN = Suite.load("realistic")
+PLAIN = SensorConfig.load("realistic")
 LBL = Lbl(
     period_ns=S,
     transponders_m=((300.0, 0.0, 60.0), (0.0, -500.0, 60.0), (0.0, 100.0, 60.0)),
@@ -85,7 +85,7 @@ def truths(from_ns=-S, until_ns=3 * S, step_ns=10 * MS, depth=20.0) -> list[Trut
     ]
 
 
-def said(suite: Suite, world: list[Truth], settings: Scenario | None = None) -> list[tuple[int, object]]:
+def said(suite: SensorConfig, world: list[Truth], settings: Scenario | None = None) -> list[tuple[int, object]]:
     """(when it was published, message) in order."""
     settings = settings or scenario()
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
@@ -98,7 +98,7 @@ def said(suite: Suite, world: list[Truth], settings: Scenario | None = None) -> 
     return out
 
 
-def late(suite: Suite, **latencies_ms: int) -> Suite:
+def late(suite: SensorConfig, **latencies_ms: int) -> SensorConfig:
     tables = {
         name: msgspec.structs.replace(getattr(suite, name), latency_ns=ms * MS) for name, ms in latencies_ms.items()
     }
@@ -205,8 +205,8 @@ def test_carrier_phase_is_that_of_the_receivers_antenna():
 def test_the_nodes_sensors_can_be_asked_for_what_is_true_of_them():
     settings = scenario()
     node = Sensors(settings, msgspec.structs.replace(PLAIN, lbl=LBL), make(settings.water, 4))
-    (transceiver,) = [x for x in node.sensors if isinstance(x, Transceiver)]
-    assert transceiver.sound_speed_mps == Transceiver(LBL, 4).sound_speed_mps != 1500.0
+    (transceiver,) = [x for x in node.sensors if isinstance(x, AcousticTransceiver)]
+    assert transceiver.sound_speed_mps == AcousticTransceiver(LBL, 4).sound_speed_mps != 1500.0
     assert len(node.sensors) == len(node.writes) == 7
 
 

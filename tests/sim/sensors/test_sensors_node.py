@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import (
     AdcpPing,
     CompassHeading,
@@ -49,7 +49,7 @@ def truths(settings: Scenario, until_ns: int, step_ns: int = 10 * MS) -> list[Tr
     return said
 
 
-def measured(settings: Scenario, suite: Suite, world: list[Truth]):
+def measured(settings: Scenario, suite: SensorConfig, world: list[Truth]):
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     said = []
     for k, truth in enumerate(world):
@@ -65,7 +65,7 @@ def of(kind, said):
 @pytest.mark.parametrize("surface_s", [1.0, 30.0])
 def test_a_surface_phase_of_n_seconds_has_exactly_n_fixes_of_carrier_phase(surface_s):
     settings = scenario(surface_s=surface_s)
-    said = measured(settings, Suite.load("paper"), truths(settings, 3 * S))
+    said = measured(settings, SensorConfig.load("paper"), truths(settings, 3 * S))
     fixes = of(TdcpFix, said)
     assert len(fixes) == int(surface_s)
     assert fixes[-1].t_ns == 0
@@ -74,7 +74,7 @@ def test_a_surface_phase_of_n_seconds_has_exactly_n_fixes_of_carrier_phase(surfa
 
 
 def test_sample_times_are_whole_multiples_of_each_period():
-    settings, suite = scenario(), Suite.load("paper")
+    settings, suite = scenario(), SensorConfig.load("paper")
     said = measured(settings, suite, truths(settings, 10 * S))
     periods = {ImuSample: 10 * MS, AdcpPing: 333_333_333, PressureDepth: 100 * MS, CompassHeading: S}
     for kind, period in periods.items():
@@ -88,7 +88,7 @@ def test_sample_times_are_whole_multiples_of_each_period():
 
 @pytest.mark.parametrize("name", ["paper", "realistic"])
 def test_two_nodes_with_one_seed_say_the_same_bit_for_bit(name):
-    settings, suite = scenario(seed=5), Suite.load(name)
+    settings, suite = scenario(seed=5), SensorConfig.load(name)
     world = truths(settings, 2 * S)
     one, two = (encode(measured(settings, suite, world)) for _ in range(2))
     assert one == two
@@ -98,7 +98,7 @@ def test_two_nodes_with_one_seed_say_the_same_bit_for_bit(name):
 @pytest.mark.parametrize("changed", ["imu", "gnss", "tdcp", "adcp", "pressure", "compass"])
 def test_no_sensors_numbers_change_when_another_sensor_is_another(changed):
     settings, world = scenario(), truths(scenario(), 2 * S)
-    plain, other = Suite.load("paper"), Suite.load("realistic")
+    plain, other = SensorConfig.load("paper"), SensorConfig.load("realistic")
     latitude = plain.latitude_rad if changed != "imu" else other.latitude_rad
     table = msgspec.structs.replace(getattr(other, changed), period_ns=500 * MS)
     mixed = msgspec.structs.replace(plain, latitude_rad=latitude, **{changed: table})
@@ -117,7 +117,7 @@ def test_no_sensors_numbers_change_when_another_sensor_is_another(changed):
 
 
 def test_a_slower_truth_gives_the_same_sample_times():
-    settings, suite = scenario(), Suite.load("paper")
+    settings, suite = scenario(), SensorConfig.load("paper")
     fast = measured(settings, suite, truths(settings, 2 * S))
     slow = measured(settings, suite, truths(settings, 2 * S, 20 * MS))
     assert [(type(x), x.t_ns) for x in fast] == [(type(x), x.t_ns) for x in slow]
@@ -147,7 +147,7 @@ def test_between_two_truths_the_attitude_turns_about_one_axis_and_the_rest_is_li
 def test_a_perfect_state_is_the_truth_with_the_true_profile_in_the_estimators_cells():
     settings = scenario(perfect=True)
     world = truths(settings, 2 * S)
-    said = measured(settings, Suite.load("paper"), world)
+    said = measured(settings, SensorConfig.load("paper"), world)
     estimates = of(Estimate, said)
     assert [x.t_ns for x in estimates] == list(range(-S, 2 * S + 1, 100 * MS))
     by_time = {x.t_ns: x for x in world}
@@ -167,12 +167,12 @@ def test_a_perfect_state_is_the_truth_with_the_true_profile_in_the_estimators_ce
 
 def test_without_perfect_state_the_node_makes_no_estimate():
     settings = scenario()
-    node = Sensors(settings, Suite.load("paper"), make(settings.water, 0))
+    node = Sensors(settings, SensorConfig.load("paper"), make(settings.water, 0))
     assert Estimate not in node.writes
 
 
 def test_a_truth_that_comes_twice_is_measured_once():
     settings, world = scenario(), truths(scenario(), 0)
-    once = encode(measured(settings, Suite.load("paper"), world))
-    twice = encode(measured(settings, Suite.load("paper"), [x for x in world for _ in range(2)]))
+    once = encode(measured(settings, SensorConfig.load("paper"), world))
+    twice = encode(measured(settings, SensorConfig.load("paper"), [x for x in world for _ in range(2)]))
     assert once == twice

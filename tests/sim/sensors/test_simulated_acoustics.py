@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 from ltv_mpc import frames
 from ltv_mpc.localisation.sensor_config import Lbl, Usbl
 from ltv_mpc.messages import Truth
-from sim.sensors.lbl import Transceiver, arrival_ns
-from sim.sensors.usbl import Ship
-from sim.sensors.vehicle_state import Instant, through
+from sim.sensors.lbl import AcousticTransceiver, arrival_ns
+from sim.sensors.usbl import ShipTransceiver
+from sim.sensors.vehicle_state import VehicleState, through
 
 MS, S = 1_000_000, 1_000_000_000
 LBL = Lbl(
@@ -69,7 +69,7 @@ def head(t_s: float) -> np.ndarray:
 
 def said_along(settings, *, seed=1, step_ns=10 * MS, until_s=3.0):
     """Called at t = 0.123 s; (when it was said, message) of all answers."""
-    transceiver = Transceiver(settings, seed)
+    transceiver = AcousticTransceiver(settings, seed)
     said = []
     called_ns = 123 * MS
     for at in range(0, round(until_s * S), step_ns):
@@ -110,7 +110,7 @@ def test_half_the_time_is_the_range_at_the_messages_own_time():
 
 def calls(settings, count, *, seed=1):
     """A vehicle at rest calls again and again: the transceiver, times heard (count, J) and which were made wild."""
-    transceiver = Transceiver(settings, seed)
+    transceiver = AcousticTransceiver(settings, seed)
     heard = np.full((count, len(settings.transponders_m)), np.nan)
     wild = np.zeros_like(heard, dtype=bool)
     (still,) = through([truth(0), truth(2 * S)])
@@ -118,7 +118,7 @@ def calls(settings, count, *, seed=1):
         transceiver.sample(still.at(0))
         for message in transceiver.answers(still, 2 * S):
             heard[k, message.transponder] = message.travel_time_s
-            wild[k, message.transponder] = bool(transceiver.injected.at(message.t_ns)[0])
+            wild[k, message.transponder] = bool(transceiver.outlier_masks.at(message.t_ns)[0])
     return transceiver, heard, wild
 
 
@@ -139,10 +139,10 @@ def test_ranges_are_off_by_white_noise_of_the_tables_size():
 
 
 def test_sound_is_faster_or_slower_than_said_by_one_draw_a_run():
-    c = np.array([Transceiver(LBL, seed).sound_speed_mps for seed in range(600)])
+    c = np.array([AcousticTransceiver(LBL, seed).sound_speed_mps for seed in range(600)])
     low, high = stats.chi2.ppf([1e-5, 1 - 1e-5], 600)
     assert low < (((c - 1500.0) / 2.0) ** 2).sum() < high
-    assert Transceiver(msgspec.structs.replace(LBL, sound_speed_sd_mps=0.0), 5).sound_speed_mps == 1500.0
+    assert AcousticTransceiver(msgspec.structs.replace(LBL, sound_speed_sd_mps=0.0), 5).sound_speed_mps == 1500.0
     # and every range of the run is stretched by it
     settings = msgspec.structs.replace(LBL, **PERFECT, sound_speed_sd_mps=30.0)
     transceiver, heard, _ = calls(settings, 3)
@@ -165,12 +165,12 @@ def test_a_tenth_of_the_answers_is_lost_and_a_twentieth_longer_but_never_shorter
 
 
 def test_a_head_out_of_the_water_calls_nobody_and_a_transponder_far_away_never_answers():
-    out = Transceiver(LBL, 1)
+    out = AcousticTransceiver(LBL, 1)
     (world,) = through([truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3))])
     out.sample(world.at(0))  # 0.4 m above the origin, at 0.3 m
     assert out.answers(world, S) == []
     far = msgspec.structs.replace(LBL, **PERFECT, transponders_m=((46_000.0, 0.0, 60.0), (100.0, 0.0, 60.0)))
-    transceiver = Transceiver(far, 1)
+    transceiver = AcousticTransceiver(far, 1)
     transceiver.sample(through([truth(0), truth(S)])[0].at(0))
     motions = through([truth(k * S) for k in range(71)])
     said = [x for motion in motions for x in transceiver.answers(motion, motion.later.t_ns)]
@@ -178,18 +178,18 @@ def test_a_head_out_of_the_water_calls_nobody_and_a_transponder_far_away_never_a
 
 
 def fixes(settings, count, now, *, seed=2):
-    ship = Ship(settings, seed)
+    ship = ShipTransceiver(settings, seed)
     rows, wild = np.full((count, 2), np.nan), np.zeros((count, 2), dtype=bool)
     for k in range(count):
         for fix in ship.sample(msgspec.structs.replace(now, t_ns=k)):
             assert fix.t_ns == k
             rows[k] = fix.north_m, fix.east_m
-            wild[k] = ship.injected.at(k)
+            wild[k] = ship.outlier_masks.at(k)
     return rows, wild
 
 
-def at_depth(depth: float, pitch: float = 0.0) -> Instant:
-    return Instant(0, (10.0, 20.0, depth), (0.3, 0.0, 0.0), frames.rotation(0.0, pitch, 0.0), np.zeros(3), 0.0)
+def at_depth(depth: float, pitch: float = 0.0) -> VehicleState:
+    return VehicleState(0, (10.0, 20.0, depth), (0.3, 0.0, 0.0), frames.rotation(0.0, pitch, 0.0), np.zeros(3), 0.0)
 
 
 @pytest.mark.parametrize("depth", [20.0, 900.0])

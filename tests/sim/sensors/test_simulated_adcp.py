@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.scenario import Water
 from sim.sensors.adcp import Instrument, Profiler
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 from sim.water import WaterColumn, make
 
-PAPER, REALISTIC = Suite.load("paper").adcp, Suite.load("realistic").adcp
+PAPER, REALISTIC = SensorConfig.load("paper").adcp, SensorConfig.load("realistic").adcp
 SILENT = {"beam_noise_sd_mps": 1e-12, "missing_share": 0.0, "outlier_share": 0.0, "outlier_mps": 0.0}
 UNBIASED = {"beam_bias_sd_mps": 0.0, "near_bias_sd_mps": 0.0, "mounting_sd_rad": 0.0, "mounting_known_to_rad": 0.0}
 S20, C20 = math.sin(math.radians(20)), math.cos(math.radians(20))
@@ -27,8 +27,10 @@ def exact(adcp=REALISTIC, **changes):
     return msgspec.structs.replace(adcp, **{**SILENT, **UNBIASED, **changes})
 
 
-def instant(roll=0.0, pitch=0.0, heading=0.0, *, depth=5.0, velocity=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)) -> Instant:
-    return Instant(0, (1.0, 2.0, depth), velocity, frames.rotation(roll, pitch, heading), np.array(rate), 0.0)
+def instant(
+    roll=0.0, pitch=0.0, heading=0.0, *, depth=5.0, velocity=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)
+) -> VehicleState:
+    return VehicleState(0, (1.0, 2.0, depth), velocity, frames.rotation(roll, pitch, heading), np.array(rate), 0.0)
 
 
 def profiler_of(settings, water=STILL, seed=0, bottom_m=None) -> Profiler:
@@ -223,10 +225,10 @@ def test_outliers_are_told_by_the_pings_own_time():
     profiler = profiler_of(settings, seed=8)
     pings = [profiler.sample(msgspec.structs.replace(instant(), t_ns=k))[0] for k in range(30)]
     for message in pings:
-        mask = profiler.injected.at(message.t_ns)
+        mask = profiler.outlier_masks.at(message.t_ns)
         np.testing.assert_array_equal(mask, np.abs(message.beam_velocity_mps) > 0.25)
-    assert profiler.injected.at(30) is None
-    np.testing.assert_array_equal(profiler.outliers, profiler.injected.at(29))
+    assert profiler.outlier_masks.at(30) is None
+    np.testing.assert_array_equal(profiler.outliers, profiler.outlier_masks.at(29))
 
 
 def test_no_settings_value_moves_the_noise_of_the_pings():

@@ -11,14 +11,14 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.sensor_config import BottomTracking, Suite
+from ltv_mpc.localisation.sensor_config import BottomTracking, SensorConfig
 from ltv_mpc.validation import refusal
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 from sim.water import WaterColumn
 
-ADCP = Suite.load("realistic").adcp
+ADCP = SensorConfig.load("realistic").adcp
 TABLE = BottomTracking(
     period_ns=333_333_333,
     range_m=20.0,
@@ -33,8 +33,10 @@ S20, C20 = math.sin(math.radians(20)), math.cos(math.radians(20))
 AXES = np.array([[S20, 0, C20], [-S20, 0, C20], [0, S20, C20], [0, -S20, C20]])
 
 
-def instant(roll=0.0, pitch=0.0, heading=0.0, *, depth=5.0, velocity=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)) -> Instant:
-    return Instant(0, (1.0, 2.0, depth), velocity, frames.rotation(roll, pitch, heading), np.array(rate), 0.0)
+def instant(
+    roll=0.0, pitch=0.0, heading=0.0, *, depth=5.0, velocity=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0)
+) -> VehicleState:
+    return VehicleState(0, (1.0, 2.0, depth), velocity, frames.rotation(roll, pitch, heading), np.array(rate), 0.0)
 
 
 def ping(now, *, adcp=STRAIGHT, settings=EXACT, bottom_m=15.0, seed=0):
@@ -129,7 +131,7 @@ def test_gaps_and_outliers_have_their_shares_and_the_outliers_are_told():
     assert together.pvalue > 1e-4  # each beam by itself, unlike a profiler's whole ping
     # the store keeps the last thousand
     for k in range(5000, 6000):
-        wild = tracker.injected.at(k)
+        wild = tracker.outlier_masks.at(k)
         np.testing.assert_array_equal(wild & ~gaps[k], ~gaps[k] & (np.abs(np.nan_to_num(rows[k])) > 0.25))
     heard = rows[~gaps]
     for sign in (1, -1):

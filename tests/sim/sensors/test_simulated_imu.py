@@ -9,19 +9,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames, so3
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.attitude import Attitude
 from sim.sensors.drift import Drift
 from sim.sensors.imu import InertialUnit, increments
-from sim.sensors.vehicle_state import Instant
+from sim.sensors.vehicle_state import VehicleState
 
 MS = 1_000_000
 G = 9.80665
 NO_EARTH = np.zeros(3)
 
 
-def still(t_ns: int, rotation: np.ndarray) -> Instant:
-    return Instant(t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), rotation, np.zeros(3), 0.0)
+def still(t_ns: int, rotation: np.ndarray) -> VehicleState:
+    return VehicleState(t_ns, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), rotation, np.zeros(3), 0.0)
 
 
 def error_free(R1, v1, R2, v2, W=NO_EARTH, dt=0.01):
@@ -91,10 +91,10 @@ def test_its_error_free_increments_integrate_back_to_the_truth(W):
 
 @pytest.fixture(scope="module", params=["paper", "realistic"])
 def suite(request):
-    return Suite.load(request.param)
+    return SensorConfig.load(request.param)
 
 
-def unit_record(suite: Suite, seed: int, samples: int) -> np.ndarray:
+def unit_record(suite: SensorConfig, seed: int, samples: int) -> np.ndarray:
     """Errors of rate and force at rest, (samples, 6)."""
     unit = InertialUnit(suite.imu, suite.latitude_rad, seed)
     R = np.eye(3)
@@ -140,7 +140,7 @@ def test_a_drift_keeps_its_size_and_forgets_with_its_time_constant():
 
 
 def test_a_sample_says_its_own_interval_where_the_unit_is_slower_than_the_truth():
-    suite = Suite.load("paper")
+    suite = SensorConfig.load("paper")
     unit = InertialUnit(suite.imu, 0.0, 1)
     unit.sample(still(0, np.eye(3)))
     (sample,) = unit.sample(still(25 * MS, np.eye(3)))

@@ -12,13 +12,13 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.correction import correct
 from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.messages import AdcpPing
 from tests.stepping import step
 
-PAPER = Suite.load("paper")
+PAPER = SensorConfig.load("paper")
 CONFIG = EstimatorConfig()
 LAYOUT = Layout.of(PAPER, CONFIG)
 N, K = LAYOUT.size, 6

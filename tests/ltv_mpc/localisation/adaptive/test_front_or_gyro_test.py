@@ -7,9 +7,9 @@ from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.adaptive.front_or_gyro_test import Drift
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 
-LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+LAYOUT = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
 LEVEL = 2e-4
 
 

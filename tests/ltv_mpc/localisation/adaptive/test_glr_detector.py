@@ -7,9 +7,9 @@ from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
 from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS, LIMIT, STEP_NS, STEPS, Onsets
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 
-LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+LAYOUT = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
 N = LAYOUT.size
 REACH_NS = 10_000_000_000
 SD = 0.01

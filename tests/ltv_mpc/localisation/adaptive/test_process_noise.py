@@ -13,12 +13,12 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
 from ltv_mpc.messages import AdcpPing, ImuSample
 from tests.stepping import step
 
-PAPER = Suite.load("paper")
+PAPER = SensorConfig.load("paper")
 CONFIG = EstimatorConfig()
 BLIND = msgspec.structs.replace(CONFIG, adapts_to_water=False)
 SECOND = 1_000_000_000

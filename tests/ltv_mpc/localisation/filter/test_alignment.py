@@ -10,10 +10,10 @@ from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS
-from ltv_mpc.localisation.sensor_config import Lbl, Suite
+from ltv_mpc.localisation.sensor_config import Lbl, SensorConfig
 from ltv_mpc.messages import CompassHeading, GnssFix, ImuSample, PressureDepth
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = EstimatorConfig()
 T0 = -1_000_000_000
 DT_NS = 10_000_000

@@ -7,10 +7,10 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.correction import correct, reduce, update
 from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.rows import Rows
 
-LAYOUT = Layout.of(Suite.load("paper"), EstimatorConfig())
+LAYOUT = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
 OPEN = 1e9
 
 

@@ -10,11 +10,11 @@ from scipy.special import chdtri
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import prior_covariance
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, PressureDepth, TdcpFix
 
-PAPER = Suite.load("paper")
+PAPER = SensorConfig.load("paper")
 DT = 0.01
 DT_NS = 10_000_000
 CONFIG = msgspec.structs.replace(EstimatorConfig(), deepest_m=12.0, gate_probability=1.0)  # every innovation passes
@@ -189,7 +189,7 @@ def full_belief(suite, config, seed=0):
 
 
 def test_moving_the_large_covariance_once_is_the_same_as_moving_it_at_every_sample():
-    suite = Suite.load("realistic")
+    suite = SensorConfig.load("realistic")
     config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=0.01)
     rng = np.random.default_rng(4)
     once, always = (Filter(suite, config, full_belief(suite, config)) for _ in range(2))
@@ -206,7 +206,7 @@ def test_moving_the_large_covariance_once_is_the_same_as_moving_it_at_every_samp
 
 
 def test_a_compass_bias_keeps_its_deviation_and_forgets_its_value():
-    suite = Suite.load("realistic")
+    suite = SensorConfig.load("realistic")
     belief = full_belief(suite, CONFIG)
     bias = belief.layout.compass_bias.start
     belief.P[bias, bias] = suite.compass.bias_sd_rad**2
@@ -222,7 +222,7 @@ def test_a_compass_bias_keeps_its_deviation_and_forgets_its_value():
 
 
 def test_every_scalar_measurement_is_accounted_for_by_what_came_of_it():
-    suite = Suite.load("realistic")
+    suite = SensorConfig.load("realistic")
     belief = Belief.blank(Layout.of(suite, EstimatorConfig()), 0)
     belief.P += 1e-4 * np.eye(belief.layout.size)
     belief.x[2] = 65.0
@@ -249,7 +249,7 @@ def test_a_satellite_fix_that_is_a_little_too_far_away_is_doubted_and_a_pressure
     filter_ = Filter(PAPER, EstimatorConfig(), belief)
     sd = math.hypot(PAPER.tdcp.displacement_sd_m, math.sqrt(2e-4))  # of position and of its clone
     filter_.correct(TdcpFix(t_ns=0, from_t_ns=0, north_m=4.0 * sd, east_m=7.0 * sd))
-    assert (filter_.account["tdcp.used"], filter_.account["tdcp.doubted"], filter_.account["tdcp.gate"]) == (1, 1, 1)
+    assert (filter_.account["tdcp.used"], filter_.account["tdcp.deweighted"], filter_.account["tdcp.gate"]) == (1, 1, 1)
     assert belief.x[0] == pytest.approx(1e-4 * 4.0 * sd / (sd * sd * 16.0 / chdtri(1, 0.001)))
     assert belief.x[1] == 0.0
     filter_.correct(PressureDepth(t_ns=0, depth_m=4.0 * math.hypot(PAPER.pressure.depth_sd_m, 0.01)))

@@ -11,13 +11,13 @@ from ltv_mpc.localisation.filter.correction import reduce
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.invariant_correction import swing
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import write_prior
 from ltv_mpc.messages import AdcpPing, ImuSample
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = EstimatorConfig()
-LAYOUT = Layout.of(Suite.load("paper"), CONFIG)
+LAYOUT = Layout.of(SensorConfig.load("paper"), CONFIG)
 NOTHING = np.empty((0, LAYOUT.size))
 
 
@@ -54,7 +54,7 @@ def test_it_is_a_congruence_and_keeps_symmetry():
 
 def test_pings_and_inertial_samples_leave_an_unknown_heading_unknown():
     """60 noisy pings and 20 s of acceleration: the deviation of 3 deg stays, to a thousandth."""
-    suite = Suite.load("paper")
+    suite = SensorConfig.load("paper")
     rng = np.random.default_rng(2)
     belief = Belief.blank(LAYOUT, 0)
     sd = math.radians(3)

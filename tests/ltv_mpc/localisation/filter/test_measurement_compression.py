@@ -8,14 +8,14 @@ from ltv_mpc.localisation.filter import correction
 from ltv_mpc.localisation.filter.correction import correct, update
 from ltv_mpc.localisation.filter.measurement_compression import _root, entries, innovation, project, sufficient, touched
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import AdcpModel
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.localisation.water.current_model import write_prior
 from ltv_mpc.messages import AdcpPing
 
 N = 80
-SUITE, CONFIG = Suite.load("paper"), EstimatorConfig()
+SUITE, CONFIG = SensorConfig.load("paper"), EstimatorConfig()
 
 
 @pytest.fixture

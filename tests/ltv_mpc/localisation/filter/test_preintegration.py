@@ -6,9 +6,9 @@ from scipy.integrate import quad_vec, solve_ivp
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
 from ltv_mpc.localisation.filter.preintegration import carry, integrate, noise_of
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 
-IMU = Suite.load("realistic").imu
+IMU = SensorConfig.load("realistic").imu
 NOISE = noise_of(IMU)
 DT = 0.01
 FAST_EARTH = 100 * earth_rate(-0.6) + np.array([0, 3e-3, 0])  # every term counts, none drowns in the others

@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc.frames import rotation, rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, Belief, Layout, grid, reach_m
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 
 
 def length(states: slice) -> int:
@@ -15,13 +15,13 @@ def length(states: slice) -> int:
 
 
 def test_a_bias_that_a_suite_does_not_have_is_no_state():
-    paper = Layout.of(Suite.load("paper"), EstimatorConfig())
+    paper = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
     assert [length(s) for s in (paper.beam_bias, paper.near_bias, paper.mounting, paper.compass_bias)] == [0, 0, 0, 0]
     assert paper.size == CORE + 2 + 2 + 2 * 71
 
 
 def test_every_state_of_a_realistic_suite_has_its_own_place():
-    layout = Layout.of(Suite.load("realistic"), EstimatorConfig())
+    layout = Layout.of(SensorConfig.load("realistic"), EstimatorConfig())
     named = [getattr(layout, f) for f in layout.__slots__ if f not in ("nodes", "size")]
     places = [i for s in named for i in range(s.start, s.stop)]
     assert sorted(places) == list(range(CORE, layout.size))
@@ -37,7 +37,7 @@ def test_the_waters_grid_reaches_its_deepest_and_no_further(deepest, cell, last)
 
 
 def test_attitude_errors_turn_the_body_in_the_world_and_the_instrument_in_the_body():
-    layout = Layout.of(Suite.load("realistic"), EstimatorConfig())
+    layout = Layout.of(SensorConfig.load("realistic"), EstimatorConfig())
     belief = Belief.blank(layout, 0)
     belief.R = rotation(0.1, -0.2, 2.0)
     belief.mounting = rotation(0.01, 0.02, -0.03)
@@ -51,7 +51,7 @@ def test_attitude_errors_turn_the_body_in_the_world_and_the_instrument_in_the_bo
 
 
 def test_a_cloned_position_has_the_positions_errors():
-    layout = Layout.of(Suite.load("paper"), EstimatorConfig())
+    layout = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
     belief = Belief.blank(layout, 7)
     root = np.random.default_rng(0).standard_normal((layout.size, layout.size))
     belief.P = root @ root.T
@@ -69,7 +69,7 @@ def test_a_cloned_position_has_the_positions_errors():
 
 
 def test_a_copy_is_the_same_and_shares_nothing_that_changes():
-    belief = Belief.blank(Layout.of(Suite.load("realistic"), EstimatorConfig()), 0)
+    belief = Belief.blank(Layout.of(SensorConfig.load("realistic"), EstimatorConfig()), 0)
     belief.x += 1.0
     belief.P += np.eye(len(belief.P))
     other = belief.copy()
@@ -86,14 +86,14 @@ def test_nodes_are_wanted_where_a_beam_of_a_rolling_vehicle_can_reach(roll_pitch
     """Beyond the 3 m of a plan and the transducer's 0.5 m. Nose up by 90 deg, beams that looked down look ahead."""
     roll, pitch = np.radians(roll_pitch_deg)
     adcp = msgspec.structs.replace(
-        Suite.load("realistic").adcp, lever_arm_m=(0.3, 0.0, -0.4), mounting_rad=(roll, pitch, 0.4), range_m=15.0
+        SensorConfig.load("realistic").adcp, lever_arm_m=(0.3, 0.0, -0.4), mounting_rad=(roll, pitch, 0.4), range_m=15.0
     )
     np.testing.assert_allclose(reach_m(adcp), (3.5 + above, 3.5 + below))
 
 
 def test_a_window_holds_what_is_kept_and_what_can_be_reached_on_either_side():
     """Wherever the vehicle is between two nodes: one more at each end, and one for the fence posts."""
-    suite = Suite.load("realistic")
+    suite = SensorConfig.load("realistic")
     config = msgspec.structs.replace(EstimatorConfig(), deepest_m=900.0, kept_m=21.0, cell_m=2.0)
     above, below = reach_m(suite.adcp)
     layout = Layout.of(suite, config)
@@ -105,7 +105,7 @@ def test_a_window_holds_what_is_kept_and_what_can_be_reached_on_either_side():
 
 
 def test_a_copy_has_a_column_of_its_own():
-    belief = Belief.blank(Layout.of(Suite.load("paper"), EstimatorConfig()), 0)
+    belief = Belief.blank(Layout.of(SensorConfig.load("paper"), EstimatorConfig()), 0)
     copy = belief.copy()
     copy.column.seen[3] = True
     copy.column.first = 2

@@ -9,7 +9,7 @@ import pytest
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import GYRO_BIAS, Belief, Layout
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
 from ltv_mpc.localisation.sensors.adcp import AdcpModel, beam_directions
 from ltv_mpc.messages import (
@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
     UsblFix,
 )
 
-SUITE = Suite.load("realistic")
+SUITE = SensorConfig.load("realistic")
 CONFIG = EstimatorConfig()
 LAYOUT = Layout.of(SUITE, CONFIG)
 AT_ORIGIN = (0.0, 0.0, 0.0)
@@ -130,7 +130,7 @@ def test_what_has_no_return_or_lies_outside_the_grid_is_left_out_and_counted(bel
 
 
 def test_a_suite_without_biases_has_rows_without_them():
-    suite = Suite.load("paper")
+    suite = SensorConfig.load("paper")
     layout = Layout.of(suite, CONFIG)
     belief = Belief.blank(layout, 0)
     ping = AdcpPing(t_ns=0, range_m=np.array([3.0]), beam_velocity_mps=np.zeros((4, 1)))

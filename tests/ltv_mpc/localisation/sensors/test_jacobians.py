@@ -7,7 +7,7 @@ import pytest
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief, Layout
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, Suite, Usbl
+from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
 from ltv_mpc.localisation.sensors.adcp import AdcpModel
 from ltv_mpc.messages import (
@@ -21,7 +21,7 @@ from ltv_mpc.messages import (
     UsblFix,
 )
 
-REALISTIC = Suite.load("realistic")
+REALISTIC = SensorConfig.load("realistic")
 ODD = {"period_ns": 1_000_000_000, "missing_share": 0.0, "outlier_share": 0.0}
 SUITE = msgspec.structs.replace(
     REALISTIC,

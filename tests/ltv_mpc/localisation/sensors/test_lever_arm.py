@@ -6,10 +6,10 @@ import pytest
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, Belief, Layout
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import lever_arm
 
-LAYOUT = Layout.of(Suite.load("realistic"), EstimatorConfig())
+LAYOUT = Layout.of(SensorConfig.load("realistic"), EstimatorConfig())
 LEVER = (2.0, -0.7, -3.0)
 RATE = (0.3, -0.2, 0.4)
 

@@ -9,11 +9,11 @@ import pytest
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water import current_model
 
 CONFIG = EstimatorConfig()
-LAYOUT = Layout.of(Suite.load("paper"), CONFIG)
+LAYOUT = Layout.of(SensorConfig.load("paper"), CONFIG)
 
 
 def prior(config=CONFIG):
@@ -143,7 +143,7 @@ def test_a_profile_of_one_depth_is_a_prior_too():
 
 def test_a_dive_that_begins_deep_begins_with_a_window_about_it():
     config = msgspec.structs.replace(CONFIG, deepest_m=500.0)
-    layout = Layout.of(Suite.load("paper"), config)
+    layout = Layout.of(SensorConfig.load("paper"), config)
     belief = Belief.blank(layout, 0)
     belief.x[2] = 300.0
     current_model.write_prior(belief, config)

@@ -12,7 +12,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid, reach_m
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import node_prior, walk, write_prior
 from ltv_mpc.localisation.water.grid_window import follow, given, grown
 from ltv_mpc.localisation.water.survey import learned
@@ -24,7 +24,7 @@ WINDOW = msgspec.structs.replace(WHOLE, kept_m=0.0)
 
 
 def short_sighted(name, range_m):
-    suite = Suite.load(name)
+    suite = SensorConfig.load(name)
     return msgspec.structs.replace(suite, adcp=msgspec.structs.replace(suite.adcp, range_m=range_m))
 
 
@@ -100,7 +100,7 @@ def test_a_filter_that_forgets_depths_behind_it_knows_the_rest_as_one_that_keeps
 
 def test_nothing_of_70_m_is_left_behind_with_the_shipped_settings():
     for name in ("paper", "realistic"):
-        layout = Layout.of(Suite.load(name), EstimatorConfig())
+        layout = Layout.of(SensorConfig.load(name), EstimatorConfig())
         assert layout.north.stop - layout.north.start == layout.nodes == 71
 
 

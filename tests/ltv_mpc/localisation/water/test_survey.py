@@ -6,11 +6,11 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
-from ltv_mpc.localisation.sensor_config import Suite
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import node_prior, write_prior
 from ltv_mpc.localisation.water.survey import learned
 
-REALISTIC = Suite.load("realistic")
+REALISTIC = SensorConfig.load("realistic")
 QUIET = {
     "senses_earth_rate": False,
     "gyro_bias_sd_radps": 0.0,

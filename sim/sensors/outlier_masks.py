@@ -11,7 +11,7 @@ KEPT = 1024
 """Messages that are remembered: all that can be on their way at the shortest period and the longest latency."""
 
 
-class Injected:
+class OutlierMasks:
     """Masks of outliers by the validity time of their message, which may arrive after later ones are taken."""
 
     def __init__(self) -> None:
