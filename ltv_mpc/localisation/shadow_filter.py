@@ -7,8 +7,9 @@ the first doubt on: where what ties velocity and depth down agrees with it again
 new, it was the instrument, and the twin takes its place.
 
 Agrees  of each tie the last ``MIN_AGREEING`` messages have passed the gate, ``MIN_ACCEPTED`` of their rows, within
-        ``MAX_AGE_NS``, and at least one had not before. A filter that was wrong does not come to that by waiting: what it refuses cannot
-        correct it. One whose innovations are too large, and pass, has refused nothing and has nothing to come back to.
+        ``MAX_AGE_NS``, and at least one had not before. A filter that was wrong does not come to that by waiting: what
+        it refuses cannot correct it. One whose innovations are too large, and pass, has refused nothing and has
+        nothing to come back to.
 Worth   more than the one in use it is only where it has come to something else, and is about as sure of its velocity.
         What was granted before the doubt it has too: a filter that begins anew with the water as it was known may well
         be the better one then.
