@@ -8,7 +8,7 @@ import typer
 
 from services.cli.options import Force, Json, Out, VehicleFile
 
-MOST_VEHICLES = 1000
+MAX_VEHICLES = 1000
 
 
 def fleet(
@@ -46,7 +46,7 @@ def fleet(
     Vehicle.load(vehicle)
     import msgspec
 
-    from services.reporting.terminal import share_for
+    from services.reporting.terminal import progress_bar
     from services.run import folder as folders
     from services.runtime.stopping import DONE, FAILED
     from services.supervisor.loopback import free_port
@@ -60,7 +60,7 @@ def fleet(
     for count in counts:
         typer.echo(f"{count} vehicles: {warm_up_s:g} s to warm up, {seconds:g} s measured", err=True)
         try:
-            with share_for(f"{count} vehicles") as told:
+            with progress_bar(f"{count} vehicles") as told:
                 made = trial.run(
                     Fleet(
                         vehicles=count,
@@ -98,8 +98,8 @@ def _counts(text: str) -> list[int]:
     counts = []
     for part in text.split(","):
         number = int(part) if part.strip().isascii() and part.strip().isdigit() and len(part) <= 9 else 0
-        if not 1 <= number <= MOST_VEHICLES:
-            problem = f"must be whole numbers from 1 to {MOST_VEHICLES}, separated by commas"
+        if not 1 <= number <= MAX_VEHICLES:
+            problem = f"must be whole numbers from 1 to {MAX_VEHICLES}, separated by commas"
             raise ConfigError("option --vehicles", "", problem, value=text)
         counts.append(number)
     return counts

@@ -42,12 +42,12 @@ def localise(
     """
     import msgspec
 
-    from services.reporting.terminal import share_for
+    from services.reporting.terminal import progress_bar
     from services.run import folder
     from services.tools.localise import dive_localisation as dive
     from services.tools.localise import text
 
-    with share_for(file.name) as told:
+    with progress_bar(file.name) as told:
         outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, told=told)
     written = None if out is None else folder.make("localise", {}, out=out, force=force)
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()

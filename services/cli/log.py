@@ -38,11 +38,11 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
     """
     from services.recording import info as figures
     from services.recording.recover import segments
-    from services.reporting.terminal import reading
+    from services.reporting.terminal import reading_progress
     from services.run import folder
 
     recording = folder.find(run)
-    with reading(recording):
+    with reading_progress(recording):
         found = figures.read(segments(recording))
     if as_json:
         import msgspec
@@ -78,9 +78,9 @@ def recover(
         if as_json:
             typer.echo("null")
         return
-    from services.reporting.terminal import reading
+    from services.reporting.terminal import reading_progress
 
-    with reading(recording):
+    with reading_progress(recording):
         made = recovery.recover(parts, out or recovery.recovered_path(recording))
     if as_json:
         import msgspec
@@ -120,10 +120,10 @@ def export(
         tables.need_pyarrow()
     place = folder.opened(out or recording.parent / form.value, force=force)
     from services.reporting import log_text
-    from services.reporting.terminal import share_for
+    from services.reporting.terminal import progress_bar
 
     result: tables.Result | perfetto.Written
-    with share_for(f"{recording} as {form.value}") as told:
+    with progress_bar(f"{recording} as {form.value}") as told:
         if form is Format.PERFETTO:
             result = perfetto.write(parts, place / "trace.json", told=told)
         else:

@@ -38,7 +38,7 @@ def replay(
 
     from services.replay import replay as nodes
     from services.reporting import replay_text
-    from services.reporting.terminal import progress_for
+    from services.reporting.terminal import run_progress_bar
     from services.run import folder
 
     made = nodes.Run(folder.find(run))
@@ -48,7 +48,7 @@ def replay(
         @cache
         def bar() -> Callable[[int], None]:
             """From the first word on: it has a thread, and nobody forks a process of several."""
-            return shown.enter_context(progress_for(scenario.start_ns, scenario.end_ns))
+            return shown.enter_context(run_progress_bar(scenario.start_ns, scenario.end_ns))
 
         def progress(t_ns: int) -> None:
             bar()(t_ns)

@@ -42,18 +42,18 @@ def report(
     from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
-    from services.reporting.terminal import reading
+    from services.reporting.terminal import reading_progress
     from services.run import folder
 
     if runs is not None and len(runs) == 1 and (Path(runs[0]) / "campaign.toml").is_file():
         return _of_campaign(Path(runs[0]))
     recordings = [folder.find(text) for text in runs or [folder.LATEST]]
-    if len(recordings) > page.MOST_RUNS:
-        raise ConfigError("argument RUN", "", f"at most {page.MOST_RUNS} runs fit into one report")
+    if len(recordings) > page.MAX_RUNS:
+        raise ConfigError("argument RUN", "", f"at most {page.MAX_RUNS} runs fit into one report")
     shown = [_run(recording, name) for recording, name in zip(recordings, _names(recordings), strict=True)]
     target = _target(recordings, out, force=force)
     try:
-        with reading(", ".join(run.name for run in shown)):
+        with reading_progress(", ".join(run.name for run in shown)):
             figures = page.write(shown, target)
     except NoPlotly as missing:
         typer.echo(f"report: {missing}: the extra viz brings it, as `make setup` does", err=True)
@@ -92,11 +92,11 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
     from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
     from services.reporting.static_files import NoPlotly
-    from services.reporting.terminal import reading
+    from services.reporting.terminal import reading_progress
 
     target = recording.with_name(page.NAME)
     try:
-        with reading(page.NAME):
+        with reading_progress(page.NAME):
             page.write([page.Run(name=recording.parent.name, recording=recording, summary=summary)], target)
     except NoPlotly as missing:
         return f"no {page.NAME}: {missing}, the extra viz brings it"

@@ -142,9 +142,9 @@ def sim(
     for note in situation.notes:
         typer.echo(note, err=True)
     if lockstep:
-        return _locked(situation, run_folder, as_json)
+        return _run_in_lockstep(situation, run_folder, as_json)
     page = open_ or (sys.stderr.isatty() if dashboard is None else dashboard)
-    return _processes(situation, run_folder, as_json, certs, page=page, open_browser=open_)
+    return _run_processes(situation, run_folder, as_json, certs, page=page, open_browser=open_)
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
@@ -193,15 +193,15 @@ def _check_certs(certs: Path, situation: Situation, *, lockstep: bool) -> None:
         credentials(certs, role)
 
 
-def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
-    from services.reporting.terminal import progress_for
+def _run_in_lockstep(situation: Situation, folder: RunFolder, as_json: bool) -> int:
+    from services.reporting.terminal import run_progress_bar
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools import lockstep_run
 
     scenario = situation.scenario
-    with stop_on_signals() as request, progress_for(scenario.start_ns, scenario.end_ns) as progress:
+    with stop_on_signals() as request, run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
         summary = lockstep_run.run(situation, folder, progress=progress, stop=request)
-    _say_verdict(summary, folder, as_json)
+    _print_summary(summary, folder, as_json)
     if summary.duration_s >= scenario.run.duration_s:
         return DONE
     if request():
@@ -209,28 +209,28 @@ def _locked(situation: Situation, folder: RunFolder, as_json: bool) -> int:
     return INTERRUPTED if request.interrupted else FAILED
 
 
-def _processes(
+def _run_processes(
     situation: Situation, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
 ) -> int:
-    from services.dashboard.sidecar import Beside
+    from services.dashboard.sidecar import Sidecar
     from services.reporting.terminal import screen_for
     from services.supervisor import supervisor
 
     limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
     screen = screen_for(situation.scenario.title, limits)
-    beside = Beside(screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser)
+    sidecar = Sidecar(screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser)
     try:
-        outcome = supervisor.run(situation, folder, screen, certs=certs, on_bus=beside.start if page else None)
+        outcome = supervisor.run(situation, folder, screen, certs=certs, on_bus=sidecar.start if page else None)
     finally:
-        beside.stop()
+        sidecar.stop()
     if outcome.summary is None:
         typer.echo(str(folder.path), err=True)
     else:
-        _say_verdict(outcome.summary, folder, as_json)
+        _print_summary(outcome.summary, folder, as_json)
     return outcome.exit_code
 
 
-def _say_verdict(summary: Summary, folder: RunFolder, as_json: bool) -> None:
+def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
     """Write the report; on stdout: the object of summary.json alone, or a few lines and the folder."""
     import msgspec
 

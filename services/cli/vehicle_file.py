@@ -84,9 +84,9 @@ def identify(
     believed = vehicle_identify.vehicle_of(held, name)
     if out is not None:
         _free(out, force=force)
-    from services.reporting.terminal import reading
+    from services.reporting.terminal import reading_progress
 
-    with reading(held.recording):
+    with reading_progress(held.recording):
         result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)
     typer.echo(_json(result) if as_json else vehicle_identify.table(result))
     if out is not None:

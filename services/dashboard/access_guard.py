@@ -41,7 +41,7 @@ class Token:
     def __init__(self) -> None:
         self.text = secrets.token_urlsafe(TOKEN_BYTES)
 
-    def fits(self, text: str) -> bool:
+    def matches(self, text: str) -> bool:
         """In a time that tells nothing about how much of it is right."""
         return hmac.compare_digest(self.text.encode(), text.encode(errors="replace"))
 
@@ -52,7 +52,7 @@ def hosts(names: Iterable[str], port: int) -> frozenset[str]:
     return named | frozenset(names) if port == 80 else named
 
 
-def refusal(scope: Scope, allowed: frozenset[str]) -> str:
+def rejection_reason(scope: Scope, allowed: frozenset[str]) -> str:
     """Why a request or a WebSocket is turned away; empty where it is not."""
     headers = Headers(scope=scope)
     if headers.getlist("host") != [headers.get("host", "")] or headers["host"].lower() not in allowed:
@@ -65,8 +65,8 @@ def refusal(scope: Scope, allowed: frozenset[str]) -> str:
     return ""
 
 
-class Guard:
-    """Before everything else: turns away what ``refusal`` names, with 403, and puts ``HEADERS`` on all answers."""
+class AccessGuard:
+    """ASGI middleware: rejects with 403 what ``rejection_reason`` names and adds ``HEADERS`` to every response."""
 
     def __init__(self, app: ASGIApp, *, allowed: frozenset[str]) -> None:
         self._app = app
@@ -77,7 +77,7 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        why = refusal(scope, self._allowed)
+        why = rejection_reason(scope, self._allowed)
         if not why:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "http":

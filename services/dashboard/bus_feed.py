@@ -53,11 +53,11 @@ class Process(msgspec.Struct, frozen=True, kw_only=True):
     rejected: int
 
 
-class Moment(msgspec.Struct, frozen=True, kw_only=True):
+class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     """What the page says in words. Ages are vehicle time between a message's validity and now."""
 
     t_s: float | None
-    clock: str  # waiting, running, paused; "silent" where nothing was heard
+    clock: str  # waiting, running, paused; "silent" where nothing was decoded
     speed: float  # of the clock, times real time
     asked_speed: float  # more than that where the machine cannot keep up
     authority: str
@@ -73,7 +73,7 @@ class Moment(msgspec.Struct, frozen=True, kw_only=True):
     simulated: bool  # somebody says the truth
 
 
-class Ears:
+class BusFeed:
     """Listens on ``session``. ``look`` is to be called about ten times a second, from one thread."""
 
     def __init__(self, session: Session, thrusters: tuple[Thruster, Thruster] | None) -> None:
@@ -92,21 +92,21 @@ class Ears:
             inlet = self._every if kind in EVERY else self._newest
             session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, inlet)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Take what has come since the last look."""
         for key, newest in sorted(self._newest.items(), key=_clock_first):
             if self._seen.get(key) is newest.payload:
                 continue
             self._seen[key] = newest.payload
-            heard = _decoded(newest.topic.message_type, newest.payload)
-            if heard is not None:
-                self._hear(*heard, newest.arrived_s)
+            decoded = _decoded(newest.topic.message_type, newest.payload)
+            if decoded is not None:
+                self._receive(*decoded, newest.arrived_s)
         while (frame := self._every.take(0.0)) is not None:
-            heard = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
-            if heard is not None:
-                self._hear(*heard, 0.0)
+            decoded = None if frame.topic is None else _decoded(frame.topic.message_type, frame.payload)
+            if decoded is not None:
+                self._receive(*decoded, 0.0)
 
-    def moment(self) -> Moment:
+    def status(self) -> PageStatus:
         """The page's words for now."""
         clock, controller = self._of(Clock), self._of(ControllerStatus)
         plan, estimate, applied = self.collector.plan, self.collector.estimate, self._of(Applied)
@@ -119,7 +119,7 @@ class Ears:
         if (localisation := self._of(LocalisationReport)) is not None:
             ages |= {report.sensor: _age(t_ns, report.last_t_ns) for report in localisation.sensors}
         state = "silent" if clock is None else clock.state.value
-        return Moment(
+        return PageStatus(
             t_s=None if t_ns is None else t_ns / 1e9,
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
@@ -133,7 +133,7 @@ class Ears:
             heading_rad=None if estimate is None else estimate.heading_rad,
             progress=None if controller is None else controller.progress,
             ages_s=ages,
-            processes=self._words(paused=clock is not None and clock.state is ClockState.PAUSED),
+            processes=self._process_rows(paused=clock is not None and clock.state is ClockState.PAUSED),
             simulated=self._of(Truth) is not None,
         )
 
@@ -143,22 +143,22 @@ class Ears:
         estimate = self.collector.estimate
         return estimate.t_ns if reading is None and estimate is not None else reading
 
-    def _hear(self, signal: Message, header: Header, came_s: float) -> None:
+    def _receive(self, signal: Message, header: Header, came_s: float) -> None:
         if isinstance(signal, Clock):
-            self._hear_clock(signal)
+            self._receive_clock(signal)
         if isinstance(signal, NodeStatus):
             self._processes[signal.node] = (signal, came_s)
         self._signals[type(signal)] = signal
-        self.collector.hear(signal, header.epoch)
+        self.collector.add(signal, header.epoch)
 
-    def _hear_clock(self, clock: Clock) -> None:
+    def _receive_clock(self, clock: Clock) -> None:
         newest = self._of(Clock)
         if newest is not None and newest.clock_epoch != clock.clock_epoch:
-            self._begin_again()
+            self._reset()
         with contextlib.suppress(ClockError):  # kept on another host: times are then the estimates' own
             self._clock.hear(clock)
 
-    def _begin_again(self) -> None:
+    def _reset(self) -> None:
         self.run += 1
         self.collector = Collector(self._thrusters)
         self._clock = VehicleClock()
@@ -169,7 +169,7 @@ class Ears:
         signal = self._signals.get(kind)
         return signal if isinstance(signal, kind) else None
 
-    def _words(self, *, paused: bool) -> tuple[Process, ...]:
+    def _process_rows(self, *, paused: bool) -> tuple[Process, ...]:
         now_s = time.monotonic()
         return tuple(
             Process(

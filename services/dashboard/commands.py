@@ -43,7 +43,7 @@ SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, B
 """Where there is a world to do it to."""
 
 
-class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ButtonRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the page sends. ``speed`` and ``node`` belong to the buttons of that name."""
 
     number: Annotated[int, Meta(ge=0, le=2**53 - 1)]  # its answer has the same
@@ -53,7 +53,7 @@ class Asked(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     node: Annotated[str, Meta(max_length=40)] = ""
 
 
-class Answer(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="answer"):
+class ButtonReply(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="reply"):
     """What the page is told."""
 
     number: int
@@ -61,57 +61,59 @@ class Answer(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="a
     text: str
 
 
-def do(asked: Asked, bus: BusOptions, t_ns: int | None, speed: float) -> Answer:
+def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) -> ButtonReply:
     """Do it, and say what came of it; may take ``PATIENCE_S`` twice. ``t_ns``: vehicle time, ``speed``: the clock's."""
     try:
         with open_session(bus, stop=_patience(), say=lambda _: None) as session:
-            return _done(asked, session, t_ns, speed)
+            return _done(request, session, t_ns, speed)
     except Stopped:
-        return _answer(asked, f"no router within {PATIENCE_S:.0f} s")
+        return _reply(request, f"no router within {PATIENCE_S:.0f} s")
     except BusError as error:
-        return _answer(asked, str(error))
+        return _reply(request, str(error))
 
 
-def _done(asked: Asked, session: Session, t_ns: int | None, speed: float) -> Answer:
-    match asked.button:
+def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: float) -> ButtonReply:
+    match request.button:
         case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD:
-            return _by_controller(asked, ask(session, Action(asked.button.value)))
+            return _by_controller(request, ask(session, Action(request.button.value)))
         case Button.PAUSE:
-            return _sent(asked, session, ClockCommand(paused=True, speed=speed), "asked the clock to stand still")
+            return _sent(request, session, ClockCommand(paused=True, speed=speed), "asked the clock to stand still")
         case Button.RESUME:
-            return _sent(asked, session, ClockCommand(paused=False, speed=speed), "asked the clock to go on")
+            return _sent(request, session, ClockCommand(paused=False, speed=speed), "asked the clock to go on")
         case Button.SPEED:
-            text = f"asked for {asked.speed:g} x real time"
-            return _sent(asked, session, ClockCommand(paused=False, speed=asked.speed), text)
+            text = f"asked for {request.speed:g} x real time"
+            return _sent(request, session, ClockCommand(paused=False, speed=request.speed), text)
         case Button.KILL:
-            return _sent(asked, session, Kill(node=asked.node), f"asked the launcher to end {asked.node}")
+            return _sent(request, session, Kill(node=request.node), f"asked the launcher to end {request.node}")
         case Button.KICK:
             if t_ns is None:
-                return _answer(asked, "nobody has said what time it is")
+                return _reply(request, "nobody has said what time it is")
             kick = Disturbance(until_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
-            return _sent(asked, session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
+            return _sent(request, session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
 
 
-def _by_controller(asked: Asked, answer: Acknowledged | Rejected | None) -> Answer:
+def _by_controller(request: ButtonRequest, answer: Acknowledged | Rejected | None) -> ButtonReply:
     match answer:
         case Acknowledged(accepted=True):
-            return _answer(asked, f"{asked.button.value} accepted; in charge: {answer.authority.value}", done=True)
+            return _reply(
+                request, f"{request.button.value} accepted; command authority: {answer.authority.value}", done=True
+            )
         case Acknowledged():
-            return _answer(asked, f"{asked.button.value} refused: {answer.why}")
+            return _reply(request, f"{request.button.value} refused: {answer.why}")
         case Rejected():
-            return _answer(asked, f"{asked.button.value} refused by {answer.node}: {answer.reason}")
+            return _reply(request, f"{request.button.value} refused by {answer.node}: {answer.reason}")
         case None:
-            return _answer(asked, f"no controller answered within {PATIENCE_S:.0f} s")
+            return _reply(request, f"no controller answered within {PATIENCE_S:.0f} s")
 
 
-def _sent(asked: Asked, session: Session, signal: Message, text: str) -> Answer:
+def _sent(request: ButtonRequest, session: Session, signal: Message, text: str) -> ButtonReply:
     """Nobody answers these: what they do shows on the page."""
     Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(signal),)).publish(signal)
-    return _answer(asked, text, done=True)
+    return _reply(request, text, done=True)
 
 
-def _answer(asked: Asked, text: str, *, done: bool = False) -> Answer:
-    return Answer(number=asked.number, done=done, text=text)
+def _reply(request: ButtonRequest, text: str, *, done: bool = False) -> ButtonReply:
+    return ButtonReply(number=request.number, done=done, text=text)
 
 
 def _patience() -> Callable[[], bool]:

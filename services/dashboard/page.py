@@ -1,9 +1,10 @@
-"""The page's process: HTTP for the page itself, one WebSocket for its stream and its buttons.
+"""Web application of the live page: HTTP for the page itself, one WebSocket for its stream and its buttons.
 
     GET /            the page                 GET /page/NAME   its scripts and styles, and plotly's own
-    WS  /stream      texts of ``stream.py`` one way; the other way ``commands.Asked``, answered by ``commands.Answer``
+    WS  /stream      to the browser: the texts of ``stream.py`` and a ``ButtonReply`` to each command;
+                     from the browser: ``ButtonRequest``
 
-Whoever is not turned away by ``access_guard.py`` may read; who holds the token may command.
+Any client that ``access_guard.py`` accepts may read. Commands need the token.
 """
 
 from __future__ import annotations
@@ -22,26 +23,26 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from services.bus.session import BusOptions
-from services.dashboard.access_guard import Guard, Token
-from services.dashboard.bus_feed import Ears
-from services.dashboard.commands import SIMULATED, Answer, Asked, do
-from services.dashboard.stream import MOST_READERS, Reader, Stream
+from services.dashboard.access_guard import AccessGuard, Token
+from services.dashboard.bus_feed import BusFeed
+from services.dashboard.commands import SIMULATED, ButtonReply, ButtonRequest, do
+from services.dashboard.stream import MAX_READERS, Reader, Stream
 from services.reporting import static_files
 from services.reporting.plots.catalogue import PLOTS
 
 HERE = Path(__file__).parent / "static"
 
-Do = Callable[[Asked, int | None, float], Answer]
+Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
 """Runs in a thread of its own: a command waits for its answer."""
 
-ASKED = msgspec.json.Decoder(Asked)
-LONGEST_COMMAND_BYTES = 1024
+REQUEST = msgspec.json.Decoder(ButtonRequest)
+MAX_COMMAND_BYTES = 1024
 """The server closes on whoever sends more."""
 
 
-def make(ears: Ears, token: Token, *, allowed: frozenset[str], name: str, command: Do) -> Starlette:
+def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, command: Do) -> Starlette:
     """The application. ``name`` is what the page calls what it shows; ``allowed`` is what may stand in Host."""
-    stream = Stream(ears)
+    stream = Stream(feed)
     files = {
         "live.js": HERE / "live.js",
         "live.css": HERE / "live.css",
@@ -52,7 +53,7 @@ def make(ears: Ears, token: Token, *, allowed: frozenset[str], name: str, comman
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        task = asyncio.create_task(stream.go())
+        task = asyncio.create_task(stream.run())
         yield
         task.cancel()
 
@@ -64,25 +65,25 @@ def make(ears: Ears, token: Token, *, allowed: frozenset[str], name: str, comman
         return Response("no such file\n", 404) if path is None else FileResponse(path)
 
     async def live(socket: WebSocket) -> None:
-        await _live(socket, stream, ears, token, name=name, command=command)
+        await _live(socket, stream, feed, token, name=name, command=command)
 
     return Starlette(
         routes=[Route("/", page), Route("/page/{name}", file), WebSocketRoute("/stream", live)],
-        middleware=[Middleware(Guard, allowed=allowed)],
+        middleware=[Middleware(AccessGuard, allowed=allowed)],
         lifespan=lifespan,
     )
 
 
-async def _live(socket: WebSocket, stream: Stream, ears: Ears, token: Token, *, name: str, command: Do) -> None:
+async def _live(socket: WebSocket, stream: Stream, feed: BusFeed, token: Token, *, name: str, command: Do) -> None:
     """One browser, until it goes."""
     await socket.accept()
-    if len(stream.readers) >= MOST_READERS:
-        await socket.close(1013, f"{MOST_READERS} pages are the most")
+    if len(stream.readers) >= MAX_READERS:
+        await socket.close(1013, f"{MAX_READERS} pages are the most")
         return
     reader = Reader()
     await socket.send_text(msgspec.json.encode({"kind": "hello", "name": name, "plots": PLOTS}).decode())
     stream.readers.add(reader)
-    both = _send(socket, reader), _obey(socket, reader, ears, token, command)
+    both = _send(socket, reader), _obey(socket, reader, feed, token, command)
     tasks = [asyncio.create_task(one) for one in both]
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -95,28 +96,30 @@ async def _live(socket: WebSocket, stream: Stream, ears: Ears, token: Token, *, 
 
 async def _send(socket: WebSocket, reader: Reader) -> None:
     while True:
-        await socket.send_text(await reader.take())
+        await socket.send_text(await reader.get())
 
 
-async def _obey(socket: WebSocket, reader: Reader, ears: Ears, token: Token, command: Do) -> None:
+async def _obey(socket: WebSocket, reader: Reader, feed: BusFeed, token: Token, command: Do) -> None:
     """One command after the other."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
             text = await socket.receive_text()
-            reader.give(msgspec.json.encode(await _answer(text, ears, token, command)).decode())
+            reader.put(msgspec.json.encode(await _reply(text, feed, token, command)).decode())
 
 
-async def _answer(text: str, ears: Ears, token: Token, command: Do) -> Answer:
+async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonReply:
     try:
-        asked = ASKED.decode(text)
+        asked = REQUEST.decode(text)
     except ValueError as error:  # msgspec's too
-        return Answer(number=0, done=False, text=f"no such command: {error}")
-    if not token.fits(asked.token):
-        return Answer(number=asked.number, done=False, text="read-only: the address that was printed has the token")
-    moment = ears.moment()
+        return ButtonReply(number=0, done=False, text=f"no such command: {error}")
+    if not token.matches(asked.token):
+        return ButtonReply(
+            number=asked.number, done=False, text="read-only: the address that was printed has the token"
+        )
+    moment = feed.status()
     if asked.button in SIMULATED and not moment.simulated:
-        return Answer(number=asked.number, done=False, text=f"{asked.button.value} is for simulations")
-    return await asyncio.to_thread(command, asked, ears.t_ns(), moment.asked_speed)
+        return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} is for simulations")
+    return await asyncio.to_thread(command, asked, feed.t_ns(), moment.asked_speed)
 
 
 def commander(bus: BusOptions) -> Do:

@@ -17,7 +17,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.session import open_session
 from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
-from services.dashboard.bus_feed import Ears
+from services.dashboard.bus_feed import BusFeed
 from services.dashboard.config import Config
 from services.runtime.serve import until_stopped
 from services.runtime.stopping import Say, StopRequest
@@ -57,14 +57,14 @@ def main(config: Config) -> int:
             named = f"[{host}]" if ":" in host else host
             name = bus.namespace or ", ".join(bus.connects_to)
             app = page.make(
-                Ears(session, thrusters),
+                BusFeed(session, thrusters),
                 token,
                 allowed=hosts({*LOOPBACK, named}, port),
                 name=name,
                 command=page.commander(bus),
             )
             place.listen()  # who comes before the server runs waits for it
-            _tell(f"http://{named}:{port}/#{token.text}", open_browser=config.open_browser)
+            _announce(f"http://{named}:{port}/#{token.text}", open_browser=config.open_browser)
             # a signal ends it, and is then handed on to the handlers that were there before
             uvicorn.Server(configuration(app)).run(sockets=[place])
 
@@ -77,7 +77,7 @@ def _give_way() -> None:
         AUTOGROUP.write_text(str(NICE))
 
 
-def _tell(url: str, *, open_browser: bool) -> None:
+def _announce(url: str, *, open_browser: bool) -> None:
     sys.stdout.write(f"{url}\n")
     sys.stdout.flush()
     if open_browser:
@@ -90,7 +90,7 @@ def configuration(app: Starlette) -> uvicorn.Config:
         app,
         log_level="error",
         access_log=False,
-        ws_max_size=page.LONGEST_COMMAND_BYTES,
+        ws_max_size=page.MAX_COMMAND_BYTES,
         ws_per_message_deflate=False,  # loopback has room; the other processes need the processor
         timeout_graceful_shutdown=GRACE_S,
         server_header=False,

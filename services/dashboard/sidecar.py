@@ -22,7 +22,7 @@ NEEDS = ("plotly", "starlette", "uvicorn", "websockets")
 STOP_S = 1.5
 
 
-class Beside:
+class Sidecar:
     """``say`` is told the page's address as soon as it is there. Spawn from the main thread: it dies with that."""
 
     def __init__(self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool) -> None:
@@ -57,7 +57,7 @@ class Beside:
                 text=True,
                 start_new_session=True,
             )
-        threading.Thread(target=self._hear, args=(self._process,), name="page", daemon=True).start()
+        threading.Thread(target=self._receive, args=(self._process,), name="page", daemon=True).start()
 
     def stop(self) -> None:
         """The run is over."""
@@ -71,7 +71,7 @@ class Beside:
             process.kill()
             process.wait()
 
-    def _hear(self, process: subprocess.Popen[str]) -> None:
+    def _receive(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None
         with process.stdout as output:
             url = output.readline().strip()

@@ -1,11 +1,11 @@
-"""The page's stream: one text ten times a second, encoded once, whoever many read it.
+"""Update stream of the live page: one text ten times a second, encoded once for all browsers.
 
-    whole   everything there is: to who has just come, and to who could not keep up
-    tick    the rows, marks and words since the last one
+    whole   the complete state, for a browser that has just connected or has fallen behind
+    tick    the rows, event marks and status since the last text
 
-``tables`` are of the moment, whole each time; ``rows`` go behind those of the same name, or take their place where
-``replaced`` names them. A reader that is ``LATE`` texts behind gets none of them but the whole, once it reads again:
-nobody's slowness fills the memory or holds the others up.
+``tables`` hold the newest state and are sent whole each time. ``rows`` are appended to the table of the same name, or
+replace it if ``replaced`` names it. A browser that falls ``MAX_BACKLOG`` texts behind loses them and receives a whole
+text when it reads again, so that a slow browser neither fills the memory nor delays the others.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from typing import Any
 
 import msgspec
 
-from services.dashboard.bus_feed import Ears
+from services.dashboard.bus_feed import BusFeed
 from services.reporting.plots.table import Columns
 
 PERIOD_S = 0.1
-LATE = 20
-MOST_READERS = 32
+MAX_BACKLOG = 20
+MAX_READERS = 32
 
 
 class Reader:
     """One browser's queue."""
 
     def __init__(self) -> None:
-        self._texts: asyncio.Queue[str] = asyncio.Queue(LATE)
+        self._texts: asyncio.Queue[str] = asyncio.Queue(MAX_BACKLOG)
         self.behind = True
         """It has to be given the whole."""
 
@@ -36,7 +36,7 @@ class Reader:
         """It has taken all there was for it."""
         return self._texts.empty()
 
-    def give(self, text: str) -> None:
+    def put(self, text: str) -> None:
         """Leave it here; of one that is too late, forget all."""
         if self._texts.full():
             self.behind = True
@@ -45,7 +45,7 @@ class Reader:
             return
         self._texts.put_nowait(text)
 
-    async def take(self) -> str:
+    async def get(self) -> str:
         """The next one."""
         return await self._texts.get()
 
@@ -53,14 +53,14 @@ class Reader:
 class Stream:
     """Looks at what was heard, and gives it to all readers."""
 
-    def __init__(self, ears: Ears) -> None:
-        self._ears = ears
+    def __init__(self, feed: BusFeed) -> None:
+        self._feed = feed
         self.readers: set[Reader] = set()
         self._run = -1
         self._sent: dict[str, tuple[int, int]] = {}  # by table: generation, rows
         self._marks = 0
 
-    async def go(self) -> None:
+    async def run(self) -> None:
         """Until cancelled."""
         while True:
             self.tick()
@@ -68,7 +68,7 @@ class Stream:
 
     def tick(self) -> None:
         """Look, and give everyone what is new."""
-        self._ears.look()
+        self._feed.update()
         new = self._new()
         if not self.readers:
             return
@@ -76,16 +76,16 @@ class Stream:
         whole = ""
         for reader in self.readers:
             if not reader.behind:
-                reader.give(tick)
+                reader.put(tick)
             elif reader.idle:
                 whole = whole or _text("whole", self._whole())
                 reader.behind = False
-                reader.give(whole)
+                reader.put(whole)
 
     def _new(self) -> dict[str, Any]:
-        collector = self._ears.collector
-        if self._ears.run != self._run:  # everything that readers have is of another run
-            self._run = self._ears.run
+        collector = self._feed.collector
+        if self._feed.run != self._run:  # everything that readers have is of another run
+            self._run = self._feed.run
             self._sent, self._marks = {}, 0
             for reader in self.readers:
                 reader.behind = True
@@ -101,16 +101,16 @@ class Stream:
             self._sent[name] = (table.generation, len(table))
         marks = collector.marks.marks[self._marks :]
         self._marks = len(collector.marks.marks)
-        return {"rows": rows, "replaced": replaced, "marks": marks, **self._of_now()} if self.readers else {}
+        return {"rows": rows, "replaced": replaced, "marks": marks, **self._current()} if self.readers else {}
 
     def _whole(self) -> dict[str, Any]:
-        collector = self._ears.collector
+        collector = self._feed.collector
         rows = {name: table.since(0) for name, table in collector.tables.items()}
-        return {"rows": rows, "replaced": [], "marks": collector.marks.marks, **self._of_now()}
+        return {"rows": rows, "replaced": [], "marks": collector.marks.marks, **self._current()}
 
-    def _of_now(self) -> dict[str, Any]:
-        collector = self._ears.collector
-        return {"tables": collector.now(), "values": collector.values, "moment": self._ears.moment()}
+    def _current(self) -> dict[str, Any]:
+        collector = self._feed.collector
+        return {"tables": collector.current_tables(), "values": collector.values, "status": self._feed.status()}
 
 
 def _text(kind: str, content: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ from services.recording.info import Info, Key, Segment
 from services.recording.perfetto import Written
 from services.recording.recover import Recovery
 
-MOST_EVENTS = 20
+MAX_EVENTS = 20
 """That are printed; --json has more."""
 
 
@@ -25,7 +25,7 @@ def text(info: Info) -> str:
     if gaps := [line for key in info.keys for line in _gaps(key)]:
         lines += ["", "gaps", *gaps]
     if info.events:
-        shown = info.events[:MOST_EVENTS]
+        shown = info.events[:MAX_EVENTS]
         lines += ["", f"events ({info.events_total})"]
         lines += [f"  {event.t_s:9.2f} s  {event.node}: {event.kind}: {event.text}" for event in shown]
         if info.events_total > len(shown):

@@ -9,7 +9,7 @@ import msgspec
 
 from services.replay.verdict import Difference, Elsewhere, NodeVerdict, Verdict, WhatIfVerdict
 
-LONGEST_VALUE = 32
+MAX_VALUE_LENGTH = 32
 MODES = {"lockstep": "in lock step", "services": "as processes"}
 SAME_MACHINE_NEEDED = "another processor or version may change last bits, and with them every output from there on:"
 
@@ -88,7 +88,7 @@ def _difference(difference: Difference | None) -> Iterator[str]:
         yield f"              {difference.what}"
     for field in difference.fields:
         recorded = f"recorded {_value(field.recorded)}"
-        yield f"    {field.path:<26} {recorded:<{LONGEST_VALUE + 10}} replayed {_value(field.replayed)}"
+        yield f"    {field.path:<26} {recorded:<{MAX_VALUE_LENGTH + 10}} replayed {_value(field.replayed)}"
     if difference.more_fields:
         yield f"    and {difference.more_fields} fields more"
 
@@ -112,4 +112,4 @@ def _share(part: int, whole: int) -> str:
 
 def _value(value: Any) -> str:
     text = msgspec.json.encode(value).decode()
-    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
+    return text if len(text) <= MAX_VALUE_LENGTH else f"{text[: MAX_VALUE_LENGTH - 3]}..."

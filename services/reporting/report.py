@@ -18,12 +18,12 @@ from services.reporting import differences, static_files
 from services.reporting.plots import palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.collector import ROWS
-from services.reporting.plots.recorded import Picture, read
+from services.reporting.plots.recorded import PlotData, read
 from services.reporting.run_summary_text import how
 
 NAME = "report.html"
 
-MOST_RUNS = 40
+MAX_RUNS = 40
 ROWS_OF_ALL = 4 * ROWS
 """Of one table over all runs: so that many runs make no larger file than a few."""
 
@@ -44,16 +44,16 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
     Raises ``NoPlotly``, ``ConfigError`` where a file is no recording, ``OSError``.
     """
     plotly = static_files.plotly()
-    pictures = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
+    plot_data = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
     figures = differences.rows([run.summary for run in runs])
     title = f"{runs[0].name}" if len(runs) == 1 else f"{len(runs)} runs"
     text = string.Template(static_files.text("report.html")).substitute(
         title=html.escape(title),
         style=static_files.text("style.css") + static_files.text("report.css"),
-        lines="\n".join(f"<p>{line}</p>" for line in _lines(runs, pictures)),
-        tables="\n".join(_tables(runs, pictures, figures)),
+        lines="\n".join(f"<p>{line}</p>" for line in _lines(runs, plot_data)),
+        tables="\n".join(_tables(runs, plot_data, figures)),
         plotly=plotly,
-        data=_data(runs, pictures),
+        data=_data(runs, plot_data),
         script=static_files.text("plots.js") + static_files.text("report.js"),
     )
     draft = out.with_name(out.name + ".part")
@@ -62,29 +62,29 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
     return figures
 
 
-def _data(runs: Sequence[Run], pictures: Sequence[Picture]) -> str:
+def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
     """For report.js; no tag of HTML can begin in it."""
     several = len(runs) > 1
     shown = [
         {
             "name": run.name,
             "colour": palette.RUNS[i % len(palette.RUNS)] if several else None,
-            "tables": picture.tables,
-            "values": picture.values,
-            "marks": picture.marks,
+            "tables": data.tables,
+            "values": data.values,
+            "marks": data.marks,
         }
-        for i, (run, picture) in enumerate(zip(runs, pictures, strict=True))
+        for i, (run, data) in enumerate(zip(runs, plot_data, strict=True))
     ]
     text = msgspec.json.encode({"plots": PLOTS, "runs": shown}).decode()
     return text.replace("<", "\\u003c")
 
 
-def _lines(runs: Sequence[Run], pictures: Sequence[Picture]) -> list[str]:
+def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
     """What stands under the title."""
     lines = []
-    for run, picture in zip(runs, pictures, strict=True):
-        words = [_how(run.summary, picture.metadata)]
-        if picture.cut:
+    for run, data in zip(runs, plot_data, strict=True):
+        words = [_how(run.summary, data.metadata)]
+        if data.cut:
             words.append('<span class="bad">the recording was cut off: this is what is in it</span>')
         name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
         lines.append(name + " · ".join(words))
@@ -98,10 +98,10 @@ def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
     return html.escape(f"{ran}, seed {seed}" if seed is not None else ran)
 
 
-def _tables(runs: Sequence[Run], pictures: Sequence[Picture], figures: Sequence[differences.Row]) -> list[str]:
+def _tables(runs: Sequence[Run], plot_data: Sequence[PlotData], figures: Sequence[differences.Row]) -> list[str]:
     sections = [_figures(runs, figures)] if figures else []
-    sections += [_events(run, picture, several=len(runs) > 1) for run, picture in zip(runs, pictures, strict=True)]
-    if len(runs) == 1 and (scenario := pictures[0].metadata.get(SCENARIO)):
+    sections += [_events(run, data, several=len(runs) > 1) for run, data in zip(runs, plot_data, strict=True)]
+    if len(runs) == 1 and (scenario := plot_data[0].metadata.get(SCENARIO)):
         text = f"<details><summary>{SCENARIO}: every setting, and what made it</summary>"
         sections.append(f'<section class="panel wide">{text}<pre>{html.escape(scenario)}</pre></details></section>')
     return sections
@@ -124,14 +124,14 @@ def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
     return f'<section class="panel{wide}"><h2>What it came to</h2>{table}</section>'
 
 
-def _events(run: Run, picture: Picture, *, several: bool) -> str:
+def _events(run: Run, data: PlotData, *, several: bool) -> str:
     body = "".join(
         f'<tr><td class="number">{mark.t_s:.1f}</td><td>{html.escape(mark.node)}</td>'
         f"<td>{html.escape(mark.text)}</td></tr>"
-        for mark in picture.marks
+        for mark in data.marks
     )
-    if picture.more_marks:
-        body += f'<tr><td></td><td></td><td class="quiet">and {picture.more_marks} more</td></tr>'
+    if data.omitted_marks:
+        body += f'<tr><td></td><td></td><td class="quiet">and {data.omitted_marks} more</td></tr>'
     if not body:
         body = '<tr><td></td><td></td><td class="quiet">nothing out of the ordinary</td></tr>'
     title = f"Events of {html.escape(run.name)}" if several else "Events"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-LEAST_SHARE = 0.95
+MIN_SPEED_RATIO = 0.95
 """Of the speed that was asked for; a machine that reached less is said."""
 
 
@@ -36,7 +36,7 @@ def how(summary: Mapping[str, Any]) -> str:
     asked, reached = summary.get("speed"), summary.get("speed_reached")
     if asked is None:
         return "as processes"
-    short = reached is not None and reached < LEAST_SHARE * asked
+    short = reached is not None and reached < MIN_SPEED_RATIO * asked
     return f"as processes at {f'{reached:.1f} of ' if short else ''}{asked:g} x real time"
 
 

@@ -22,7 +22,7 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from services.reporting.tracking_error import Distances
+from services.reporting.tracking_error import TrackingError
 from services.supervisor.screen import LiveView, Screen
 
 Limits = Sequence[tuple[float, float]]
@@ -50,7 +50,7 @@ class LiveScreen:
     def __init__(self, title: str, limits: Limits, console: Console) -> None:
         self._title = title
         self._limits = limits
-        self._distances = Distances()
+        self._errors = TrackingError()
         self._live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
         self._live.start()
         self._next = 0.0
@@ -58,11 +58,11 @@ class LiveScreen:
 
     def update(self, view: LiveView) -> None:
         """Draw, at most eight times a second."""
-        self._distances.update(view)
+        self._errors.update(view)
         now = time.monotonic()
         if now >= self._next:
             self._next = now + REDRAW_S
-            self._live.update(self.picture(view), refresh=True)
+            self._live.update(self.render(view), refresh=True)
 
     def wait(self, what: str, share: float) -> None:
         """A bar with the time left where the picture will be."""
@@ -83,13 +83,13 @@ class LiveScreen:
         """Leave the last picture where it stands."""
         self._live.stop()
 
-    def picture(self, view: LiveView) -> Group:
+    def render(self, view: LiveView) -> Group:
         """The whole screen."""
         return Group(
             Text(self._title, style="bold", no_wrap=True, overflow="ellipsis"),
             _progress(view),
             Text(),
-            *_motion(view, self._distances),
+            *_motion(view, self._errors),
             Text(),
             *_thrusts(view, self._limits),
             Text(),
@@ -104,16 +104,16 @@ class PlainScreen:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._distances = Distances()
+        self._errors = TrackingError()
         self._next = 0.0
 
     def update(self, view: LiveView) -> None:
         """A line, if the last one is long enough ago."""
-        self._distances.update(view)
+        self._errors.update(view)
         now = time.monotonic()
         if now >= self._next:
             self._next = now + LINE_S
-            self.say(line(view, self._distances))
+            self.say(line(view, self._errors))
 
     def wait(self, what: str, share: float) -> None:
         """A line, if the last one is long enough ago."""
@@ -131,7 +131,7 @@ class PlainScreen:
 
 
 @contextmanager
-def progress_for(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
+def run_progress_bar(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
     """A bar on stderr for a run in lock step, told the vehicle time; nothing where there is no screen."""
     console = console or Console(stderr=True)
     with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
@@ -144,7 +144,7 @@ def progress_for(start_ns: int, end_ns: int, console: Console | None = None) -> 
 
 
 @contextmanager
-def share_for(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
+def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
     """A bar on stderr with the time left, told which share is done; nothing where there is no screen."""
     console = console or Console(stderr=True)
     with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
@@ -153,11 +153,11 @@ def share_for(what: str, console: Console | None = None) -> Iterator[Callable[[f
 
 
 @contextmanager
-def reading(what: object) -> Iterator[None]:
+def reading_progress(what: object) -> Iterator[None]:
     """A bar on stderr with the time left while recordings are read, one after the other."""
     from services.recording.records import watched
 
-    with share_for(str(what)) as told, watched(told):
+    with progress_bar(str(what)) as told, watched(told):
         yield
 
 
@@ -166,15 +166,15 @@ def _columns() -> tuple[ProgressColumn, ...]:
     return TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn()
 
 
-def line(view: LiveView, distances: Distances) -> str:
+def line(view: LiveView, errors: TrackingError) -> str:
     """The moment in one line."""
     words = [f"t {_seconds(view.t_ns)} s of {_seconds(view.end_ns)}", view.phase]
     if view.truth is not None:
         words.append(f"depth {view.truth.position_m[2]:.1f} m")
-    if distances.true_error_m is not None:
-        words.append(f"from the line {distances.true_error_m:.3f} m")
-    if distances.localisation_m is not None:
-        words.append(f"localisation {distances.localisation_m:.3f} m")
+    if errors.true_error_m is not None:
+        words.append(f"from the line {errors.true_error_m:.3f} m")
+    if errors.localisation_m is not None:
+        words.append(f"localisation {errors.localisation_m:.3f} m")
     if view.applied is not None:
         words.append("thrust " + " ".join(f"{x:.0f}" for x in view.applied.thrust_N) + " N")
     if view.timing is not None:
@@ -186,10 +186,10 @@ def line(view: LiveView, distances: Distances) -> str:
     return "  ".join([*words, *waiting])
 
 
-def bar(thrust_N: float, least_N: float, most_N: float, width: int = BAR) -> str:
+def bar(thrust_N: float, min_N: float, max_N: float, width: int = BAR) -> str:
     """``|      ===+---          |``: from the middle to the thrust, left astern, right ahead."""
     half = width // 2
-    bound = most_N if thrust_N > 0 else -least_N
+    bound = max_N if thrust_N > 0 else -min_N
     filled = min(half, round(half * abs(thrust_N) / bound)) if bound > 0 else 0
     left = "=" * filled if thrust_N < 0 else ""
     right = "=" * filled if thrust_N > 0 else ""
@@ -211,7 +211,7 @@ def _progress(view: LiveView) -> Text:
     )
 
 
-def _motion(view: LiveView, distances: Distances) -> list[Text]:
+def _motion(view: LiveView, errors: TrackingError) -> list[Text]:
     truth = view.truth
     if truth is None:
         return [Text("depth      -"), Text("error      -")]
@@ -222,8 +222,8 @@ def _motion(view: LiveView, distances: Distances) -> list[Text]:
             f"   current {math.hypot(*truth.current_mps):5.3f} m/s"
         ),
         Text(
-            f"error   {_metres(distances.true_error_m)} from the line"
-            f"   {_metres(distances.localisation_m)} localisation, since the start"
+            f"error   {_metres(errors.true_error_m)} from the line"
+            f"   {_metres(errors.localisation_m)} localisation, since the start"
         ),
     ]
 

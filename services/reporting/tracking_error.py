@@ -12,7 +12,7 @@ from ltv_mpc.messages import Estimate, Pair, Truth
 from services.supervisor.screen import LiveView
 
 
-class Distances:
+class TrackingError:
     """Remembers the error at the start."""
 
     def __init__(self) -> None:

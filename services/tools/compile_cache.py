@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 
-from services.reporting.terminal import share_for
+from services.reporting.terminal import progress_bar
 from services.supervisor import jit_cache
 
 
@@ -14,7 +14,7 @@ def main() -> int:
     """Compile what a run of the named scenario needs; return the exit code of the process that does it."""
     process = subprocess.Popen(jit_cache.command(sys.argv[1]), stdin=subprocess.DEVNULL)
     try:
-        with share_for("compiling, once") as told:
+        with progress_bar("compiling, once") as told:
             while process.poll() is None:
                 told(jit_cache.share())
                 time.sleep(jit_cache.LOOK_S)

@@ -19,7 +19,7 @@ from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
 from services.reporting.plots.catalogue import PLOTS
 from services.supervisor import loopback
-from tests.services.dashboard.made_up_vehicle import Served, served, until
+from tests.services.dashboard.synthetic_vehicle import Served, served, until
 
 SCREEN, PHONE = (1280, 800), (390, 844)
 SIZES = [pytest.param(SCREEN, id="screen"), pytest.param(PHONE, id="phone")]
@@ -157,7 +157,7 @@ def test_the_buttons_do_what_they_say(browser: Any, live: Served) -> None:
     with tab(browser, SCREEN, own=live.url) as page:
         page.goto(f"{live.url}#{live.token}")
         page.click("[data-button=stop]")
-        until(lambda: page.inner_text("#answer") == "stop accepted; in charge: controller")
+        until(lambda: page.inner_text("#reply") == "stop accepted; command authority: controller")
         page.click("[data-button=kick]")
         page.click("[data-kill=controller]")
         until(lambda: vehicle.heard_of(Disturbance) and vehicle.heard_of(Kill))
@@ -178,7 +178,7 @@ def test_without_the_token_the_page_is_read_only_and_it_connects_again_by_itself
         page.goto(live.url)
         drawn(page)
         assert page.locator("#buttons button:enabled, [data-kill]").count() == 0
-        assert "read-only" in page.inner_text("#answer")
+        assert "read-only" in page.inner_text("#reply")
         live.cut()
         until(lambda: page.inner_text("#link").startswith("not connected"))
         until(lambda: page.inner_text("#link") == "live")

@@ -2,35 +2,35 @@
 "use strict";
 (() => {
   const AGAIN_MS = 1000; // between two tries to connect
-  const SILENT_MS = 3000; // without a text the page says that it hears nothing
+  const SILENT_MS = 3000; // without a text the page says "no data"
   const DRAW_MS = 60; // between two plots: all seven in less than half a second, and time for the machine between them
   const SPEEDS = [0.5, 1, 2, 5, 10, 20];
-  const LATE = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
-  const RESTARTED = ["estimator", "controller", "recorder"]; // a run goes on without them for a moment
+  const MAX_AGE_S = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
+  const RESTARTED = ["estimator", "controller", "recorder"]; // a run goes on without them for a short time
 
   const token = location.hash.slice(1);
   const byId = (id) => document.getElementById(id);
   const run = { name: "", colour: null, tables: {}, values: {}, marks: [] };
   const rows = new Map(); // of the processes, by name
-  let plots = [], places = new Map(), moment = null, socket = null, heardAt = 0, number = 0, dirty = false, next = 0;
+  let plots = [], places = new Map(), status = null, socket = null, receivedAt = 0, number = 0, dirty = false, next = 0;
 
   // --- the stream ---------------------------------------------------------------------------------------------------
 
   function connect() {
     socket = new WebSocket(`ws://${location.host}/stream`);
-    socket.onmessage = (event) => hear(JSON.parse(event.data));
+    socket.onmessage = (event) => receive(JSON.parse(event.data));
     socket.onclose = () => {
       show("lost", ended() ? "the run has ended" : "not connected; trying again");
-      if (moment) controls();
+      if (status) controls();
       setTimeout(connect, AGAIN_MS);
     };
   }
 
-  function hear(text) {
-    heardAt = Date.now();
+  function receive(text) {
+    receivedAt = Date.now();
     if (text.kind === "hello") hello(text);
-    else if (text.kind === "answer") say(text.text, text.done);
-    else take(text);
+    else if (text.kind === "reply") showReply(text.text, text.done);
+    else update(text);
   }
 
   function hello(text) {
@@ -42,7 +42,7 @@
     places = Plots.frames(byId("plots"), plots, false);
   }
 
-  function take(text) {
+  function update(text) {
     if (text.kind === "whole") {
       run.tables = {};
       run.marks = [];
@@ -58,8 +58,8 @@
     run.values = text.values;
     run.marks = run.marks.concat(text.marks);
     byId("events").prepend(...text.marks.map(eventRow).reverse());
-    moment = text.moment;
-    words();
+    status = text.status;
+    showStatus();
     dirty = true;
   }
 
@@ -95,31 +95,31 @@
 
   const number_ = (value, digits) => (value === null ? "–" : value.toFixed(digits));
 
-  function words() {
-    const degrees = moment.heading_rad === null ? null : (((moment.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
+  function showStatus() {
+    const degrees = status.heading_rad === null ? null : (((status.heading_rad * 180) / Math.PI) % 360 + 360) % 360;
     const rows = [
-      ["t", `${number_(moment.t_s, 1)} s`],
-      ["clock", moment.clock === "own" ? "its own" : `${moment.clock}, ${times(moment)}`],
-      ["in charge", moment.authority || "–"],
-      ["health", moment.health || "–"],
-      ["plan", moment.origin || "–"],
-      ["depth", `${number_(moment.depth_m, 1)} m`],
+      ["t", `${number_(status.t_s, 1)} s`],
+      ["clock", status.clock === "own" ? "its own" : `${status.clock}, ${times(status)}`],
+      ["command authority", status.authority || "–"],
+      ["health", status.health || "–"],
+      ["plan", status.origin || "–"],
+      ["depth", `${number_(status.depth_m, 1)} m`],
       ["heading", `${number_(degrees, 0)}°`],
-      ["from reference", `${number_(moment.error_m, 2)} m`],
+      ["from reference", `${number_(status.error_m, 2)} m`],
     ];
-    if (moment.progress !== null) rows.push(["done", `${(100 * moment.progress).toFixed(0)} %`]);
+    if (status.progress !== null) rows.push(["done", `${(100 * status.progress).toFixed(0)} %`]);
     byId("figures").replaceChildren(...rows.map(([name, value]) => {
       const row = document.createElement("div");
       row.append(element("dt", name), element("dd", value));
       return row;
     }));
-    moment.processes.forEach(showProcess);
+    status.processes.forEach(showProcess);
     byId("ages").replaceChildren(...ages());
     controls();
   }
 
-  // Of a simulation: its processes have said their last word.
-  const ended = () => moment !== null && moment.processes.some((one) => one.name === "plant" && one.state === "finished");
+  // Of a simulation: its processes have published their last status.
+  const ended = () => status !== null && status.processes.some((one) => one.name === "plant" && one.state === "finished");
 
   function element(tag, text, name) {
     const made = document.createElement(tag);
@@ -155,7 +155,7 @@
     step.textContent = process.step_us.toFixed(0);
     lost.textContent = String(process.dropped + process.rejected);
     lost.className = lost.textContent === "0" ? "number" : "number bad";
-    last.hidden = !moment.simulated || process.state === "finished";
+    last.hidden = !status.simulated || process.state === "finished";
   }
 
   function killer(node) {
@@ -167,8 +167,8 @@
   }
 
   function ages() {
-    return Object.entries(moment.ages_s).map(([name, age]) => {
-      const late = age !== null && LATE[name] !== undefined && age > LATE[name];
+    return Object.entries(status.ages_s).map(([name, age]) => {
+      const late = age !== null && MAX_AGE_S[name] !== undefined && age > MAX_AGE_S[name];
       return element("span", `${name} ${age === null ? "–" : `${age.toFixed(2)} s`}`, late ? "late" : "");
     });
   }
@@ -178,26 +178,26 @@
   function controls() {
     const live = token !== "" && socket.readyState === WebSocket.OPEN;
     for (const control of document.querySelectorAll("#buttons button, #buttons select")) control.disabled = !live;
-    document.querySelector(".simulated").hidden = !moment.simulated;
-    const paused = moment.clock === "paused";
+    document.querySelector(".simulated").hidden = !status.simulated;
+    const paused = status.clock === "paused";
     byId("pause").textContent = paused ? "Go on" : "Pause";
     byId("pause").dataset.button = paused ? "resume" : "pause";
     const speed = byId("speed");
-    if (document.activeElement !== speed) speed.value = String(moment.asked_speed);
-    if (!token) say("read-only: the printed address has the token", false);
+    if (document.activeElement !== speed) speed.value = String(status.asked_speed);
+    if (!token) showReply("read-only: open the printed address, which carries the token", false);
   }
 
-  function say(text, done) {
-    const answer = byId("answer");
-    answer.textContent = text;
-    answer.className = done ? "" : "bad";
+  function showReply(text, done) {
+    const reply = byId("reply");
+    reply.textContent = text;
+    reply.className = done ? "" : "bad";
   }
 
   function send(button, more) {
     if (socket.readyState !== WebSocket.OPEN) return;
     number += 1;
     socket.send(JSON.stringify({ number, token, button, ...more }));
-    say(`${button} …`, true);
+    showReply(`${button} …`, true);
   }
 
   byId("buttons").addEventListener("click", (event) => {
@@ -216,8 +216,8 @@
 
   setInterval(() => {
     if (socket.readyState !== WebSocket.OPEN) return;
-    if (Date.now() - heardAt > SILENT_MS) show("lost", "hears nothing");
-    else if (moment && moment.clock === "silent") show("", "connected; nobody speaks yet");
+    if (Date.now() - receivedAt > SILENT_MS) show("lost", "no data");
+    else if (status && status.clock === "silent") show("", "connected; no data yet");
     else if (ended()) show("", "the run has ended");
     else show("live", "live");
   }, 500);

@@ -22,7 +22,7 @@ NONE, PAPER_SHORT, PAPER_LONG = "none", "paper-2.5s", "paper-5s"
 OURS_SHORT, OURS_LONG = "ours-2.5s", "ours-5s"
 """Groups of one recorded run each."""
 
-MADE_UP, MEASURED = "made-up", "measured"
+SYNTHETIC, MEASURED = "synthetic", "measured"
 """Groups of profiles: table ``profile`` as a run's own."""
 
 STRUCTURE, TIMING = "structure", "timing"
@@ -59,7 +59,7 @@ def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
             "fig03-currents",
             5.0,
             (
-                Panel("made up: first-order Gauss-Markov", PROFILES, (MADE_UP,)),
+                Panel("synthetic: first-order Gauss-Markov", PROFILES, (SYNTHETIC,)),
                 Panel("measured", PROFILES, (MEASURED,)),
             ),
         ),

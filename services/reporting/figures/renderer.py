@@ -242,7 +242,7 @@ def _limit(axes: Axes, name: str, axis: Axis, shown: Array, margin: float) -> No
         return
     ticks.set_major_locator(MaxNLocator(6))
     least, most = float(known.min()), float(known.max())
-    missing = max(0.0, (axis.least_span or 1e-6) - (most - least)) / 2
+    missing = max(0.0, (axis.min_span or 1e-6) - (most - least)) / 2
     extra = missing + margin * (most - least + 2 * missing)
     ends = least - extra, most + extra
     # auto: where a metre is to be as long on both axes, the one with room to spare may show more

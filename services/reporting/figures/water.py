@@ -1,4 +1,4 @@
-"""What only the paper's Fig 3 has: how much the current differs between two depths, made up and measured."""
+"""Structure functions of the water current (Fig 3 of the paper): synthetic and measured profiles."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from services.reporting.plots import palette
 from services.reporting.plots.description import Axis, Plot, Series, Style
 
-MADE_UP = "made_up"
+SYNTHETIC = "synthetic"
 """Table: ``lag_m``, ``low_m2ps2``, ``high_m2ps2`` of many seeds, and ``model_m2ps2`` of the model."""
 
 LAG, MEAN_SQUARE = "lag_m", "square_m2ps2"
@@ -22,11 +22,11 @@ def structure(measured: Sequence[str]) -> Plot:
         x=Axis(label="difference in depth (m)", log=True),
         y=Axis(label="mean square difference (m²/s²)", log=True),
         over_time=False,
-        note="Mean of north and east. Of the made-up profiles the band holds nine in ten seeds.",
+        note="Mean of north and east. The band holds 90 % of the synthetic profiles.",
         series=(
             Series(
-                label="made up, 90 %",
-                table=MADE_UP,
+                label="synthetic, 90 %",
+                table=SYNTHETIC,
                 x=LAG,
                 y="low_m2ps2",
                 y_high="high_m2ps2",
@@ -34,8 +34,8 @@ def structure(measured: Sequence[str]) -> Plot:
                 style=Style.BAND,
             ),
             Series(
-                label="made up, model",
-                table=MADE_UP,
+                label="synthetic, model",
+                table=SYNTHETIC,
                 x=LAG,
                 y="model_m2ps2",
                 colour=palette.TRUTH,

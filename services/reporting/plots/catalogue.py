@@ -10,8 +10,8 @@ TIME = Axis(label="time (s)")
 TRACK = Plot(
     name="track",
     title="From above",
-    x=Axis(label="east (m)", least_span=1.0),
-    y=Axis(label="north (m)", least_span=1.0),
+    x=Axis(label="east (m)", min_span=1.0),
+    y=Axis(label="north (m)", min_span=1.0),
     over_time=False,
     equal=True,
     from_start=True,
@@ -30,7 +30,7 @@ DEPTH = Plot(
     name="depth",
     title="Depth",
     x=TIME,
-    y=Axis(label="depth (m)", downwards=True, least_span=1.0),
+    y=Axis(label="depth (m)", downwards=True, min_span=1.0),
     series=(
         Series(
             label="reference", table="reference", x="t_s", y="depth_m", colour=palette.REFERENCE, style=Style.DOTTED
@@ -44,7 +44,7 @@ ERRORS = Plot(
     name="errors",
     title="Position error of the estimate",
     x=TIME,
-    y=Axis(label="error (m)", least_span=0.1),
+    y=Axis(label="error (m)", min_span=0.1),
     note="Since t = 0 where the truth is known; else two standard deviations of the position itself.",
     series=(
         Series(
@@ -65,7 +65,7 @@ TRACKING = Plot(
     name="tracking",
     title="Distance from the reference",
     x=TIME,
-    y=Axis(label="distance (m)", least_span=0.1),
+    y=Axis(label="distance (m)", min_span=0.1),
     series=(
         Series(label="true", table="true_distance", x="t_s", y="distance_m", colour=palette.TRUTH, compared=True),
         Series(label="estimate", table="distance", x="t_s", y="distance_m", colour=palette.ESTIMATE, compared=True),
@@ -76,7 +76,7 @@ THRUST = Plot(
     name="thrust",
     title="Port and starboard thrust",
     x=TIME,
-    y=Axis(label="thrust (N)", least_span=10.0),
+    y=Axis(label="thrust (N)", min_span=10.0),
     series=(
         Series(label="port", table="thrust", x="t_s", y="port_N", colour=palette.PORT, compared=True),
         Series(label="starboard", table="thrust", x="t_s", y="starboard_N", colour=palette.STARBOARD, compared=True),
@@ -101,8 +101,8 @@ THRUST = Plot(
 CURRENT = Plot(
     name="current",
     title="Water current over depth",
-    x=Axis(label="velocity (m/s)", least_span=0.1),
-    y=Axis(label="depth (m)", downwards=True, least_span=1.0),
+    x=Axis(label="velocity (m/s)", min_span=0.1),
+    y=Axis(label="depth (m)", downwards=True, min_span=1.0),
     over_time=False,
     note="Bands are two standard deviations. The true current is known where the vehicle has been.",
     series=(

@@ -62,13 +62,13 @@ class Collector:
         """The current as it is believed to be: the newest estimate's that has one."""
         self._targets: list[tuple[int, float, float]] = []  # t, north, east of the last two plans
         self._waiting: list[tuple[Table, int, float, float]] = []  # positions that wait for the next target
-        self._hear: dict[type[Message], Callable[[Any], None]] = {
-            Truth: self._hear_truth,
-            Estimate: self._hear_estimate,
-            Plan: self._hear_plan,
-            Applied: self._hear_applied,
-            CycleTiming: self._hear_timing,
-            Clock: self._hear_clock,
+        self._handlers: dict[type[Message], Callable[[Any], None]] = {
+            Truth: self._add_truth,
+            Estimate: self._add_estimate,
+            Plan: self._add_plan,
+            Applied: self._add_applied,
+            CycleTiming: self._add_timing,
+            Clock: self._add_clock,
         }
 
     @property
@@ -81,14 +81,14 @@ class Collector:
         """The newest."""
         return self._plan
 
-    def hear(self, signal: Message, epoch: int) -> None:
+    def add(self, signal: Message, epoch: int) -> None:
         """``epoch``: of its source."""
-        hear = self._hear.get(type(signal))
-        if hear is not None:
-            hear(signal)
-        self.marks.hear(signal, epoch)
+        handler = self._handlers.get(type(signal))
+        if handler is not None:
+            handler(signal)
+        self.marks.add(signal, epoch)
 
-    def now(self) -> dict[str, Columns]:
+    def current_tables(self) -> dict[str, Columns]:
         """The tables of the moment."""
         return {
             **_of_plan(self._plan),
@@ -96,14 +96,14 @@ class Collector:
             "profile": _profile(self.profile),
         }
 
-    def picture(self) -> dict[str, Columns]:
+    def all_tables(self) -> dict[str, Columns]:
         """Every table, whole."""
-        return {**{name: table.since(0) for name, table in self.tables.items()}, **self.now()}
+        return {**{name: table.since(0) for name, table in self.tables.items()}, **self.current_tables()}
 
     # --- one kind each -----------------------------------------------------------------------------------------------
 
-    def _hear_truth(self, truth: Truth) -> None:
-        if self._true.hear(truth):
+    def _add_truth(self, truth: Truth) -> None:
+        if self._true.add(truth):
             self._show_truth(truth)
 
     def _show_truth(self, truth: Truth) -> None:
@@ -114,7 +114,7 @@ class Collector:
         self.tables["true_current"].add(truth.position_m[2], *truth.current_mps)
         self._wait_for_target("true_distance", truth.t_ns, *position)
 
-    def _hear_estimate(self, estimate: Estimate) -> None:
+    def _add_estimate(self, estimate: Estimate) -> None:
         last = self._estimate
         if last is not None and 0 <= estimate.t_ns - last.t_ns < ESTIMATES_NS:
             return
@@ -133,7 +133,7 @@ class Collector:
             estimate.t_ns / 1e9, *(error or (None, None)), None if spread is None else -spread, spread
         )
 
-    def _hear_plan(self, plan: Plan) -> None:
+    def _add_plan(self, plan: Plan) -> None:
         self._plan = plan
         if plan.reference_m is None:
             return
@@ -150,10 +150,10 @@ class Collector:
             else:
                 table.add(then_ns / 1e9, math.hypot(*self._from_target(then_ns, north, east)))
 
-    def _hear_applied(self, applied: Applied) -> None:
+    def _add_applied(self, applied: Applied) -> None:
         self.tables["thrust"].add(applied.t_ns / 1e9, *applied.thrust_N[:2])
 
-    def _hear_timing(self, timing: CycleTiming) -> None:
+    def _add_timing(self, timing: CycleTiming) -> None:
         cycle_ms = (timing.compute_wall_ns or timing.compute_ns) / 1e6
         if not cycle_ms:  # in lock step nothing takes time
             return
@@ -167,7 +167,7 @@ class Collector:
             timing.t_ns / 1e9, cycle_ms, *((one / 1e3) or None for one in us), deadline_ms or None
         )
 
-    def _hear_clock(self, clock: Clock) -> None:
+    def _add_clock(self, clock: Clock) -> None:
         self._speed = clock.speed_num / clock.speed_den
 
     # --- the reference -----------------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ class Axis(msgspec.Struct, frozen=True, kw_only=True):
     label: str
     downwards: bool = False  # the larger, the lower
     log: bool = False
-    least_span: float | None = None  # shows at least so much, so that noise does not look like motion
+    min_span: float | None = None  # shows at least so much, so that noise does not look like motion
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,7 +18,7 @@ from ltv_mpc.messages import (
     RunEvent,
 )
 
-MOST = 200
+MAX_MARKS = 200
 """More marks than that are a hedge; they are counted."""
 
 
@@ -35,7 +35,7 @@ class Marks:
 
     def __init__(self) -> None:
         self.marks: list[Mark] = []
-        self.more = 0
+        self.omitted = 0
         self._authority: Authority | None = None
         self._health = Health.NOMINAL
         self._origin: PlanOrigin | None = None
@@ -44,49 +44,49 @@ class Marks:
         self._commands: dict[int, Command] = {}
         self._newest_ns = 0
 
-    def hear(self, signal: Message, epoch: int) -> None:
+    def add(self, signal: Message, epoch: int) -> None:
         """``epoch``: of its source."""
         match signal:
             case RunEvent():
-                self._add(signal.t_ns, signal.node, signal.text)
+                self._append(signal.t_ns, signal.node, signal.text)
             case Plan():
-                self._hear_plan(signal)
+                self._add_plan(signal)
             case LocalisationReport() if signal.status is not self._filter:
-                self._add(signal.t_ns, "estimator", f"filter {signal.status.value}{_because(signal.why)}")
+                self._append(signal.t_ns, "estimator", f"filter {signal.status.value}{_because(signal.why)}")
                 self._filter = signal.status
             case Command():
                 self._commands[signal.command_id] = signal
             case Acknowledged():
-                self._hear_answer(signal)
+                self._add_acknowledgement(signal)
             case NodeStatus():
                 if self._epochs.setdefault(signal.node, epoch) != epoch:
                     self._epochs[signal.node] = epoch
                     # its first words may come before it knows the time
-                    self._add(max(signal.t_ns, self._newest_ns), signal.node, "started again")
+                    self._append(max(signal.t_ns, self._newest_ns), signal.node, "started again")
 
-    def _hear_plan(self, plan: Plan) -> None:
+    def _add_plan(self, plan: Plan) -> None:
         self._newest_ns = plan.cycle_t_ns
         if self._authority not in (None, plan.authority):
-            self._add(plan.cycle_t_ns, "controller", f"in charge: {plan.authority.value}")
+            self._append(plan.cycle_t_ns, "controller", f"in charge: {plan.authority.value}")
         self._authority = plan.authority
         if plan.health is not self._health:
-            self._add(plan.cycle_t_ns, "controller", f"health {plan.health.value}")
+            self._append(plan.cycle_t_ns, "controller", f"health {plan.health.value}")
             self._health = plan.health
         if plan.origin is not self._origin and self._origin is not None:
-            self._add(plan.cycle_t_ns, "controller", f"plans {plan.origin.value}{_because(plan.why)}")
+            self._append(plan.cycle_t_ns, "controller", f"plans {plan.origin.value}{_because(plan.why)}")
         self._origin = plan.origin
 
-    def _hear_answer(self, answer: Acknowledged) -> None:
+    def _add_acknowledgement(self, answer: Acknowledged) -> None:
         command = self._commands.pop(answer.command_id, None)
         asked = "a command" if command is None else command.action.value
         text = f"{asked} accepted" if answer.accepted else f"{asked} refused{_because(answer.why)}"
-        self._add(answer.t_ns, "controller", text)
+        self._append(answer.t_ns, "controller", text)
 
-    def _add(self, t_ns: int, node: str, text: str) -> None:
-        if len(self.marks) < MOST:
+    def _append(self, t_ns: int, node: str, text: str) -> None:
+        if len(self.marks) < MAX_MARKS:
             self.marks.append(Mark(t_s=round(t_ns / 1e9, 3), node=node, text=text))
         else:
-            self.more += 1
+            self.omitted += 1
 
 
 def _because(why: str) -> str:

@@ -45,13 +45,13 @@ OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
 VEHICLE = "config/vehicle.toml"
 
 
-class Picture(msgspec.Struct, frozen=True, kw_only=True):
+class PlotData(msgspec.Struct, frozen=True, kw_only=True):
     """One run as it is drawn: tables by name and column, the values of its levels, what happened."""
 
     tables: dict[str, Columns]
     values: dict[str, float]
     marks: tuple[Mark, ...]
-    more_marks: int
+    omitted_marks: int
     cut: bool  # something of the recording is missing, as a rule its end
     metadata: dict[str, str]
 
@@ -81,7 +81,7 @@ class _Sieve:
         return True
 
 
-def read(recording: Path, *, rows: int = ROWS) -> Picture:
+def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     """One pass over the file and what restarted recorders left beside it, decoding what is drawn alone.
 
     What is no such message is passed over, as its readers did. Raises ``ConfigError`` where it is no recording.
@@ -108,7 +108,7 @@ def read(recording: Path, *, rows: int = ROWS) -> Picture:
             except (wire.WireError, msgspec.DecodeError):
                 continue
             collector = collector or Collector(thrusters(metadata), rows=rows)
-            collector.hear(signal, header.epoch)
+            collector.add(signal, header.epoch)
         elif isinstance(record, Channel):
             topic = topics.topic_at(record.topic)
             shown = topic is not None and (topic.message_type in RARE or topic.message_type in OFTEN)
@@ -119,11 +119,11 @@ def read(recording: Path, *, rows: int = ROWS) -> Picture:
     if newest is not None:
         with contextlib.suppress(wire.WireError):
             collector.profile = wire.typed(Estimate, newest)[0].current
-    return Picture(
-        tables=collector.picture(),
+    return PlotData(
+        tables=collector.all_tables(),
         values=collector.values,
         marks=tuple(collector.marks.marks),
-        more_marks=collector.marks.more,
+        omitted_marks=collector.marks.omitted,
         cut=not all(part.whole for part in parts),
         metadata=metadata,
     )

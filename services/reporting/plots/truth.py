@@ -14,52 +14,52 @@ import numpy as np
 from ltv_mpc.messages import Array, Estimate, Pair, Truth
 
 PERIOD_NS = 100_000_000
-KEPT = 600  # truths that wait for their estimate: a minute of them
+MAX_TRUTHS = 600  # truths that wait for their estimate: a minute of them
 
 
 class TrueTrack:
     """Remembers the newest truths, and the error at the start."""
 
     def __init__(self) -> None:
-        self.at_start: Pair | None = None  # estimate minus truth
-        self._covariance_at_start: Array | None = None
-        self._truths: deque[Truth] = deque(maxlen=KEPT)
+        self.start_error: Pair | None = None  # estimate minus truth
+        self._start_covariance: Array | None = None
+        self._truths: deque[Truth] = deque(maxlen=MAX_TRUTHS)
 
     @property
     def known(self) -> bool:
         """Whether anybody says the truth."""
         return bool(self._truths)
 
-    def hear(self, truth: Truth) -> bool:
+    def add(self, truth: Truth) -> bool:
         """Whether it is kept: ten a second are enough."""
         if self._truths and 0 <= truth.t_ns - self._truths[-1].t_ns < PERIOD_NS:
             return False
         if self._truths and truth.t_ns < self._truths[-1].t_ns:  # another run on the same keys
             self._truths.clear()
-            self.at_start = self._covariance_at_start = None
+            self.start_error = self._start_covariance = None
         self._truths.append(truth)
         return True
 
     def begin(self, estimate: Estimate) -> list[Truth]:
         """Start with this estimate, if its time has come and nothing was started: the truths from then on."""
-        if self.at_start is not None or not self._truths or estimate.t_ns < 0:
+        if self.start_error is not None or not self._truths or estimate.t_ns < 0:
             return []
-        self.at_start = self._difference(estimate)
-        self._covariance_at_start = estimate.covariance
+        self.start_error = self._difference(estimate)
+        self._start_covariance = estimate.covariance
         return [truth for truth in self._truths if truth.t_ns >= estimate.t_ns]
 
     def position(self, truth: Truth) -> Pair | None:
         """North, east (m) of a truth as it is shown; None before the start."""
-        if self.at_start is None:
+        if self.start_error is None:
             return None
-        return truth.position_m[0] + self.at_start[0], truth.position_m[1] + self.at_start[1]
+        return truth.position_m[0] + self.start_error[0], truth.position_m[1] + self.start_error[1]
 
     def error(self, estimate: Estimate) -> Pair | None:
         """North, east (m) of the estimate's drift since the start; None before it."""
-        if self.at_start is None or not self._truths:
+        if self.start_error is None or not self._truths:
             return None
         north, east = self._difference(estimate)
-        return north - self.at_start[0], east - self.at_start[1]
+        return north - self.start_error[0], east - self.start_error[1]
 
     def covariance(self, estimate: Estimate) -> Array | None:
         """(2, 2) of the position (m^2); of its drift since the start where that is known.
@@ -69,8 +69,8 @@ class TrueTrack:
         if estimate.covariance is None:
             return None
         position: Array = estimate.covariance[:2, :2]
-        if self._covariance_at_start is not None:
-            position = position - self._covariance_at_start[:2, :2]
+        if self._start_covariance is not None:
+            position = position - self._start_covariance[:2, :2]
         return position
 
     def _difference(self, estimate: Estimate) -> Pair:

@@ -119,7 +119,7 @@ const Plots = (() => {
     if (ends === null) return [0, 1];
     let [least, most] = ends;
     if (axis.log) return [Math.log10(least) - 0.15, Math.log10(most) + 0.15];
-    const missing = Math.max(0, (axis.least_span || 1e-6) - (most - least)) / 2;
+    const missing = Math.max(0, (axis.min_span || 1e-6) - (most - least)) / 2;
     const margin = (name === "x" && axis.label.startsWith("time") ? 0.01 : 0.05) * (most - least + 2 * missing);
     least -= missing + margin;
     most += missing + margin;

@@ -44,7 +44,7 @@ from ltv_mpc.errors import ConfigError
 from services.tools.campaign.keys import Value, kind_of, known
 from sim.evaluation.summary import Summary
 
-MOST_RUNS = 10_000_000
+MAX_RUNS = 10_000_000
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -185,8 +185,8 @@ def _check(campaign: Campaign, source: str) -> None:
     else:
         sizes.append(campaign.design.points)
     points = reduce(int.__mul__, sizes, 1)
-    if points * campaign.seeds.count > MOST_RUNS:
-        problem = f"{points} points times {campaign.seeds.count} seeds: at most {MOST_RUNS} runs"
+    if points * campaign.seeds.count > MAX_RUNS:
+        problem = f"{points} points times {campaign.seeds.count} seeds: at most {MAX_RUNS} runs"
         raise ConfigError(source, "", problem)
 
 

@@ -22,7 +22,7 @@ from services.tools.localisation_check.probe import Record, Squares, descend
 from sim.evaluation.consistency import Consistency, band, consistency
 
 WORST_RATIO = 1.2
-LEAST_SHARE = 0.9
+MIN_SPEED_RATIO = 0.9
 CELLS = (0.9, 1.1)
 """What is asked for: drift over bound, instants inside the band, mean NEES of the water's cells."""
 
@@ -171,9 +171,9 @@ def failed(of: Result) -> list[str]:
         problems.append(f"drift over bound {of.ratio:.2f} > {WORST_RATIO}")
     for kind, shares in (("NEES", of.nees_in_band), ("NIS", of.nis_in_band)):
         problems += [
-            f"{kind} of {name} in its band at {100 * share:.0f} % of instants < {100 * LEAST_SHARE:.0f} %"
+            f"{kind} of {name} in its band at {100 * share:.0f} % of instants < {100 * MIN_SPEED_RATIO:.0f} %"
             for name, share in shares.items()
-            if share < LEAST_SHARE
+            if share < MIN_SPEED_RATIO
         ]
     low, high = CELLS
     if not low <= of.cells_nees_per_dof <= high:

@@ -19,7 +19,7 @@ import typer
 from ltv_mpc.errors import ConfigError
 from services.reporting.figures import paper, readme
 from services.reporting.figures.renderer import Run
-from services.reporting.terminal import share_for
+from services.reporting.terminal import progress_bar
 from services.run import folder
 from services.tools import page_tables
 from services.tools.paper import descents, tables, timing, water
@@ -72,7 +72,7 @@ def parsed(arguments: Sequence[str] | None) -> Options:
         ("runs", "recordings and SVG"),
         ("page", "whose tables are renewed"),
         ("readme", "the README's picture"),
-        ("measured", "measured currents; without them Fig 3 has the made-up ones alone"),
+        ("measured", "measured currents; without them Fig 3 has the synthetic ones alone"),
     ):
         parser.add_argument(f"--{name}", type=Path, metavar="PATH", help=f"{words}; default {getattr(default, name)}")
     for name, words in (
@@ -118,11 +118,11 @@ def make(options: Options) -> tables.Figures:
         averaged = descents.averaged(options.seeds, options.duration_s, workers=options.workers, progress=step)
     with _steps("cycles, timed", 2 * options.cycles) as step:
         timed = timing.timed(options.cycles, progress=step)
-    made_up = [water.made_up(seed) for seed in range(water.SEEDS)]
+    synthetic = [water.synthetic(seed) for seed in range(water.SEEDS)]
     runs: dict[str, list[Run]] = {key: [run] for key, (run, _) in recorded.items()} | {
-        paper.MADE_UP: [water.profile_run(one) for one in made_up[: water.SHOWN_SEEDS]],
+        paper.SYNTHETIC: [water.profile_run(one) for one in synthetic[: water.SHOWN_SEEDS]],
         paper.MEASURED: [water.profile_run(one) for one in profiles],
-        paper.STRUCTURE: [water.structure_run(made_up, profiles)],
+        paper.STRUCTURE: [water.structure_run(synthetic, profiles)],
         paper.TIMING: [timing.run(timed)],
     }
     draw(options, runs, [one.name for one in profiles])
@@ -134,7 +134,7 @@ def make(options: Options) -> tables.Figures:
             tables.descents({key: summary for key, (_, summary) in recorded.items()}),
             tables.seeds(averaged),
             tables.timing(timed),
-            tables.water(made_up, profiles),
+            tables.water(synthetic, profiles),
         ),
     )
     figures.write(options.out / FIGURES)
@@ -153,7 +153,7 @@ def draw(options: Options, runs: Mapping[str, Sequence[Run]], measured: Sequence
 def _steps(what: str, total: int) -> Iterator[Callable[[], None]]:
     """Show a progress bar on stderr and yield the function that advances it."""
     done = 0
-    with share_for(f"{total} {what}") as told:
+    with progress_bar(f"{total} {what}") as told:
 
         def step() -> None:
             nonlocal done

@@ -103,7 +103,7 @@ def _load(timed: Timed) -> str:
     return "load " + " to ".join(f"{load[0]:.1f}" for load in loads if isinstance(load, list))
 
 
-def water(made_up: Sequence[Profile], measured: Sequence[Profile]) -> Table:
+def water(synthetic: Sequence[Profile], measured: Sequence[Profile]) -> Table:
     """Tabulate the strength of the currents and their difference between two depths; one axis, cm/s."""
     return Table(
         name="water",
@@ -112,7 +112,10 @@ def water(made_up: Sequence[Profile], measured: Sequence[Profile]) -> Table:
             *(f"rms difference over {lag:g} m (cm/s)" for lag in LAGS_M),
         ),
         digits=(0, 0, 1, 1, 1, 1),
-        rows=(_strength(f"made up, {len(made_up)} seeds", made_up), *(_strength(one.name, [one]) for one in measured)),
+        rows=(
+            _strength(f"synthetic, {len(synthetic)} seeds", synthetic),
+            *(_strength(one.name, [one]) for one in measured),
+        ),
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from ltv_mpc.currents import read_profile
 from ltv_mpc.messages import Array
 from services.reporting.figures.renderer import Run
-from services.reporting.figures.water import LAG, MADE_UP, MEAN_SQUARE
+from services.reporting.figures.water import LAG, MEAN_SQUARE, SYNTHETIC
 from services.reporting.plots.table import Columns, short
 from sim.scenario import Water
 from sim.water import make
@@ -48,7 +48,7 @@ class Profile(NamedTuple):
     velocity_mps: Array  # (K, 2), north and east
 
 
-def made_up(seed: int) -> Profile:
+def synthetic(seed: int) -> Profile:
     """Return the synthetic current of the descent for a seed."""
     profile = make(Water(), seed).profile(0)
     return _above(Profile(f"seed {seed}", profile.depth_m, np.column_stack([profile.north_mps, profile.east_mps])))
@@ -109,7 +109,7 @@ def structure_run(drawn_up: Sequence[Profile], profiles: Sequence[Profile]) -> R
     lag = drawn[0][0]
     low, high = np.quantile([D for _, D in drawn], [0.05, 0.95], axis=0)
     tables: dict[str, Columns] = {
-        MADE_UP: {
+        SYNTHETIC: {
             LAG: lag.tolist(),
             "low_m2ps2": low.tolist(),
             "high_m2ps2": high.tolist(),

@@ -14,8 +14,8 @@ from websockets.sync.client import ClientConnection, connect
 from ltv_mpc.messages import ClockCommand, Command, Disturbance, Kill
 from services.cli import app
 from services.dashboard.access_guard import Token, hosts
-from tests.services.dashboard.made_up_vehicle import NODES, SPEED, Served, served, until
-from tests.services.reporting.made_up import OFFSET
+from tests.services.dashboard.synthetic_vehicle import NODES, SPEED, Served, served, until
+from tests.services.reporting.synthetic_run import OFFSET
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +42,13 @@ def stream(page: Served, origin: str | None = None, host: str = "127.0.0.1") -> 
     return connect(f"ws://{host}:{page.port}/stream", origin=claimed, proxy=None, max_size=2**24)
 
 
-def refusal(page: Served, **how: str) -> int:
+def status_code(page: Served, **how: str) -> int:
     with pytest.raises(InvalidStatus) as refused, stream(page, **how):
         pass
     return refused.value.response.status_code
 
 
-def heard(socket: ClientConnection, kind: str) -> dict[str, Any]:
+def next_text(socket: ClientConnection, kind: str) -> dict[str, Any]:
     """The next text of this kind."""
     while True:
         text: dict[str, Any] = json.loads(socket.recv(10))
@@ -58,7 +58,7 @@ def heard(socket: ClientConnection, kind: str) -> dict[str, Any]:
 
 def pressed(page: Served, socket: ClientConnection, **asked: object) -> dict[str, Any]:
     socket.send(json.dumps({"number": 5, "token": page.token, **asked}))
-    return heard(socket, "answer")
+    return next_text(socket, "reply")
 
 
 # --- who may read ----------------------------------------------------------------------------------------------------
@@ -97,11 +97,11 @@ def test_another_name_for_this_machine_is_refused(page: Served, host: str) -> No
 def test_another_page_is_refused(page: Served, origin: str) -> None:
     origin = origin.format(port=page.port)
     assert get(page, Origin=origin)[0] == 403
-    assert refusal(page, origin=origin) == 403
+    assert status_code(page, origin=origin) == 403
 
 
 def test_a_websocket_without_an_origin_is_refused(page: Served) -> None:
-    assert refusal(page, origin="") == 403
+    assert status_code(page, origin="") == 403
 
 
 def test_a_websocket_by_another_name_for_this_machine_is_refused(page: Served) -> None:
@@ -129,21 +129,21 @@ def test_the_page_s_own_names_are_let_in(page: Served) -> None:
 
 @pytest.mark.parametrize("token", ["", "x", "{token}x", "é"])
 def test_without_the_token_nothing_can_be_commanded(page: Served, token: str) -> None:
-    before = len(page.vehicle.heard)
+    before = len(page.vehicle.received)
     with stream(page) as socket:
         for button in ("arm", "stop", "pause", "kick", "kill"):
             answer = pressed(page, socket, token=token.format(token=page.token), button=button, node="controller")
             assert (answer["number"], answer["done"]) == (5, False)
             assert answer["text"].startswith("read-only")
-    assert len(page.vehicle.heard) == before
+    assert len(page.vehicle.received) == before
 
 
 def test_each_start_has_another_token_and_the_right_one_fits() -> None:
     one, other = Token(), Token()
     assert one.text != other.text
     assert len(one.text) >= 32
-    assert one.fits(one.text)
-    assert not one.fits(other.text)
+    assert one.matches(one.text)
+    assert not one.matches(other.text)
 
 
 @pytest.mark.parametrize(
@@ -159,51 +159,51 @@ def test_each_start_has_another_token_and_the_right_one_fits() -> None:
     ],
 )
 def test_what_is_no_command_is_answered_and_does_nothing(page: Served, text: str) -> None:
-    before = len(page.vehicle.heard)
+    before = len(page.vehicle.received)
     with stream(page) as socket:
         socket.send(text.replace("TOKEN", page.token))
-        answer = heard(socket, "answer")
+        answer = next_text(socket, "reply")
     assert not answer["done"]
     assert answer["text"].startswith("no such command")
-    assert len(page.vehicle.heard) == before
+    assert len(page.vehicle.received) == before
 
 
 def test_who_sends_a_flood_is_cut_off(page: Served) -> None:
     with stream(page) as socket:
         socket.send(100_000 * "x")
         with pytest.raises(ConnectionClosed):
-            heard(socket, "answer")
+            next_text(socket, "reply")
 
 
 def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Served) -> None:
-    vehicle, ears = page.vehicle, page.ears
+    vehicle, feed = page.vehicle, page.feed
     with stream(page) as socket:
-        until(lambda: ears.moment().simulated)
+        until(lambda: feed.status().simulated)
         assert pressed(page, socket, button="stop") == {
-            "kind": "answer",
+            "kind": "reply",
             "number": 5,
             "done": True,
-            "text": "stop accepted; in charge: controller",
+            "text": "stop accepted; command authority: controller",
         }
         refused = pressed(page, socket, button="hold")
         assert (refused["done"], refused["text"]) == (False, "hold refused: nothing to hold")
         assert pressed(page, socket, button="kill", node="estimator")["done"]
         assert pressed(page, socket, button="kick")["done"]
-        asked_s = ears.moment().t_s
+        asked_s = feed.status().t_s
         assert pressed(page, socket, button="speed", speed=4.0)["done"]
-        until(lambda: ears.moment().speed == 4.0)
+        until(lambda: feed.status().speed == 4.0)
         assert pressed(page, socket, button="pause")["done"]
-        until(lambda: ears.moment().clock == "paused")
+        until(lambda: feed.status().clock == "paused")
         assert pressed(page, socket, button="resume")["done"]
-        until(lambda: ears.moment().clock == "running")
+        until(lambda: feed.status().clock == "running")
         assert pressed(page, socket, button="speed", speed=SPEED)["done"]
-        until(lambda: ears.moment().speed == SPEED)
-    assert [command.action for command in vehicle.heard_of(Command)] == ["stop", "hold"]
-    assert [kill.node for kill in vehicle.heard_of(Kill)] == ["estimator"]
-    (kick,) = vehicle.heard_of(Disturbance)
+        until(lambda: feed.status().speed == SPEED)
+    assert [command.action for command in vehicle.received_of(Command)] == ["stop", "hold"]
+    assert [kill.node for kill in vehicle.received_of(Kill)] == ["estimator"]
+    (kick,) = vehicle.received_of(Disturbance)
     assert asked_s is not None
     assert 0 < kick.until_t_ns / 1e9 <= asked_s + 2.0
-    asked = [(one.paused, one.speed) for one in vehicle.heard_of(ClockCommand)]
+    asked = [(one.paused, one.speed) for one in vehicle.received_of(ClockCommand)]
     assert asked == [(False, 4.0), (True, 4.0), (False, 4.0), (False, SPEED)]
 
 
@@ -211,20 +211,20 @@ def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Serve
 
 
 def test_a_reader_gets_everything_and_then_what_is_new(page: Served) -> None:
-    until(lambda: len(page.ears.collector.tables["errors"]) > 5)
+    until(lambda: len(page.feed.collector.tables["errors"]) > 5)
     with stream(page) as socket:
-        assert heard(socket, "hello")["plots"][0]["name"] == "track"
-        whole = heard(socket, "whole")
+        assert next_text(socket, "hello")["plots"][0]["name"] == "track"
+        whole = next_text(socket, "whole")
         assert whole["rows"]["truth"]["east_m"][0] == pytest.approx(OFFSET[1], abs=0.2)  # 20 s of drift
         assert whole["marks"]
         times = list(whole["rows"]["track"]["t_s"])
         wanted = len(times) + 10
         while len(times) < wanted:
-            tick = heard(socket, "tick")
+            tick = next_text(socket, "tick")
             assert "track" not in tick["replaced"]
             times += tick["rows"].get("track", {}).get("t_s", [])
         assert times == sorted(set(times))
-        moment = tick["moment"]
+        moment = tick["status"]
     assert {process["name"] for process in moment["processes"]} == set(NODES)
     assert moment["simulated"]
     assert 0 <= moment["ages_s"]["plan"] < 5.0
@@ -233,11 +233,11 @@ def test_a_reader_gets_everything_and_then_what_is_new(page: Served) -> None:
 
 
 def test_another_run_on_the_same_keys_begins_with_an_empty_page(page: Served) -> None:
-    until(lambda: len(page.ears.collector.tables["track"]) > 20)
+    until(lambda: len(page.feed.collector.tables["track"]) > 20)
     with stream(page) as socket:
-        before = heard(socket, "whole")["rows"]["track"]["t_s"]
-        page.vehicle.begin_again()
-        after = heard(socket, "whole")["rows"].get("track", {"t_s": []})["t_s"]
+        before = next_text(socket, "whole")["rows"]["track"]["t_s"]
+        page.vehicle.restart()
+        after = next_text(socket, "whole")["rows"].get("track", {"t_s": []})["t_s"]
     assert len(after) < len(before)
 
 

@@ -13,19 +13,19 @@ import pytest
 from services.bus.session import BusOptions, open_session
 from services.dashboard import sidecar
 from services.dashboard.serve import NICE
-from services.dashboard.sidecar import Beside
+from services.dashboard.sidecar import Sidecar
 from services.reporting.plots.recorded import VEHICLE as VEHICLE_FILE
-from tests.services.dashboard.made_up_vehicle import until
-from tests.services.reporting import made_up
+from tests.services.dashboard.synthetic_vehicle import until
+from tests.services.reporting import synthetic_run
 
 
-def page_of(folder: Path) -> tuple[Beside, list[str]]:
+def page_of(folder: Path) -> tuple[Sidecar, list[str]]:
     said: list[str] = []
     (folder / "logs").mkdir()
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
-    vehicle.write_text(made_up.VEHICLE)
-    return Beside(said.append, folder=folder, vehicle=vehicle, open_browser=False), said
+    vehicle.write_text(synthetic_run.VEHICLE)
+    return Sidecar(said.append, folder=folder, vehicle=vehicle, open_browser=False), said
 
 
 def gives_way(pid: int) -> None:

@@ -14,12 +14,12 @@ from services.reporting.plots import catalogue, palette
 from services.reporting.plots.catalogue import PLOTS
 from services.reporting.plots.description import Plot, Style
 from services.reporting.plots.recorded import read
-from tests.services.reporting import made_up
+from tests.services.reporting import synthetic_run
 
 
 @pytest.fixture(scope="module")
 def dive(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    picture = read(made_up.record(tmp_path_factory.mktemp("run") / "run.mcap"))
+    picture = read(synthetic_run.record(tmp_path_factory.mktemp("run") / "run.mcap"))
     return Run("a dive", picture.tables, picture.values, picture.marks)
 
 
@@ -136,7 +136,7 @@ def test_the_readme_s_picture_has_the_spread_around_the_error(dive: Run) -> None
     axes = drawn(readme.WITH_SPREAD, from_zero(dive))
     (band,) = axes.patches
     top = band.get_path().vertices[:, 1].max()
-    assert top == pytest.approx(2 * np.sqrt(made_up.GROWTH_M2_PER_S * 20), abs=1e-3)
+    assert top == pytest.approx(2 * np.sqrt(synthetic_run.GROWTH_M2_PER_S * 20), abs=1e-3)
 
 
 def test_every_sheet_of_the_paper_draws_a_description_of_the_catalogue() -> None:

@@ -17,8 +17,8 @@ from services.reporting.plots.collector import HISTORY, Collector
 from services.reporting.plots.description import Style
 from services.reporting.plots.recorded import read, thrusters
 from services.reporting.plots.table import Table
-from tests.services.reporting import made_up
-from tests.services.reporting.made_up import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
+from tests.services.reporting import synthetic_run
+from tests.services.reporting.synthetic_run import DRIFT_EAST_MPS, EPOCH, GROWTH_M2_PER_S, OFFSET, TARGET, S
 from tests.services.words import status
 
 COLOURS = [value for name, value in vars(palette).items() if name.isupper() and isinstance(value, str)]
@@ -26,14 +26,14 @@ COLOURS = [value for name, value in vars(palette).items() if name.isupper() and 
 
 @pytest.fixture
 def collector() -> Collector:
-    made = Collector(thrusters({"config/vehicle.toml": made_up.VEHICLE}))
-    for _, signal, _ in made_up.dive():
-        made.hear(signal, EPOCH)
+    made = Collector(thrusters({"config/vehicle.toml": synthetic_run.VEHICLE}))
+    for _, signal, _ in synthetic_run.dive():
+        made.add(signal, EPOCH)
     return made
 
 
 def test_each_plot_names_columns_that_there_are(collector: Collector) -> None:
-    tables = collector.picture()
+    tables = collector.all_tables()
     for plot in PLOTS:
         for series in plot.series:
             columns = [series.x, series.y, *filter(None, (series.x_high, series.y_high))]
@@ -92,25 +92,25 @@ def test_a_target_that_moves_is_where_it_is_at_the_estimate_s_time() -> None:
     """It moves as the vehicle does, 1 m east of it: the distance is that metre, whenever plans come."""
     collector = Collector()
     for t_ns in range(0, 6 * S, 100_000_000):
-        collector.hear(made_up.estimate(t_ns), EPOCH)
+        collector.add(synthetic_run.estimate(t_ns), EPOCH)
         if t_ns % S == 0:
-            first = made_up.plan(t_ns).t_ns[0] / S
+            first = synthetic_run.plan(t_ns).t_ns[0] / S
             target = (OFFSET[0] + 0.1 * first, OFFSET[1] + DRIFT_EAST_MPS * first + 1.0)
-            collector.hear(msgspec.structs.replace(made_up.plan(t_ns, target=target), progress=first / 10), EPOCH)
+            collector.add(msgspec.structs.replace(synthetic_run.plan(t_ns, target=target), progress=first / 10), EPOCH)
     columns = collector.tables["distance"].since(0)
     assert len(columns["t_s"]) > 40
     np.testing.assert_allclose(np.array(columns["distance_m"], dtype=float)[2:], 1.0, atol=2e-3)
 
 
 def test_every_point_of_the_ellipse_is_two_standard_deviations_away(collector: Collector) -> None:
-    ellipse = collector.picture()["ellipse"]
-    newest = made_up.estimate(20 * S)
+    ellipse = collector.all_tables()["ellipse"]
+    newest = synthetic_run.estimate(20 * S)
     away = np.array([ellipse["north_m"], ellipse["east_m"]], dtype=float).T - [newest.north_m, newest.east_m]
     np.testing.assert_allclose(np.sum(away**2, axis=1) / (GROWTH_M2_PER_S * 20), 4.0, rtol=1e-2)
 
 
 def test_the_profile_has_a_band_of_two_standard_deviations(collector: Collector) -> None:
-    profile = collector.picture()["profile"]
+    profile = collector.all_tables()["profile"]
     assert profile["north_low_mps"] == pytest.approx([0.01, -0.02, -0.05])
     assert profile["east_high_mps"] == pytest.approx([0.0, 0.04, 0.08])
 
@@ -126,7 +126,7 @@ def test_the_deadline_is_when_the_plan_takes_effect_in_wall_time(collector: Coll
 
 def test_without_a_truth_the_spread_is_that_of_the_position_itself() -> None:
     collector = Collector()
-    collector.hear(made_up.estimate(0), EPOCH)
+    collector.add(synthetic_run.estimate(0), EPOCH)
     columns = collector.tables["errors"].since(0)
     assert (columns["north_m"], columns["plus_2_sigma_m"]) == ([None], [6.0])
 
@@ -134,14 +134,20 @@ def test_without_a_truth_the_spread_is_that_of_the_position_itself() -> None:
 def test_events_and_changes_are_marks() -> None:
     collector = Collector()
     for signal in (
-        *(made_up.ARM, made_up.ARMED, made_up.EVENT, made_up.plan(0), made_up.plan(S, origin=PlanOrigin.SHIFTED)),
-        *(made_up.plan(2 * S, origin=PlanOrigin.SHIFTED), made_up.plan(3 * S), status("plant")),
+        *(
+            synthetic_run.ARM,
+            synthetic_run.ARMED,
+            synthetic_run.EVENT,
+            synthetic_run.plan(0),
+            synthetic_run.plan(S, origin=PlanOrigin.SHIFTED),
+        ),
+        *(synthetic_run.plan(2 * S, origin=PlanOrigin.SHIFTED), synthetic_run.plan(3 * S), status("plant")),
     ):
-        collector.hear(signal, EPOCH)
-    collector.hear(status("plant"), EPOCH + 1)  # it does not know the time yet
+        collector.add(signal, EPOCH)
+    collector.add(status("plant"), EPOCH + 1)  # it does not know the time yet
     assert [(mark.t_s, mark.node, mark.text) for mark in collector.marks.marks] == [
         (0.0, "controller", "arm accepted"),
-        (5.0, "plant", made_up.EVENT.text),
+        (5.0, "plant", synthetic_run.EVENT.text),
         (1.0, "controller", "plans shifted: OSQP: iteration limit"),
         (3.0, "controller", "plans solved"),
         (3.0, "plant", "started again"),
@@ -160,24 +166,24 @@ def test_a_table_stays_small_and_keeps_its_peaks() -> None:
 
 
 def test_a_long_recording_is_read_in_few_rows(tmp_path: Path) -> None:
-    picture = read(made_up.record(tmp_path / "run.mcap"), rows=20)
+    picture = read(synthetic_run.record(tmp_path / "run.mcap"), rows=20)
     for name in HISTORY:
         assert all(len(column) < 40 for column in picture.tables[name].values()), name
     assert picture.tables["track"]["t_s"][-1] > 15.0  # type: ignore[operator]
 
 
 def test_a_recording_gives_what_the_signals_give(tmp_path: Path, collector: Collector) -> None:
-    picture = read(made_up.record(tmp_path / "run.mcap"))
+    picture = read(synthetic_run.record(tmp_path / "run.mcap"))
     assert not picture.cut
     assert picture.values == collector.values
     assert picture.tables["latency"] == collector.tables["latency"].since(0)
     for name in ("ellipse", "profile", "horizon", "ahead"):
-        assert picture.tables[name] == collector.picture()[name], name
+        assert picture.tables[name] == collector.all_tables()[name], name
     assert picture.marks == tuple(collector.marks.marks)
 
 
 def test_of_a_recording_that_was_cut_off_what_is_there_is_read(tmp_path: Path) -> None:
-    path = made_up.record(tmp_path / "run.mcap", until_s=60.0)
+    path = synthetic_run.record(tmp_path / "run.mcap", until_s=60.0)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     picture = read(path)

@@ -11,7 +11,7 @@ import pytest
 
 from services.cli import app
 from services.reporting import static_files
-from tests.services.reporting import made_up
+from tests.services.reporting import synthetic_run
 
 SUMMARY = {"mode": "services", "speed": 10.0, "seed": 3, "cycles": 66, "true_error_m": {"mean": 0.25, "max": None}}
 OTHER = {**SUMMARY, "cycles": 60, "true_error_m": {"mean": 0.5}, "restarts": 2}
@@ -22,7 +22,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folders = tmp_path_factory.mktemp("runs") / "first", tmp_path_factory.mktemp("runs") / "second"
     for folder, summary in zip(folders, (SUMMARY, OTHER), strict=True):
         folder.mkdir()
-        made_up.record(folder / "run.mcap")
+        synthetic_run.record(folder / "run.mcap")
         (folder / "summary.json").write_text(json.dumps(summary))
     return folders
 
@@ -55,7 +55,7 @@ def test_nothing_of_a_recording_can_become_markup(runs: tuple[Path, Path]) -> No
     assert app.run(["report", str(runs[0])]) == 0
     text = (runs[0] / "report.html").read_text()
     assert "<b>a mark</b>" not in text
-    assert [mark["text"] for mark in data(text)["runs"][0]["marks"]][-1] == made_up.EVENT.text
+    assert [mark["text"] for mark in data(text)["runs"][0]["marks"]][-1] == synthetic_run.EVENT.text
 
 
 def test_several_runs_lie_over_each_other_with_their_differences(

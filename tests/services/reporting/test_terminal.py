@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from ltv_mpc.messages import Applied, CycleTiming, Estimate, NodeStatus, Plan, PlanOrigin, Solve, SolveStatus, Truth
-from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, progress_for, screen_for
+from services.reporting.terminal import ORDER, LiveScreen, PlainScreen, bar, run_progress_bar, screen_for
 from services.supervisor.screen import LiveView
 from tests.services.words import status
 
@@ -91,7 +91,7 @@ def drawn(view: LiveView) -> list[str]:
     screen.update(view)
     screen.close()
     with console.capture() as capture:
-        console.print(screen.picture(view))
+        console.print(screen.render(view))
     return capture.get().splitlines()
 
 
@@ -178,6 +178,6 @@ def test_in_a_pipe_what_is_waited_for_is_a_line_now_and_then() -> None:
 
 def test_progress_in_a_pipe_is_silent() -> None:
     file = io.StringIO()
-    with progress_for(0, 10, Console(file=file)) as told:
+    with run_progress_bar(0, 10, Console(file=file)) as told:
         told(5)
     assert file.getvalue() == ""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus, Truth
-from services.reporting.tracking_error import Distances
+from services.reporting.tracking_error import TrackingError
 from services.supervisor.screen import LiveView
 
 S = 1_000_000_000
@@ -50,31 +50,31 @@ def moment(t_ns: int, *, truth_m: tuple[float, float], estimate_m: tuple[float, 
 
 def test_the_error_of_the_first_fix_is_no_drift() -> None:
     """The line goes through the first estimate, 5 m off; then the vehicle moves 5 m and believes 0.5 m less."""
-    distances = Distances()
-    distances.update(moment(0, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
-    assert (distances.true_error_m, distances.localisation_m) == (0.0, 0.0)
-    distances.update(moment(S, truth_m=(10.0, 20.0), estimate_m=(13.0, 23.5)))
-    assert distances.true_error_m == 5.0
-    assert distances.localisation_m == 0.5
+    errors = TrackingError()
+    errors.update(moment(0, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
+    assert (errors.true_error_m, errors.localisation_m) == (0.0, 0.0)
+    errors.update(moment(S, truth_m=(10.0, 20.0), estimate_m=(13.0, 23.5)))
+    assert errors.true_error_m == 5.0
+    assert errors.localisation_m == 0.5
 
 
 def test_an_old_estimate_is_compared_with_the_truth_of_its_own_time() -> None:
-    distances = Distances()
-    distances.update(moment(0, truth_m=(0.0, 0.0), estimate_m=(0.0, 0.0)))
-    distances.update(moment(S, truth_m=(0.5, -0.25), estimate_m=(0.4, -0.2), age_ns=S // 5))
-    assert distances.localisation_m == pytest.approx(0.0, abs=1e-12)
+    errors = TrackingError()
+    errors.update(moment(0, truth_m=(0.0, 0.0), estimate_m=(0.0, 0.0)))
+    errors.update(moment(S, truth_m=(0.5, -0.25), estimate_m=(0.4, -0.2), age_ns=S // 5))
+    assert errors.localisation_m == pytest.approx(0.0, abs=1e-12)
 
 
 def test_before_the_start_nothing_is_known() -> None:
-    distances = Distances()
-    distances.update(moment(-1, truth_m=(1.0, 2.0), estimate_m=(3.0, 4.0)))
-    assert (distances.true_error_m, distances.localisation_m) == (None, None)
+    errors = TrackingError()
+    errors.update(moment(-1, truth_m=(1.0, 2.0), estimate_m=(3.0, 4.0)))
+    assert (errors.true_error_m, errors.localisation_m) == (None, None)
 
 
 def test_an_estimate_from_before_the_start_does_not_say_where_the_line_is() -> None:
     """At ten times real time the first look after the start may still find one, metres off: a fix came after it."""
-    distances = Distances()
-    distances.update(moment(S // 2, truth_m=(0.0, 0.0), estimate_m=(2.0, 2.0), age_ns=S // 2 + 1))
-    assert (distances.true_error_m, distances.localisation_m) == (None, None)
-    distances.update(moment(S, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
-    assert (distances.true_error_m, distances.localisation_m) == (0.0, 0.0)
+    errors = TrackingError()
+    errors.update(moment(S // 2, truth_m=(0.0, 0.0), estimate_m=(2.0, 2.0), age_ns=S // 2 + 1))
+    assert (errors.true_error_m, errors.localisation_m) == (None, None)
+    errors.update(moment(S, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
+    assert (errors.true_error_m, errors.localisation_m) == (0.0, 0.0)

@@ -113,7 +113,7 @@ def test_measured_currents_that_are_not_there_are_named(made: Path) -> None:
     assert water.measured(made / "nowhere")[0] == []
     figures = tables.Figures.load(made / "figures" / command.FIGURES)
     (table,) = (table for table in figures.tables if table.name == "water")
-    assert [row[0] for row in table.rows] == [f"made up, {water.SEEDS} seeds", water.FILES[present]]
+    assert [row[0] for row in table.rows] == [f"synthetic, {water.SEEDS} seeds", water.FILES[present]]
 
 
 # --- structure functions ---------------------------------------------------------------------------------------------
@@ -136,9 +136,9 @@ def test_a_coarse_profile_has_only_the_lags_that_it_has() -> None:
     np.testing.assert_allclose(D, lag**2)
 
 
-def test_made_up_currents_have_the_model_s_structure_function() -> None:
+def test_synthetic_currents_have_the_structure_function_of_the_model() -> None:
     """The bound of 3 standard deviations takes a few per cent of its variance."""
-    profiles = [water.made_up(seed) for seed in range(100)]
+    profiles = [water.synthetic(seed) for seed in range(100)]
     drawn = np.array([water.structure(one)[1] for one in profiles])
     lag, _ = water.structure(profiles[0])
     near = lag <= 12.0

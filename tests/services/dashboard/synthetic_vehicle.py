@@ -1,4 +1,4 @@
-"""A vehicle made by hand on a real bus: what the live page shows, and what hears its buttons."""
+"""Synthetic vehicle on a real bus: it publishes what the live page shows and receives what its buttons send."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.dashboard import page, serve
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
-from services.dashboard.bus_feed import Ears
+from services.dashboard.bus_feed import BusFeed
 from services.reporting.plots.recorded import thrusters
 from services.runtime.clock import fraction_of, monotonic_us
-from tests.services.reporting import made_up
-from tests.services.reporting.made_up import EPOCH, S
+from tests.services.reporting import synthetic_run
+from tests.services.reporting.synthetic_run import EPOCH, S
 from tests.services.words import status
 
 K = TypeVar("K", bound=Message)
@@ -54,11 +54,11 @@ def until(what: Callable[[], object], within_s: float = PATIENCE_S) -> None:
         time.sleep(0.02)
 
 
-class MadeUpVehicle:
-    """The dive of ``made_up`` at ten times real time, over and over from where it was; it obeys clock and commands."""
+class SyntheticVehicle:
+    """Publisher of the dive of ``synthetic_run`` at ten times real time; it obeys clock commands and commands."""
 
     def __init__(self, session: Session) -> None:
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self.clock_epoch = EPOCH
         self._box = Mailbox()
         for kind in (Command, ClockCommand, Disturbance, Kill):
@@ -66,15 +66,15 @@ class MadeUpVehicle:
         self._out = {
             node: Outbox(session, node=node, epoch=EPOCH, kinds=kinds)
             for node, kinds in (
-                ("plant", (Truth, Clock, type(made_up.applied(0)), type(made_up.EVENT), NodeStatus)),
+                ("plant", (Truth, Clock, type(synthetic_run.applied(0)), type(synthetic_run.EVENT), NodeStatus)),
                 ("estimator", (Estimate, NodeStatus)),
-                ("controller", (Plan, type(made_up.timing(0)), Acknowledged, NodeStatus)),
+                ("controller", (Plan, type(synthetic_run.timing(0)), Acknowledged, NodeStatus)),
                 ("operator", (Command,)),
                 ("sensors", (NodeStatus,)),
                 ("recorder", (NodeStatus,)),
             )
         }
-        self._clock = made_up.clock(-S)
+        self._clock = synthetic_run.clock(-S)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._go, daemon=True)
         self._thread.start()
@@ -83,13 +83,13 @@ class MadeUpVehicle:
         self._stop.set()
         self._thread.join()
 
-    def say(self, node: str, signal: Message) -> None:
+    def publish(self, node: str, signal: Message) -> None:
         self._out[node].publish(signal)
 
-    def heard_of(self, kind: type[K]) -> list[K]:
-        return [signal for signal in self.heard if isinstance(signal, kind)]
+    def received_of(self, kind: type[K]) -> list[K]:
+        return [signal for signal in self.received if isinstance(signal, kind)]
 
-    def begin_again(self) -> None:
+    def restart(self) -> None:
         """Another run, at the time of this one: only the clock's epoch says so."""
         self.clock_epoch += 1
         self.announce(vehicle_ns=self._now_ns(), state=ClockState.RUNNING, speed=SPEED)
@@ -110,7 +110,7 @@ class MadeUpVehicle:
 
     def _go(self) -> None:
         self.announce(vehicle_ns=-S, state=ClockState.RUNNING, speed=SPEED)
-        dive = made_up.dive(10_000.0)
+        dive = synthetic_run.dive(10_000.0)
         waiting = next(dive)
         turn = 0
         while not self._stop.wait(0.05):
@@ -118,11 +118,11 @@ class MadeUpVehicle:
             self._obey()
             if turn % 10 == 1:
                 for node in NODES:
-                    self.say(node, status(node, t_ns=self._now_ns()))
-            self.say("plant", self._clock)
+                    self.publish(node, status(node, t_ns=self._now_ns()))
+            self.publish("plant", self._clock)
             while waiting[2] <= self._now_ns():
                 if not isinstance(waiting[1], Clock):
-                    self.say(waiting[0], waiting[1])
+                    self.publish(waiting[0], waiting[1])
                 waiting = next(dive)
 
     def _now_ns(self) -> int:
@@ -137,7 +137,7 @@ class MadeUpVehicle:
             signal, header = decode(frame.topic.message_type, frame.payload)
             if header.epoch == EPOCH:  # the dive's own
                 continue
-            self.heard.append(signal)
+            self.received.append(signal)
             if isinstance(signal, ClockCommand):
                 state = ClockState.PAUSED if signal.paused else ClockState.RUNNING
                 self.announce(vehicle_ns=self._now_ns(), state=state, speed=signal.speed)
@@ -149,15 +149,17 @@ class MadeUpVehicle:
                     authority=Authority.CONTROLLER,
                     why="nothing to hold" if signal.action == "hold" else "",
                 )
-                self.say("controller", answer)
+                self.publish("controller", answer)
 
 
 class Served:
     """A page that runs, and the vehicle behind it."""
 
-    def __init__(self, vehicle: MadeUpVehicle, ears: Ears, token: Token, port: int, server: uvicorn.Server) -> None:
+    def __init__(
+        self, vehicle: SyntheticVehicle, feed: BusFeed, token: Token, port: int, server: uvicorn.Server
+    ) -> None:
         self.vehicle = vehicle
-        self.ears = ears
+        self.feed = feed
         self.token = token.text
         self.port = port
         self._server = server
@@ -181,24 +183,24 @@ class Served:
 def served(router_port: int) -> Iterator[Served]:
     """Router, vehicle and page, each with a session of its own, in this process."""
     endpoint = f"tcp/127.0.0.1:{router_port}"
-    reached = BusOptions(connect=(endpoint,), namespace="made/up")
+    reached = BusOptions(connect=(endpoint,), namespace="synthetic")
 
     def opened(options: BusOptions) -> Session:
         return open_session(options, stop=lambda: False, say=lambda _: None)
 
-    router = BusOptions(listen=(endpoint,), namespace="made/up")
+    router = BusOptions(listen=(endpoint,), namespace="synthetic")
     with opened(router), opened(reached) as aboard, opened(reached) as ashore, serve.listen("127.0.0.1", 0) as place:
         place.listen()
         port = place.getsockname()[1]
-        token, ears = Token(), Ears(ashore, thrusters({"config/vehicle.toml": made_up.VEHICLE}))
-        app = page.make(ears, token, allowed=hosts(LOOPBACK, port), name="made/up", command=page.commander(reached))
-        vehicle = MadeUpVehicle(aboard)
+        token, feed = Token(), BusFeed(ashore, thrusters({"config/vehicle.toml": synthetic_run.VEHICLE}))
+        app = page.make(feed, token, allowed=hosts(LOOPBACK, port), name="synthetic", command=page.commander(reached))
+        vehicle = SyntheticVehicle(aboard)
         server = uvicorn.Server(serve.configuration(app))
         thread = threading.Thread(target=server.run, kwargs={"sockets": [place]}, daemon=True)
         thread.start()
         try:
             until(lambda: server.started)
-            yield Served(vehicle, ears, token, port, server)
+            yield Served(vehicle, feed, token, port, server)
         finally:
             server.should_exit = True
             thread.join(10)
