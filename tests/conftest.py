@@ -1,4 +1,4 @@
-"""What holds for every test: one BLAS thread, as in every process; no deadlines on shared machines; longest first."""
+"""Settings of all tests: one BLAS thread as in each process, no deadlines on shared machines, longest folders first."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ settings.load_profile("ltv-mpc")
 HERE = Path(__file__).parent
 LONGEST = (
     "system",
-    "services/launch",
+    "services/supervisor",
     "ltv_mpc/localisation",
-    "services/fleet",
-    "services/measure",
-    "services/nodes",
+    "services/tools",
+    "services/replay",
+    "services/dashboard",
     "examples",
 )
-"""Folders whose files take longest, begun first: a worker that gets one of them at the end keeps all others waiting."""
+"""Folders whose files take longest. They start first: a long file that starts last keeps all other workers waiting."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files stay whole and in order, but for ``LONGEST``."""
+    """Sort the tests so that the folders of ``LONGEST`` come first; files stay whole and in their order."""
 
-    def place(item: pytest.Item) -> int:
+    def rank(item: pytest.Item) -> int:
         folder = item.path.relative_to(HERE).parent.as_posix()
         return next((i for i, name in enumerate(LONGEST) if (folder + "/").startswith(name + "/")), len(LONGEST))
 
-    items.sort(key=place)
+    items.sort(key=rank)
