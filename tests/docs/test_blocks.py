@@ -66,7 +66,7 @@ ran_already: set[tuple[str, ...]] = set()
 
 TOML: dict[str, Callable[[Path], object]] = {
     "docs/campaigns.md": campaigns.load,
-    "docs/faults.md": schedule.load,
+    "docs/fault-campaign.md": schedule.load,
 }
 """Who reads the files that a page shows; what a page's own commands read needs nobody else."""
 
