@@ -44,7 +44,7 @@ class _Log:
         self.rows: list[tuple[float, float, float]] = []
 
     def published(self, _node: str, message: Any) -> None:
-        signal = message.signal
+        signal = message.message
         if isinstance(signal, Truth):
             self.truth = {signal.t_ns: signal}
         elif isinstance(signal, Estimate) and signal.t_ns % 1_000_000_000 == 0 and signal.covariance is not None:

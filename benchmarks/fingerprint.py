@@ -35,7 +35,7 @@ from ltv_mpc.messages import (
     Message,
     Plan,
 )
-from ltv_mpc.node import Arrival, Due, Inbox, Node
+from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
 from services.tools import lockstep_run
@@ -77,9 +77,9 @@ class Collector:
     def __init__(self) -> None:
         self._rows: dict[str, list[tuple[int, np.ndarray]]] = {"estimate": [], "plan": [], "applied": []}
 
-    def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
+    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002
         """Keep the message's numbers."""
-        self.take(message.signal)
+        self.take(message.message)
 
     def take(self, signal: Message) -> None:
         """Keep the numbers of an estimate, a plan or a report of the actuators."""
@@ -129,7 +129,7 @@ class Restarted:
     def _step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         if not self._restarted and t_ns >= RESTART_NS:
             self._restarted, self._node = True, self._make()
-            inbox = [Arrival(self._state(), 1, 0, t_ns), *inbox]
+            inbox = [ReceivedMessage(self._state(), 1, 0, t_ns), *inbox]
         (out,) = self._node.steps([(t_ns, inbox)])
         self._memory.update({type(signal): signal for signal in out})
         return out

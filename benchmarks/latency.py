@@ -19,7 +19,7 @@ from contextlib import contextmanager
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import Acknowledged, Action, Command, Estimate, Plan
+from ltv_mpc.messages import Acknowledgement, Action, Command, Estimate, Plan
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
@@ -111,7 +111,7 @@ def main(messages: int) -> None:
                 sent_us = time.monotonic_ns() // 1000
                 out.publish(Command(command_id=k, action=Action.ARM if k == 0 else Action.HOLD))
                 if answer := awaited(box, "acknowledged", 1.0, plans):
-                    assert decode(Acknowledged, answer.payload)[0].command_id == k
+                    assert decode(Acknowledgement, answer.payload)[0].command_id == k
                     answers.append(answer.received_monotonic_us - sent_us)
             awaited(box, "plan", PACE_S, plans)
     print("| | median (us) | 99th percentile (us) | messages |\n|---|---|---|---|")

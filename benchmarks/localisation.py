@@ -131,7 +131,7 @@ def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     aiding: list[Aiding] = []
     for _, inbox in rest:
         for arrival in inbox:
-            signal = arrival.signal
+            signal = arrival.message
             if isinstance(signal, ImuSample):
                 samples.append(signal)
             elif isinstance(signal, Aiding) and signal.t_ns > from_ns:

@@ -161,7 +161,7 @@ def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], de
         plan_received_t_ns=cycle_ns + delay_ns,
         plan_late=False,
         plans_late=0,
-        plans_refused=0,
+        plans_rejected=0,
     )
 
 

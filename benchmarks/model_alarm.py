@@ -28,7 +28,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Applied, Disturbance, Message, ModelCheck, Triple, Truth
-from ltv_mpc.node import Arrival, Due, Grid, Node
+from ltv_mpc.node import Due, Grid, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools.lockstep_run import LATEST
@@ -82,7 +82,7 @@ class Breaker:
             return []
         name, scale = SHARES[(self._first + since_ns // EVERY_NS) % len(SHARES)]
         self.losses.append((t_ns, name))
-        return [Disturbance(until_t_ns=t_ns + LASTS_NS, thrust_scale=scale)]
+        return [Disturbance(end_t_ns=t_ns + LASTS_NS, thrust_scale=scale)]
 
 
 class Watcher:
@@ -96,9 +96,9 @@ class Watcher:
         self._true: list[Triple] = []
         self._reports: list[tuple[int, Triple]] = []
 
-    def published(self, _node: str, message: Arrival) -> None:
+    def published(self, _node: str, message: ReceivedMessage) -> None:
         """One message."""
-        match message.signal:
+        match message.message:
             case ModelCheck() as check:
                 if check.alarm and not self._alarm:
                     self.alarms.append(message.received_t_ns)

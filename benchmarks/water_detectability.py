@@ -30,7 +30,7 @@ from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Verdi
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
-from ltv_mpc.node import Arrival, Due
+from ltv_mpc.node import Due, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
@@ -135,9 +135,9 @@ class Descent:
         if step.node == Estimator.name:
             self.steps.append((step.t_ns, step.inbox))
 
-    def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
+    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002
         """Keep the true state at each ping."""
-        match message.signal:
+        match message.message:
             case Truth() as truth:
                 self._truth = truth
             case AdcpPing(t_ns=t_ns) if self._truth is not None:
@@ -159,7 +159,7 @@ class Descent:
             raise RuntimeError("the descent has not been long enough to align")
         estimator.filter.settle()
         belief = estimator.filter.belief
-        later = [a.signal for _, inbox in rest for a in inbox if isinstance(a.signal, ImuSample | Aiding)]
+        later = [a.message for _, inbox in rest for a in inbox if isinstance(a.message, ImuSample | Aiding)]
         # a sample moves the filter to its time before anything else is used there
         later.sort(key=lambda m: (m.t_ns, not isinstance(m, ImuSample)))
         return belief.copy(), [m for m in later if m.t_ns > belief.t_ns]

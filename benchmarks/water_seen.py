@@ -30,7 +30,7 @@ from scipy.special import chdtri
 from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, waves
 from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.messages import Array, Estimate, FilterStatus, LocalisationReport
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.run.run_config import Situation
 from services.tools.batch.executor import each
 from services.tools.batch.job import Job
@@ -102,10 +102,10 @@ class Watch(Probe):
         self._said = FilterStatus.NOMINAL
         self.rows: dict[int, tuple[bool, float, float]] = {}
 
-    def published(self, node: str, message: Arrival) -> None:
+    def published(self, node: str, message: ReceivedMessage) -> None:
         """One message."""
         super().published(node, message)
-        match message.signal:
+        match message.message:
             case LocalisationReport() as report:
                 self._said = report.status
             case Estimate() as estimate if self.truth is not None and estimate.t_ns % LOOK_NS == 0:

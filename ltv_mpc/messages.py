@@ -64,7 +64,7 @@ Moment: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "N m"}
 Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"})]
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
-HarmSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
+MessageFaultSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
 # Finite also where a solve failed.
 Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "dimensionless"})]
 VehicleState: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "m, m/s, rad, rad/s"})]
@@ -157,12 +157,12 @@ class Truth(Message, frozen=True, kw_only=True, eq=False):
 
 
 class Disturbance(Message, frozen=True, kw_only=True, eq=False):
-    """What acts on the simulated vehicle besides water and propellers, from its arrival on until ``until_t_ns``.
+    """What acts on the simulated vehicle besides water and propellers, from its arrival on until ``end_t_ns``.
 
     A new one takes the old one's place; nothing aboard reads it.
     """
 
-    until_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
+    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
     thrust_scale: Annotated[
         Shares, Meta(description="delivered thrust over that of the propellers: port, starboard, vertical")
     ] = (1.0, 1.0, 1.0)
@@ -170,7 +170,7 @@ class Disturbance(Message, frozen=True, kw_only=True, eq=False):
     yaw_moment_Nm: Annotated[Moment, Meta(description="about down, positive to starboard")] = 0.0
 
 
-class Harm(enum.StrEnum):
+class MessageFault(enum.StrEnum):
     """What may happen to a message on its way, where faults are injected."""
 
     LOSS = "loss"
@@ -191,11 +191,11 @@ class Injection(Message, frozen=True, kw_only=True, eq=False):
     """
 
     key: Annotated[str, Meta(description="key of the messages that are harmed")]
-    harm: Annotated[Harm, Meta(description="what happens to them")]
+    fault: Annotated[MessageFault, Meta(description="what happens to them")]
     start_t_ns: Annotated[Time, Meta(description="vehicle time at which it begins; immediately where that is past")]
     end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
     size: Annotated[
-        HarmSize,
+        MessageFaultSize,
         Meta(description="share of the messages; delay: seconds; clock_jump: seconds ahead of the time; stale: unused"),
     ] = 1.0
     seed: Annotated[
@@ -220,7 +220,7 @@ class Applied(Message, frozen=True, kw_only=True, eq=False):
     plan_received_t_ns: Annotated[Time, Meta(description="arrival of the newest accepted plan; 0 before the first")]
     plan_late: Annotated[bool, Meta(description="that plan arrived after its own first knot: a deadline miss")]
     plans_late: Annotated[Count, Meta(description="late plans so far")]
-    plans_refused: Annotated[
+    plans_rejected: Annotated[
         Count, Meta(description="plans not followed so far: outside box or slew, out of order, of a second commander")
     ]
     health: Annotated[
@@ -379,7 +379,7 @@ class FilterStatus(enum.StrEnum):
     """How far the localisation filter can be believed."""
 
     NOMINAL = "nominal"
-    UNFORESEEN = "unforeseen"  # water that nothing foretold: it has been granted a walk
+    UNEXPECTED_CURRENT = "unexpected_current"  # water that nothing foretold: it has been granted a walk
     INCONSISTENT = "inconsistent"  # its innovations are larger or smaller than it says
     RESTARTED = "restarted"  # begun anew from its last good position, less than the grace time ago
 
@@ -399,7 +399,7 @@ class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     sensor: Annotated[str, Meta(description="name in the sensors file")]
     status: Annotated[SensorStatus, Meta(description="the filter's verdict on the sensor")]
     used: Annotated[Count, Meta(description="scalar measurements that corrected the filter since the last report")]
-    refused: Annotated[
+    rejected: Annotated[
         dict[str, Count],
         Meta(description="measurements rejected since the last report, by reason: gate, late, no_return, ..."),
     ]
@@ -473,7 +473,7 @@ class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     rate: Annotated[bool, Meta(description="at most half of the recent messages are missing")]
     age_ns: Annotated[Time | None, Meta(description="age of the newest message; null before the first")]
     period_ns: Annotated[Duration, Meta(description="median spacing of the stamps; 0 before the second")]
-    refused: Annotated[Count, Meta(description="messages not used so far: out of order or implausible")]
+    rejected: Annotated[Count, Meta(description="messages not used so far: out of order or implausible")]
 
 
 class Solve(Message, frozen=True, kw_only=True, eq=False):
@@ -533,7 +533,7 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
 
 
 class Command(Message, frozen=True, kw_only=True, eq=False):
-    """What an operator asks: answered by an ``Acknowledged`` of the same ``command_id``."""
+    """What an operator asks: answered by an ``Acknowledgement`` of the same ``command_id``."""
 
     command_id: Annotated[
         Identifier, Meta(description="the sender's choice, repeated in the answer; 48 random bits are unique")
@@ -550,7 +550,7 @@ class Manual(Message, frozen=True, kw_only=True, eq=False):
     ]
 
 
-class Acknowledged(Message, frozen=True, kw_only=True, eq=False):
+class Acknowledgement(Message, frozen=True, kw_only=True, eq=False):
     """The controller's answer to a ``Command``."""
 
     t_ns: Annotated[Time, Meta(description="time of the controller's decision")]
@@ -577,7 +577,7 @@ class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
     stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by stage")]
 
 
-class Rejected(Message, frozen=True, kw_only=True, eq=False):
+class RejectedFrame(Message, frozen=True, kw_only=True, eq=False):
     """A frame that was refused at a node's door."""
 
     t_ns: Annotated[Time, Meta(description="time of arrival")]
@@ -588,7 +588,7 @@ class Rejected(Message, frozen=True, kw_only=True, eq=False):
     payload_base64: Annotated[str, Meta(description="what arrived, at most 3072 bytes of it")]
 
 
-class Handed(Message, frozen=True, kw_only=True, eq=False):
+class InjectorFrame(Message, frozen=True, kw_only=True, eq=False):
     """A frame between `ltv-mpc inject` and the node under test that is not what travels on its key for all others.
 
     What the node is given in the place of a message that was harmed, or what it said itself before that was harmed.
@@ -624,7 +624,7 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
         ReferenceText,
         Meta(description="reference that is followed, as a reference file holds it; empty: the one of the start"),
     ] = ""
-    began: Annotated[
+    reference_start: Annotated[
         ReferenceStart | None, Meta(description="where the reference began; null before it is in force")
     ] = None
     schedule_t_ns: Annotated[Time, Meta(description="when schedule_s was right: the first knot of the last plan")] = 0
@@ -651,19 +651,25 @@ class ControllerState(Message, frozen=True, kw_only=True, eq=False):
     estimate: Annotated[Estimate | None, Meta(description="newest estimate")] = None
 
 
-class DroppedNode(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What is known of a depth whose water is no state any more: ``Link`` of ``localisation/column.py``, flat."""
 
-    node: Annotated[Index, Meta(description="index in the grid of depths, from 0 at the surface")]
+    grid_point: Annotated[Index, Meta(description="index in the grid of depths, from 0 at the surface")]
     velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="velocity of the water over ground: north, east")]
-    given: Annotated[FilterStates, Meta(description="q states at that time, to which the regression refers")]
+    conditioning_states: Annotated[
+        FilterStates, Meta(description="q states at that time, to which the regression refers")
+    ]
     regression: Annotated[FilterStateRows, Meta(description="2 x q, regression of the velocity on those states")]
     covariance: Annotated[CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity given those states")]
-    with_position: Annotated[CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity with the position")]
-    position: Annotated[
+    position_cross_covariance: Annotated[
+        CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity with the position")
+    ]
+    position_covariance: Annotated[
         CovarianceMatrix, Meta(description="2 x 2, covariance of the position given those states, at that time")
     ]
-    walked: Annotated[SpeedVariance, Meta(description="variance gained by the random walk up to that time")]
+    walk_variance_m2ps2: Annotated[
+        SpeedVariance, Meta(description="variance gained by the random walk up to that time")
+    ]
 
 
 class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
@@ -675,7 +681,7 @@ class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
     """
 
     t_ns: ValidityTime
-    settings: Annotated[
+    settings_crc: Annotated[
         Identifier, Meta(description="CRC-32 of the settings of sensors and filter, with which alone it is valid")
     ]
     x: Annotated[FilterStates, Meta(description="n states, in the filter's order")]
@@ -685,10 +691,14 @@ class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
         Covariances, Meta(description="of the states: lower triangle, row by row, n (n + 1) / 2 numbers")
     ]
     epoch_t_ns: Annotated[Time, Meta(description="satellite epoch whose position is among the states")]
-    first_node: Annotated[Index, Meta(description="first depth of the window whose water is among the states")]
-    seen_nodes: Annotated[Indices, Meta(description="depths of the grid at which the profiler has measured")]
-    dropped: Annotated[tuple[DroppedNode, ...], Meta(description="what is known of depths that are no states any more")]
-    walked: Annotated[SpeedVariance, Meta(description="variance that each depth has gained by the random walk")]
+    first_grid_point: Annotated[Index, Meta(description="first depth of the window whose water is among the states")]
+    measured_grid_points: Annotated[Indices, Meta(description="depths of the grid at which the profiler has measured")]
+    dropped_grid_points: Annotated[
+        tuple[DroppedGridPoint, ...], Meta(description="what is known of depths that are no states any more")
+    ]
+    walk_variance_m2ps2: Annotated[
+        SpeedVariance, Meta(description="variance that each depth has gained by the random walk")
+    ]
     restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
     estimate: Annotated[Estimate | None, Meta(description="after a restart, the newest estimate")] = None
 
@@ -738,7 +748,7 @@ class Clock(Message, frozen=True, kw_only=True, eq=False):
     vehicle_ns: Annotated[Time, Meta(description="vehicle time at that instant")]
     speed_num: Annotated[PositiveInteger, Meta(description="speed in force, numerator")]
     speed_den: Annotated[PositiveInteger, Meta(description="speed in force, denominator")]
-    asked_speed: Annotated[
+    requested_speed: Annotated[
         SpeedOfTime, Meta(description="requested vehicle seconds per wall second; a slow machine is given fewer")
     ]
     state: Annotated[ClockState, Meta(description="what vehicle time does from then on")]
@@ -772,7 +782,7 @@ class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
     dropped: Annotated[Count, Meta(description="messages that never arrived so far, by gaps in the sequences")]
     rejected: Annotated[Count, Meta(description="messages refused so far")]
     step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")]
-    behind_us: Annotated[
+    min_queue_delay_us: Annotated[
         WholeWallTime, Meta(description="least wall time that a message waited since the last status: a standing queue")
     ] = 0
     finished: Annotated[bool, Meta(description="the node has done all its work; this is its last status")] = False

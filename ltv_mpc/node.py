@@ -37,16 +37,16 @@ class OnMessage(msgspec.Struct, frozen=True):
 Schedule: TypeAlias = Grid | Cycle | OnMessage
 
 
-class Arrival(msgspec.Struct, frozen=True, eq=False, gc=False):
+class ReceivedMessage(msgspec.Struct, frozen=True, eq=False, gc=False):
     """One entry of an inbox: a signal that passed validation, its source's epoch and sequence, and its arrival."""
 
-    signal: Message
+    message: Message
     epoch: int
     sequence: int
     received_t_ns: int
 
 
-Inbox: TypeAlias = Sequence[Arrival]
+Inbox: TypeAlias = Sequence[ReceivedMessage]
 
 Due: TypeAlias = tuple[int, Inbox]
 """What a step is given: its time and its inbox."""

@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
     BottomTrack,
     ControllerState,
     CurrentProfile,
-    DroppedNode,
+    DroppedGridPoint,
     Estimate,
     EstimatorState,
     Plan,
@@ -262,11 +262,15 @@ def _controller_state(s: ControllerState) -> Reason:
     return None
 
 
-def _dropped_node(s: DroppedNode) -> Reason:
-    q = s.given.shape
+def _dropped_grid_point(s: DroppedGridPoint) -> Reason:
+    q = s.conditioning_states.shape
     if len(q) != 1 or s.regression.shape != (2, *q):
-        return f"given {q}, regression {s.regression.shape}: must be (q,), (2, q)"
-    small = {"covariance": s.covariance, "with_position": s.with_position, "position": s.position}
+        return f"conditioning_states {q}, regression {s.regression.shape}: must be (q,), (2, q)"
+    small = {
+        "covariance": s.covariance,
+        "position_cross_covariance": s.position_cross_covariance,
+        "position_covariance": s.position_covariance,
+    }
     return next((f"{name} {of.shape}: must be (2, 2)" for name, of in small.items() if of.shape != (2, 2)), None)
 
 
@@ -278,7 +282,7 @@ def _estimator_state(s: EstimatorState) -> Reason:
         return f"attitude {s.attitude.shape}, mounting {s.mounting.shape}: must be (3, 3)"
     if not (s.covariance[np.cumsum(np.arange(1, n + 1)) - 1] >= 0).all():
         return "covariance: its diagonal must not be negative"
-    return None if s.seen_nodes.ndim == 1 else "seen_nodes: must be a list"
+    return None if s.measured_grid_points.ndim == 1 else "measured_grid_points: must be a list"
 
 
 RELATIONS: Mapping[type, Validator] = {
@@ -289,7 +293,7 @@ RELATIONS: Mapping[type, Validator] = {
     Estimate: _estimate,
     Plan: _plan,
     ControllerState: _controller_state,
-    DroppedNode: _dropped_node,
+    DroppedGridPoint: _dropped_grid_point,
     EstimatorState: _estimator_state,
 }
 """What relates the entries of a message to each other: shapes, order, covariances."""

@@ -21,8 +21,8 @@ import numpy.typing as npt
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Action, Applied, Array, Command, Disturbance, Message, Plan, Triple, Truth
-from ltv_mpc.node import Arrival, Due, Grid, Inbox
-from ltv_mpc.safety.plan_gate import Gate, Verdict
+from ltv_mpc.node import Due, Grid, Inbox, ReceivedMessage
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.attitude import Attitude, sum_of_sines
@@ -63,8 +63,8 @@ class Plant:
         self._commands = np.zeros((2, 3))  # at the last step, and how fast it has changed at most since the last report
         self._t_ns: int | None = None
         self._disturbance: Disturbance | None = None
-        self._gate = Gate(vehicle)
-        self._receipt: tuple[Plan, Arrival, Verdict] | None = None  # of the plan accepted last
+        self._gate = PlanGate(vehicle)
+        self._receipt: tuple[Plan, ReceivedMessage, PlanVerdict] | None = None  # of the plan accepted last
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """The vehicle at each time, after what arrived up to then; between two reports of the actuators at once."""
@@ -84,17 +84,17 @@ class Plant:
         from_ns = t_ns if self._t_ns is None else self._t_ns
         at_ns = from_ns
         for arrival in inbox:
-            if isinstance(arrival.signal, Plan):
+            if isinstance(arrival.message, Plan):
                 # A plan acts from its arrival on, wherever in the step that is.
                 at_ns = min(max(arrival.received_t_ns, at_ns), t_ns)
                 self._gate.command_at(max(at_ns, 0))
-                verdict = self._gate.offer(arrival.signal, arrival.epoch, arrival.sequence, arrival.received_t_ns)
-                if verdict in (Verdict.ACCEPTED, Verdict.LATE):
-                    self._receipt = arrival.signal, arrival, verdict
+                verdict = self._gate.offer(arrival.message, arrival.epoch, arrival.sequence, arrival.received_t_ns)
+                if verdict in (PlanVerdict.ACCEPTED, PlanVerdict.LATE):
+                    self._receipt = arrival.message, arrival, verdict
         seen = self._move([from_ns, *times_ns]) if t_ns > from_ns else self._look(t_ns)
         for arrival in inbox:
-            if isinstance(arrival.signal, Disturbance):  # it acts from the next step on
-                self._disturbance = arrival.signal
+            if isinstance(arrival.message, Disturbance):  # it acts from the next step on
+                self._disturbance = arrival.message
         self._t_ns = times_ns[-1]
         signals: list[list[Message]] = [[self._truth(t, row)] for t, row in zip(times_ns, seen.tolist(), strict=True)]
         if self._arms:
@@ -112,7 +112,7 @@ class Plant:
         self._command = port, starboard, vertical
         seconds = (t_ns[1:] - t_ns[:-1]) * 1e-9
         disturbance = self._disturbance
-        if disturbance is not None and disturbance.until_t_ns <= times_ns[0]:
+        if disturbance is not None and disturbance.end_t_ns <= times_ns[0]:
             disturbance = self._disturbance = None
         afloat = times_ns[1] <= 0
         if disturbance is not None:
@@ -188,7 +188,7 @@ class Plant:
     def _report(self, t_ns: int) -> Applied:
         slew = _triple(self._commands[1])
         self._commands[1] = 0.0
-        plan, arrival, verdict = self._receipt or (None, None, Verdict.ACCEPTED)
+        plan, arrival, verdict = self._receipt or (None, None, PlanVerdict.ACCEPTED)
         return Applied(
             t_ns=t_ns,
             thrust_N=_triple(self._thrust),
@@ -198,9 +198,9 @@ class Plant:
             plan_sequence=-1 if arrival is None else arrival.sequence,
             plan_cycle_t_ns=0 if plan is None else plan.cycle_t_ns,
             plan_received_t_ns=0 if arrival is None else arrival.received_t_ns,
-            plan_late=verdict is Verdict.LATE,
+            plan_late=verdict is PlanVerdict.LATE,
             plans_late=self._gate.plans_late,
-            plans_refused=self._gate.plans_refused,
+            plans_rejected=self._gate.plans_rejected,
             health=self._gate.health(t_ns),
         )
 

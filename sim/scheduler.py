@@ -32,8 +32,8 @@ from itertools import count
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
-from ltv_mpc.messages import CycleTiming, Estimate, Message, Plan, Rejected
-from ltv_mpc.node import Arrival, Cycle, Due, Inbox, Node, OnMessage
+from ltv_mpc.messages import CycleTiming, Estimate, Message, Plan, RejectedFrame
+from ltv_mpc.node import Cycle, Due, Inbox, Node, OnMessage, ReceivedMessage
 from ltv_mpc.validation import validator
 
 EPOCH = 1
@@ -45,7 +45,7 @@ LATEST: frozenset[type[Message]] = frozenset({Estimate})
 Cause: TypeAlias = str | type[Message]
 """``"grid"``, ``"cycle"`` or the type of the message that caused a step."""
 
-Refuse: TypeAlias = Callable[[str, Arrival, str], Rejected]
+Refuse: TypeAlias = Callable[[str, ReceivedMessage, str], RejectedFrame]
 """Node, what arrived, reason -> the message that says so."""
 
 
@@ -63,7 +63,7 @@ class Step(NamedTuple):
 class Observer(Protocol):
     """Is told of messages in the order of their publication."""
 
-    def published(self, node: str, message: Arrival) -> None:
+    def published(self, node: str, message: ReceivedMessage) -> None:
         """``node`` published this at ``message.received_t_ns``; its sequence counts by type from 0."""
         ...
 
@@ -72,7 +72,7 @@ class Delivery(NamedTuple):
     """A copy of a message on its way to one reader. ``payload``: these bytes arrive in the message's place."""
 
     at_ns: int
-    message: Arrival
+    message: ReceivedMessage
     payload: bytes | None = None
 
 
@@ -82,19 +82,19 @@ class Between(Protocol):
     Without one a message arrives as it was published, and validation alone checks it.
     """
 
-    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:
+    def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """What comes of a message published at ``message.received_t_ns``, and when; nothing: it is lost."""
         ...
 
-    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
+    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """What the reader's door lets in, or why not."""
         ...
 
 
-def refused_by_name(node: str, message: Arrival, reason: str) -> Rejected:
+def refused_by_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """What a node is told of a refused message where no wire has given it a key, a crc and a payload."""
-    kind = type(message.signal).__name__
-    return Rejected(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
+    kind = type(message.message).__name__
+    return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
 
 
 Place: TypeAlias = tuple[int, int, int, int]
@@ -111,7 +111,7 @@ class _Refusal(NamedTuple):
 
     place: Place
     reader: _Seat
-    message: Arrival
+    message: ReceivedMessage
     reason: str
 
 
@@ -128,11 +128,11 @@ class _Route:
         self.told = told
         self.published = 0
 
-    def numbered(self, signal: Message, at_ns: int) -> Arrival:
+    def numbered(self, signal: Message, at_ns: int) -> ReceivedMessage:
         """The next of them, as it is published."""
         number = self.published
         self.published = number + 1
-        return Arrival(signal, EPOCH, number, at_ns)
+        return ReceivedMessage(signal, EPOCH, number, at_ns)
 
 
 class _Seat:
@@ -149,12 +149,12 @@ class _Seat:
         # On the grid k x period, not before the start.
         self.next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
         self._latest = latest.intersection(node.reads) - self.causes
-        self.waiting: list[tuple[Place, Arrival]] = []
-        self.causing: list[tuple[Place, Arrival]] = []
+        self.waiting: list[tuple[Place, ReceivedMessage]] = []
+        self.causing: list[tuple[Place, ReceivedMessage]] = []
         self.routes: dict[type[Message], _Route] = {}
         self.steps = 0
 
-    def inbox_of(self, kind: type[Message]) -> list[tuple[Place, Arrival]]:
+    def inbox_of(self, kind: type[Message]) -> list[tuple[Place, ReceivedMessage]]:
         """Where a message of this type goes: it causes a step, or waits for the next one."""
         return self.causing if kind in self.causes else self.waiting
 
@@ -175,13 +175,13 @@ class _Seat:
         times: list[int] = []
         due: list[Due] = []
         for (at_ns, *_), message in causing[:number]:
-            signal: Any = message.signal  # a type that causes steps has its validity time
+            signal: Any = message.message  # a type that causes steps has its validity time
             times.append(at_ns)
             due.append((signal.t_ns, [*self._take(at_ns), message] if self.waiting else [message]))
         del causing[:number]
         return times, due
 
-    def _take(self, at_ns: int) -> list[Arrival]:
+    def _take(self, at_ns: int) -> list[ReceivedMessage]:
         """What has arrived by then; what comes at that instant from later in the list is not published yet."""
         waiting = self.waiting
         waiting.sort(key=_by_place)
@@ -190,11 +190,11 @@ class _Seat:
         del waiting[:number]
         if not self._latest:
             return inbox
-        newest = {type(message.signal): message for message in inbox}
-        return [m for m in inbox if type(m.signal) not in self._latest or newest[type(m.signal)] is m]
+        newest = {type(message.message): message for message in inbox}
+        return [m for m in inbox if type(m.message) not in self._latest or newest[type(m.message)] is m]
 
 
-def _time_of(entry: tuple[Place, Arrival]) -> int:
+def _time_of(entry: tuple[Place, ReceivedMessage]) -> int:
     return entry[0][0]
 
 
@@ -203,7 +203,7 @@ class LockStep:
 
     ``compute_delay_ns`` is one for all cycles, or a function of a cycle's start. ``observe`` is told of each message,
     or of those of the types ``heard``; ``stepped`` is told of each step, before its messages. ``latest`` names the
-    types of which a reader wants the newest only, ``refused`` words the ``Rejected`` for what is turned away.
+    types of which a reader wants the newest only, ``refused`` words the ``RejectedFrame`` for what is turned away.
     """
 
     def __init__(
@@ -238,7 +238,7 @@ class LockStep:
         for seat in self._seats:
             if seat.bounds and seat.period_ns:
                 self._later(seat.next_ns, seat.index, partial(self._once, seat, seat.next_ns))
-        self._happened: list[tuple[Place, str, Step | Arrival]] = []  # and not told yet
+        self._happened: list[tuple[Place, str, Step | ReceivedMessage]] = []  # and not told yet
         self._refusals: list[_Refusal] = []
 
     @property
@@ -300,7 +300,7 @@ class LockStep:
             cause: Cause = "cycle" if seat.cycles else "grid"
             for number, (place, (t_ns, inbox)) in enumerate(zip(places, due, strict=True), seat.steps):
                 if seat.causes:
-                    cause = type(inbox[-1].signal)
+                    cause = type(inbox[-1].message)
                 self._happened.append((place, seat.name, Step(place[0], seat.name, number, t_ns, cause, inbox)))
         seat.steps += len(due)
         return places, seat.node.steps(due)
@@ -336,7 +336,7 @@ class LockStep:
         told = self._heard is None or kind in self._heard
         return seat.routes.setdefault(kind, _Route(kind, self._readers.get(kind, ()), told))
 
-    def _carry(self, between: Between, writer: str, reader: _Seat, message: Arrival, place: Place) -> None:
+    def _carry(self, between: Between, writer: str, reader: _Seat, message: ReceivedMessage, place: Place) -> None:
         for delivery in between.carry(writer, reader.name, message):
             if delivery.at_ns <= message.received_t_ns:
                 self._arrive(between, reader, delivery, place)
@@ -349,7 +349,10 @@ class LockStep:
         if isinstance(admitted, str):
             self._refusals.append(_Refusal(place, reader, delivery.message, admitted))
         else:
-            message, kind = Arrival(admitted.signal, admitted.epoch, admitted.sequence, place[0]), type(admitted.signal)
+            message, kind = (
+                ReceivedMessage(admitted.message, admitted.epoch, admitted.sequence, place[0]),
+                type(admitted.message),
+            )
             reader.inbox_of(kind).append((place, message))
             if kind in reader.causes:
                 self._later(place[0], reader.index, partial(self._once, reader, place[0]))
@@ -369,16 +372,16 @@ class LockStep:
 
     def _turn_back(self) -> None:
         for place, reader, message, reason in sorted(self._refusals, key=_by_place):
-            route = reader.routes.get(Rejected) or self._route(reader, Rejected)
+            route = reader.routes.get(RejectedFrame) or self._route(reader, RejectedFrame)
             rejected = route.numbered(self._refused(reader.name, message, reason), place[0])
             if route.told:
                 self._happened.append((place, reader.name, rejected))
-            if Rejected in reader.node.reads:
+            if RejectedFrame in reader.node.reads:
                 reader.waiting.append((place, rejected))
         self._refusals.clear()
 
 
-_OWN = (CycleTiming, Rejected)
+_OWN = (CycleTiming, RejectedFrame)
 """Types that the scheduler publishes in a node's name."""
 
 
@@ -390,7 +393,7 @@ def _divide(seats: Sequence[_Seat], *, singly: bool) -> None:
             read.update(seat.node.reads)
         seat.bounds = seat.cycles or not read.isdisjoint(seat.node.writes)
         singly |= seat.bounds and bool(seat.causes)
-    if singly or Rejected in read:
+    if singly or RejectedFrame in read:
         for seat in seats:
             seat.bounds, seat.rank = True, 0  # things are in the order in which they happen
 

@@ -21,12 +21,12 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.control.solvers import osqp, osqp_workspace
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.vertical import VerticalLaw
-from ltv_mpc.messages import Estimate, Harm, Plan
+from ltv_mpc.messages import Estimate, MessageFault, Plan
 from ltv_mpc.references import follower
 from ltv_mpc.safety import health, model_check
-from ltv_mpc.safety.estimate_gate import Guard
-from ltv_mpc.safety.input_monitor import Input
-from ltv_mpc.safety.plan_gate import Gate, Verdict
+from ltv_mpc.safety.estimate_gate import EstimateGate
+from ltv_mpc.safety.input_monitor import InputMonitor
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 
 Switch = Callable[[], AbstractContextManager[Any]]
 
@@ -157,22 +157,22 @@ def no_delay(self: Delay) -> int:
 # --- safety ---
 
 
-def believe(self: Guard, estimate: Estimate) -> str:
+def believe(self: EstimateGate, estimate: Estimate) -> str:
     """Believe every estimate."""
-    self.believed = estimate
+    self.accepted = estimate
     return ""
 
 
-def accept(*_: Any) -> Verdict:
+def accept(*_: Any) -> PlanVerdict:
     """Accept every plan."""
-    return Verdict.ACCEPTED
+    return PlanVerdict.ACCEPTED
 
 
-def hear_all(self: Input, *, epoch: int, sequence: int, stamp_ns: int, heard_ns: int) -> bool:
+def receive_all(self: InputMonitor, *, epoch: int, sequence: int, stamp_ns: int, received_ns: int) -> bool:
     """Take every message for news."""
     if self._stamp_ns is None or stamp_ns != self._stamp_ns:
-        self.period.stamped(stamp_ns)
-    self._epoch, self._sequence, self._stamp_ns, self._heard_ns = epoch, sequence, stamp_ns, heard_ns
+        self.period.add(stamp_ns)
+    self._epoch, self._sequence, self._stamp_ns, self._received_ns = epoch, sequence, stamp_ns, received_ns
     return True
 
 
@@ -243,7 +243,7 @@ CALM_SQUARE = Event("calm square", "square at 1 m/s, 0.05 m/s, start on it", E.s
 FAILS_SQUARE = Event(
     "solver fails on square", "square at 1 m/s, the solver fails for 12 s", E.square(0.05, 0.0, fails_s=12.0)
 )
-LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, Harm.LOSS, 0.5))
+LOST_PLANS = Event("lost plans", "half of the plans lost, 10 s", E.harmed(Plan, MessageFault.LOSS, 0.5))
 ABEAM = Event("abeam", "start at rest 1 to 5 m abeam, still water", E.abeam)
 TAKEN_OVER = Event(
     "taken over", "start 5 m off; at 3 s a controller takes over with a state of 3 s ago", E.taken_over(with_plan=True)
@@ -258,12 +258,16 @@ DELAY = Event("delay", "0.71 s of computing each cycle", E.constant_delay)
 SCATTER = Event("scattered delay", "computing 0.1 s at the median, 0.3 s at 99 %", E.scattered_delay)
 OVERRUN = Event("overrun", "computing takes 0.5 to 1.5 s for 6 s", E.overrun)
 CORRUPT_ESTIMATE = Event(
-    "corrupt estimate", "bits of each estimate turned, 10 s", E.harmed(Estimate, Harm.CORRUPTION, 1.0)
+    "corrupt estimate", "bits of each estimate turned, 10 s", E.harmed(Estimate, MessageFault.CORRUPTION, 1.0)
 )
-REORDER = Event("reorder", "four estimates in ten after their successor, 10 s", E.harmed(Estimate, Harm.REORDER, 0.4))
-JUMP = Event("clock jump", "stamps of estimates an hour ahead, 10 s", E.harmed(Estimate, Harm.CLOCK_JUMP, 3600.0))
-JUMP_BACK = Event("clock back", "stamps of estimates 5 s back, 10 s", E.harmed(Estimate, Harm.CLOCK_JUMP, -5.0))
-CORRUPT_PLAN = Event("corrupt plan", "bits of each plan turned, 10 s", E.harmed(Plan, Harm.CORRUPTION, 1.0))
+REORDER = Event(
+    "reorder", "four estimates in ten after their successor, 10 s", E.harmed(Estimate, MessageFault.REORDER, 0.4)
+)
+JUMP = Event(
+    "clock jump", "stamps of estimates an hour ahead, 10 s", E.harmed(Estimate, MessageFault.CLOCK_JUMP, 3600.0)
+)
+JUMP_BACK = Event("clock back", "stamps of estimates 5 s back, 10 s", E.harmed(Estimate, MessageFault.CLOCK_JUMP, -5.0))
+CORRUPT_PLAN = Event("corrupt plan", "bits of each plan turned, 10 s", E.harmed(Plan, MessageFault.CORRUPTION, 1.0))
 INTRUDED = Event("intruded 2", "a second commander, full ahead, for 4 s", E.intruded)
 LOSS = Event("thrust lost", "30 % of thrust lost for 8 s, every 30 s", E.thrust_lost)
 MISMATCH = Event("mismatch", "mass, drag, thrust off by 10 %", E.mismatched)
@@ -366,19 +370,19 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("thrust reported", NOMINAL, without((Prediction, "report", nothing)), ERROR),
     row("thrust reported", OVERRUN, without((Prediction, "report", nothing)), LOCKED),
     row("thrust reported", HALF, without((Prediction, "report", nothing)), ERROR),
-    row("estimate gate", NONSENSE, without((Guard, "admit", believe)), EVENT),
-    row("estimate gate", CORRUPT_ESTIMATE, without((Guard, "admit", believe)), LOCKED),
-    row("input monitor: order", REORDER, without((Input, "hear", hear_all)), LOCKED),
-    row("input monitor: clock", JUMP, without((Input, "hear", hear_all)), LOCKED),
-    row("input monitor: clock", JUMP_BACK, without((Input, "hear", hear_all)), LOCKED),
+    row("estimate gate", NONSENSE, without((EstimateGate, "check", believe)), EVENT),
+    row("estimate gate", CORRUPT_ESTIMATE, without((EstimateGate, "check", believe)), LOCKED),
+    row("input monitor: order", REORDER, without((InputMonitor, "receive", receive_all)), LOCKED),
+    row("input monitor: clock", JUMP, without((InputMonitor, "receive", receive_all)), LOCKED),
+    row("input monitor: clock", JUMP_BACK, without((InputMonitor, "receive", receive_all)), LOCKED),
     row(
         "ages in periods",
         SLOW,
-        without((health, "patience_ns", seconds_alone), (controller, "patience_ns", seconds_alone)),
+        without((health, "timeout_ns", seconds_alone), (controller, "timeout_ns", seconds_alone)),
         EVENT,
     ),
-    row("plan gate", CORRUPT_PLAN, without((Gate, "_judge", accept)), LOCKED),
-    row("plan gate", INTRUDED, without((Gate, "_judge", accept)), LOCKED),
+    row("plan gate", CORRUPT_PLAN, without((PlanGate, "_judge", accept)), LOCKED),
+    row("plan gate", INTRUDED, without((PlanGate, "_judge", accept)), LOCKED),
     row(
         "thrust-loss detector",
         LOSS,

@@ -21,8 +21,8 @@ from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
-from ltv_mpc.messages import Applied, ControllerState, Estimate, Harm, Message, Plan
-from ltv_mpc.node import Arrival, Due, Inbox, Node
+from ltv_mpc.messages import Applied, ControllerState, Estimate, Message, MessageFault, Plan
+from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.nodes import make_nodes
@@ -441,7 +441,7 @@ class Jumps:
             case Plan() as plan:
                 self.plans[plan.cycle_t_ns] = plan
             case Applied() as applied if applied.plan_cycle_t_ns in self.plans:
-                self.refused = applied.plans_refused
+                self.refused = applied.plans_rejected
                 plan = self.plans[applied.plan_cycle_t_ns]
                 if applied.t_ns >= max(int(plan.t_ns[0]), applied.plan_received_t_ns):
                     difference = np.abs(np.array(applied.command_N) - plan.thrust_at(applied.t_ns))
@@ -511,7 +511,7 @@ class Locked:
         }
 
 
-def harmed(kind: type[Message], harm: Harm, size: float) -> Callable[[int], Measures]:
+def harmed(kind: type[Message], harm: MessageFault, size: float) -> Callable[[int], Measures]:
     """Return a descent in which messages of this type are harmed for 10 s."""
 
     def run(seed: int) -> Measures:
@@ -551,7 +551,7 @@ class Replaced:
             self._replaced, self._node = True, self._make()
             if self._state is not None:
                 state = self._state if self._with_plan else msgspec.structs.replace(self._state, plan=None)
-                inbox = [Arrival(state, 1, 0, t_ns), *inbox]
+                inbox = [ReceivedMessage(state, 1, 0, t_ns), *inbox]
         (out,) = self._node.steps([(t_ns, inbox)])
         self._state = next((m for m in out if isinstance(m, ControllerState)), self._state)
         return out

@@ -22,7 +22,7 @@ from ltv_mpc.messages import (
     Message,
     Truth,
 )
-from ltv_mpc.node import Arrival, Due, Node
+from ltv_mpc.node import Due, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
@@ -123,7 +123,7 @@ class Timed:
         if after and math.isfinite(self._restart_ns):
             self._restart_ns, self._node = math.inf, self._make()
             t_ns, inbox = after[0]
-            after[0] = (t_ns, [*(Arrival(state, 1, 0, t_ns) for state in self.states()), *inbox])
+            after[0] = (t_ns, [*(ReceivedMessage(state, 1, 0, t_ns) for state in self.states()), *inbox])
         return [*out, *(self._taken(after) if after else [])]
 
     def _taken(self, due: Sequence[Due]) -> list[list[Message]]:
@@ -175,9 +175,9 @@ class Watch:
 
     heard = frozenset({Truth, Estimate, LocalisationReport})
 
-    def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002  (the type says who)
+    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type says who)
         """Keep what is of a whole second."""
-        match message.signal:
+        match message.message:
             case Truth() as truth if truth.t_ns % S == 0 and truth.t_ns >= 0:
                 self.truth[truth.t_ns] = truth
                 if truth.t_ns >= BEGINS_S * S and self.gyro_radps:

@@ -25,8 +25,8 @@ from ltv_mpc.messages import (
     Estimate,
     EstimatorState,
     GnssFix,
-    Harm,
     ImuSample,
+    MessageFault,
     PressureDepth,
     TdcpFix,
 )
@@ -50,7 +50,7 @@ def broken(kind: type, failure: Failure, seconds: float, size: float = 1.0) -> D
     return Descent(broken=(Broken(kind, failure, spell(seconds), size, seed=1),))
 
 
-def harmed(kinds: tuple[type, ...], harm: Harm, seconds: float, size: float) -> Descent:
+def harmed(kinds: tuple[type, ...], harm: MessageFault, seconds: float, size: float) -> Descent:
     """Return a descent in which messages are harmed on their way for so long."""
     return Descent(harmed=(Harmed(kinds, harm, spell(seconds), size, seed=1),))
 
@@ -121,9 +121,11 @@ SILENCE = Event(
     "no sensor says anything for 9 s",
     Descent(broken=tuple(Broken(kind, Failure.OFF, spell(9.0), 1.0, seed=1) for kind in SENSORS)),
 )
-IMU_LOSS = Event("imu loss", "half of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.5))
+IMU_LOSS = Event(
+    "imu loss", "half of the inertial samples lost for 20 s", harmed((ImuSample,), MessageFault.LOSS, 20.0, 0.5)
+)
 IMU_HEAVY_LOSS = Event(
-    "imu heavy loss", "85 % of the inertial samples lost for 20 s", harmed((ImuSample,), Harm.LOSS, 20.0, 0.85)
+    "imu heavy loss", "85 % of the inertial samples lost for 20 s", harmed((ImuSample,), MessageFault.LOSS, 20.0, 0.85)
 )
 IMU_GARBAGE = Event("imu garbage", "inertial unit says anything for 5 s", broken(ImuSample, Failure.GARBAGE, 5.0, 0.5))
 IMU_STUCK = Event("imu stuck", "inertial unit repeats itself for 8 s", broken(ImuSample, Failure.STUCK, 8.0))
@@ -136,8 +138,10 @@ FIX_STUCK = Event(
         surface_s=30.0,
     ),
 )
-CLOCK_AHEAD = Event("clock ahead", "sensors' clock 60 s ahead for 8 s", harmed(SENSORS, Harm.CLOCK_JUMP, 8.0, 60.0))
-CLOCK_BACK = Event("clock back", "sensors' clock 1 s back for 8 s", harmed(SENSORS, Harm.CLOCK_JUMP, 8.0, -1.0))
+CLOCK_AHEAD = Event(
+    "clock ahead", "sensors' clock 60 s ahead for 8 s", harmed(SENSORS, MessageFault.CLOCK_JUMP, 8.0, 60.0)
+)
+CLOCK_BACK = Event("clock back", "sensors' clock 1 s back for 8 s", harmed(SENSORS, MessageFault.CLOCK_JUMP, 8.0, -1.0))
 PINGS_LATE = Event("pings late", "pings come 0.5 s late for 40 s", broken(AdcpPing, Failure.DELAYED, 40.0, 0.5))
 PINGS_TWICE = Event("pings twice", "the profiler's driver publishes every ping twice", Descent(twice=(AdcpPing,)))
 ALL_TWICE = Event("all twice", "every driver publishes every message twice", Descent(twice=SENSORS))

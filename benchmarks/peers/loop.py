@@ -10,7 +10,7 @@ from benchmarks.peers.peer import Peer
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, Estimate, Pair, Plan, PlanOrigin, SolveStatus
-from ltv_mpc.node import Arrival, Stopwatch, no_stopwatch
+from ltv_mpc.node import ReceivedMessage, Stopwatch, no_stopwatch
 from services.tools.profile.measure import Contestant, limits_of
 from services.tools.profile.problems import Episode
 
@@ -40,10 +40,10 @@ class Loop(ControllerNode):
         self.unsolved = 0
         self._target: Pair | None = None
 
-    def hear(self, arrival: Arrival) -> None:
+    def hear(self, arrival: ReceivedMessage) -> None:
         """One message, and what it says of the loop once there is a plan."""
         super().hear(arrival)
-        match arrival.signal:
+        match arrival.message:
             case Estimate() as estimate if self._target is not None:
                 north, east = self._target
                 self.off_m.append(float(np.hypot(estimate.north_m - north, estimate.east_m - east)))

@@ -56,9 +56,9 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Stopwatch, no_stopwatch
 from ltv_mpc.references import Reference
 from ltv_mpc.references.follower import NO_PROGRESS, Follower, FollowerState
-from ltv_mpc.safety.command_arbiter import Override
-from ltv_mpc.safety.estimate_gate import Guard
-from ltv_mpc.safety.health import FAILSAFE_PERIODS, health, patience_ns, worst
+from ltv_mpc.safety.command_arbiter import ThrustOverride
+from ltv_mpc.safety.estimate_gate import EstimateGate
+from ltv_mpc.safety.health import FAILSAFE_PERIODS, health, timeout_ns, worst
 from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -125,7 +125,7 @@ class Controller:
         self._doubtful = False  # the solver has not given what it should
         self._fresh_ns = round(config.ages.degraded_s * 1e9)
         self._period = Period()  # of the estimates believed
-        self.guard = Guard(vehicle)
+        self.estimate_gate = EstimateGate(vehicle)
         """Which estimates are believed, and how many were not."""
         self.failed: FailedQp | None = None
         """The problem that was not solved last, if ever one was not."""
@@ -147,7 +147,7 @@ class Controller:
 
     def health(self, t_ns: int) -> Health:
         """How well the estimates that are believed keep up at ``t_ns``."""
-        believed = self.guard.believed
+        believed = self.estimate_gate.accepted
         age_ns = None if believed is None else t_ns - believed.t_ns
         if age_ns is not None and -self._fresh_ns <= age_ns <= self._fresh_ns:
             return Health.NOMINAL  # whatever their period
@@ -159,7 +159,7 @@ class Controller:
         *,
         t_ns: int | None = None,
         applied: Applied | None = None,
-        override: Override | None = None,
+        override: ThrustOverride | None = None,
         health: Health = Health.NOMINAL,
     ) -> Plan:
         """One cycle.
@@ -177,7 +177,7 @@ class Controller:
         except Exception as error:  # whatever numpy or a solver raises: the thrusters are not left without a command
             return self._let_go(now, override, f"{type(error).__name__}: {error}"[:LONGEST_WHY])
 
-    def _cycle(self, newest: Estimate, now: int, override: Override | None, health: Health) -> Plan:
+    def _cycle(self, newest: Estimate, now: int, override: ThrustOverride | None, health: Health) -> Plan:
         """The cycle where nothing raises."""
         doubt, estimate = self._believed(newest, now)
         own = Health.FAILSAFE if doubt else self.health(now)
@@ -208,7 +208,7 @@ class Controller:
         if begun:
             here = current_in(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
             self._follower.advance(knots, start.lateral, here)
-        goal = None if override is None else override.goal(knots)
+        goal = None if override is None else override.targets(knots)
         if goal is not None:
             vertical = self._vertical.ramp_to(start, knots, goal[:, 2])
         elif rest:
@@ -288,7 +288,7 @@ class Controller:
         plan_delays_ns, cycle_times_ns = self._delay.save()
         return ControllerState(
             t_ns=t_ns,
-            began=follower.began,
+            reference_start=follower.reference_start,
             schedule_t_ns=follower.t_ns,
             schedule_s=follower.tau_s,
             schedule_rate=follower.rate,
@@ -317,7 +317,7 @@ class Controller:
         self._delay = self._new_delay(first_ns)
         self._delay.restore(state.plan_delays_ns, state.cycle_times_ns)
         self._vertical.integral_N = state.depth_integral_N
-        followed = FollowerState(state.began, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
+        followed = FollowerState(state.reference_start, state.schedule_t_ns, state.schedule_s, state.schedule_rate)
         self._follower.restore(followed, t_ns)
 
     @property
@@ -333,18 +333,18 @@ class Controller:
 
     def _believed(self, newest: Estimate, now: int) -> tuple[str, Estimate]:
         """The newest estimate that is believed, and why there is none: then one that says nothing, of now."""
-        before = self.guard.believed
-        doubt = self.guard.admit(newest)
-        believed = self.guard.believed
+        before = self.estimate_gate.accepted
+        doubt = self.estimate_gate.check(newest)
+        believed = self.estimate_gate.accepted
         if believed is None:
             return f"no estimate can be believed: {doubt}", msgspec.structs.replace(Estimate.at_rest(), t_ns=now)
         if believed is not before:
-            self._period.stamped(believed.t_ns)
+            self._period.add(believed.t_ns)
         return "", believed
 
     def _oldest_ns(self) -> int:
         """Beyond this age an estimate says nothing of where the vehicle is."""
-        return patience_ns(FAILSAFE_PERIODS, self._period.median_ns, self.config.ages.failsafe_s)
+        return timeout_ns(FAILSAFE_PERIODS, self._period.median_ns, self.config.ages.failsafe_s)
 
     def _vertical_plan(self, start: Start, knots: Times, follows: bool) -> VerticalPlan:
         """The vertical thruster's law; at rest before the start, and where no depth is wanted or none is known."""
@@ -484,7 +484,7 @@ class Controller:
             return None
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)
 
-    def _let_go(self, now: int, override: Override | None, why: str) -> Plan:
+    def _let_go(self, now: int, override: ThrustOverride | None, why: str) -> Plan:
         """The ladder's end where the cycle itself broke: from the command in force to rest, by nothing else."""
         self._doubtful, self._last = True, None
         delay_ns = self._delay.expected_ns()
@@ -497,7 +497,7 @@ class Controller:
         for i, (thruster, goal) in enumerate(zip(self.vehicle.thrusters, (0.0, 0.0, rest), strict=True)):
             thrust[:, i] = ramp(float(command[i]), np.full(len(knots), goal), knots, thruster.slew_N_per_s)
         states = np.zeros((len(knots), 6))
-        believed = self.guard.believed
+        believed = self.estimate_gate.accepted
         if believed is not None:
             states[:, :2], states[:, 4] = (believed.north_m, believed.east_m), believed.heading_rad
         plan = Plan(

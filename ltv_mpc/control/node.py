@@ -15,7 +15,7 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Action,
     Applied,
     Authority,
@@ -30,12 +30,12 @@ from ltv_mpc.messages import (
     ModelCheck,
     Plan,
 )
-from ltv_mpc.node import Arrival, Cycle, Due, Inbox, Stopwatch, no_stopwatch
+from ltv_mpc.node import Cycle, Due, Inbox, ReceivedMessage, Stopwatch, no_stopwatch
 from ltv_mpc.references import Hold, Reference, Timed
-from ltv_mpc.safety.command_arbiter import Answer, Helm
-from ltv_mpc.safety.health import of_reports, worst
-from ltv_mpc.safety.input_monitor import Input
-from ltv_mpc.safety.model_check import ModelWatch
+from ltv_mpc.safety.command_arbiter import CommandArbiter, CommandResult
+from ltv_mpc.safety.health import report_health, worst
+from ltv_mpc.safety.input_monitor import InputMonitor
+from ltv_mpc.safety.model_check import ModelMonitor
 from ltv_mpc.vehicle.parameters import Vehicle
 
 DEEPEST_HOLD_M = 11_000.0
@@ -51,14 +51,14 @@ LONGEST_WRITTEN = 65_536
 class ControllerNode:
     """Reads the newest ``Estimate`` and ``Manual``, each ``Applied``, ``Command`` and ``CycleTiming``.
 
-    Writes one ``Plan`` a cycle, disarmed too: that one lets the thrusters go; an ``Acknowledged`` for each command; a
-    ``ControllerState`` and a ``ModelCheck`` now and then. A node that takes another's place is given the newest
-    ``ControllerState`` as its first message.
+    Writes one ``Plan`` a cycle, disarmed too: that one ramps the thrusts to zero; an ``Acknowledgement`` for each
+    command; a ``ControllerState`` and a ``ModelCheck`` now and then. A node that takes another's place is given the
+    newest ``ControllerState`` as its first message.
     """
 
     name = "controller"
     reads: tuple[type[Message], ...] = (Estimate, Applied, CycleTiming, Command, Manual)
-    writes: tuple[type[Message], ...] = (Plan, Acknowledged, ControllerState, ModelCheck)
+    writes: tuple[type[Message], ...] = (Plan, Acknowledgement, ControllerState, ModelCheck)
 
     def __init__(
         self,
@@ -71,13 +71,13 @@ class ControllerNode:
         """Disarmed."""
         self.schedule = Cycle(config.period_ns)
         self.controller = Controller(vehicle, reference, config, stopwatch=stopwatch)
-        self.helm = Helm(vehicle)
+        self.arbiter = CommandArbiter(vehicle)
         self._reference = reference
         self._written = _written(reference)
         self._estimate: Estimate | None = None
-        self.estimates, self.reports = Input(), Input()
+        self.estimates, self.reports = InputMonitor(), InputMonitor()
         """The inputs whose ages count."""
-        self._watch = ModelWatch(vehicle, config.disturbance.noise_mps)
+        self._monitor = ModelMonitor(vehicle, config.disturbance.noise_mps)
         self._cycled_ns = 0  # the last cycle's time
         self._saved: ControllerState | None = None
 
@@ -89,30 +89,30 @@ class ControllerNode:
         self._cycled_ns = t_ns
         said: list[Message] = []
         for arrival in inbox:
-            match arrival.signal:
+            match arrival.message:
                 case Command() as command:
                     said.append(self._answered(command, t_ns))
                 case Manual() as manual:
-                    self.helm.steer(manual.thrust_N, arrival.received_t_ns)
+                    self.arbiter.receive_manual(manual.thrust_N, arrival.received_t_ns)
                 case ControllerState() as state:
                     self._restore(state, t_ns)
                 case _:
-                    self.hear(arrival)
+                    self.receive(arrival)
         # The plan first: who has the answer can rely on its being in force.
         plans = [] if self._estimate is None else [self.cycle(self._estimate, t_ns)]
         words = (self._due_state(t_ns), self._checked_model())
         return [*plans, *said, *(word for word in words if word is not None)]
 
-    def hear(self, arrival: Arrival) -> None:
+    def receive(self, arrival: ReceivedMessage) -> None:
         """One message of how the vehicle moves or what a cycle took."""
-        match arrival.signal:
+        match arrival.message:
             case Estimate() as estimate:
                 if self._news(self.estimates, arrival, estimate.t_ns):
                     self._estimate = estimate
             case Applied() as applied:
                 if self._news(self.reports, arrival, applied.t_ns):
                     self.controller.report(applied)
-                    self._watch.report(applied)
+                    self._monitor.report(applied)
             case CycleTiming() as timing:
                 self.controller.timing(timing)
             case _:
@@ -121,7 +121,7 @@ class ControllerNode:
     def cycle(self, estimate: Estimate, t_ns: int) -> Plan:
         """What a cycle does with the newest estimate."""
         return self.controller.plan(
-            estimate, t_ns=t_ns, override=self.helm.override(t_ns), health=self._health_of_reports(t_ns)
+            estimate, t_ns=t_ns, override=self.arbiter.override(t_ns), health=self._health_of_reports(t_ns)
         )
 
     def health(self, t_ns: int) -> Health:
@@ -130,10 +130,12 @@ class ControllerNode:
 
     def inputs(self) -> tuple[InputReport, ...]:
         """Of each input whose age counts, at the last cycle."""
-        refused = {"estimate": self.controller.guard.refused.total(), "applied": 0}
+        rejected = {"estimate": self.controller.estimate_gate.rejected.total(), "applied": 0}
         ages = self.controller.config.ages
         return tuple(
-            InputReport(input=name, refused=refused[name] + of.refused, **of.word(self._cycled_ns, ages)._asdict())
+            InputReport(
+                input=name, rejected=rejected[name] + of.rejected, **of.state_at(self._cycled_ns, ages)._asdict()
+            )
             for name, of in (("estimate", self.estimates), ("applied", self.reports))
         )
 
@@ -142,27 +144,27 @@ class ControllerNode:
         silent_ns = reports.silent_ns(t_ns)
         if silent_ns is None or silent_ns <= ages.degraded_s * 1e9:
             return Health.NOMINAL  # whatever their period
-        return of_reports(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
+        return report_health(silent_ns=silent_ns, period_ns=reports.period.median_ns, ages=ages)
 
     @staticmethod
-    def _news(of: Input, arrival: Arrival, stamp_ns: int) -> bool:
-        return of.hear(
-            epoch=arrival.epoch, sequence=arrival.sequence, stamp_ns=stamp_ns, heard_ns=arrival.received_t_ns
+    def _news(of: InputMonitor, arrival: ReceivedMessage, stamp_ns: int) -> bool:
+        return of.receive(
+            epoch=arrival.epoch, sequence=arrival.sequence, stamp_ns=stamp_ns, received_ns=arrival.received_t_ns
         )
 
     def _checked_model(self) -> ModelCheck | None:
-        believed = self.controller.guard.believed
-        return None if believed is None else self._watch.see(believed)
+        believed = self.controller.estimate_gate.accepted
+        return None if believed is None else self._monitor.update(believed)
 
     # --- saved and restored ---
 
     def _restore(self, state: ControllerState, t_ns: int) -> None:
         """Continue where another node ended: armed if it was, along the same reference, from the plan in force."""
-        self.helm.authority = state.authority
+        self.arbiter.authority = state.authority
         if state.reference_toml and state.reference_toml != self._written:
             self._follow(state.reference_toml)
         if state.model_products is not None:
-            self._watch.resume(state.model_products)
+            self._monitor.restore(state.model_products)
         self.controller.restore(state, t_ns)
         if self._estimate is None:
             self._estimate = state.estimate
@@ -172,25 +174,25 @@ class ControllerNode:
         before = self._saved
         if before is not None and (
             0 <= t_ns - before.t_ns < SAVE_NS
-            and before.authority is self.helm.authority
+            and before.authority is self.arbiter.authority
             and before.reference_toml is self._written
-            and (before.began is None) == (self.controller.follower.target_m is None)
+            and (before.reference_start is None) == (self.controller.follower.target_m is None)
         ):
             return None
         self._saved = msgspec.structs.replace(
             self.controller.save(t_ns),
-            authority=self.helm.authority,
+            authority=self.arbiter.authority,
             reference_toml=self._written,
-            model_products=self._watch.learned,
+            model_products=self._monitor.products,
             estimate=self._estimate,
         )
         return self._saved
 
     # --- what is asked ---
 
-    def _answered(self, command: Command, t_ns: int) -> Acknowledged:
+    def _answered(self, command: Command, t_ns: int) -> Acknowledgement:
         said = self._done(command)
-        return Acknowledged(
+        return Acknowledgement(
             t_ns=t_ns,
             command_id=command.command_id,
             accepted=not said.why,
@@ -198,37 +200,37 @@ class ControllerNode:
             why=said.why,
         )
 
-    def _done(self, command: Command) -> Answer:
-        before = self.helm.authority
+    def _done(self, command: Command) -> CommandResult:
+        before = self.arbiter.authority
         if command.action is Action.FOLLOW:
             return self._follow(command.reference_toml)
         if command.action is Action.HOLD:
             return self._hold()
-        said = self.helm.ask(command.action)
+        said = self.arbiter.request(command.action)
         if command.action is Action.ARM and before is not Authority.CONTROLLER and not said.why:
             self.controller.follow(self._reference)  # "here" is where it is now, not where it was put into the water
         return said
 
-    def _follow(self, toml: str) -> Answer:
+    def _follow(self, toml: str) -> CommandResult:
         try:
             reference: Reference = settings.parse(settings.loads(toml), Reference, source="reference")  # type: ignore[arg-type]
         except ConfigError as error:
-            return Answer(self.helm.authority, str(error))
+            return CommandResult(self.arbiter.authority, str(error))
         except (ValueError, RecursionError) as error:
-            return Answer(self.helm.authority, f"reference: no valid TOML: {error}")
+            return CommandResult(self.arbiter.authority, f"reference: no valid TOML: {error}")
         if isinstance(reference, Timed) and reference.file:
-            return Answer(self.helm.authority, "reference: file: no file is read for a message: give rows")
+            return CommandResult(self.arbiter.authority, "reference: file: no file is read for a message: give rows")
         self._take(reference, toml)
-        return self.helm.ask(Action.FOLLOW)
+        return self.arbiter.request(Action.FOLLOW)
 
-    def _hold(self) -> Answer:
+    def _hold(self) -> CommandResult:
         estimate = self._estimate
         if estimate is None:
-            return Answer(self.helm.authority, "no estimate yet: nobody knows where here is")
+            return CommandResult(self.arbiter.authority, "no estimate yet: nobody knows where here is")
         depth_m = None if estimate.depth_m is None else min(max(estimate.depth_m, 0.0), DEEPEST_HOLD_M)
         hold = Hold(depth_m=depth_m)
         self._take(hold, _written(hold))
-        return self.helm.ask(Action.HOLD)
+        return self.arbiter.request(Action.HOLD)
 
     def _take(self, reference: Reference, written: str) -> None:
         self._reference, self._written = reference, written

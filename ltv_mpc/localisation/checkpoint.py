@@ -22,7 +22,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.column import Column, Link
 from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.localisation.water.grid_window import given
-from ltv_mpc.messages import DroppedNode, EstimatorState, to_wire
+from ltv_mpc.messages import DroppedGridPoint, EstimatorState, to_wire
 
 
 def settings_of(suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:
@@ -38,16 +38,16 @@ def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorSta
     column = belief.column
     return EstimatorState(
         t_ns=belief.t_ns,
-        settings=settings,
+        settings_crc=settings,
         x=belief.x,
         attitude=belief.R,
         mounting=belief.mounting,
         covariance=belief.P[np.tril_indices(belief.layout.size)],
         epoch_t_ns=belief.epoch_t_ns,
-        first_node=column.first,
-        seen_nodes=np.flatnonzero(column.seen),
-        dropped=tuple(_flat(node, link) for node, link in column.dropped.items()),
-        walked=column.walked,
+        first_grid_point=column.first,
+        measured_grid_points=np.flatnonzero(column.seen),
+        dropped_grid_points=tuple(_flat(node, link) for node, link in column.dropped.items()),
+        walk_variance_m2ps2=column.walked,
         restarts=restarts,
     )
 
@@ -58,13 +58,13 @@ def belief_of(
     """The belief that ``checkpoint`` was made of; None where it is of other settings, or of no filter."""
     layout = Layout.of(suite, config)
     n, cells = layout.size, layout.north.stop - layout.north.start
-    seen, dropped, links = checkpoint.seen_nodes, checkpoint.dropped, len(given(layout, 0))
+    seen, dropped, links = checkpoint.measured_grid_points, checkpoint.dropped_grid_points, len(given(layout, 0))
     whole = (
-        checkpoint.settings == settings_of(suite, config, prior)
+        checkpoint.settings_crc == settings_of(suite, config, prior)
         and len(checkpoint.x) == n
-        and checkpoint.first_node + cells <= layout.nodes
+        and checkpoint.first_grid_point + cells <= layout.nodes
         and (len(seen) == 0 or int(seen.max()) < layout.nodes)
-        and all(d.node < layout.nodes and len(d.given) == links for d in dropped)
+        and all(d.grid_point < layout.nodes and len(d.conditioning_states) == links for d in dropped)
     )
     if not whole:
         return None
@@ -73,10 +73,10 @@ def belief_of(
     P += np.tril(P, -1).T
     column = Column(
         prior=node_prior(config, prior),
-        first=checkpoint.first_node,
+        first=checkpoint.first_grid_point,
         seen=np.isin(np.arange(layout.nodes), seen),
-        dropped={d.node: _link(d) for d in dropped},
-        walked=checkpoint.walked,
+        dropped={d.grid_point: _link(d) for d in dropped},
+        walked=checkpoint.walk_variance_m2ps2,
     )
     return Belief(
         layout=layout,
@@ -91,27 +91,27 @@ def belief_of(
     )
 
 
-def _flat(node: int, link: Link) -> DroppedNode:
+def _flat(node: int, link: Link) -> DroppedGridPoint:
     north, east = link.c.tolist()
-    return DroppedNode(
-        node=node,
+    return DroppedGridPoint(
+        grid_point=node,
         velocity_mps=(north, east),
-        given=link.then,
+        conditioning_states=link.then,
         regression=link.A,
         covariance=link.C,
-        with_position=link.B,
-        position=link.S,
-        walked=link.walked,
+        position_cross_covariance=link.B,
+        position_covariance=link.S,
+        walk_variance_m2ps2=link.walked,
     )
 
 
-def _link(flat: DroppedNode) -> Link:
+def _link(flat: DroppedGridPoint) -> Link:
     return Link(
         c=np.array(flat.velocity_mps),
-        then=flat.given,
+        then=flat.conditioning_states,
         A=flat.regression,
         C=flat.covariance,
-        B=flat.with_position,
-        S=flat.position,
-        walked=flat.walked,
+        B=flat.position_cross_covariance,
+        S=flat.position_covariance,
+        walked=flat.walk_variance_m2ps2,
     )

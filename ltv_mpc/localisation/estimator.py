@@ -119,7 +119,7 @@ class Estimator:
         """Use every message of the inbox in its order."""
         out = self._out = []
         for arrival in inbox:
-            signal: Any = arrival.signal
+            signal: Any = arrival.message
             sensor = SENSORS.get(type(signal))  # a tenth of the time of isinstance() of nine types
             if sensor is not None:
                 why = self._screening.rejection(signal.t_ns, signal, arrival.received_t_ns)
@@ -141,7 +141,7 @@ class Estimator:
         samples: list[ImuSample] = []
         received_ns: list[int] = []
         for _, inbox in islice(due, first, None):
-            sample = inbox[0].signal
+            sample = inbox[0].message
             if len(inbox) != 1 or type(sample) is not ImuSample or sample.t_ns > self._schedule.next_ns:
                 break
             samples.append(sample)

@@ -105,7 +105,7 @@ class HealthMonitor:
                     sensor=name,
                     status=status,
                     used=counts.get("used", 0),
-                    refused=refused,
+                    rejected=refused,
                     nis=nis,
                     last_t_ns=self._last_ns.get(name),
                 )

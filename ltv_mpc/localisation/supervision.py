@@ -200,7 +200,10 @@ class Supervision:
         elif self._reinitialisation.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
-            status, why = FilterStatus.UNFORESEEN, f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)"
+            status, why = (
+                FilterStatus.UNEXPECTED_CURRENT,
+                f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)",
+            )
             if filter_.water.change(t_ns) is Change.UNIT:
                 why = "water that changes for longer than a front, or a gyro's fault: both are allowed for"
         return LocalisationReport(

@@ -16,7 +16,7 @@ LONGEST_BACK_S = 1.0
 """A vehicle that drifts is where it was, less its velocity times the time since: for so long. Later, "here" is now."""
 
 
-class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
+class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
     """Until ``start_s`` (vehicle time) the vehicle is left alone; without a depth the vertical thruster is not used.
 
     In depth it goes down (or up) from where the vehicle is at the start, at no more than ``descent_rate_mps``.
@@ -28,7 +28,7 @@ class Kind(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     descent_rate_mps: Annotated[float, Meta(gt=0, le=10)] = 0.2
     origin: Origin | None = None
 
-    def begun(self, t_ns: int) -> bool:
+    def has_started(self, t_ns: int) -> bool:
         """Whether it is in force at ``t_ns``."""
         return self.start_s is None or t_ns >= round(self.start_s * 1e9)
 

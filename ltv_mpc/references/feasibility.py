@@ -15,7 +15,7 @@ SAME = 0.99
 """A speed that is this share of the one wanted is that one."""
 
 
-def of_path(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: float) -> list[str]:
+def path_notes(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: float) -> list[str]:
     """Sentences about a path that is to be followed at ``speed_mps``, worst first."""
     said = []
     straight = min(speed_mps, limits.cruise_mps)
@@ -59,7 +59,7 @@ def of_path(path: Path, speed_mps: float, limits: Limits, descent_rate_mps: floa
     return said
 
 
-def of_descent(vehicle: Vehicle, rate_mps: float) -> list[str]:
+def descent_notes(vehicle: Vehicle, rate_mps: float) -> list[str]:
     """A sentence where the vehicle cannot go down, or not at ``rate_mps``."""
     if vehicle.heave is None:
         return ["depth is wanted of a vehicle without a vertical thruster: it stays where it is"]

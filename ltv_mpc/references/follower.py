@@ -40,7 +40,7 @@ class Progress(NamedTuple):
 class FollowerState(NamedTuple):
     """State of a follower: where its reference began, and how far its target was at the first knot of the last plan."""
 
-    began: ReferenceStart | None  # None before the reference is in force
+    reference_start: ReferenceStart | None  # None before the reference is in force
     t_ns: int  # that knot
     tau_s: float  # the target's time
     rate: float  # of that time to the vehicle's
@@ -90,7 +90,7 @@ class Follower:
     def begin(self, estimate: Estimate) -> bool:
         """Whether it is in force: from the first estimate after its start on that says where the vehicle is."""
         place = (estimate.north_m, estimate.east_m, estimate.heading_rad)
-        if self._anchor is None and self.reference.begun(estimate.t_ns) and all(map(math.isfinite, place)):
+        if self._anchor is None and self.reference.has_started(estimate.t_ns) and all(map(math.isfinite, place)):
             self._start(self.reference.anchor(estimate))
         return self._anchor is not None
 
@@ -115,9 +115,9 @@ class Follower:
 
         Since then its target has moved at its rate, as far as a plan takes a vehicle that receives no other.
         """
-        if state.began is None:
+        if state.reference_start is None:
             return
-        self._start(state.began)
+        self._start(state.reference_start)
         self._rate = min(max(state.rate, 0.0), 1.0)
         way_s = self._rate * max(now_ns - state.t_ns, 0) * 1e-9
         self._tau_s = min(max(state.tau_s + way_s, 0.0), self._duration_s)

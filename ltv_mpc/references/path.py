@@ -102,7 +102,7 @@ def pieces(turn: float, R: float) -> int:
     return max(1, math.ceil(turn / step))
 
 
-def led_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, float]:
+def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, float]:
     """The path with a straight leg from ``start`` (2,) to its first point, and the length of what was added.
 
     A leg shorter than ``shortest_m`` is left out. The corner between leg and path is one to stop at.

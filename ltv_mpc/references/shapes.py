@@ -9,11 +9,11 @@ import numpy as np
 from msgspec import Meta
 
 from ltv_mpc.messages import Array, ReferenceStart
-from ltv_mpc.references.base import Kind
-from ltv_mpc.references.feasibility import of_descent, of_path
+from ltv_mpc.references.base import BaseReference
+from ltv_mpc.references.feasibility import descent_notes, path_notes
 from ltv_mpc.references.geodesy import Place, local
 from ltv_mpc.references.limits import limits_of
-from ltv_mpc.references.path import MOST_POINTS, Path, bend, led_in, pieces, rounded
+from ltv_mpc.references.path import MOST_POINTS, Path, bend, pieces, rounded, with_lead_in
 from ltv_mpc.references.schedule import Schedule, along
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -29,7 +29,7 @@ SLOWEST_MPS = 0.05
 """One that is slower over ground is at rest: its velocity has no direction to begin with."""
 
 
-class Shape(Kind, frozen=True, kw_only=True):
+class Shape(BaseReference, frozen=True, kw_only=True):
     """A path with a desired speed over ground. Corners are rounded: cut by at most ``corner_m``."""
 
     speed_mps: Annotated[float, Meta(gt=0, le=20)]
@@ -48,7 +48,7 @@ class Shape(Kind, frozen=True, kw_only=True):
         """The target's way from ``anchor``: led to the first point in a straight line; without one, from that point."""
         path, lead_m, begin, turn = self.path(), 0.0, 0.0, 0.0
         if anchor is not None:
-            path, lead_m = led_in(path, np.array([anchor.north_m, anchor.east_m]), LEAD_IN_M)
+            path, lead_m = with_lead_in(path, np.array([anchor.north_m, anchor.east_m]), LEAD_IN_M)
             begin, turn = _begin(path, anchor)
         return along(
             path,
@@ -63,8 +63,8 @@ class Shape(Kind, frozen=True, kw_only=True):
     def notes(self, vehicle: Vehicle) -> list[str]:
         """What the vehicle cannot do of it, and what it does instead: plain sentences, none where it can do all."""
         path = self.path()
-        said = of_path(path, self.speed_mps, limits_of(vehicle), self.descent_rate_mps)
-        return said if np.isnan(path.depth).all() else said + of_descent(vehicle, self.descent_rate_mps)
+        said = path_notes(path, self.speed_mps, limits_of(vehicle), self.descent_rate_mps)
+        return said if np.isnan(path.depth).all() else said + descent_notes(vehicle, self.descent_rate_mps)
 
     def _depths(self, count: int) -> Array:
         return np.full(count, math.nan if self.depth_m is None else self.depth_m)

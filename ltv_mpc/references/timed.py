@@ -20,11 +20,11 @@ from msgspec import Meta
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
-from ltv_mpc.references.base import Kind
+from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import Place, local
 from ltv_mpc.references.limits import limits_of
 from ltv_mpc.references.path import Path as Track
-from ltv_mpc.references.path import led_in
+from ltv_mpc.references.path import with_lead_in
 from ltv_mpc.references.schedule import TIME, Schedule, along
 from ltv_mpc.references.shapes import LEAD_IN_M
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -39,7 +39,7 @@ EARLY = 0.99
 """A row that needs this much more of its time is in time."""
 
 
-class Timed(Kind, frozen=True, kw_only=True, tag="timed"):
+class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
     """Be at each row's place at its time; ``file`` is a CSV beside the reference's file, ``rows`` the same inline.
 
     ``rows``: t_s since the start, north_m, east_m, and depth_m in all of them or in none.
@@ -76,7 +76,7 @@ class Timed(Kind, frozen=True, kw_only=True, tag="timed"):
         if anchor is None:
             return Schedule(table, 0.0)
         start = np.array([anchor.north_m, anchor.east_m])
-        moved, lead_m = led_in(track, start, LEAD_IN_M)
+        moved, lead_m = with_lead_in(track, start, LEAD_IN_M)
         if lead_m == 0.0:
             return Schedule(table, 0.0)
         leg = Track(moved.points[:2], moved.depth[:2], np.zeros(1), np.zeros(1), np.zeros(2))

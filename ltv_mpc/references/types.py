@@ -6,8 +6,8 @@ from typing import TypeAlias
 
 from ltv_mpc import config
 from ltv_mpc.messages import Pair, ReferenceStart
-from ltv_mpc.references.base import Kind
-from ltv_mpc.references.feasibility import of_descent
+from ltv_mpc.references.base import BaseReference
+from ltv_mpc.references.feasibility import descent_notes
 from ltv_mpc.references.geodesy import Latitude, Longitude, Metres, Place, local
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints
 from ltv_mpc.references.timed import Timed, from_csv
@@ -16,7 +16,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 PACKAGE = "ltv_mpc.references.files"
 
 
-class Point(Kind, frozen=True, kw_only=True, tag="point"):
+class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
     """Stay on the vertical line through a point, in metres or in degrees about ``origin``."""
 
     north_m: Metres | None = None
@@ -47,7 +47,7 @@ class Point(Kind, frozen=True, kw_only=True, tag="point"):
         return local(place, self.origin)
 
 
-class Hold(Kind, frozen=True, kw_only=True, tag="hold"):
+class Hold(BaseReference, frozen=True, kw_only=True, tag="hold"):
     """Stay on the vertical line through where the vehicle is believed to be at the start: "here"."""
 
     def position(self, anchor: ReferenceStart) -> Pair:
@@ -59,8 +59,8 @@ class Hold(Kind, frozen=True, kw_only=True, tag="hold"):
         return _of_depth(self, vehicle)
 
 
-def _of_depth(reference: Kind, vehicle: Vehicle) -> list[str]:
-    return [] if reference.depth_m is None else of_descent(vehicle, reference.descent_rate_mps)
+def _of_depth(reference: BaseReference, vehicle: Vehicle) -> list[str]:
+    return [] if reference.depth_m is None else descent_notes(vehicle, reference.descent_rate_mps)
 
 
 Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Spiral | Timed

@@ -61,33 +61,33 @@ class Bounds(NamedTuple):
         return cls(2.0 * top + CURRENT_MPS, 3.0 * turning + 0.5, 2.0 * sinking + 1.0)
 
 
-class Guard:
+class EstimateGate:
     """The newest estimate that is believed."""
 
     def __init__(self, vehicle: Vehicle) -> None:
-        self.refused: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
         """Estimates that were not believed, by reason."""
-        self.believed: Estimate | None = None
+        self.accepted: Estimate | None = None
         self._bounds = Bounds.of(vehicle)
         self._jumped: Estimate | None = None  # refused last, for a jump
 
-    def admit(self, estimate: Estimate) -> str:
+    def check(self, estimate: Estimate) -> str:
         """Why ``estimate`` is not believed; empty where it is, and was before."""
-        if estimate is self.believed:
+        if estimate is self.accepted:
             return ""
         if self._jumped is not None and estimate is self._jumped:
             return JUMPED
         doubt = self._doubt(estimate)
         if doubt:
             self._jumped = None
-        elif self.believed is not None and self._jumps(self.believed, estimate):
+        elif self.accepted is not None and self._jumps(self.accepted, estimate):
             before, self._jumped = self._jumped, estimate
             if before is None or before.t_ns == estimate.t_ns or self._jumps(before, estimate):
                 doubt = JUMPED
         if doubt:
-            self.refused[doubt] += 1
+            self.rejected[doubt] += 1
             return doubt
-        self.believed, self._jumped = estimate, None
+        self.accepted, self._jumped = estimate, None
         return ""
 
     def _doubt(self, e: Estimate) -> str:

@@ -33,7 +33,7 @@ DEGRADED_PERIODS, HOLD_PERIODS, FAILSAFE_PERIODS = 3, 4, 6
 REPLACEMENTS_MISSING = 2.5
 """Plan periods without a plan: the second replacement was due half a period ago."""
 
-LEAST_SILENCE_NS = 500_000_000
+MIN_PLAN_TIMEOUT_NS = 500_000_000
 """A shorter silence of the plans is the way's, not the commander's."""
 
 WORST_FIRST = (Health.FAILSAFE, Health.HOLD, Health.DEGRADED, Health.NOMINAL)
@@ -58,7 +58,7 @@ class Ages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 DEFAULT_AGES = Ages()
 
 
-def patience_ns(periods: float, period_ns: int, least_s: float) -> int:
+def timeout_ns(periods: float, period_ns: int, least_s: float) -> int:
     """So old an input may become: so many of its periods (0: not known), and not less than ``least_s``."""
     return max(round(periods * period_ns), round(least_s * 1e9))
 
@@ -70,21 +70,21 @@ def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> 
     if age_ns is None:
         return Health.DEGRADED
     age = abs(age_ns)
-    if age <= patience_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
+    if age <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
         return Health.NOMINAL
-    if age <= patience_ns(HOLD_PERIODS, period_ns, ages.hold_s):
+    if age <= timeout_ns(HOLD_PERIODS, period_ns, ages.hold_s):
         return Health.DEGRADED
-    return Health.HOLD if age <= patience_ns(FAILSAFE_PERIODS, period_ns, ages.failsafe_s) else Health.FAILSAFE
+    return Health.HOLD if age <= timeout_ns(FAILSAFE_PERIODS, period_ns, ages.failsafe_s) else Health.FAILSAFE
 
 
-def of_reports(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> Health:
+def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> Health:
     """Of the controller, by how long the actuators have been silent (None: they never said anything, as they may)."""
-    if silent_ns is None or silent_ns <= patience_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
+    if silent_ns is None or silent_ns <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
         return Health.NOMINAL
     return Health.DEGRADED
 
 
-def of_plans(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Health:
+def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Health:
     """Of the actuators, by the time since a plan was accepted last (None: never), the period of plans (0: not known),
     and how long the newest still lasts.
     """
@@ -92,12 +92,12 @@ def of_plans(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Health:
         return Health.DEGRADED
     if left_ns < 0:
         return Health.FAILSAFE
-    return Health.NOMINAL if silent_ns <= plan_patience_ns(period_ns) else Health.DEGRADED
+    return Health.NOMINAL if silent_ns <= plan_timeout_ns(period_ns) else Health.DEGRADED
 
 
-def plan_patience_ns(period_ns: int) -> int:
+def plan_timeout_ns(period_ns: int) -> int:
     """So long after its last plan a commander counts as there."""
-    return max(round(REPLACEMENTS_MISSING * period_ns), LEAST_SILENCE_NS)
+    return max(round(REPLACEMENTS_MISSING * period_ns), MIN_PLAN_TIMEOUT_NS)
 
 
 def worst(*of: Health) -> Health:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, Ages, patience_ns
+from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, Ages, timeout_ns
 
 REMEMBERED = 9
 """Spacings of which the period is the median: one that was lost, or came in a burst, does not move it."""
@@ -38,7 +38,7 @@ class Period:
         self._spacings: deque[int] = deque(maxlen=REMEMBERED)
         self._median_ns: int | None = 0  # None: not worked out since the last
 
-    def stamped(self, t_ns: int) -> None:
+    def add(self, t_ns: int) -> None:
         """One more, newer than the last."""
         if self._last_ns is not None:
             self._spacings.append(max(t_ns - self._last_ns, 0))
@@ -58,7 +58,7 @@ class Period:
         return sum(self._spacings) / len(self._spacings) if self._spacings else 0.0
 
 
-class Word(NamedTuple):
+class InputState(NamedTuple):
     """Of one input, at one time."""
 
     alive: bool
@@ -68,53 +68,53 @@ class Word(NamedTuple):
     period_ns: int  # median spacing of the stamps; 0 before the second
 
 
-class Input:
+class InputMonitor:
     """One input: who sends it, in which order, and when it was heard last."""
 
     def __init__(self) -> None:
-        self.refused = 0
+        self.rejected = 0
         """Messages that came after a newer one, or are stamped later than they came: not read."""
         self.period = Period()
         self._epoch: int | None = None
         self._sequence = -1
         self._stamp_ns: int | None = None
-        self._heard_ns = 0
+        self._received_ns = 0
 
-    def hear(self, *, epoch: int, sequence: int, stamp_ns: int, heard_ns: int) -> bool:
+    def receive(self, *, epoch: int, sequence: int, stamp_ns: int, received_ns: int) -> bool:
         """Whether a message is news: the next of its source, or the first of another, and of a later time, not of one
         that is still to come.
 
         A source is known by its epoch, which each start of a process draws anew.
         """
-        if stamp_ns > heard_ns + AHEAD_NS:
-            self.refused += 1
+        if stamp_ns > received_ns + AHEAD_NS:
+            self.rejected += 1
             return False
         same = epoch == self._epoch
         older_ns = 0 if self._stamp_ns is None else self._stamp_ns - stamp_ns
         set_back = older_ns > SET_BACK_NS
         if (same and sequence <= self._sequence) or (older_ns > 0 and not set_back):
-            self.refused += 1
+            self.rejected += 1
             return False
         if set_back:
             self.period = Period()
         if self._stamp_ns is None or older_ns != 0:
-            self.period.stamped(stamp_ns)
-        self._epoch, self._sequence, self._stamp_ns, self._heard_ns = epoch, sequence, stamp_ns, heard_ns
+            self.period.add(stamp_ns)
+        self._epoch, self._sequence, self._stamp_ns, self._received_ns = epoch, sequence, stamp_ns, received_ns
         return True
 
     def silent_ns(self, t_ns: int) -> int | None:
         """How long ago it was heard; None before the first."""
-        return None if self._stamp_ns is None else t_ns - self._heard_ns
+        return None if self._stamp_ns is None else t_ns - self._received_ns
 
-    def word(self, t_ns: int, ages: Ages = DEFAULT_AGES) -> Word:
+    def state_at(self, t_ns: int, ages: Ages = DEFAULT_AGES) -> InputState:
         """What is to be said of it at ``t_ns``."""
         period_ns = self.period.median_ns
         if self._stamp_ns is None:
-            return Word(False, False, False, None, period_ns)
-        patience = patience_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s)
+            return InputState(False, False, False, None, period_ns)
+        patience = timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s)
         age_ns = t_ns - self._stamp_ns
-        return Word(
-            alive=t_ns - self._heard_ns <= patience,
+        return InputState(
+            alive=t_ns - self._received_ns <= patience,
             valid=abs(age_ns) <= patience,
             rate=self.period.mean_ns <= MOST_MISSING * period_ns,
             age_ns=age_ns,

@@ -77,7 +77,7 @@ class _Seen(NamedTuple):
     variance: Pair  # of a velocity's component, of the yaw rate
 
 
-class ModelWatch:
+class ModelMonitor:
     """Watches one vehicle's thrusts by how it moves."""
 
     def __init__(self, vehicle: Vehicle, noise_mps: float, settles_s: float = SETTLES_S) -> None:
@@ -98,13 +98,13 @@ class ModelWatch:
         self.loss: Pair = (0.0, 0.0)
 
     @property
-    def learned(self) -> Array | None:
+    def products(self) -> Array | None:
         """What is known of the vehicle (``evidence.learn``), its own copy; None before anything is."""
         return self._known.copy() if self._known.any() else None
 
-    def resume(self, learned: Array) -> None:
+    def restore(self, products: Array) -> None:
         """Go on from what another one had ``learned`` of the same vehicle, in a dive that has settled."""
-        self._known[...] = learned
+        self._known[...] = products
         self._unsettled_s = 0.0
 
     def report(self, applied: Applied) -> None:
@@ -119,7 +119,7 @@ class ModelWatch:
             at = impulse[0] + half_s * (before[0] + thrust[0]), impulse[1] + half_s * (before[1] + thrust[1])
             self._reports.append((applied.t_ns, thrust, at))
 
-    def see(self, estimate: Estimate) -> ModelCheck | None:
+    def update(self, estimate: Estimate) -> ModelCheck | None:
         """One more estimate that is believed; the word that is due."""
         seen, before = self._look(estimate), self._seen
         if seen is None or (before is not None and seen.t_ns == before.t_ns):

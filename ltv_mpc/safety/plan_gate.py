@@ -9,7 +9,7 @@ end of the last plan is a ramp. A plan is refused where it leaves box or slew by
 
 One commander at a time. A commander is known by its epoch, which each start of a controller draws anew. While plans of
 one keep coming, those of every other are refused; who comes anew is accepted once two planned replacements of the one
-in force are missing (``health.of_plans``: 2.5 of its periods, at least 0.5 s), or its last plan is at its end. So a
+in force are missing (``health.plan_health``: 2.5 of its periods, at least 0.5 s), or its last plan is at its end. So a
 controller that died and was started again takes over with its first plan, and two that speak at once do not alternate.
 """
 
@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array, Health, Plan, Triple
-from ltv_mpc.safety.health import of_plans
+from ltv_mpc.safety.health import plan_health
 from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -37,7 +37,7 @@ COMMANDERS = 64
 """Of so many the last sequence is remembered: a frame of one that spoke before is not followed twice."""
 
 
-class Verdict(enum.StrEnum):
+class PlanVerdict(enum.StrEnum):
     """What became of a plan."""
 
     ACCEPTED = "accepted"
@@ -60,7 +60,7 @@ class _Followed(NamedTuple):
 _NONE = _Followed(0, -1, np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
 
-class Gate:
+class PlanGate:
     """Judges plans and turns them into commands. Time only goes forward; it starts, at zero, with the first command."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -78,13 +78,13 @@ class Gate:
         self._t_ns: int | None = None
         self._command: Triple = (0.0, 0.0, 0.0)
         self.plans_late = 0
-        self.plans_refused = 0
+        self.plans_rejected = 0
 
-    def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> Verdict:
+    def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
         """Judge a plan that arrived at ``t_ns``; if accepted it takes over at its start, or at once if that is past."""
         verdict = self._judge(plan, epoch, sequence, t_ns)
-        if verdict is not Verdict.ACCEPTED:
-            self.plans_refused += 1
+        if verdict is not PlanVerdict.ACCEPTED:
+            self.plans_rejected += 1
             return verdict
         self._accepted(epoch, sequence, plan.cycle_t_ns, t_ns)
         start_ns, end_ns = int(plan.t_ns[0]), int(plan.t_ns[-1])
@@ -93,12 +93,12 @@ class Gate:
         self._plans = [p for p in self._plans if p.start_ns < start_ns] + [followed]
         if t_ns > start_ns:
             self.plans_late += 1
-            return Verdict.LATE
-        return Verdict.ACCEPTED
+            return PlanVerdict.LATE
+        return PlanVerdict.ACCEPTED
 
     def health(self, t_ns: int) -> Health:
         """How well the plans keep up at ``t_ns``."""
-        return of_plans(
+        return plan_health(
             silent_ns=None if self._epoch is None else t_ns - self._accepted_ns,
             period_ns=self._period.median_ns,
             left_ns=self._plans[-1].end_ns - t_ns if self._plans else -1,
@@ -112,20 +112,20 @@ class Gate:
         if len(self._last_sequence) > COMMANDERS:
             del self._last_sequence[next(iter(self._last_sequence))]
         self._accepted_ns = t_ns
-        self._period.stamped(cycle_ns)
+        self._period.add(cycle_ns)
 
-    def _judge(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> Verdict:
+    def _judge(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
         if sequence <= self._last_sequence.get(epoch, -1):
-            return Verdict.OUT_OF_ORDER
+            return PlanVerdict.OUT_OF_ORDER
         if self._epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
-            return Verdict.SECOND_COMMANDER
+            return PlanVerdict.SECOND_COMMANDER
         thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
         # Written so that NaN is outside.
         if not ((thrust >= self._low - TOLERANCE_N) & (thrust <= self._high + TOLERANCE_N)).all():
-            return Verdict.OUTSIDE_BOX
+            return PlanVerdict.OUTSIDE_BOX
         if not (np.abs(thrust[1:] - thrust[:-1]) <= seconds[:, None] * self._slew + TOLERANCE_N).all():
-            return Verdict.OUTSIDE_SLEW
-        return Verdict.ACCEPTED
+            return PlanVerdict.OUTSIDE_SLEW
+        return PlanVerdict.ACCEPTED
 
     def command_at(self, t_ns: int) -> Triple:
         """The command (N) at ``t_ns``, not before the time asked for last; linear from there to here."""

@@ -14,7 +14,7 @@ import re
 from collections import Counter
 from typing import Any
 
-from ltv_mpc.messages import Message, Plan, Rejected
+from ltv_mpc.messages import Message, Plan, RejectedFrame
 from services.bus.mailbox import Frame
 from services.bus.topics import OPERATOR
 from services.bus.wire import Header, WireError, crc, decode
@@ -117,9 +117,9 @@ def _forget_oldest(kept: dict[Any, Any]) -> None:
         del kept[next(iter(kept))]
 
 
-def rejection(frame: Frame, reason: str, *, node: str, t_ns: int) -> Rejected:
+def rejection(frame: Frame, reason: str, *, node: str, t_ns: int) -> RejectedFrame:
     """Return the message that reports a rejected frame."""
-    return Rejected(
+    return RejectedFrame(
         t_ns=t_ns,
         node=node,
         key=frame.key,

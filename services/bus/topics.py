@@ -9,7 +9,7 @@ import enum
 import msgspec
 
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     AdcpPing,
     Applied,
     BottomTrack,
@@ -24,9 +24,9 @@ from ltv_mpc.messages import (
     Estimate,
     EstimatorState,
     GnssFix,
-    Handed,
     ImuSample,
     Injection,
+    InjectorFrame,
     Kill,
     LblRange,
     LocalisationReport,
@@ -36,7 +36,7 @@ from ltv_mpc.messages import (
     NodeStatus,
     Plan,
     PressureDepth,
-    Rejected,
+    RejectedFrame,
     RunEvent,
     StepRecord,
     TdcpFix,
@@ -93,7 +93,7 @@ TOPICS = (
     Topic(Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
     Topic(Command,            "command",                          0, EVERY,    OPERATOR,     ("controller",)),
     Topic(Manual,             "manual",                 100_000_000, LATEST,   OPERATOR,     ("controller",)),
-    Topic(Acknowledged,       "acknowledged",                     0, EVERY,    "controller", (OPERATOR,)),
+    Topic(Acknowledgement,       "acknowledged",                     0, EVERY,    "controller", (OPERATOR,)),
     Topic(ControllerStatus,   "controller/status",    1_000_000_000, LATEST,   "controller", (OPERATOR,)),
     Topic(ModelCheck,         "model",                1_000_000_000, EVERY,    "controller", (OPERATOR,)),
     Topic(CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
@@ -104,8 +104,8 @@ TOPICS = (
     Topic(Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("launcher",)),
     Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("launcher",)),
     Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
-    Topic(Rejected,           "rejected",                         0, EVERY,    "*",          ()),
-    Topic(Handed,             "handed",                           0, EVERY,    "inject",     ()),
+    Topic(RejectedFrame,           "rejected",                         0, EVERY,    "*",          ()),
+    Topic(InjectorFrame,             "inject/frame",                           0, EVERY,    "inject",     ()),
     Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("launcher",)),
 )  # fmt: skip
 

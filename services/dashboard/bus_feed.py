@@ -9,7 +9,7 @@ from typing import TypeVar
 import msgspec
 
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Applied,
     Clock,
     ClockState,
@@ -36,7 +36,7 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 S = TypeVar("S", bound=Message)
 
 NEWEST = (Clock, Truth, Estimate, Applied, ControllerStatus, LocalisationReport)
-EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledged)
+EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledgement)
 WAITING = 200
 """Frames of these between two looks; at 20 times real time there are 14."""
 
@@ -59,7 +59,7 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     t_s: float | None
     clock: str  # waiting, running, paused; "silent" where nothing was decoded
     speed: float  # of the clock, times real time
-    asked_speed: float  # more than that where the machine cannot keep up
+    requested_speed: float  # more than that where the machine cannot keep up
     authority: str
     health: str
     origin: str
@@ -123,7 +123,7 @@ class BusFeed:
             t_s=None if t_ns is None else t_ns / 1e9,
             clock="own" if clock is None and t_ns is not None else state,
             speed=1.0 if clock is None else clock.speed_num / clock.speed_den,
-            asked_speed=1.0 if clock is None else clock.asked_speed,
+            requested_speed=1.0 if clock is None else clock.requested_speed,
             authority="" if plan is None else plan.authority.value,
             health="" if plan is None else plan.health.value,
             origin="" if plan is None else plan.origin.value,

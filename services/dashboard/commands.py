@@ -14,7 +14,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc.messages import Acknowledged, Action, ClockCommand, Disturbance, Kill, Message, Rejected
+from ltv_mpc.messages import Acknowledgement, Action, ClockCommand, Disturbance, Kill, Message, RejectedFrame
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
 from services.bus.topics import OPERATOR
@@ -88,19 +88,19 @@ def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: flo
         case Button.KICK:
             if t_ns is None:
                 return _reply(request, "nobody has said what time it is")
-            kick = Disturbance(until_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
+            kick = Disturbance(end_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
             return _sent(request, session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
 
 
-def _by_controller(request: ButtonRequest, answer: Acknowledged | Rejected | None) -> ButtonReply:
+def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFrame | None) -> ButtonReply:
     match answer:
-        case Acknowledged(accepted=True):
+        case Acknowledgement(accepted=True):
             return _reply(
                 request, f"{request.button.value} accepted; command authority: {answer.authority.value}", done=True
             )
-        case Acknowledged():
+        case Acknowledgement():
             return _reply(request, f"{request.button.value} refused: {answer.why}")
-        case Rejected():
+        case RejectedFrame():
             return _reply(request, f"{request.button.value} refused by {answer.node}: {answer.reason}")
         case None:
             return _reply(request, f"no controller answered within {PATIENCE_S:.0f} s")

@@ -119,7 +119,7 @@ async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonR
     moment = feed.status()
     if asked.button in SIMULATED and not moment.simulated:
         return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} is for simulations")
-    return await asyncio.to_thread(command, asked, feed.t_ns(), moment.asked_speed)
+    return await asyncio.to_thread(command, asked, feed.t_ns(), moment.requested_speed)
 
 
 def commander(bus: BusOptions) -> Do:

@@ -31,7 +31,7 @@ from ltv_mpc.messages import (
     Solve,
     SolveStatus,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Reference
 from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -151,7 +151,7 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
     for k, estimate in enumerate((here, here, off, off, broken, here)):
         t_ns = begun + k * config.period_ns
         signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
-        node.steps([(t_ns, [Arrival(signal, 1, k, t_ns) for signal in signals])])
+        node.steps([(t_ns, [ReceivedMessage(signal, 1, k, t_ns) for signal in signals])])
     node.controller.rehearse()
     thrust_loss_detector.rehearse()  # which these cycles, without a report of the actuators, have not asked for
     for missed_s in (2.0, 20.0):  # hold, and then failsafe

@@ -25,7 +25,7 @@ from ltv_mpc.messages import (
     TdcpFix,
     UsblFix,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.bus.session import BusOptions
 from services.run.water import told
 from services.runtime.clock import monotonic_us
@@ -88,7 +88,7 @@ def rehearse(suite: SensorConfig, config: EstimatorConfig) -> None:
         UsblFix(t_ns=second // 2, **still),
     ]
     for message in messages:
-        estimator.steps([(message.t_ns, [Arrival(message, 1, 0, message.t_ns)])])
+        estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
     for states in (2, 8):  # many rows of few states, and of many: whichever this ping was not
         place, one = np.arange(8)[:, None] % states, np.ones((8, 1))
         update(np.eye(8), Rows(state=place, partial=one, residual=np.zeros(8), variance=np.ones(8)), math.inf)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from ltv_mpc.messages import Acknowledged, Action, Command, Rejected
+from ltv_mpc.messages import Acknowledgement, Action, Command, RejectedFrame
 from services.bus.mailbox import Mailbox
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
@@ -30,17 +30,17 @@ def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     except BusError as error:
         say(str(error))
         return FAILED
-    if isinstance(answer, Acknowledged) and answer.accepted:
+    if isinstance(answer, Acknowledgement) and answer.accepted:
         sys.stdout.write(f"accepted; in charge: {answer.authority.value}\n")
         return DONE
     say(_why(answer))
     return FAILED
 
 
-def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowledged | Rejected | None:
+def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowledgement | RejectedFrame | None:
     """Send the command; the controller's answer, its door's refusal, or None where nobody says a word."""
     box = Mailbox()
-    for kind, suffix in ((Acknowledged, ""), (Rejected, "/*")):
+    for kind, suffix in ((Acknowledgement, ""), (RejectedFrame, "/*")):
         session.subscribe(f"{BY_TYPE[kind].key}{suffix}", BY_TYPE[kind], box)
     outbox = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Command,))
     command = Command(command_id=new_epoch(), action=action, reference_toml=reference_toml)
@@ -54,18 +54,18 @@ def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowled
             signal, _ = decode(frame.topic.message_type, frame.payload)
         except WireError:
             continue
-        if isinstance(signal, Acknowledged) and signal.command_id == command.command_id:
+        if isinstance(signal, Acknowledgement) and signal.command_id == command.command_id:
             return signal
-        if isinstance(signal, Rejected) and (signal.key, signal.crc) == (sent.key, sent.crc):
+        if isinstance(signal, RejectedFrame) and (signal.key, signal.crc) == (sent.key, sent.crc):
             return signal
     return None
 
 
-def _why(answer: Acknowledged | Rejected | None) -> str:
+def _why(answer: Acknowledgement | RejectedFrame | None) -> str:
     match answer:
-        case Acknowledged():
+        case Acknowledgement():
             return f"refused: {answer.why}; in charge: {answer.authority.value}"
-        case Rejected():
+        case RejectedFrame():
             return f"refused by {answer.node}: {answer.reason}"
         case None:
             return f"no controller answered within {PATIENCE_S:.0f} s: does one run at this router, in this namespace?"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from ltv_mpc.messages import Truth
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.bus.session import BusOptions
 from services.run.run_config import Situation, resolve
 from services.runtime.runner import Runner
@@ -47,7 +47,7 @@ def rehearse(situation: Situation) -> None:
             current_mps=(0.0, 0.0),
             thrust_N=still,
         )
-        sensors.steps([(t_ns, [Arrival(truth, 1, 0, t_ns)])])
+        sensors.steps([(t_ns, [ReceivedMessage(truth, 1, 0, t_ns)])])
 
 
 def _make(situation: Situation) -> Sensors:

@@ -352,7 +352,7 @@ def _parquet() -> Callable[[Path, str, list[Column]], Sink]:
     class ParquetSink:
         def __init__(self, path: Path, key: str, columns: list[Column]) -> None:
             topic = topics.topic_at(key)
-            about = {"ltv_mpc.key": key, "ltv_mpc.signal": "" if topic is None else topic.message_type.__name__}
+            about = {"ltv_mpc.key": key, "ltv_mpc.message": "" if topic is None else topic.message_type.__name__}
             self._schema = pa.schema([(column.name, kind(column)) for column in columns], metadata=about)
             self._writer = pq.ParquetWriter(path, self._schema, compression="zstd")
 

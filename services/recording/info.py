@@ -53,7 +53,7 @@ class Key(msgspec.Struct, frozen=True, kw_only=True):
     """The messages of one key. Times are of publication, vehicle time."""
 
     key: str
-    signal: str  # empty where the table of topics has no such key
+    message: str  # empty where the table of topics has no such key
     messages: int
     rate_hz: float | None  # between the first and the last; None of fewer than two, or of no time
     first_s: float
@@ -204,7 +204,7 @@ def _key(name: str, of: _OfKey) -> Key:
     over_ns = of.last_ns - first_ns
     return Key(
         key=name,
-        signal="" if topic is None else topic.message_type.__name__,
+        message="" if topic is None else topic.message_type.__name__,
         messages=messages,
         rate_hz=1e9 * (messages - 1) / over_ns if over_ns > 0 else None,
         first_s=first_ns / 1e9,

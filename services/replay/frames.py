@@ -11,8 +11,8 @@ import base64
 
 import msgspec
 
-from ltv_mpc.messages import Handed, InboxEntry
-from ltv_mpc.node import Arrival
+from ltv_mpc.messages import InboxEntry, InjectorFrame
+from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.topics import BY_TYPE, topic_at
 from services.recording.reader import Stored
@@ -22,7 +22,7 @@ class Header(wire.Header, frozen=True, kw_only=True, forbid_unknown_fields=False
     """Of any message in a file; its other fields are skipped."""
 
 
-HANDED = BY_TYPE[Handed].key
+HANDED = BY_TYPE[InjectorFrame].key
 """On which a recording has the frames that travelled between an injector and the node under test alone."""
 
 
@@ -37,7 +37,7 @@ _handed = msgspec.json.Decoder(_Handed).decode
 
 
 def unwrapped(stored: Stored) -> Stored | None:
-    """The frame that a ``Handed`` holds, as if it had been recorded on its own key; None where nobody can read it."""
+    """Return the frame inside an ``InjectorFrame`` as if it were recorded on its own key; None if it is unreadable."""
     try:
         handed = _handed(stored.data)
         payload = base64.b64decode(handed.payload_base64)
@@ -81,9 +81,9 @@ class Frames:
         return sum(map(len, self._of_source.values()))
 
 
-def arrival(stored: Stored, entry: InboxEntry) -> Arrival:
+def arrival(stored: Stored, entry: InboxEntry) -> ReceivedMessage:
     """The entry as the node was given it. Raises ``WireError`` where this version knows no such message."""
     if stored.kind is None:
         raise wire.WireError(f"{stored.key}: no topic has this key")
     signal = wire.admitted(stored.kind, msgspec.json.decode(stored.data))
-    return Arrival(signal, entry.epoch, entry.sequence, entry.received_t_ns)
+    return ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)

@@ -206,7 +206,7 @@ def _progress(view: LiveView) -> Text:
     done = round(30 * min(max(share, 0.0), 1.0))
     return Text(
         f"t {_seconds(view.t_ns):>8} s of {_seconds(view.end_ns)}  [{'#' * done:<30}]"
-        f"  {times(view.speed, view.asked_speed)}  {view.phase}  {view.wall_s:.0f} s",
+        f"  {times(view.speed, view.requested_speed)}  {view.phase}  {view.wall_s:.0f} s",
         no_wrap=True,
     )
 

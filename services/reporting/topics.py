@@ -47,7 +47,7 @@ def _at(key: str) -> Topic:
 def _row(topic: Topic) -> dict[str, Any]:
     return {
         "key": f"{topic.key}/<node>" if topic.written_by == "*" else topic.key,
-        "signal": topic.message_type.__name__,
+        "message": topic.message_type.__name__,
         "period_ns": topic.period_ns,
         "delivery": str(topic.delivery),
         "written_by": "every node" if topic.written_by == "*" else topic.written_by,
@@ -56,11 +56,11 @@ def _row(topic: Topic) -> dict[str, Any]:
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    header = ("key", "signal", "period", "delivery", "written by", "read by")
+    header = ("key", "message", "period", "delivery", "written by", "read by")
     cells = [
         (
             row["key"],
-            row["signal"],
+            row["message"],
             _period(row["period_ns"]),
             row["delivery"],
             row["written_by"],

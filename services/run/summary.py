@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.messages import Estimate, NodeStatus, Rejected, RunEvent
+from ltv_mpc.messages import Estimate, NodeStatus, RejectedFrame, RunEvent
 from services.bus import topics
 from services.bus.roles import LAUNCHER
 from services.bus.wire import WireError
@@ -81,7 +81,7 @@ def of_recording(
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
         losses.saw(message.key, epoch, sequence)
-        rejected += message.kind is Rejected
+        rejected += message.kind is RejectedFrame
         mended += message.key == MENDED and message.plain["kind"] == "fault"
         if message.kind in grader.hears:
             try:

@@ -114,10 +114,10 @@ class VehicleClock:
             raise ClockError("another plant has started a clock of its own: start this process again to follow it")
         if message.clock_sequence <= self._sequence:
             return False
-        if not self._lines and self._speed not in (None, fraction_of(message.asked_speed)):
+        if not self._lines and self._speed not in (None, fraction_of(message.requested_speed)):
             raise ClockError(
-                f"run.speed is {float(self._speed):g} here and {message.asked_speed:g} at the plant, where alone it "
-                "counts: start both with one scenario"
+                f"run.speed is {float(self._speed):g} here and {message.requested_speed:g} at the plant, where "
+                "alone it counts: start both with one scenario"
             )
         self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
         line = Line(message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state)
@@ -178,7 +178,7 @@ class TimeKeeper:
             vehicle_ns=start_ns,
             speed_num=self._speed.numerator,
             speed_den=self._speed.denominator,
-            asked_speed=float(self._asked),
+            requested_speed=float(self._asked),
             state=ClockState.WAITING,
         )
 
@@ -221,7 +221,7 @@ class TimeKeeper:
             vehicle_ns=line.read(at_us) - slip_ns,
             speed_num=self._speed.numerator,
             speed_den=self._speed.denominator,
-            asked_speed=float(self._asked),
+            requested_speed=float(self._asked),
             state=state,
         )
         return self.message

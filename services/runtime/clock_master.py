@@ -72,7 +72,7 @@ class ClockMaster:
         if status.ready and not status.finished:
             self._missing.pop(status.node, None)
         if self._keeper.message.state is ClockState.RUNNING:
-            self._give_up(status.behind_us if status.behind_us > MOST_BEHIND_US else 0, now_us, node)
+            self._give_up(status.min_queue_delay_us if status.min_queue_delay_us > MOST_BEHIND_US else 0, now_us, node)
 
     def asked(self, command: ClockCommand, now_us: int, node: str) -> None:
         """An operator wants time to go on otherwise; who waits for the start keeps waiting, and an end is an end."""

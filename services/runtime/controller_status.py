@@ -58,9 +58,9 @@ class ControllerStatusReporter:
         took_us = sorted(took for _, took in self._cycles)
         estimate, node = self._estimate, self._node
         refused = Counter(validator.refused)
-        if node.helm.manual_refused:
-            refused["manual outside the box"] = node.helm.manual_refused
-        refused.update({f"estimate: {why}": count for why, count in node.controller.guard.refused.items()})
+        if node.arbiter.manual_rejected:
+            refused["manual outside the box"] = node.arbiter.manual_rejected
+        refused.update({f"estimate: {why}": count for why, count in node.controller.estimate_gate.rejected.items()})
         status = ControllerStatus(
             t_ns=t_ns,
             estimate_age_ns=None if estimate is None else t_ns - estimate.t_ns,
@@ -72,7 +72,7 @@ class ControllerStatusReporter:
             rejected=dict(refused),
             clock=clock.mode,
             clock_error_ns=clock.error_ns,
-            authority=node.helm.authority,
+            authority=node.arbiter.authority,
             health=node.health(t_ns) if self._plan is None else self._plan.health,
             error_m=self._error_m(),
             progress=None if self._plan is None else self._plan.progress,

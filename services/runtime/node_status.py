@@ -90,7 +90,7 @@ class NodeStatusReporter:
             self.due_us = min(self.due_us, now_us + HURRIED_PERIOD_US)
 
     @property
-    def behind_us(self) -> int:
+    def min_queue_delay_us(self) -> int:
         """The least wait since the last word: a queue that stands. One that a long step has left drains by itself."""
         return self._least_wait_us or 0
 
@@ -127,7 +127,7 @@ class NodeStatusReporter:
                 dropped=max(self._counts.dropped, self._mailbox.overflowed),
                 rejected=self._counts.rejected,
                 step_us=self._busy_us / self._busy_steps if self._busy_steps else 0.0,
-                behind_us=self.behind_us,
+                min_queue_delay_us=self.min_queue_delay_us,
                 finished=finished,
             )
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, Rejected, RunEvent, StepRecord
+from ltv_mpc.messages import Clock, CycleTiming, Message, NodeStatus, RejectedFrame, RunEvent, StepRecord
 from ltv_mpc.node import Cycle, Node
 from services.bus.mailbox import Mailbox
 from services.bus.session import Session
@@ -18,13 +18,13 @@ def times_cycles(node: Node) -> bool:
 
 def inputs(node: Node) -> list[type[Message]]:
     """What comes from other processes; its own words it is handed without the bus."""
-    own = (Rejected, Clock)
+    own = (RejectedFrame, Clock)
     return [kind for kind in node.reads if BY_TYPE[kind].written_by != node.name and kind not in own]
 
 
 def outputs(node: Node, *, clock_master: bool) -> list[type[Message]]:
     """What its process publishes."""
-    kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, Rejected, RunEvent]
+    kinds: list[type[Message]] = [*node.writes, StepRecord, NodeStatus, RejectedFrame, RunEvent]
     if times_cycles(node):
         kinds.append(CycleTiming)
     if clock_master:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 
-from ltv_mpc.messages import Clock, NodeStatus, Rejected, RunEvent
+from ltv_mpc.messages import Clock, NodeStatus, RejectedFrame, RunEvent
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
 from services.bus.outbox import Outbox, new_epoch
@@ -63,7 +63,7 @@ class RecordingLoop:
     def serve(self, bus: BusOptions) -> None:
         """Open, subscribe to everything, write, say the last word, close."""
         with open_session(bus, stop=self._stop, say=self._say) as session:
-            self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, Rejected))
+            self._out = Outbox(session, node=NAME, epoch=new_epoch(), kinds=(NodeStatus, RunEvent, RejectedFrame))
             self._status = NodeStatusReporter(
                 NAME, outbox=self._out, counts=self, mailbox=self.mailbox, clock=self._clock, reads=(), say=self._say
             )

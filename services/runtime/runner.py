@@ -19,7 +19,7 @@ from ltv_mpc.messages import (
     Message,
     NodeStatus,
     Plan,
-    Rejected,
+    RejectedFrame,
     StepRecord,
 )
 from ltv_mpc.node import Node, OnMessage
@@ -347,7 +347,7 @@ class Runner:
 
     def _refuse(self, frame: Frame, reason: str, now_ns: int) -> None:
         rejected = rejection(frame, reason, node=self._node.name, t_ns=now_ns)
-        if Rejected in self._node.reads:
+        if RejectedFrame in self._node.reads:
             self._hand_own(rejected, now_ns)
         else:
             self._out.publish(rejected)

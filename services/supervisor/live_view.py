@@ -21,7 +21,7 @@ def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_
         start_ns=scenario.start_ns,
         end_ns=scenario.end_ns,
         speed=scenario.run.speed if clock is None else clock.speed_num / clock.speed_den,
-        asked_speed=scenario.run.speed if clock is None else clock.asked_speed,
+        requested_speed=scenario.run.speed if clock is None else clock.requested_speed,
         wall_s=wall_s,
         phase=_phase(clock, t_ns, scenario.end_ns),
         truth=watch.newest(Truth),

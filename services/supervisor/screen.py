@@ -17,7 +17,7 @@ class LiveView:
     start_ns: int
     end_ns: int
     speed: float  # of the clock, times real time
-    asked_speed: float  # more than that where the machine cannot keep up
+    requested_speed: float  # more than that where the machine cannot keep up
     wall_s: float  # since the start of the run
     phase: str  # what the run does in one word: starting, afloat, diving, stopping
     truth: Truth | None = None

@@ -6,8 +6,8 @@ import gc
 from collections.abc import Callable
 from functools import cache
 
-from ltv_mpc.messages import Estimate, InboxEntry, Message, Rejected, StepRecord
-from ltv_mpc.node import Arrival
+from ltv_mpc.messages import Estimate, InboxEntry, Message, RejectedFrame, StepRecord
+from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import rejection
@@ -103,7 +103,7 @@ class _Log:
     @property
     def heard(self) -> frozenset[type[Message]]:
         """Return the message types whose content is needed when nothing is recorded."""
-        return self.grader.hears | {Estimate, Rejected}
+        return self.grader.hears | {Estimate, RejectedFrame}
 
     def stepped(self, step: Step) -> None:
         assert self._writer is not None
@@ -113,15 +113,15 @@ class _Log:
             epoch=EPOCH,
             step=step.number,
             t_ns=step.t_ns,
-            cause=cause if isinstance(cause, str) else _key(step.inbox[-1].signal, node),
+            cause=cause if isinstance(cause, str) else _key(step.inbox[-1].message, node),
             inbox=tuple(_entry(message, node) for message in step.inbox),
         )
         self._writer.write(node, record, _header(step.number), step.at_ns)
 
-    def published(self, node: str, message: Arrival) -> None:
-        signal = message.signal
+    def published(self, node: str, message: ReceivedMessage) -> None:
+        signal = message.message
         self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
-        if type(signal) is Rejected:
+        if type(signal) is RejectedFrame:
             self.rejected_count += 1
         if self._writer is not None:
             self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
@@ -133,25 +133,25 @@ def _header(sequence: int) -> wire.Header:
     return wire.Header(epoch=EPOCH, sequence=sequence, sent_monotonic_us=0)
 
 
-def _entry(message: Arrival, reader: str) -> InboxEntry:
+def _entry(message: ReceivedMessage, reader: str) -> InboxEntry:
     """Return the inbox entry of a received message; its crc is that of the frame that processes would have sent."""
     return InboxEntry(
-        key=_key(message.signal, reader),
+        key=_key(message.message, reader),
         epoch=message.epoch,
         sequence=message.sequence,
-        crc=wire.crc(wire.encode(message.signal, _header(message.sequence))),
+        crc=wire.crc(wire.encode(message.message, _header(message.sequence))),
         received_t_ns=message.received_t_ns,
     )
 
 
 def _key(signal: Message, reader: str) -> str:
-    """Return the key of a message. Of the types that every node writes, a node reads only its own: ``Rejected``."""
+    """Return the key of a message. A node reads only its own ``RejectedFrame``, a type that all nodes write."""
     return topics.key_of(type(signal), reader)
 
 
-def refused(node: str, message: Arrival, reason: str) -> Rejected:
+def refused(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """Return the rejection message that a process would publish."""
-    signal = message.signal
+    signal = message.message
     payload = wire.encode(signal, _header(message.sequence))
     frame = Frame(topics.BY_TYPE[type(signal)], _key(signal, node), payload, received_monotonic_us=0)
     return rejection(frame, reason, node=node, t_ns=message.received_t_ns)

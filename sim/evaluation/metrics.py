@@ -196,7 +196,7 @@ class Grader:
     def _hear_applied(self, applied: Applied, *_: int) -> None:
         port, starboard, _vertical = applied.command_N
         self._command.append((applied.t_ns, port, starboard, max(applied.command_slew_N_per_s[:2])))
-        self.deadline_misses, self.plans_refused = applied.plans_late, applied.plans_refused
+        self.deadline_misses, self.plans_refused = applied.plans_late, applied.plans_rejected
         plan = self._waiting.pop((applied.plan_epoch, applied.plan_sequence), None)
         if plan is not None:
             self._taken.append(_Taken(plan, applied.plan_received_t_ns, self._speed))

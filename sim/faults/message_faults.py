@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from ltv_mpc.messages import Harm, Message
-from ltv_mpc.node import Arrival
+from ltv_mpc.messages import Message, MessageFault
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
 from sim.faults.interval import Spell
 from sim.scheduler import Delivery
@@ -29,16 +29,16 @@ class Harmed(NamedTuple):
     """
 
     kinds: tuple[type[Message], ...]
-    harm: Harm
+    harm: MessageFault
     spell: Spell
     size: float
     seed: int
 
 
-Encode = Callable[[Arrival], bytes]
+Encode = Callable[[ReceivedMessage], bytes]
 """A message as the bytes that travel: what stands in a frame is no affair of this file."""
 
-Admit = Callable[[str, Delivery], Arrival | str]
+Admit = Callable[[str, Delivery], ReceivedMessage | str]
 """The door of a reader, by the reader's name."""
 
 AGAIN_NS = 40_000_000
@@ -75,15 +75,15 @@ class Transit:
         """Whether any fault concerns messages of this type, now or at another time."""
         return kind in self._kinds
 
-    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:  # noqa: ARG002  (a type is a key)
+    def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002  (a type is a key)
         """What comes of it on the way to ``reader``: by the first fault that lasts and concerns its type."""
-        if type(message.signal) in self._kinds:
+        if type(message.message) in self._kinds:
             for harm in self._harms:
                 if harm.concerns(message):
                     return harm.deliveries(message)
         return [Delivery(message.received_t_ns, message)]
 
-    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
+    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """By the reader's door."""
         return self._admit(reader, delivery)
 
@@ -97,36 +97,36 @@ class _Harm:
         self.encode = encode
         self.rng = np.random.default_rng(fault.seed)
 
-    def concerns(self, message: Arrival) -> bool:
+    def concerns(self, message: ReceivedMessage) -> bool:
         """Whether it lasts, and the message is of its types."""
-        return type(message.signal) in self.fault.kinds and self.fault.spell.holds(message.received_t_ns)
+        return type(message.message) in self.fault.kinds and self.fault.spell.holds(message.received_t_ns)
 
-    def deliveries(self, message: Arrival) -> list[Delivery]:
+    def deliveries(self, message: ReceivedMessage) -> list[Delivery]:
         """What comes of a message that it concerns."""
         if not self.meets(message):
             return [Delivery(message.received_t_ns, message)]
         self.harmed += 1
         return self.harm(message)
 
-    def meets(self, message: Arrival) -> bool:  # noqa: ARG002  (others look at it)
+    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (others look at it)
         """Whether it harms this one."""
         return bool(self.rng.random() < self.fault.size)
 
-    def harm(self, message: Arrival) -> list[Delivery]:
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
         """What comes of a harmed one."""
         raise NotImplementedError
 
 
 class _Loss(_Harm):
-    def harm(self, message: Arrival) -> list[Delivery]:  # noqa: ARG002  (whatever it was)
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:  # noqa: ARG002  (whatever it was)
         return []
 
 
 class _Delay(_Harm):
-    def meets(self, message: Arrival) -> bool:  # noqa: ARG002  (all are late by the same time)
+    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (all are late by the same time)
         return True
 
-    def harm(self, message: Arrival) -> list[Delivery]:
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
         return [Delivery(message.received_t_ns + round(1e9 * self.fault.size), message)]
 
 
@@ -135,31 +135,31 @@ class _Reorder(_Harm):
 
     def __init__(self, fault: Harmed, encode: Encode) -> None:
         super().__init__(fault, encode)
-        self._waiting: dict[type[Message], Arrival] = {}
+        self._waiting: dict[type[Message], ReceivedMessage] = {}
 
-    def concerns(self, message: Arrival) -> bool:
-        return type(message.signal) in self._waiting or super().concerns(message)
+    def concerns(self, message: ReceivedMessage) -> bool:
+        return type(message.message) in self._waiting or super().concerns(message)
 
-    def deliveries(self, message: Arrival) -> list[Delivery]:
+    def deliveries(self, message: ReceivedMessage) -> list[Delivery]:
         at_ns = message.received_t_ns
-        waiting = self._waiting.pop(type(message.signal), None)
+        waiting = self._waiting.pop(type(message.message), None)
         if waiting is not None:
             self.harmed += 1
             return [Delivery(at_ns, message), Delivery(at_ns, waiting)]
         if self.meets(message):
-            self._waiting[type(message.signal)] = message
+            self._waiting[type(message.message)] = message
             return []
         return [Delivery(at_ns, message)]
 
 
 class _Duplicate(_Harm):
-    def harm(self, message: Arrival) -> list[Delivery]:
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
         at_ns = message.received_t_ns
         return [Delivery(at_ns, message), Delivery(at_ns + AGAIN_NS, message)]
 
 
 class _Corruption(_Harm):
-    def harm(self, message: Arrival) -> list[Delivery]:
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
         payload = bytearray(self.encode(message))
         for _ in range(int(self.rng.integers(1, MOST_FLIPPED + 1))):
             bit = int(self.rng.integers(8 * len(payload)))
@@ -168,8 +168,8 @@ class _Corruption(_Harm):
 
 
 class _NotANumber(_Harm):
-    def harm(self, message: Arrival) -> list[Delivery]:
-        signal = message.signal
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
+        signal = message.message
         limits = bounds(type(signal)).items()
         fields = [name for name, of in limits if not of.has_gaps and _is_real(getattr(signal, name))]
         name = fields[int(self.rng.integers(len(fields)))]
@@ -188,39 +188,39 @@ class _Stale(_Harm):
         super().__init__(fault, encode)
         self._said: dict[type[Message], Message] = {}
 
-    def meets(self, message: Arrival) -> bool:
-        kind = type(message.signal)
+    def meets(self, message: ReceivedMessage) -> bool:
+        kind = type(message.message)
         first = kind not in self._said
-        self._said.setdefault(kind, message.signal)
+        self._said.setdefault(kind, message.message)
         return not first
 
-    def harm(self, message: Arrival) -> list[Delivery]:
-        return [Delivery(message.received_t_ns, _replaced(message, self._said[type(message.signal)]))]
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
+        return [Delivery(message.received_t_ns, _replaced(message, self._said[type(message.message)]))]
 
 
 class _ClockJump(_Harm):
-    def meets(self, message: Arrival) -> bool:  # noqa: ARG002  (it stamps all)
+    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (it stamps all)
         return True
 
-    def harm(self, message: Arrival) -> list[Delivery]:
+    def harm(self, message: ReceivedMessage) -> list[Delivery]:
         ahead_ns = round(1e9 * self.fault.size)
-        stamps = [name for name in STAMPS if name in message.signal.__struct_fields__]
-        jumped = {name: getattr(message.signal, name) + ahead_ns for name in stamps}
+        stamps = [name for name in STAMPS if name in message.message.__struct_fields__]
+        jumped = {name: getattr(message.message, name) + ahead_ns for name in stamps}
         return [Delivery(message.received_t_ns, _with(message, **jumped))]
 
 
 STAMPS = ("t_ns", "from_t_ns", "cycle_t_ns")
 """What a publisher stamps by its own clock."""
 
-_HARMS: Mapping[Harm, type[_Harm]] = {
-    Harm.LOSS: _Loss,
-    Harm.DELAY: _Delay,
-    Harm.REORDER: _Reorder,
-    Harm.DUPLICATE: _Duplicate,
-    Harm.CORRUPTION: _Corruption,
-    Harm.NOT_A_NUMBER: _NotANumber,
-    Harm.STALE: _Stale,
-    Harm.CLOCK_JUMP: _ClockJump,
+_HARMS: Mapping[MessageFault, type[_Harm]] = {
+    MessageFault.LOSS: _Loss,
+    MessageFault.DELAY: _Delay,
+    MessageFault.REORDER: _Reorder,
+    MessageFault.DUPLICATE: _Duplicate,
+    MessageFault.CORRUPTION: _Corruption,
+    MessageFault.NOT_A_NUMBER: _NotANumber,
+    MessageFault.STALE: _Stale,
+    MessageFault.CLOCK_JUMP: _ClockJump,
 }
 
 
@@ -230,9 +230,9 @@ def _is_real(value: Any) -> bool:
     return isinstance(value[0] if isinstance(value, tuple) else value, float)
 
 
-def _with(message: Arrival, **values: Any) -> Arrival:
-    return _replaced(message, msgspec.structs.replace(message.signal, **values))
+def _with(message: ReceivedMessage, **values: Any) -> ReceivedMessage:
+    return _replaced(message, msgspec.structs.replace(message.message, **values))
 
 
-def _replaced(message: Arrival, signal: Message) -> Arrival:
-    return msgspec.structs.replace(message, signal=signal)
+def _replaced(message: ReceivedMessage, signal: Message) -> ReceivedMessage:
+    return msgspec.structs.replace(message, message=signal)

@@ -66,7 +66,7 @@ class _OnTheWay(NamedTuple):
     t_ns: int  # of validity
     order: int  # of its sensor
     arrival_ns: int
-    signal: Message
+    message: Message
 
 
 class Sensors:
@@ -136,7 +136,7 @@ class Sensors:
         """
         if len(due) == 1:  # as in a process, where looking for several costs more than it saves
             return [self._step(due[0][1])]
-        truths = [arrival.signal for _, inbox in due for arrival in inbox if isinstance(arrival.signal, Truth)]
+        truths = [arrival.message for _, inbox in due for arrival in inbox if isinstance(arrival.message, Truth)]
         imu = self._mounted[0].sensor if self._mounted else None
         if not (isinstance(imu, InertialUnit) and len(truths) == len(due) and self._is_measured_at(truths, imu)):
             return [self._step(inbox) for _, inbox in due]
@@ -162,8 +162,8 @@ class Sensors:
     def _step(self, inbox: Inbox) -> list[Message]:
         signals: list[Message] = []
         for arrival in inbox:
-            if isinstance(arrival.signal, Truth) and (self._last is None or arrival.signal.t_ns > self._last.t_ns):
-                signals += self._measure(arrival.signal)
+            if isinstance(arrival.message, Truth) and (self._last is None or arrival.message.t_ns > self._last.t_ns):
+                signals += self._measure(arrival.message)
         return signals
 
     def _is_measured_at(self, truths: Sequence[Truth], imu: InertialUnit) -> bool:
@@ -205,4 +205,4 @@ class Sensors:
         self._on_the_way = [message for message in self._on_the_way if message.arrival_ns > until_ns]
         if len(here) > 1:
             here.sort(key=lambda message: message[:2])
-        return [message.signal for message in here]
+        return [message.message for message in here]

@@ -48,7 +48,7 @@ from ltv_mpc.messages import (
     Solve,
     SolveStatus,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
@@ -285,10 +285,10 @@ def command() -> Target:
             return None
         count = next(times)
         t_ns = count * 300_000_000
-        inbox = [Arrival(told, 1, count, t_ns)]
+        inbox = [ReceivedMessage(told, 1, count, t_ns)]
         if count % 50 == 0:
             here = msgspec.structs.replace(Estimate.at_rest(depth_m=5.0), t_ns=t_ns)
-            inbox.append(Arrival(here, 1, count, t_ns))
+            inbox.append(ReceivedMessage(here, 1, count, t_ns))
         return step(node, t_ns, inbox)
 
     def check(said: Sequence[Message]) -> None:

@@ -21,5 +21,5 @@ def report(t_ns: int, thrust_N: Iterable[float], command_N: Iterable[float] | No
         plan_received_t_ns=0,
         plan_late=False,
         plans_late=0,
-        plans_refused=0,
+        plans_rejected=0,
     )

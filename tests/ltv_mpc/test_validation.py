@@ -203,5 +203,5 @@ def test_a_number_without_bounds_or_unit_is_refused_with_its_type() -> None:
 
 def test_a_clock_may_be_slower_than_real_time():
     clock = next(m for m in EXAMPLES if isinstance(m, Clock))
-    assert refusal(msgspec.structs.replace(clock, asked_speed=0.5, speed_num=1, speed_den=2)) is None
-    assert refusal(msgspec.structs.replace(clock, asked_speed=0.0)) is not None
+    assert refusal(msgspec.structs.replace(clock, requested_speed=0.5, speed_num=1, speed_den=2)) is None
+    assert refusal(msgspec.structs.replace(clock, requested_speed=0.0)) is not None

@@ -45,7 +45,7 @@ class Fake(OneByOne):
         self.seen: list[tuple[int, list[tuple[type[Message], int, int]]]] = []
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        self.seen.append((t_ns, [(type(a.signal), a.sequence, a.received_t_ns) for a in inbox]))
+        self.seen.append((t_ns, [(type(a.message), a.sequence, a.received_t_ns) for a in inbox]))
         return self.answer(t_ns, inbox)
 
     @property

@@ -18,11 +18,11 @@ from ltv_mpc.messages import (
     Message,
     Plan,
     PressureDepth,
-    Rejected,
+    RejectedFrame,
     RunEvent,
     Truth,
 )
-from ltv_mpc.node import Arrival, Cycle, Due, Grid, Inbox, Node, OnMessage
+from ltv_mpc.node import Cycle, Due, Grid, Inbox, Node, OnMessage, ReceivedMessage
 from ltv_mpc.validation import refusal
 from services.bus import wire
 from services.run.folder import RunFolder
@@ -47,14 +47,14 @@ class Ears:
         self.order: list[str] = []
 
     def stepped(self, step: Step) -> None:
-        self.steps.append((*step[:5], [(type(a.signal), a.sequence, a.received_t_ns) for a in step.inbox]))
+        self.steps.append((*step[:5], [(type(a.message), a.sequence, a.received_t_ns) for a in step.inbox]))
         self.order.append(step.node)
 
-    def published(self, node: str, message: Arrival) -> None:
+    def published(self, node: str, message: ReceivedMessage) -> None:
         header = wire.Header(epoch=message.epoch, sequence=message.sequence, sent_monotonic_us=0)
-        payload = wire.encode(message.signal, header)
-        self.said.append((node, message.received_t_ns, message.sequence, type(message.signal), payload))
-        self.order.append(type(message.signal).__name__)
+        payload = wire.encode(message.message, header)
+        self.said.append((node, message.received_t_ns, message.sequence, type(message.message), payload))
+        self.order.append(type(message.message).__name__)
 
     def __eq__(self, other: object) -> bool:
         assert isinstance(other, Ears)
@@ -64,11 +64,11 @@ class Ears:
 class Through:
     """Carries each message as it was published, so that a stretch is one step."""
 
-    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:  # noqa: ARG002
+    def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002
         return [Delivery(message.received_t_ns, message)]
 
-    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:  # noqa: ARG002
-        return refusal(delivery.message.signal) or delivery.message
+    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:  # noqa: ARG002
+        return refusal(delivery.message.message) or delivery.message
 
 
 def ears_of(
@@ -110,7 +110,7 @@ class Storm(OneByOne):
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
         if t_ns not in (1500 * MS, 3900 * MS):
             return []
-        return [Disturbance(until_t_ns=t_ns + 1234 * MS, force_N=(10.0, -5.0, 1.0), yaw_moment_Nm=2.0)]
+        return [Disturbance(end_t_ns=t_ns + 1234 * MS, force_N=(10.0, -5.0, 1.0), yaw_moment_Nm=2.0)]
 
 
 @pytest.mark.parametrize(
@@ -246,7 +246,7 @@ def table() -> list[Many]:
         Many("second", Grid(25 * MS), (), depth, (PressureDepth, RunEvent)),
         Many("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent), estimate, (Estimate,)),
         Many("last", OnMessage((Estimate,)), (Estimate, RunEvent)),
-        Many("controller", Cycle(70 * MS), (Estimate, RunEvent, Rejected, CycleTiming), plans, (Plan,)),
+        Many("controller", Cycle(70 * MS), (Estimate, RunEvent, RejectedFrame, CycleTiming), plans, (Plan,)),
         Many("other", Cycle(70 * MS), (Estimate, Plan, PressureDepth, CycleTiming)),
     ]
 
@@ -277,8 +277,10 @@ def echoing() -> list[Many]:
 def refused() -> list[Many]:
     """Two that do not cycle are told of what they were refused."""
     nodes = table()
-    nodes[2] = Many("third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent, Rejected), estimate, (Estimate,))
-    nodes[3] = Many("last", Grid(20 * MS), (PressureDepth, Rejected))
+    nodes[2] = Many(
+        "third", OnMessage((PressureDepth,)), (PressureDepth, RunEvent, RejectedFrame), estimate, (Estimate,)
+    )
+    nodes[3] = Many("last", Grid(20 * MS), (PressureDepth, RejectedFrame))
     return nodes
 
 
@@ -297,6 +299,6 @@ def test_each_step_is_given_what_it_is_given_one_step_at_a_time(
     other = ears_of(fast, -35 * MS, until, delay_ms * MS)
     assert [node.seen for node in fast] == [node.seen for node in slow]
     assert other == one
-    assert any(kind is Rejected for *_, kind, _ in one.said)
+    assert any(kind is RejectedFrame for *_, kind, _ in one.said)
     assert {bulk for node in slow for bulk in node.bulks} == {1}
     assert (max(bulk for node in fast for bulk in node.bulks) > 2) is at_once

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 
 from ltv_mpc.messages import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth, to_wire
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Scenario
@@ -32,7 +32,9 @@ def plant_of(settings: Scenario) -> Plant:
     return Plant(settings, VEHICLE, make(settings.water, settings.run.seed))
 
 
-def arrival(start_ns: int, thrust: list[list[float]], *, sequence: int = 0, received_ns: int | None = None) -> Arrival:
+def arrival(
+    start_ns: int, thrust: list[list[float]], *, sequence: int = 0, received_ns: int | None = None
+) -> ReceivedMessage:
     plan = Plan(
         cycle_t_ns=start_ns - 5,
         t_ns=start_ns + 300 * MS * np.arange(len(thrust)),
@@ -41,11 +43,11 @@ def arrival(start_ns: int, thrust: list[list[float]], *, sequence: int = 0, rece
         origin=PlanOrigin.SOLVED,
         solve=Solve(status=SolveStatus.SOLVED),
     )
-    return Arrival(plan, 77, sequence, start_ns if received_ns is None else received_ns)
+    return ReceivedMessage(plan, 77, sequence, start_ns if received_ns is None else received_ns)
 
 
 def run(
-    plant: Plant, until_ns: int, arrivals: dict[int, list[Arrival]], *, start_ns: int = -S
+    plant: Plant, until_ns: int, arrivals: dict[int, list[ReceivedMessage]], *, start_ns: int = -S
 ) -> list[Truth | Applied]:
     """Everything published; ``arrivals`` are the inboxes by step."""
     said = []
@@ -115,7 +117,7 @@ def test_a_plan_is_answered_in_the_step_it_arrives_in():
     assert (receipt.plan_epoch, receipt.plan_sequence, receipt.plan_late) == (77, 5, False)
     assert receipt.plan_received_t_ns == 215 * MS
     assert receipt.plan_cycle_t_ns == 220 * MS - 5
-    assert (receipt.plans_late, receipt.plans_refused) == (0, 0)
+    assert (receipt.plans_late, receipt.plans_rejected) == (0, 0)
 
 
 def test_a_late_plan_is_counted_and_does_not_make_the_command_jump():
@@ -138,7 +140,7 @@ def test_refused_plans_are_counted_and_change_nothing():
     }
     said = run(plant_of(scenario()), S, inboxes)
     last = of(Applied, said)[-1]
-    assert (last.plan_sequence, last.plans_refused, last.plans_late) == (3, 3, 0)
+    assert (last.plan_sequence, last.plans_rejected, last.plans_late) == (3, 3, 0)
     assert last.command_N == (20.0, 20.0, 20.0)
 
 

@@ -13,11 +13,11 @@ from ltv_mpc.messages import (
     Message,
     Plan,
     PressureDepth,
-    Rejected,
+    RejectedFrame,
     RunEvent,
     Truth,
 )
-from ltv_mpc.node import Arrival, Cycle, Grid, Inbox, Node, OnMessage
+from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage, ReceivedMessage
 from sim.scheduler import LockStep, Step
 from tests.sim.table import MS, Fake, plan
 
@@ -66,8 +66,8 @@ class Log:
         at_ns, node, number, t_ns, cause, inbox = step
         self.lines.append(("step", at_ns // MS, node, number, t_ns / MS, cause, len(inbox)))
 
-    def published(self, node: str, message: Arrival) -> None:
-        kind = type(message.signal)
+    def published(self, node: str, message: ReceivedMessage) -> None:
+        kind = type(message.message)
         self.lines.append(("out", message.received_t_ns // MS, node, kind, message.epoch, message.sequence))
 
 
@@ -92,8 +92,8 @@ def controller(period_ms: int = 300) -> Fake:
 
     def answer(t_ns: int, inbox: Inbox) -> list[Message]:
         for arrival in inbox:
-            if isinstance(arrival.signal, Estimate):
-                newest["t_ns"] = arrival.signal.t_ns
+            if isinstance(arrival.message, Estimate):
+                newest["t_ns"] = arrival.message.t_ns
         return [plan(t_ns, newest["t_ns"])]
 
     return Fake("controller", Cycle(period_ms * MS), (Estimate, CycleTiming), answer, (Plan,))
@@ -208,9 +208,9 @@ def test_a_cycles_timing_is_the_set_delay_exactly_with_nothing_measured() -> Non
     told: list[CycleTiming] = []
 
     class Ear(Log):
-        def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002
-            if isinstance(message.signal, CycleTiming):
-                told.append(message.signal)
+        def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002
+            if isinstance(message.message, CycleTiming):
+                told.append(message.message)
 
     source = Fake("estimator", Grid(350 * MS), (), estimates, (Estimate,))
     run([source, controller()], start_ns=0, end_ns=1000 * MS, compute_delay_ns=400 * MS, observe=Ear())
@@ -247,14 +247,14 @@ def test_an_inadmissible_signal_reaches_no_node_and_its_reader_is_told() -> None
     source = Fake(
         "sensors", Grid(10 * MS), (), lambda t_ns, _: [PressureDepth(t_ns=t_ns, depth_m=float("nan"))], (PressureDepth,)
     )
-    reader = Fake("estimator", Grid(10 * MS), (PressureDepth, Rejected))
+    reader = Fake("estimator", Grid(10 * MS), (PressureDepth, RejectedFrame))
     deaf = Fake("deaf", Grid(10 * MS), (PressureDepth,))
-    other = Fake("controller", Grid(10 * MS), (Rejected,))
+    other = Fake("controller", Grid(10 * MS), (RejectedFrame,))
     log = Log()
     run([source, reader, deaf, other], start_ns=0, end_ns=0, observe=log)
-    assert reader.seen == [(0, [(Rejected, 0, 0)])]
+    assert reader.seen == [(0, [(RejectedFrame, 0, 0)])]
     assert deaf.seen == other.seen == [(0, [])]
-    told = [line[2] for line in log.lines if line[0] == "out" and line[3] is Rejected]
+    told = [line[2] for line in log.lines if line[0] == "out" and line[3] is RejectedFrame]
     assert told == ["estimator", "deaf"]
 
 

@@ -11,8 +11,8 @@ import pytest
 from ltv_mpc import references
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import Acknowledged, Action, Applied, Command, Manual, Message, Plan
-from ltv_mpc.node import Arrival, Grid, Inbox
+from ltv_mpc.messages import Acknowledgement, Action, Applied, Command, Manual, Message, Plan
+from ltv_mpc.node import Grid, Inbox, ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario
@@ -31,16 +31,16 @@ class Operator(OneByOne):
 
     name = "operator"
     schedule = Grid(100_000_000)
-    reads: tuple[type[Message], ...] = (Acknowledged,)
+    reads: tuple[type[Message], ...] = (Acknowledgement,)
     writes: tuple[type[Message], ...] = (Command, Manual)
 
     def __init__(self, orders: dict[float, Command], stick: tuple[float, float, float] | None) -> None:
         self.orders = {round(t * S): command for t, command in orders.items()}
         self.stick = stick
-        self.answers: list[Acknowledged] = []
+        self.answers: list[Acknowledgement] = []
 
     def step(self, t_ns: int, inbox: Inbox) -> Sequence[Message]:
-        self.answers += [arrival.signal for arrival in inbox]
+        self.answers += [arrival.message for arrival in inbox]
         said: list[Message] = [self.orders[t_ns]] if t_ns in self.orders else []
         return [*said, Manual(thrust_N=self.stick)] if self.stick else said
 
@@ -52,8 +52,8 @@ class Seen:
         self.applied: list[Applied] = []
         self.plans: list[Plan] = []
 
-    def published(self, _node: str, message: Arrival) -> None:
-        match message.signal:
+    def published(self, _node: str, message: ReceivedMessage) -> None:
+        match message.message:
             case Applied() as applied:
                 self.applied.append(applied)
             case Plan() as plan:
@@ -62,7 +62,7 @@ class Seen:
 
 def fly(
     orders: dict[float, Command | Action], until_s: float, *, stick=None, arm: bool = True
-) -> tuple[Seen, list[Acknowledged]]:
+) -> tuple[Seen, list[Acknowledgement]]:
     base = Scenario.load("descent")
     scenario = msgspec.structs.replace(base, run=msgspec.structs.replace(base.run, perfect_state=True, arm=arm))
     water = make(scenario.water, 0)
@@ -97,7 +97,7 @@ def check_no_jump(seen: Seen) -> None:
     assert len(begun) > 10
     for plan in begun:
         np.testing.assert_allclose(plan.thrust_N[0], in_force[int(plan.t_ns[0])], atol=1e-6)
-    assert seen.applied[-1].plans_refused == 0
+    assert seen.applied[-1].plans_rejected == 0
     assert seen.applied[-1].plans_late == 0
     slew = np.array([x.command_slew_N_per_s for x in seen.applied])
     assert slew.max() <= 100.0 + 1e-6

@@ -188,7 +188,7 @@ class Actuators:
             "plan_received_t_ns": self._received_ns,
             "plan_late": plan["sequence"] >= 0 and self._received_ns > plan["t_ns"][0],
             "plans_late": self.late,
-            "plans_refused": 0,
+            "plans_rejected": 0,
         }
 
 

@@ -22,9 +22,9 @@ from ltv_mpc.messages import (
     Manual,
     Message,
     Plan,
-    Rejected,
+    RejectedFrame,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
@@ -74,8 +74,8 @@ class Listening:
     def __init__(self) -> None:
         self.node = ControllerNode(Vehicle.load("paper"), HERE_AT_ZERO, ControllerConfig())
         self.door = MessageValidator()
-        self._inbox: list[Arrival] = []
-        self.refused: list[Rejected] = []
+        self._inbox: list[ReceivedMessage] = []
+        self.refused: list[RejectedFrame] = []
 
     def hear(self, key: str, payload: bytes, t_ns: int) -> None:
         """As ``services/runtime/runner.py`` does."""
@@ -85,7 +85,7 @@ class Listening:
         except WireError as error:
             self.refused.append(rejection(frame, str(error), node="controller", t_ns=t_ns))
             return
-        self._inbox.append(Arrival(signal, header.epoch, header.sequence, t_ns))
+        self._inbox.append(ReceivedMessage(signal, header.epoch, header.sequence, t_ns))
 
     def plan(self, t_ns: int) -> Plan:
         inbox, self._inbox = self._inbox, []
@@ -162,7 +162,7 @@ def test_a_controller_process_shows_and_counts_what_it_refuses_and_goes_on(tmp_p
 
 def _besiege(out: Outbox, put: object, box: Mailbox) -> None:
     bad = [one.payload for one in damaged(example(Estimate), Header(epoch=9, sequence=1_000_000))]
-    shown: list[Rejected] = []
+    shown: list[RejectedFrame] = []
     plans: list[Plan] = []
     counted: ControllerStatus | None = None
     stamps = set()
@@ -186,7 +186,7 @@ def _besiege(out: Outbox, put: object, box: Mailbox) -> None:
             match signal:
                 case Plan():
                     plans.append(signal)
-                case Rejected():
+                case RejectedFrame():
                     shown.append(signal)
                 case ControllerStatus():
                     counted = signal

@@ -48,7 +48,7 @@ class Ears:
         self.truth, self.estimates, self.reports, self.applied = {}, [], [], []
 
     def published(self, _node, message):
-        match message.signal:
+        match message.message:
             case Truth() as truth:
                 self.truth[truth.t_ns] = truth
             case Estimate() as estimate:
@@ -116,4 +116,4 @@ def test_thrusts_change_within_the_slew_limit_all_along(led):
     situation, ears = led
     slew = max(max(a.command_slew_N_per_s[:2]) for a in ears.applied if a.t_ns > 0)
     assert slew <= situation.vehicle.thrusters[0].slew_N_per_s * (1 + 1e-9)
-    assert max(a.plans_refused for a in ears.applied) == 0
+    assert max(a.plans_rejected for a in ears.applied) == 0

@@ -36,8 +36,8 @@ class Ears:
         self.heard = {Truth: [], Estimate: [], Applied: []}
 
     def published(self, _node, message):
-        if type(message.signal) in self.heard:
-            self.heard[type(message.signal)].append(message.signal)
+        if type(message.message) in self.heard:
+            self.heard[type(message.message)].append(message.message)
 
 
 @pytest.fixture(scope="module")
@@ -81,4 +81,4 @@ def test_the_thrusts_go_on_within_their_slew_limit(run):
     rate = np.abs(np.diff(F[under_way], axis=0)) / np.diff(t[under_way])[:, None]
     assert rate.max() <= limit * (1 + 1e-9)
     assert max(max(a.command_slew_N_per_s[:2]) for a in heard[Applied] if a.t_ns > 0) <= limit * (1 + 1e-9)
-    assert max(a.plans_refused for a in heard[Applied]) == 0
+    assert max(a.plans_rejected for a in heard[Applied]) == 0

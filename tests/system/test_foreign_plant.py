@@ -15,7 +15,7 @@ import pytest
 
 from ltv_mpc.control.config import ControllerConfig, Disturbance
 from ltv_mpc.control.node import ControllerNode
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame
@@ -126,11 +126,11 @@ class Flight:
         assert self.door.rejected == 0, self.door.refused
         return np.array(self.track)
 
-    def _heard(self, key: str, fields: dict[str, Any], t_ns: int) -> Arrival:
+    def _heard(self, key: str, fields: dict[str, Any], t_ns: int) -> ReceivedMessage:
         signal, header = self.door.admit(Frame(BY_KEY[key], key, self.sender.pack(key, fields), 0))
-        return Arrival(signal, header.epoch, header.sequence, t_ns)
+        return ReceivedMessage(signal, header.epoch, header.sequence, t_ns)
 
-    def _cycle(self, t_ns: int, inbox: list[Arrival]) -> None:
+    def _cycle(self, t_ns: int, inbox: list[ReceivedMessage]) -> None:
         for signal in step(self.node, t_ns, inbox):
             if key_of(type(signal), "controller") == "plan":
                 payload = encode(signal, Header(epoch=1, sequence=self._sequence))

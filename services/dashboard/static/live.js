@@ -90,7 +90,7 @@
   }
 
   /** "10×", or "3.1× of 10×" on a machine that cannot do more. */
-  const times = ({ speed, asked_speed: asked }) =>
+  const times = ({ speed, requested_speed: asked }) =>
     (speed === asked ? `${asked}×` : `${Number(speed.toPrecision(3))}× of ${asked}×`);
 
   const number_ = (value, digits) => (value === null ? "–" : value.toFixed(digits));
@@ -183,7 +183,7 @@
     byId("pause").textContent = paused ? "Go on" : "Pause";
     byId("pause").dataset.button = paused ? "resume" : "pause";
     const speed = byId("speed");
-    if (document.activeElement !== speed) speed.value = String(status.asked_speed);
+    if (document.activeElement !== speed) speed.value = String(status.requested_speed);
     if (!token) showReply("read-only: open the printed address, which carries the token", false);
   }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Authority,
     Command,
     FilterStatus,
@@ -56,7 +56,7 @@ class Marks:
                 self._filter = signal.status
             case Command():
                 self._commands[signal.command_id] = signal
-            case Acknowledged():
+            case Acknowledgement():
                 self._add_acknowledgement(signal)
             case NodeStatus():
                 if self._epochs.setdefault(signal.node, epoch) != epoch:
@@ -76,7 +76,7 @@ class Marks:
             self._append(plan.cycle_t_ns, "controller", f"plans {plan.origin.value}{_because(plan.why)}")
         self._origin = plan.origin
 
-    def _add_acknowledgement(self, answer: Acknowledged) -> None:
+    def _add_acknowledgement(self, answer: Acknowledgement) -> None:
         command = self._commands.pop(answer.command_id, None)
         asked = "a command" if command is None else command.action.value
         text = f"{asked} accepted" if answer.accepted else f"{asked} refused{_because(answer.why)}"

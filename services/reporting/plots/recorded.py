@@ -16,7 +16,7 @@ from mcap.records import Message as McapMessage
 from ltv_mpc.config import parse
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Applied,
     Clock,
     Command,
@@ -38,7 +38,7 @@ from services.reporting.plots.collector import ROWS, Collector
 from services.reporting.plots.events import Mark
 from services.reporting.plots.table import Columns
 
-RARE = frozenset((Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, Command, Acknowledged))
+RARE = frozenset((Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, Command, Acknowledgement))
 OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
 """Of these, so much vehicle time (ns) lies between two that are decoded; of a long run more and more."""
 

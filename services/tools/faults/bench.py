@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from ltv_mpc.messages import Harm, Injection
+from ltv_mpc.messages import Injection, MessageFault
 from services.bus.session import BusOptions
 from services.run import folder as run_folder
 from services.run.run_config import Override, Situation, resolve
@@ -50,7 +50,7 @@ def injection(fault: Fault) -> Injection:
     """Convert a fault of the campaign to the injector's message."""
     return Injection(
         key=fault.target,
-        harm=Harm(fault.kind.removeprefix("message_")),
+        fault=MessageFault(fault.kind.removeprefix("message_")),
         start_t_ns=round(fault.start_s * 1e9),
         end_t_ns=round(fault.end_s * 1e9),
         size=fault.size,

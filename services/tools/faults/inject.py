@@ -18,8 +18,8 @@ from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from ltv_mpc.messages import Clock, Handed, Injection, Message, NodeStatus, RunEvent
-from ltv_mpc.node import Arrival
+from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, NodeStatus, RunEvent
+from ltv_mpc.node import ReceivedMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
 from services.bus.outbox import Outbox, new_epoch
@@ -55,7 +55,7 @@ class Interference:
         topic = topic_at(injection.key)
         assert topic is not None  # by ``schedule.problem``
         spell = Spell(injection.start_t_ns, injection.end_t_ns)
-        self._transit.add(Harmed((topic.message_type,), injection.harm, spell, injection.size, injection.seed))
+        self._transit.add(Harmed((topic.message_type,), injection.fault, spell, injection.size, injection.seed))
         self.asked.append(injection)
 
     @property
@@ -78,7 +78,7 @@ class Interference:
         return [(delivery.at_ns, _bytes(delivery)) for delivery in self._transit.carry("", "", message)]
 
 
-class _Carried(Arrival, frozen=True, eq=False):
+class _Carried(ReceivedMessage, frozen=True, eq=False):
     """Received message together with the frame that carried it."""
 
     payload: bytes
@@ -86,7 +86,7 @@ class _Carried(Arrival, frozen=True, eq=False):
     header: Header
 
 
-def _as_received(message: Arrival) -> bytes:
+def _as_received(message: ReceivedMessage) -> bytes:
     assert isinstance(message, _Carried)
     return message.payload
 
@@ -96,10 +96,10 @@ def _bytes(delivery: Delivery) -> bytes:
     assert isinstance(message, _Carried)
     if delivery.payload is not None:
         return delivery.payload
-    return message.payload if message.signal is message.sent else encode(message.signal, message.header)
+    return message.payload if message.message is message.sent else encode(message.message, message.header)
 
 
-def _nobody(_: str, __: Delivery) -> Arrival | str:
+def _nobody(_: str, __: Delivery) -> ReceivedMessage | str:
     raise AssertionError("the doors are the readers' own")
 
 
@@ -166,7 +166,7 @@ class Injector:
             side_a = _Side(at_a, self._mailbox, lambda key: key not in own)
             side_b = _Side(at_b, self._mailbox, lambda key: key in own)
             self._sides = side_a, side_b
-            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent, Handed))
+            self._out = Outbox(at_a, node=NAME, epoch=new_epoch(), kinds=(RunEvent, InjectorFrame))
             for key, topic in others.items():
                 side_a.subscribe(key, topic)
             side_a.subscribe(BY_TYPE[Injection].key, BY_TYPE[Injection])
@@ -195,7 +195,7 @@ class Injector:
         come = self._interference.carry(frame.topic, frame.payload, now_ns)
         for payload in unlike_at_a(frame.payload, come, now_ns, said_at_b=frame.key in self._own):
             text = base64.b64encode(payload).decode()
-            self._out.publish(Handed(t_ns=now_ns, key=frame.key, crc=crc(payload), payload_base64=text))
+            self._out.publish(InjectorFrame(t_ns=now_ns, key=frame.key, crc=crc(payload), payload_base64=text))
         for due_ns, payload in come:
             if due_ns <= now_ns:
                 self._send(frame.key, payload)
@@ -233,7 +233,7 @@ class Injector:
         while self._marks and self._marks[0][0] <= now_ns:
             _, number, what = heapq.heappop(self._marks)
             asked, harmed = self._interference.asked[number], self._interference.harmed[number]
-            text = f"{asked.harm} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
+            text = f"{asked.fault} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
             self._out.publish(RunEvent(t_ns=now_ns, node=NAME, kind="injected", text=text))
 
     def _send(self, key: str, payload: bytes) -> None:

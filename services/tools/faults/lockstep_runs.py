@@ -14,19 +14,19 @@ from ltv_mpc.messages import (
     Disturbance,
     Estimate,
     FilterStatus,
-    Harm,
     Health,
     LocalisationReport,
     Message,
+    MessageFault,
     ModelCheck,
     Pair,
     Plan,
     PlanOrigin,
-    Rejected,
+    RejectedFrame,
     SensorStatus,
     Truth,
 )
-from ltv_mpc.node import Arrival, Node
+from ltv_mpc.node import Node, ReceivedMessage
 from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics, wire
@@ -117,12 +117,12 @@ class Log:
         if step.node != "controller":
             return
         self.cycles.append(step.at_ns)
-        self.heard += [(a.received_t_ns, a.signal.t_ns) for a in step.inbox if isinstance(a.signal, Estimate)]
+        self.heard += [(a.received_t_ns, a.message.t_ns) for a in step.inbox if isinstance(a.message, Estimate)]
 
-    def published(self, node: str, message: Arrival) -> None:
+    def published(self, node: str, message: ReceivedMessage) -> None:
         """Record a message as its writer published it."""
-        self.tap(message.signal)
-        match message.signal:
+        self.tap(message.message)
+        match message.message:
             case Truth() as s:
                 self.truth.append((s.t_ns, *s.position_m[:2], *s.velocity_mps[:2]))
             case Estimate() as s:
@@ -135,8 +135,8 @@ class Log:
                 if s.plan_sequence >= 0:
                     self.gate.append(GateSeen(s.t_ns, s.plan_received_t_ns, s.plan_cycle_t_ns, s.health))
                 self.asked.append((s.t_ns, *s.thrust_N[:2]))
-                self.applied.append((s.t_ns, self._bad(s), s.plan_epoch, s.plans_refused, s.plans_late))
-            case Rejected() as s:
+                self.applied.append((s.t_ns, self._bad(s), s.plan_epoch, s.plans_rejected, s.plans_late))
+            case RejectedFrame() as s:
                 self.rejected.append((message.received_t_ns, node, s.key))
             case ModelCheck() as s:
                 self.alarms.append((message.received_t_ns, s.alarm))
@@ -168,17 +168,17 @@ class ReaderValidators:
         self.let_in: list[int] = []
         """Times (ns) at which a damaged frame was accepted, because its content was valid."""
 
-    def admit(self, reader: str, delivery: Delivery) -> Arrival | str:
+    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """Return the accepted message, or the reason why it is rejected."""
-        message, kind = delivery.message, type(delivery.message.signal)
+        message, kind = delivery.message, type(delivery.message.message)
         door = self._doors.setdefault(reader, MessageValidator())
         key = topics.key_of(kind, reader)
         try:
             if delivery.payload is not None:
                 signal, header = door.admit(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
                 self.let_in.append(delivery.at_ns)
-                return Arrival(signal, header.epoch, header.sequence, delivery.at_ns)
-            if (reason := refusal(message.signal)) is not None:
+                return ReceivedMessage(signal, header.epoch, header.sequence, delivery.at_ns)
+            if (reason := refusal(message.message)) is not None:
                 return reason
             shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
             door.in_order(f"{key}@{message.epoch}" if shared else key, _header(message))
@@ -199,19 +199,19 @@ class Bus(Transit):
         self.doors = ReaderValidators()
         super().__init__(faults, encode=encoded, admit=self.doors.admit)
 
-    def carry(self, writer: str, reader: str, message: Arrival) -> Sequence[Delivery]:
+    def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """Deliver a message with the epoch of its writer."""
         if writer == world.Intruder.name:
             message = msgspec.structs.replace(message, epoch=INTRUDERS_EPOCH)
         return super().carry(writer, reader, message)
 
 
-def encoded(message: Arrival) -> bytes:
+def encoded(message: ReceivedMessage) -> bytes:
     """Encode a message as it travels on the bus."""
-    return wire.encode(message.signal, _header(message))
+    return wire.encode(message.message, _header(message))
 
 
-def _header(message: Arrival) -> wire.Header:
+def _header(message: ReceivedMessage) -> wire.Header:
     return wire.Header(epoch=message.epoch, sequence=message.sequence, sent_monotonic_us=0)
 
 
@@ -304,9 +304,9 @@ def _broken(fault: Fault) -> Broken | None:
 
 def _harm(fault: Fault) -> Harmed | None:
     harm = fault.kind.removeprefix("message_")
-    if harm not in set(Harm):
+    if harm not in set(MessageFault):
         return None
-    return Harmed(MESSAGES[fault.target], Harm(harm), _spell(fault), fault.size, fault.seed)
+    return Harmed(MESSAGES[fault.target], MessageFault(harm), _spell(fault), fault.size, fault.seed)
 
 
 def _trouble(fault: Fault) -> Troubled | None:
@@ -318,11 +318,11 @@ def _disturbance(fault: Fault) -> tuple[int, Disturbance] | None:
     if fault.kind == "thruster_loss":
         left = 1.0 - fault.size
         scale = {"port": (left, 1.0, 1.0), "starboard": (1.0, left, 1.0), "both": (left, left, 1.0)}[fault.target]
-        return start_ns, Disturbance(until_t_ns=end_ns, thrust_scale=scale)
+        return start_ns, Disturbance(end_t_ns=end_ns, thrust_scale=scale)
     if fault.kind == "external_force":
         towards = np.random.default_rng(fault.seed).uniform(0.0, 2.0 * np.pi)
         force = (fault.size * float(np.cos(towards)), fault.size * float(np.sin(towards)), 0.0)
-        return start_ns, Disturbance(until_t_ns=end_ns, force_N=force)
+        return start_ns, Disturbance(end_t_ns=end_ns, force_N=force)
     return None
 
 

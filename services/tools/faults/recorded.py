@@ -6,8 +6,8 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
-from ltv_mpc.messages import Estimate, NodeStatus, Plan, Rejected, StepRecord, Truth
-from ltv_mpc.node import Arrival
+from ltv_mpc.messages import Estimate, NodeStatus, Plan, RejectedFrame, StepRecord, Truth
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
@@ -85,8 +85,8 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
                     stamps[header.epoch, header.sequence] = signal.t_ns
             case _:
                 pass
-        node = signal.node if isinstance(signal, Rejected) else CONTROLLER
-        log.published(node, Arrival(signal, header.epoch, header.sequence, t_ns))
+        node = signal.node if isinstance(signal, RejectedFrame) else CONTROLLER
+        log.published(node, ReceivedMessage(signal, header.epoch, header.sequence, t_ns))
     for step in steps:
         if step.node == CONTROLLER:
             log.cycles.append(step.t_ns)

@@ -10,7 +10,7 @@ import msgspec
 from services.tools.faults.fault import RECOVERED, FaultOutcome, Place
 from services.tools.faults.kinds import KINDS
 
-UNSAID_S = 10.0
+UNFLAGGED_S = 10.0
 """Longest time (s) for which an error may be outside 3 sigma unflagged: one window of innovations."""
 
 
@@ -30,7 +30,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     grown_m: float | None  # of what is lost: how far the true error moved at most,
     bound_m: float | None  # the largest bound of that,
     beyond_bound: int  # and how often the fault's own bound was exceeded
-    unsaid: int  # longer than UNSAID_S outside 3 sigma, and nothing flagged it
+    unflagged: int  # longer than UNFLAGGED_S outside 3 sigma, and nothing flagged it
     uncounted: int
     bad_thrusts: int
     uncontrolled: int
@@ -53,11 +53,11 @@ class Campaign(msgspec.Struct, frozen=True, kw_only=True):
     window_asked: int  # of so many that have one,
     window_chance: float | None  # and the share of half minutes without any fault that are, by chance
     beyond_bound: int
-    unsaid: int
+    unflagged: int
     wall_s: float
     load: float  # of the machine over its last minute, for each core: what is asked by the wall needs one below 1
     rows: tuple[Row, ...]
-    not_kept: tuple[FaultOutcome, ...]  # each fault for which a promise was not kept
+    violations: tuple[FaultOutcome, ...]  # each fault for which a promise was not kept
 
 
 def campaign(
@@ -88,11 +88,11 @@ def campaign(
         window_asked=len(windows),
         window_chance=window_chance,
         beyond_bound=sum(row.beyond_bound for row in rows),
-        unsaid=sum(row.unsaid for row in rows),
+        unflagged=sum(row.unflagged for row in rows),
         wall_s=wall_s,
         load=load,
         rows=rows,
-        not_kept=tuple(s for s in seen if problems(s)),
+        violations=tuple(s for s in seen if problems(s)),
     )
 
 
@@ -103,7 +103,7 @@ def problems(seen: FaultOutcome) -> list[str]:
     found.append(f"{seen.uncounted} messages that nobody counted" if seen.uncounted else "")
     found.append(f"tracking error {seen.ratio:.1f} times that without it" if _not_recovered(seen) else "")
     found.append(f"true error moved by {seen.grown_m:.1f} m, bound {seen.bound_m:g} m" if _beyond_bound(seen) else "")
-    found.append(f"outside 3 sigma for {seen.outside_s:.0f} s, unsaid" if seen.outside_s > UNSAID_S else "")
+    found.append(f"outside 3 sigma for {seen.outside_s:.0f} s, unflagged" if seen.outside_s > UNFLAGGED_S else "")
     return [text for text in found if text]
 
 
@@ -131,7 +131,7 @@ def _row(name: str, seen: Sequence[FaultOutcome]) -> Row:
         grown_m=_worst(s.grown_m for s in seen if s.bound_m is not None),
         bound_m=_worst(s.bound_m for s in seen),
         beyond_bound=sum(map(_beyond_bound, seen)),
-        unsaid=sum(s.outside_s > UNSAID_S for s in seen),
+        unflagged=sum(s.outside_s > UNFLAGGED_S for s in seen),
         uncounted=sum(s.uncounted for s in seen),
         bad_thrusts=sum(s.bad_thrusts for s in seen),
         uncontrolled=sum(bool(s.uncontrolled) for s in seen),
@@ -146,4 +146,4 @@ def _worst(values: Iterable[float | None]) -> float | None:
 
 def kept(of: Campaign) -> bool:
     """Return True if every requirement was met."""
-    return not of.not_kept
+    return not of.violations

@@ -11,13 +11,19 @@ from msgspec import Meta
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Harm, Injection
+from ltv_mpc.messages import Injection, MessageFault
 from ltv_mpc.validation import bounds
 from services.bus.topics import topic_at
 
 Time = Annotated[float, Meta(ge=-1e6, le=1e6)]
 
-SHARES = (Harm.LOSS, Harm.REORDER, Harm.DUPLICATE, Harm.CORRUPTION, Harm.NOT_A_NUMBER)
+SHARES = (
+    MessageFault.LOSS,
+    MessageFault.REORDER,
+    MessageFault.DUPLICATE,
+    MessageFault.CORRUPTION,
+    MessageFault.NOT_A_NUMBER,
+)
 """Harms whose size is a share of the messages."""
 
 LONGEST_DELAY_S = 60.0
@@ -28,7 +34,7 @@ WORDS = "HARM,KEY,START_S,END_S[,SIZE[,SEED]]"
 class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Entry [[fault]] of a schedule. Times are vehicle times (s)."""
 
-    harm: Harm
+    harm: MessageFault
     key: str
     start_s: Time
     end_s: Time
@@ -39,7 +45,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         """Convert the entry to the injector's message. Raises ``ConfigError``."""
         said = Injection(
             key=self.key,
-            harm=self.harm,
+            fault=self.harm,
             start_t_ns=round(self.start_s * 1e9),
             end_t_ns=round(self.end_s * 1e9),
             size=self.size,
@@ -63,13 +69,13 @@ def problem(asked: Injection) -> tuple[str, str] | None:
         return "key", "must be a key of `ltv-mpc topics`"
     if asked.end_t_ns <= asked.start_t_ns:
         return "end_s", f"must be > start_s = {asked.start_t_ns / 1e9:g}"
-    if asked.harm in SHARES and not 0 < asked.size <= 1:
-        return "size", f"must be > 0 and <= 1 (a share of the messages) for {asked.harm}"
-    if asked.harm is Harm.DELAY and not 0 < asked.size <= LONGEST_DELAY_S:
-        return "size", f"must be > 0 and <= {LONGEST_DELAY_S:g} (s) for {asked.harm}"
+    if asked.fault in SHARES and not 0 < asked.size <= 1:
+        return "size", f"must be > 0 and <= 1 (a share of the messages) for {asked.fault}"
+    if asked.fault is MessageFault.DELAY and not 0 < asked.size <= LONGEST_DELAY_S:
+        return "size", f"must be > 0 and <= {LONGEST_DELAY_S:g} (s) for {asked.fault}"
     # NaN in an array with gaps is a missing value.
     harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
-    if asked.harm is Harm.NOT_A_NUMBER and not any(harmable):
+    if asked.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
         return "key", "has no number that could be none"
     return None
 

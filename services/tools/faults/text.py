@@ -10,7 +10,7 @@ MOST_SHOWN = 40
 
 HEAD = (
     f"{'fault':<20} {'n':>4} {'proc':>4} {'react s':>8} {'worst':>6} {'late':>4} {'error m':>8} {'ratio':>6} "
-    f"{'>2':>3} {'moved m':>7} {'bound':>5} {'>':>2} {'unsaid':>6} {'lost':>4} {'bad':>3} {'out':>3}  "
+    f"{'>2':>3} {'moved m':>7} {'bound':>5} {'>':>2} {'unflagged':>9} {'lost':>4} {'bad':>3} {'out':>3}  "
     "limit of the reaction"
 )
 
@@ -24,20 +24,20 @@ def table(of: Campaign) -> str:
         *(_line(row) for row in of.rows),
         f"{of.uncontrolled_exits} uncontrolled exits, {of.bad_thrusts} bad thrusts, {of.uncounted_losses} uncounted "
         f"losses, {of.late_reactions} late reactions, {of.not_recovered} not recovered, {of.beyond_bound} "
-        f"beyond their bound, {of.unsaid} errors unsaid",
+        f"beyond their bound, {of.unflagged} errors unflagged",
     ]
     if of.window_chance is not None:
         lines.append(
             f"by the same half minute alone {of.window_over} of {of.window_asked} would be over "
             f"{RECOVERED:g}; by chance {100.0 * of.window_chance:.0f} % are, without any fault"
         )
-    for seen in of.not_kept[:MOST_SHOWN]:
+    for seen in of.violations[:MOST_SHOWN]:
         fault = seen.fault
         where = f"{fault.kind} {fault.target}, {seen.place}, seed {seen.run_seed}"
         when = f"{fault.start_s:.1f} to {fault.end_s:.1f} s, size {fault.size:.3g}"
         lines.append(f"not kept: {where}, {when}: {'; '.join(problems(seen))}")
-    if len(of.not_kept) > MOST_SHOWN:
-        lines.append(f"not kept: {len(of.not_kept) - MOST_SHOWN} more")
+    if len(of.violations) > MOST_SHOWN:
+        lines.append(f"not kept: {len(of.violations) - MOST_SHOWN} more")
     return "\n".join(lines)
 
 
@@ -46,7 +46,7 @@ def _line(row: Row) -> str:
         f"{row.fault:<20} {row.injected:>4} {row.in_processes:>4} {_figure(row.reaction_median_s, 8, 2)} "
         f"{_figure(row.reaction_worst_s, 6, 2)} {row.late:>4} {_figure(row.worst_error_m, 8, 2)} "
         f"{_figure(row.worst_ratio, 6, 1)} {row.not_recovered:>3} "
-        f"{_figure(row.grown_m, 7, 2)} {_figure(row.bound_m, 5, 0)} {row.beyond_bound:>2} {row.unsaid:>6} "
+        f"{_figure(row.grown_m, 7, 2)} {_figure(row.bound_m, 5, 0)} {row.beyond_bound:>2} {row.unflagged:>9} "
         f"{row.uncounted:>4} {row.bad_thrusts:>3} {row.uncontrolled:>3}  {row.limit}"
     )
 

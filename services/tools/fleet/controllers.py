@@ -15,7 +15,7 @@ import msgspec
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Applied, Command, Estimate, Plan
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
@@ -81,7 +81,7 @@ class _VehicleController:
         """Run a cycle on the frames that have arrived."""
         frames, self._frames = self._frames, []
         newest = max((k for k, frame in enumerate(frames) if _is_estimate(frame)), default=None)
-        arrivals = [] if self._armed else [Arrival(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
+        arrivals = [] if self._armed else [ReceivedMessage(Command(command_id=0, action=Action.ARM), 1, 0, 0)]
         self._armed = True
         for k, frame in enumerate(frames):
             if _is_estimate(frame) and k != newest:
@@ -92,7 +92,7 @@ class _VehicleController:
             except WireError:  # counted by the door
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns
-            arrivals.append(Arrival(signal, header.epoch, header.sequence, received_ns))
+            arrivals.append(ReceivedMessage(signal, header.epoch, header.sequence, received_ns))
         (outputs,) = self.node.steps([(now_ns(start_ns), arrivals)])
         for signal in outputs:
             if isinstance(signal, Plan):
@@ -105,7 +105,9 @@ def _is_estimate(frame: Frame) -> bool:
 
 def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
-    of = {f"{namespace(n)}/{BY_TYPE[kind].key}": helm for n, helm in helms.items() for kind in (Applied, Estimate)}
+    of = {
+        f"{namespace(n)}/{BY_TYPE[kind].key}": arbiter for n, arbiter in helms.items() for kind in (Applied, Estimate)
+    }
     waiting: dict[_VehicleController, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
     before: tuple[float, Counter[str]] | None = None
@@ -122,9 +124,9 @@ def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, s
             frame = mailbox.take(0.0)
         if not waiting:
             continue
-        helm = next(iter(waiting))
-        del waiting[helm]
-        helm.cycle(start_ns)
+        arbiter = next(iter(waiting))
+        del waiting[arbiter]
+        arbiter.cycle(start_ns)
         busy_ms.append((time.perf_counter_ns() - started_ns) / 1e6)
     cpu_s, counted = before or (0.0, Counter[str]())
     since = _counts(helms.values())
@@ -143,7 +145,7 @@ def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, s
 def _counts(helms: Iterable[_VehicleController]) -> Counter[str]:
     """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
     counts: Counter[str] = Counter()
-    for helm in helms:
-        overtaken = {"overtaken": helm.overtaken, "dropped": helm.door.dropped - helm.overtaken}
-        counts.update(overtaken, rejected=helm.door.rejected)
+    for arbiter in helms:
+        overtaken = {"overtaken": arbiter.overtaken, "dropped": arbiter.door.dropped - arbiter.overtaken}
+        counts.update(overtaken, rejected=arbiter.door.rejected)
     return counts

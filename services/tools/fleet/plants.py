@@ -14,7 +14,7 @@ import numpy as np
 
 from ltv_mpc import frames
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, Plan
-from ltv_mpc.safety.plan_gate import Gate, Verdict
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
@@ -125,8 +125,8 @@ class _World:
         verdict = self._plants[self._of[frame.key]].offer(plan, header.epoch, header.sequence, t_ns)
         if counts:
             self._plans += 1
-            self._late += verdict is Verdict.LATE
-            self._refused += verdict not in (Verdict.ACCEPTED, Verdict.LATE)
+            self._late += verdict is PlanVerdict.LATE
+            self._refused += verdict not in (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
             self._latencies_ns.append(t_ns - plan.estimate_t_ns)
 
 
@@ -137,7 +137,7 @@ class _Plant:
         draw = np.random.default_rng(number)
         self._vehicle, self._number = vehicle, number
         self._body = motion.pack(vehicle, vehicle.coefficients())
-        self._gate = Gate(vehicle)
+        self._gate = PlanGate(vehicle)
         north, east, heading = draw.uniform(-OFF_M, OFF_M), draw.uniform(-OFF_M, OFF_M), draw.uniform(-3.0, 3.0)
         self._state = np.array([north, east, 0.0, 0.0, heading, 0.0, 10.0, 0.0])
         self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
@@ -163,10 +163,10 @@ class _Plant:
         """Return the distance from the vehicle's target, the origin (m)."""
         return math.hypot(self._state[0], self._state[1])
 
-    def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> Verdict:
+    def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
         """Offer a received plan to the actuators' gate."""
         verdict = self._gate.offer(plan, epoch, sequence, t_ns)
-        if verdict in (Verdict.ACCEPTED, Verdict.LATE):
+        if verdict in (PlanVerdict.ACCEPTED, PlanVerdict.LATE):
             self._accepted = plan, epoch, sequence, t_ns
         return verdict
 
@@ -225,5 +225,5 @@ class _Plant:
             plan_received_t_ns=received_ns,
             plan_late=False,
             plans_late=self._gate.plans_late,
-            plans_refused=self._gate.plans_refused,
+            plans_rejected=self._gate.plans_rejected,
         )

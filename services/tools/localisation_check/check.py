@@ -41,7 +41,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     ratio_at_bound: tuple[float, float]  # where 95 % of such checks lie of a filter that is at its bound
     true_error_m: float  # mean over time and runs: the vehicle from the line, by the full loop
     velocity_error_rms_mps: float  # at t = 0
-    velocity_said_rms_mps: float  # by the filter
+    velocity_reported_rms_mps: float  # by the filter
     velocity_bound_rms_mps: float
     slope_s: float
     r2: float
@@ -142,7 +142,7 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
         ratio_at_bound=(float(np.sqrt(low / drift.size)), float(np.sqrt(high / drift.size))),
         true_error_m=float(np.mean([record.true_error_m for record in records])),
         velocity_error_rms_mps=_rms(velocity**2),
-        velocity_said_rms_mps=_rms([record.velocity_said_m2ps2 for record in records]),
+        velocity_reported_rms_mps=_rms([record.velocity_reported_m2ps2 for record in records]),
         velocity_bound_rms_mps=_rms([record.bound_velocity_m2ps2 for record in records]),
         slope_s=slope,
         r2=float(1.0 - np.sum((drift - slope * velocity) ** 2) / np.sum(drift**2)),
@@ -193,7 +193,7 @@ def table(of: Result) -> str:
         f"(at the bound: {low:.2f} to {high:.2f})",
         f"vehicle   {of.true_error_m:.3f} m from the line, mean over time and runs",
         f"velocity  {1e3 * of.velocity_error_rms_mps:.2f} mm/s at submergence, the filter says "
-        f"{1e3 * of.velocity_said_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
+        f"{1e3 * of.velocity_reported_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
         f"drift = {of.slope_s:.0f} s x velocity error, R2 {of.r2:.2f}",
         f"{'':<24} {'in 95 % band':>12} {'per dof':>8} {'+-':>6} {'drawn':>8}",
     ]

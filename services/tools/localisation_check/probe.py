@@ -19,7 +19,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
-from ltv_mpc.node import Arrival, Due, Node
+from ltv_mpc.node import Due, Node, ReceivedMessage
 from services.run.nodes import make_nodes
 from services.run.run_config import Situation
 from services.tools import lockstep_run
@@ -63,7 +63,7 @@ class Record(NamedTuple):
 
     drift_m: Array  # (2,) north, east: localisation error at the end less that at t = 0
     velocity_error_mps: Array  # (2,) at t = 0, estimated minus true
-    velocity_said_m2ps2: Array  # (2,) variance that the filter says
+    velocity_reported_m2ps2: Array  # (2,) variance that the filter says
     bound_drift_m2: Array  # (2,) variance
     bound_velocity_m2ps2: Array  # (2,) variance at t = 0
     true_error_m: float  # mean distance of the vehicle from the line through where it was at t = 0
@@ -186,9 +186,9 @@ class Probe:
         if published and filter_ is not None and filter_.belief.t_ns == t_ns >= 0:
             self._beliefs[t_ns] = filter_.settled()
 
-    def published(self, node: str, message: Arrival) -> None:  # noqa: ARG002  (the type says who)
+    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type says who)
         """Take a published message."""
-        match message.signal:
+        match message.message:
             case Truth() as truth:
                 self.truth = truth
                 if truth.t_ns % TRACK_NS == 0:
@@ -216,7 +216,7 @@ class Probe:
         return Record(
             drift_m=(self._error[end_ns] - self._error[0])[:2],
             velocity_error_mps=self._error[0][2:],
-            velocity_said_m2ps2=self._velocity_said,
+            velocity_reported_m2ps2=self._velocity_said,
             bound_drift_m2=np.diagonal(limit.drift[1])[:2].copy(),
             bound_velocity_m2ps2=np.diagonal(limit.covariance[0])[3:5].copy(),
             true_error_m=self._true_error(),

@@ -20,7 +20,7 @@ from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Estimate, Message, StepRecord
-from ltv_mpc.node import Arrival, Due, Node
+from ltv_mpc.node import Due, Node, ReceivedMessage
 from ltv_mpc.references import Point, Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.recording.reader import Recording
@@ -199,7 +199,7 @@ def _steps(recording: Path, node: Node) -> Iterable[Due]:
             record, _ = message.typed()
             assert isinstance(record, StepRecord)
             inbox = [
-                Arrival(heard.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
+                ReceivedMessage(heard.pop(name), entry.epoch, entry.sequence, entry.received_t_ns)
                 for entry in record.inbox
                 if (name := (entry.key, entry.epoch, entry.sequence)) in heard
             ]

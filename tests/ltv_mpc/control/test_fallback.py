@@ -13,7 +13,7 @@ from ltv_mpc.control import controller as module
 from ltv_mpc.control import line_search, nominal_trajectory
 from ltv_mpc.messages import Health, Solve
 from ltv_mpc.safety.health import Ages
-from ltv_mpc.safety.plan_gate import Gate, Verdict
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 
 SURFACES = msgspec.structs.replace(Vehicle.load("paper"), failsafe_vertical_N=-12.5)
 POINT = references.Point(north_m=0.0, east_m=0.0, depth_m=10.0)
@@ -40,7 +40,7 @@ def check(plan: Plan, before: Plan | None = None) -> None:
     """Finite, and accepted by the gate; it begins where the one before is."""
     assert np.isfinite(plan.thrust_N).all()
     assert np.isfinite(plan.states).all()
-    assert Gate(SURFACES).offer(plan, 1, 0, int(plan.t_ns[0])) is Verdict.ACCEPTED
+    assert PlanGate(SURFACES).offer(plan, 1, 0, int(plan.t_ns[0])) is PlanVerdict.ACCEPTED
     if before is not None:
         np.testing.assert_allclose(plan.thrust_N[0], before.thrust_at(int(plan.t_ns[0])), atol=1e-6)
 
@@ -164,7 +164,7 @@ STAGES = (
     ("_follower", "fill"),
     ("_commands", "sent"),
     ("_commands", "at"),
-    ("guard", "admit"),
+    ("estimate_gate", "check"),
     ("_solver", "build"),
     ("_solver", "update"),
     ("_solver", "problem"),
@@ -237,7 +237,7 @@ def test_after_rubbish_in_its_problem_a_solver_is_good_again_one_cycle_later(sol
             assert plan.origin is SHIFTED
             assert plan.solve.status in (SolveStatus.NON_FINITE, SolveStatus.FAILED)
     spared.restore(controller.save(estimate.t_ns), estimate.t_ns)  # but for its solver, which has seen nothing
-    spared.guard.admit(estimate)
+    spared.estimate_gate.check(estimate)
     after, theirs = (each.plan(estimate, t_ns=estimate.t_ns + 3) for each in (controller, spared))
     assert after.origin is theirs.origin is SOLVED
     np.testing.assert_allclose(after.thrust_N, theirs.thrust_N, atol=0.05)
@@ -282,7 +282,7 @@ def test_in_place_of_an_estimate_that_is_none_stands_the_last_one_and_all_is_wel
         estimate, before = advance(SURFACES, estimate, plan, duration_s=0.3), plan
         if "north_m" in bad:
             bad = {"north_m": -bad["north_m"]}
-    assert sum(controller.guard.refused.values()) == 3
+    assert sum(controller.estimate_gate.rejected.values()) == 3
     plan = controller.plan(estimate)
     assert plan.origin is SOLVED
     assert plan.estimate_t_ns == estimate.t_ns

@@ -65,7 +65,7 @@ def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
         "plan_received_t_ns": 0,
         "plan_late": False,
         "plans_late": 0,
-        "plans_refused": 0,
+        "plans_rejected": 0,
     }
     return Applied(**fields | changes)
 

@@ -10,7 +10,7 @@ from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, re
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import SAVE_NS, ControllerNode
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Action,
     Authority,
     Command,
@@ -21,8 +21,8 @@ from ltv_mpc.messages import (
     Message,
     ModelCheck,
 )
-from ltv_mpc.node import Arrival
-from ltv_mpc.safety.plan_gate import Gate, Verdict
+from ltv_mpc.node import ReceivedMessage
+from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
 from ltv_mpc.validation import refusal
 from tests.ltv_mpc.reports import report
 from tests.stepping import step
@@ -30,7 +30,7 @@ from tests.stepping import step
 PAPER = Vehicle.load("paper")
 PERIOD_NS = 300_000_000
 S = 1_000_000_000
-FOLLOWED = (Verdict.ACCEPTED, Verdict.LATE)
+FOLLOWED = (PlanVerdict.ACCEPTED, PlanVerdict.LATE)
 START = Estimate.at_rest(north_m=0.3, heading_rad=0.4, depth_m=2.0)
 
 
@@ -42,13 +42,13 @@ class Flight:
         self.estimate = estimate
         self.plans: list[Plan] = []
         self.states: list[ControllerState] = []
-        self.answers: list[Acknowledged] = []
+        self.answers: list[Acknowledgement] = []
         self.words: list[Message] = []  # all
         self._sequence = 0
 
-    def arrival(self, signal: Message) -> Arrival:
+    def arrival(self, signal: Message) -> ReceivedMessage:
         self._sequence += 1
-        return Arrival(signal, 1, self._sequence, self.estimate.t_ns)
+        return ReceivedMessage(signal, 1, self._sequence, self.estimate.t_ns)
 
     def step(self, *words: Message) -> Plan:
         """One cycle, and what it leads to."""
@@ -61,7 +61,7 @@ class Flight:
                     self.plans.append(signal)
                 case ControllerState():
                     self.states.append(signal)
-                case Acknowledged():
+                case Acknowledgement():
                     self.answers.append(signal)
         self.estimate = advance(PAPER, self.estimate, self.plans[-1], duration_s=0.3)
         return self.plans[-1]
@@ -100,7 +100,7 @@ def test_it_comes_up_armed_solved_and_from_the_command_in_force(silent_s):
     assert (plan.authority, plan.origin, plan.health) == (Authority.CONTROLLER, PlanOrigin.SOLVED, Health.NOMINAL)
     in_force = state.plan.thrust_at(int(plan.t_ns[0]))
     np.testing.assert_allclose(plan.thrust_N[0], in_force, atol=1e-6)
-    gate = Gate(PAPER)
+    gate = PlanGate(PAPER)
     gate.offer(state.plan, 1, 0, int(state.plan.t_ns[0]))
     assert gate.offer(plan, 2, 0, int(state.plan.t_ns[0]) + S) in FOLLOWED
 
@@ -199,7 +199,7 @@ def test_it_writes_down_each_change_and_else_each_five_seconds():
     assert [c.authority for c in flight.states] == ["disarmed"]
     flight.step(ARM)
     assert flight.states[-1].authority == "controller"
-    assert flight.states[-1].began is not None
+    assert flight.states[-1].reference_start is not None
     count = len(flight.states)
     flight.fly(60)  # 18 s
     times = [c.t_ns for c in flight.states[count - 1 :]]
@@ -239,13 +239,16 @@ def test_estimates_out_of_order_are_not_planned_on_and_are_counted():
     flight = armed(references.load("line"), 5)
     newest = flight.estimate
     node, t = flight.node, newest.t_ns
-    step(node, t, [Arrival(newest, 1, 100, t)])
+    step(node, t, [ReceivedMessage(newest, 1, 100, t)])
     old = msgspec.structs.replace(newest, t_ns=t - S, north_m=0.0)
-    for arrival in (Arrival(old, 1, 101, t), Arrival(msgspec.structs.replace(newest, t_ns=t + 1), 1, 100, t)):
+    for arrival in (
+        ReceivedMessage(old, 1, 101, t),
+        ReceivedMessage(msgspec.structs.replace(newest, t_ns=t + 1), 1, 100, t),
+    ):
         plan = step(node, t + PERIOD_NS, [arrival])[0]
         assert plan.estimate_t_ns == t
     word = node.inputs()[0]
-    assert (word.input, word.refused, word.alive, word.valid) == ("estimate", 2, True, True)
+    assert (word.input, word.rejected, word.alive, word.valid) == ("estimate", 2, True, True)
 
 
 def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_old():
@@ -262,7 +265,7 @@ def test_reports_of_a_clock_that_jumped_ahead_do_not_make_all_that_follow_look_o
     words = [signal.t_ns for signal in flight.words if isinstance(signal, ModelCheck)]
     assert words[-1] > flight.estimate.t_ns - 2 * S
     word = flight.node.inputs()[1]
-    assert (word.input, word.refused, word.alive, word.valid) == ("applied", 1, True, True)
+    assert (word.input, word.rejected, word.alive, word.valid) == ("applied", 1, True, True)
 
 
 def test_health_follows_the_age_of_the_estimate_and_reports_that_fall_silent():

@@ -26,7 +26,7 @@ from ltv_mpc.messages import (
     PressureDepth,
     TdcpFix,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 
 DT_NS = 10_000_000
 
@@ -309,9 +309,9 @@ def yoyo(
     return Yoyo(filters, water, position, velocity)
 
 
-def inbox(signal: Message) -> list[Arrival]:
+def inbox(signal: Message) -> list[ReceivedMessage]:
     """Of one message, on time."""
-    return [Arrival(signal=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
+    return [ReceivedMessage(message=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
 
 
 @pytest.fixture(scope="session")
@@ -325,5 +325,5 @@ def make_yoyo() -> Callable[..., Yoyo]:
 
 
 @pytest.fixture(scope="session")
-def inbox_of() -> Callable[[Message], list[Arrival]]:
+def inbox_of() -> Callable[[Message], list[ReceivedMessage]]:
     return inbox

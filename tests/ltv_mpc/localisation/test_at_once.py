@@ -12,7 +12,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.preintegration import readings
 from ltv_mpc.localisation.sensor_screening import MAX_CLOCK_LEAD_NS, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
-from ltv_mpc.node import Arrival, Due
+from ltv_mpc.node import Due, ReceivedMessage
 from services.bus import wire
 from services.run.nodes import make_nodes
 from services.run.run_config import Override, Situation, resolve
@@ -27,9 +27,9 @@ class Ears:
     """What the sensors say."""
 
     def __init__(self) -> None:
-        self.said: list[Arrival] = []
+        self.said: list[ReceivedMessage] = []
 
-    def published(self, node: str, message: Arrival) -> None:
+    def published(self, node: str, message: ReceivedMessage) -> None:
         if node == "sensors":
             self.said.append(message)
 
@@ -39,7 +39,7 @@ def descent(sensors: str) -> Situation:
     return resolve("descent", [Override("test", settings)])
 
 
-def heard(situation: Situation) -> list[Arrival]:
+def heard(situation: Situation) -> list[ReceivedMessage]:
     ears, scenario = Ears(), situation.scenario
     nodes = make_nodes(situation)
     LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(scenario.end_ns)
@@ -52,7 +52,7 @@ def situation() -> Situation:
 
 
 @pytest.fixture(scope="module")
-def said(situation: Situation) -> list[Arrival]:
+def said(situation: Situation) -> list[ReceivedMessage]:
     return heard(situation)
 
 
@@ -64,9 +64,9 @@ def payload(signal: Message) -> bytes:
     return wire.encode(signal, wire.Header(epoch=1, sequence=0, sent_monotonic_us=0))
 
 
-def both(situation: Situation, arrivals: Sequence[Arrival], chunk: int) -> tuple[list[Message], dict[str, int]]:
+def both(situation: Situation, arrivals: Sequence[ReceivedMessage], chunk: int) -> tuple[list[Message], dict[str, int]]:
     """What the estimator says to them, once it has been seen to say the same in chunks."""
-    due: list[Due] = [(arrival.signal.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
+    due: list[Due] = [(arrival.message.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
     one, other = estimator(situation), estimator(situation)
     slow = [step(one, *one_due) for one_due in due]
     fast: list[list[Message]] = []
@@ -81,16 +81,16 @@ def both(situation: Situation, arrivals: Sequence[Arrival], chunk: int) -> tuple
     return [x for signals in slow for x in signals], dict(one.account)
 
 
-def changed(message: Arrival, **fields: object) -> Arrival:
-    return msgspec.structs.replace(message, signal=msgspec.structs.replace(message.signal, **fields))
+def changed(message: ReceivedMessage, **fields: object) -> ReceivedMessage:
+    return msgspec.structs.replace(message, message=msgspec.structs.replace(message.message, **fields))
 
 
-def is_imu(message: Arrival, from_s: float, to_s: float) -> bool:
-    return isinstance(message.signal, ImuSample) and from_s * S < message.signal.t_ns <= to_s * S
+def is_imu(message: ReceivedMessage, from_s: float, to_s: float) -> bool:
+    return isinstance(message.message, ImuSample) and from_s * S < message.message.t_ns <= to_s * S
 
 
 @pytest.mark.parametrize("chunk", [7, 60])
-def test_of_a_quiet_descent(situation: Situation, said: list[Arrival], chunk: int) -> None:
+def test_of_a_quiet_descent(situation: Situation, said: list[ReceivedMessage], chunk: int) -> None:
     out, account = both(situation, said, chunk)
     assert len(out) > 500
     assert not {key for key in account if key.startswith("imu.")}
@@ -105,44 +105,44 @@ def test_of_satellites_that_come_at_once() -> None:
 
 
 @pytest.mark.parametrize("lost", [(6.03, 6.04), (8.03, 8.08), (12.03, 13.24), (17.03, 19.04)])
-def test_where_samples_are_lost(situation: Situation, said: list[Arrival], lost: tuple[float, float]) -> None:
+def test_where_samples_are_lost(situation: Situation, said: list[ReceivedMessage], lost: tuple[float, float]) -> None:
     """One, some, a second and two of them, from within an interval between two estimates, and every second one."""
     arrivals = [m for i, m in enumerate(said) if not is_imu(m, *lost) and not (is_imu(m, 24.0, 25.0) and i % 2)]
     _, account = both(situation, arrivals, 40)
     assert account["imu.gap"] > 3
 
 
-def test_where_others_are_lost(situation: Situation, said: list[Arrival]) -> None:
+def test_where_others_are_lost(situation: Situation, said: list[ReceivedMessage]) -> None:
     """An estimate then waits for them until time goes on."""
-    arrivals = [m for m in said if not (isinstance(m.signal, PressureDepth) and m.signal.t_ns % (3 * S) < 2 * S)]
+    arrivals = [m for m in said if not (isinstance(m.message, PressureDepth) and m.message.t_ns % (3 * S) < 2 * S)]
     out, _ = both(situation, arrivals, 40)
     assert len(out) > 500
 
 
-def test_where_samples_are_wild_stuck_or_ahead_of_time(situation: Situation, said: list[Arrival]) -> None:
-    arrivals: list[Arrival] = []
+def test_where_samples_are_wild_stuck_or_ahead_of_time(situation: Situation, said: list[ReceivedMessage]) -> None:
+    arrivals: list[ReceivedMessage] = []
     for message in said:
         if is_imu(message, 6.0, 6.03):
             message = changed(message, specific_force_mps2=(50.0, 0.0, 0.0))
         elif is_imu(message, 9.0, 9.2):
             message = changed(message, angular_rate_radps=(0.1, 0.0, 0.0), specific_force_mps2=(0.1, 0.0, -9.8))
         elif is_imu(message, 15.0, 15.05):
-            message = changed(message, t_ns=message.signal.t_ns + 2 * MAX_CLOCK_LEAD_NS)  # type: ignore[attr-defined]
+            message = changed(message, t_ns=message.message.t_ns + 2 * MAX_CLOCK_LEAD_NS)  # type: ignore[attr-defined]
         arrivals.append(message)
     _, account = both(situation, arrivals, 40)
     assert min(account[f"imu.{why}"] for why in ("jump", "stuck", "future")) > 2
 
 
 def test_where_others_come_late_or_before_the_samples_that_cover_them(
-    situation: Situation, said: list[Arrival]
+    situation: Situation, said: list[ReceivedMessage]
 ) -> None:
-    arrivals: list[Arrival] = []
-    held: list[Arrival] = []
+    arrivals: list[ReceivedMessage] = []
+    held: list[ReceivedMessage] = []
     for i, message in enumerate(said):
-        if isinstance(message.signal, AdcpPing) and message.signal.t_ns % (2 * S) < S:
+        if isinstance(message.message, AdcpPing) and message.message.t_ns % (2 * S) < S:
             held.append(message)
-        elif isinstance(message.signal, PressureDepth | CompassHeading):
-            arrivals.append(changed(message, t_ns=message.signal.t_ns + 55_000_000))  # between two estimates
+        elif isinstance(message.message, PressureDepth | CompassHeading):
+            arrivals.append(changed(message, t_ns=message.message.t_ns + 55_000_000))  # between two estimates
         else:
             arrivals.append(message)
         if i % 60 == 0:
@@ -153,11 +153,11 @@ def test_where_others_come_late_or_before_the_samples_that_cover_them(
 
 
 @pytest.mark.parametrize("what", ["accelerometer", "profiler"])
-def test_where_the_filter_begins_anew(situation: Situation, said: list[Arrival], what: str) -> None:
+def test_where_the_filter_begins_anew(situation: Situation, said: list[ReceivedMessage], what: str) -> None:
     """A bias a hundred times as large, or a wrong scale, for as long as it takes, and then no longer."""
 
-    def wrong(message: Arrival) -> Arrival:
-        signal = message.signal
+    def wrong(message: ReceivedMessage) -> ReceivedMessage:
+        signal = message.message
         if what == "accelerometer" and isinstance(signal, ImuSample):
             x, y, z = signal.specific_force_mps2
             return changed(message, specific_force_mps2=(x + 0.98, y - 0.98, z))

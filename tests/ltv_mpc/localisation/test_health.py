@@ -117,10 +117,10 @@ def test_counts_are_those_since_the_last_report_with_the_reason():
         "adcp_like.gate": 5,
     }
     first = reports(monitor, 1.0, account.items())["adcp"]
-    assert (first.used, first.refused) == (100, {"gate": 3})
+    assert (first.used, first.rejected) == (100, {"gate": 3})
     account |= {"adcp.used": 150, "adcp.no_return": 7}
     second = reports(monitor, 2.0, account.items())["adcp"]
-    assert (second.used, second.refused) == (50, {"no_return": 7})
+    assert (second.used, second.rejected) == (50, {"no_return": 7})
 
 
 def test_a_good_sensor_is_called_wrong_about_once_in_a_million():

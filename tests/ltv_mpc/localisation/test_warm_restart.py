@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
     LocalisationReport,
     PressureDepth,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.bus.wire import Header, decode, encode
 from tests.stepping import step
 
@@ -34,7 +34,7 @@ GAP_NS = 3 * S
 
 
 def said(estimator, messages, inbox_of, *, state=None):
-    first = [] if state is None else [Arrival(state, 1, 0, state.t_ns)]
+    first = [] if state is None else [ReceivedMessage(state, 1, 0, state.t_ns)]
     out = []
     for message in messages:
         out += step(estimator, message.t_ns, [*first, *inbox_of(message)])
@@ -123,7 +123,7 @@ def test_a_checkpoint_of_other_settings_is_not_gone_on_from(dived, inbox_of):
     assert belief_of(checkpoint, SUITE, coarser, None) is None
     assert belief_of(checkpoint, SUITE, msgspec.structs.replace(CONFIG, current_sd_mps=0.05), None) is None
     assert belief_of(checkpoint, SensorConfig.load("paper"), CONFIG, None) is None
-    assert belief_of(msgspec.structs.replace(checkpoint, first_node=60), SUITE, CONFIG, None) is None
+    assert belief_of(msgspec.structs.replace(checkpoint, first_grid_point=60), SUITE, CONFIG, None) is None
     estimator = Estimator(SUITE, coarser)
     said(estimator, dive.messages[:3], inbox_of, state=checkpoint)
     assert estimator.account["checkpoint.other_settings"] == 1

@@ -23,7 +23,7 @@ def knots(t_s: float) -> np.ndarray:
     return round(t_s * S) + np.arange(18) * 300_000_000
 
 
-def begun(reference: Reference, **start: float) -> Follower:
+def has_started(reference: Reference, **start: float) -> Follower:
     follower = Follower(reference, PAPER)
     assert follower.begin(Estimate.at_rest(depth_m=0.0, **start))
     return follower
@@ -36,7 +36,7 @@ def go(follower: Follower, t_s: float, north_m: float, east_m: float, current=ST
 
 
 def test_the_target_keeps_its_schedule_while_the_vehicle_is_near():
-    follower, t_s = begun(LINE), 0.0
+    follower, t_s = has_started(LINE), 0.0
     while t_s < 20.0:
         t_s += 0.3
         target = go(follower, t_s, *(follower.target_m or STILL))
@@ -47,7 +47,7 @@ def test_the_target_keeps_its_schedule_while_the_vehicle_is_near():
 
 
 def test_it_waits_for_a_vehicle_that_falls_behind_never_goes_back_and_goes_on_when_it_comes():
-    follower, t_s, way = begun(LINE), 0.0, []
+    follower, t_s, way = has_started(LINE), 0.0, []
     for behind in (0.0, 0.3, 0.6, 0.7, 3.0, 3.0, 3.0, 0.0, 0.0):
         for _ in range(10):
             t_s += 0.3
@@ -61,7 +61,7 @@ def test_it_waits_for_a_vehicle_that_falls_behind_never_goes_back_and_goes_on_wh
 
 
 def test_a_current_from_ahead_slows_the_target_down_before_the_vehicle_falls_behind():
-    follower, t_s = begun(LINE), 0.0
+    follower, t_s = has_started(LINE), 0.0
     north = []
     for _ in range(60):
         t_s += 0.3
@@ -75,7 +75,7 @@ def test_a_current_from_ahead_slows_the_target_down_before_the_vehicle_falls_beh
 
 
 def test_an_estimate_that_is_no_number_stops_the_target_and_a_good_one_moves_it_again():
-    follower = begun(LINE)
+    follower = has_started(LINE)
     before = go(follower, 9.0, *go(follower, 8.7, 0.0, 0.0))
     go(follower, 9.3, math.nan, 0.0)
     assert follower.progress.cross_track_m is None
@@ -93,7 +93,7 @@ def test_it_does_not_begin_at_an_estimate_that_is_no_number():
 
 
 def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
-    follower = begun(LINE)
+    follower = has_started(LINE)
     before = go(follower, 10.0, *go(follower, 9.7, 0.0, 0.0))
     for t_s in (10.3, 10.6):
         before = go(follower, t_s, *before)
@@ -102,7 +102,7 @@ def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
 
 
 def test_a_vehicle_elsewhere_is_led_to_the_first_point_and_has_made_no_progress_until_then():
-    follower, t_s, target = begun(LINE, east_m=6.0), 0.0, (0.0, 6.0)
+    follower, t_s, target = has_started(LINE, east_m=6.0), 0.0, (0.0, 6.0)
     for _ in range(40):
         t_s += 0.3
         target = go(follower, t_s, *target)
@@ -114,14 +114,14 @@ def test_a_vehicle_elsewhere_is_led_to_the_first_point_and_has_made_no_progress_
 
 @pytest.mark.parametrize(("east_m", "sign"), [(0.2, 1.0), (-0.2, -1.0)])
 def test_the_cross_track_error_is_of_the_vehicle_from_the_path(east_m, sign):
-    follower = begun(LINE)
+    follower = has_started(LINE)
     go(follower, 3.0, 0.4, east_m)
     assert follower.progress.cross_track_m == pytest.approx(sign * 0.2)
 
 
 def test_of_a_point_and_of_here_there_is_no_progress_and_the_target_stands():
     for reference in (Point(north_m=1.0, east_m=2.0), Hold()):
-        follower = begun(reference, north_m=1.0, east_m=2.0)
+        follower = has_started(reference, north_m=1.0, east_m=2.0)
         assert go(follower, 5.0, 0.0, 0.0) == (1.0, 2.0)
         assert follower.progress == (None, None, None)
         target = np.full((18, 2), np.nan)
@@ -137,7 +137,7 @@ def test_depth_goes_from_where_the_vehicle_is_at_no_more_than_the_rate_and_then_
         end=Place(north_m=12.0, east_m=0.0, depth_m=2.6),
         descent_rate_mps=0.1,
     )
-    follower = begun(deep)
+    follower = has_started(deep)
     go(follower, 3.0, 0.3, 0.0)
     depth, speed = follower.depths(knots(3.0)) or pytest.fail("no depth")
     np.testing.assert_allclose(depth, 0.1 * knots(3.0) * 1e-9)
@@ -154,7 +154,7 @@ def test_depth_goes_from_where_the_vehicle_is_at_no_more_than_the_rate_and_then_
 
 
 def test_a_track_with_times_is_where_it_says_when_it_says():
-    follower = begun(Timed(rows=((10.0, 0.0, 0.0), (40.0, 6.0, 0.0), (50.0, 6.0, 0.0), (90.0, 6.0, 8.0))))
+    follower = has_started(Timed(rows=((10.0, 0.0, 0.0), (40.0, 6.0, 0.0), (50.0, 6.0, 0.0), (90.0, 6.0, 8.0))))
     at, t_s = {}, 0.0
     while t_s < 89.8:
         t_s = round(t_s + 0.5, 1)
@@ -166,7 +166,7 @@ def test_a_track_with_times_is_where_it_says_when_it_says():
 
 
 def test_a_track_may_stay_where_it_is():
-    follower = begun(Timed(rows=((0.0, 1.0, 0.0), (40.0, 1.0, 0.0))), north_m=1.0)
+    follower = has_started(Timed(rows=((0.0, 1.0, 0.0), (40.0, 1.0, 0.0))), north_m=1.0)
     assert go(follower, 10.0, 1.0, 0.0) == (1.0, 0.0)
     assert follower.progress.remaining_m == 0.0
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.references import Circle, Lawnmower, Line, Place, Spiral, Waypoints
-from ltv_mpc.references.path import SAGITTA_M, Path, led_in, rounded
+from ltv_mpc.references.path import SAGITTA_M, Path, rounded, with_lead_in
 
 HERE = Place(north_m=0.0, east_m=0.0)
 
@@ -70,10 +70,10 @@ def test_a_corner_that_may_not_be_cut_is_one_to_stop_at_and_so_is_a_way_back():
 
 def test_a_path_is_led_to_in_a_straight_line_from_farther_away():
     path = corner(math.pi / 2, 0.4)
-    same, none = led_in(path, np.array([-20.1, 0.2]), 0.5)
+    same, none = with_lead_in(path, np.array([-20.1, 0.2]), 0.5)
     assert none == 0.0
     assert same is path
-    led, lead_m = led_in(path, np.array([-20.0, -3.0]), 0.5)
+    led, lead_m = with_lead_in(path, np.array([-20.0, -3.0]), 0.5)
     assert lead_m == pytest.approx(3.0)
     assert led.length_m == pytest.approx(path.length_m + 3.0)
     assert led.stop[1] == pytest.approx(math.pi / 2)  # from east to north

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Action, Authority
-from ltv_mpc.safety.command_arbiter import MANUAL_LASTS_NS, NEXT, Helm, answer
+from ltv_mpc.safety.command_arbiter import MANUAL_TIMEOUT_NS, NEXT, CommandArbiter, next_authority
 from ltv_mpc.vehicle.parameters import Vehicle
 
 VEHICLE = Vehicle.load("paper")  # +-62.5 N
@@ -62,10 +62,10 @@ class Model:
 
 def test_every_path_of_five_actions_from_the_start_leads_where_the_flags_say():
     for path in PATHS:
-        helm, model = Helm(VEHICLE), Model()
+        arbiter, model = CommandArbiter(VEHICLE), Model()
         for action in path:
             allowed = model.may(action)
-            said = helm.ask(action)
+            said = arbiter.request(action)
             if allowed:
                 model.do(action)
             assert (said.authority, bool(said.why)) == (model.authority, not allowed), path
@@ -76,69 +76,69 @@ def test_every_state_is_reached_and_every_refusal_says_why_and_changes_nothing()
     for path in PATHS:
         state = Authority.DISARMED
         for action in path:
-            said = answer(state, action)
+            said = next_authority(state, action)
             assert not said.why or said.authority is state
             state = said.authority
         reached.add(state)
     assert reached == set(Authority)
     for action, state in product(Action, Authority):
-        assert bool(answer(state, action).why) == (state not in NEXT[action])
+        assert bool(next_authority(state, action).why) == (state not in NEXT[action])
 
 
 @given(st.lists(st.sampled_from(sorted(Action)), max_size=30))
 def test_after_a_stop_no_thrust_is_commanded_until_an_arm(path):
-    helm = Helm(VEHICLE)
-    helm.ask(Action.ARM)
-    helm.ask(Action.STOP)
+    arbiter = CommandArbiter(VEHICLE)
+    arbiter.request(Action.ARM)
+    arbiter.request(Action.STOP)
     for k, action in enumerate(path):
         if action is Action.ARM:
             return
-        helm.ask(action)
-        helm.steer((10.0, 10.0, 10.0), k)
-        override = helm.override(k)
+        arbiter.request(action)
+        arbiter.receive_manual((10.0, 10.0, 10.0), k)
+        override = arbiter.override(k)
         assert override is not None
-        assert not override.goal(np.array([k, k + 1])).any()
+        assert not override.targets(np.array([k, k + 1])).any()
 
 
-def piloted() -> Helm:
-    helm = Helm(VEHICLE)
-    helm.ask(Action.ARM)
-    helm.ask(Action.MANUAL)
-    return helm
+def piloted() -> CommandArbiter:
+    arbiter = CommandArbiter(VEHICLE)
+    arbiter.request(Action.ARM)
+    arbiter.request(Action.MANUAL)
+    return arbiter
 
 
 def test_a_pilots_word_counts_for_a_second_and_the_plan_itself_ends_with_it():
-    helm = piloted()
-    helm.steer((10.0, -20.0, 30.0), 5 * S)
-    override = helm.override(5 * S + 400_000_000)
-    goal = override.goal(5 * S + 300_000_000 * np.arange(6))
+    arbiter = piloted()
+    arbiter.receive_manual((10.0, -20.0, 30.0), 5 * S)
+    override = arbiter.override(5 * S + 400_000_000)
+    goal = override.targets(5 * S + 300_000_000 * np.arange(6))
     np.testing.assert_array_equal(goal, [[10.0, -20.0, 30.0]] * 4 + [[0.0, 0.0, 0.0]] * 2)
-    assert helm.override(5 * S + MANUAL_LASTS_NS).goal(np.array([6 * S])).any()
-    silent = helm.override(5 * S + MANUAL_LASTS_NS + 1)
-    assert not silent.goal(np.array([6 * S])).any()
+    assert arbiter.override(5 * S + MANUAL_TIMEOUT_NS).targets(np.array([6 * S])).any()
+    silent = arbiter.override(5 * S + MANUAL_TIMEOUT_NS + 1)
+    assert not silent.targets(np.array([6 * S])).any()
     assert "no word of the pilot" in silent.why
 
 
 @pytest.mark.parametrize("side", range(3))
 @pytest.mark.parametrize("thrust", [62.6, -62.6, float("nan"), float("inf")])
 def test_a_pilots_word_outside_the_box_is_counted_and_the_one_before_it_stays(side, thrust):
-    helm = piloted()
-    helm.steer((1.0, 2.0, 3.0), 0)
+    arbiter = piloted()
+    arbiter.receive_manual((1.0, 2.0, 3.0), 0)
     wanted = [0.0, 0.0, 0.0]
     wanted[side] = thrust
-    helm.steer(tuple(wanted), 1)
-    assert helm.manual_refused == 1
-    assert helm.override(2).thrust_N == (1.0, 2.0, 3.0)
-    helm.steer((62.5, -62.5, 62.5), 3)
-    assert helm.override(4).thrust_N == (62.5, -62.5, 62.5)
+    arbiter.receive_manual(tuple(wanted), 1)
+    assert arbiter.manual_rejected == 1
+    assert arbiter.override(2).thrust_N == (1.0, 2.0, 3.0)
+    arbiter.receive_manual((62.5, -62.5, 62.5), 3)
+    assert arbiter.override(4).thrust_N == (62.5, -62.5, 62.5)
 
 
 @pytest.mark.parametrize("path", [(), (Action.ARM,), (Action.ARM, Action.MANUAL, Action.RELEASE)])
 def test_a_hand_on_the_stick_before_it_has_the_thrusters_counts_for_nothing(path):
-    helm = Helm(VEHICLE)
+    arbiter = CommandArbiter(VEHICLE)
     for action in path:
-        helm.ask(action)
-    helm.steer((50.0, 50.0, 50.0), 0)
-    helm.ask(Action.ARM)
-    helm.ask(Action.MANUAL)
-    assert not helm.override(1).goal(np.array([1, 2])).any()
+        arbiter.request(action)
+    arbiter.receive_manual((50.0, 50.0, 50.0), 0)
+    arbiter.request(Action.ARM)
+    arbiter.request(Action.MANUAL)
+    assert not arbiter.override(1).targets(np.array([1, 2])).any()

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Estimate
-from ltv_mpc.safety.estimate_gate import JUMPED, Bounds, Guard
+from ltv_mpc.safety.estimate_gate import JUMPED, Bounds, EstimateGate
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.resistance import steady
 
@@ -24,10 +24,10 @@ def at(k: int, base: Estimate = HERE, **changes: object) -> Estimate:
     return msgspec.structs.replace(base, t_ns=k * PERIOD_NS, **changes)
 
 
-def settled(**changes: object) -> Guard:
-    guard = Guard(PAPER)
-    assert guard.admit(at(0, **changes)) == ""
-    return guard
+def settled(**changes: object) -> EstimateGate:
+    gate = EstimateGate(PAPER)
+    assert gate.check(at(0, **changes)) == ""
+    return gate
 
 
 def test_bounds_are_those_of_the_paper_s_vehicle_by_hand():
@@ -53,12 +53,12 @@ def test_the_steady_speed_is_where_damping_takes_up_the_force(force, linear, qua
 )
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_none_is_refused_and_counted_and_the_one_before_stays(field, value):
-    guard = settled()
-    before = guard.believed
-    assert guard.admit(at(1, **{field: value})) == "a number is not finite"
-    assert guard.believed is before
-    assert guard.refused == {"a number is not finite": 1}
-    assert guard.admit(at(2)) == ""
+    gate = settled()
+    before = gate.accepted
+    assert gate.check(at(1, **{field: value})) == "a number is not finite"
+    assert gate.accepted is before
+    assert gate.rejected == {"a number is not finite": 1}
+    assert gate.check(at(2)) == ""
 
 
 @pytest.mark.parametrize(
@@ -75,10 +75,10 @@ def test_a_number_that_is_none_is_refused_and_counted_and_the_one_before_stays(f
     ],
 )
 def test_what_no_such_vehicle_does_is_refused(inside, outside):
-    guard = Guard(PAPER)
-    assert guard.admit(at(0, **inside)) == ""
-    assert guard.admit(at(1, **outside)) != ""
-    assert guard.believed.t_ns == 0
+    gate = EstimateGate(PAPER)
+    assert gate.check(at(0, **inside)) == ""
+    assert gate.check(at(1, **outside)) != ""
+    assert gate.accepted.t_ns == 0
 
 
 CERTAIN = {"covariance": np.diag([1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-6])}
@@ -108,37 +108,37 @@ DRIFTED = {"covariance": np.diag([2.0, 2.0, 1e-4, 1e-4, 0.04, 1e-6])}
     ],
 )
 def test_a_jump_is_one_that_neither_the_vehicle_nor_the_filter_s_own_doubt_allows(before, after, jump, believed):
-    guard = settled(**before)
-    assert guard.admit(at(1, **after, **jump)) == ("" if believed else JUMPED)
+    gate = settled(**before)
+    assert gate.check(at(1, **after, **jump)) == ("" if believed else JUMPED)
 
 
 def test_the_second_of_two_that_agree_is_believed_and_wild_ones_that_do_not_never_are():
-    guard = settled()
-    assert guard.admit(at(1, north_m=500.0)) == JUMPED
-    assert guard.admit(at(2, north_m=501.0)) == ""
+    gate = settled()
+    assert gate.check(at(1, north_m=500.0)) == JUMPED
+    assert gate.check(at(2, north_m=501.0)) == ""
     for k in range(3, 40):
-        assert guard.admit(at(k, north_m=500.0 + 1000.0 * k)) == JUMPED
-    assert guard.admit(at(40, north_m=501.0)) == ""
-    assert guard.refused == {JUMPED: 38}
+        assert gate.check(at(k, north_m=500.0 + 1000.0 * k)) == JUMPED
+    assert gate.check(at(40, north_m=501.0)) == ""
+    assert gate.rejected == {JUMPED: 38}
 
 
 def test_the_same_estimate_again_is_not_a_second_one():
-    guard = settled()
+    gate = settled()
     jumped = at(1, north_m=500.0)
     for _ in range(5):  # as a controller sees it whose cycles are faster than the estimates
-        assert guard.admit(jumped) == JUMPED
-    assert guard.admit(at(1, north_m=500.0)) == JUMPED
-    assert guard.believed.north_m == 1.0
-    assert guard.refused[JUMPED] == 2
+        assert gate.check(jumped) == JUMPED
+    assert gate.check(at(1, north_m=500.0)) == JUMPED
+    assert gate.accepted.north_m == 1.0
+    assert gate.rejected[JUMPED] == 2
 
 
 def test_after_a_long_silence_a_vehicle_may_be_where_it_can_have_gone():
-    guard = settled(**CERTAIN)
-    assert guard.admit(at(100, north_m=40.0, **CERTAIN)) == ""  # 10 s at 4 m/s
+    gate = settled(**CERTAIN)
+    assert gate.check(at(100, north_m=40.0, **CERTAIN)) == ""  # 10 s at 4 m/s
 
 
 def test_what_is_refused_for_another_reason_is_no_witness_of_a_jump():
-    guard = settled()
-    assert guard.admit(at(1, north_m=500.0)) == JUMPED
-    assert guard.admit(at(2, north_m=500.0, yaw_rate_radps=math.nan)) != ""
-    assert guard.admit(at(3, north_m=500.0)) == JUMPED
+    gate = settled()
+    assert gate.check(at(1, north_m=500.0)) == JUMPED
+    assert gate.check(at(2, north_m=500.0, yaw_rate_radps=math.nan)) != ""
+    assert gate.check(at(3, north_m=500.0)) == JUMPED

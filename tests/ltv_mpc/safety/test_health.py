@@ -11,7 +11,7 @@ from ltv_mpc import config
 from ltv_mpc.control.config import ControllerConfig, checked
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Health
-from ltv_mpc.safety.health import WORST_FIRST, Ages, health, of_plans, of_reports, worst
+from ltv_mpc.safety.health import WORST_FIRST, Ages, health, plan_health, report_health, worst
 
 MS = 1_000_000
 BADNESS = {word: k for k, word in enumerate(reversed(WORST_FIRST))}
@@ -73,7 +73,7 @@ def test_it_never_gets_better_with_age_and_never_worse_with_a_longer_period(age,
 @given(ages, ages, ages, st.integers(-10_000 * MS, 10_000 * MS))
 def test_of_plans_it_never_gets_better_with_silence_and_is_failsafe_at_the_end_of_the_last(one, two, period, left):
     short, long = sorted((one, two))
-    before, after = (of_plans(silent_ns=s, period_ns=period, left_ns=left) for s in (short, long))
+    before, after = (plan_health(silent_ns=s, period_ns=period, left_ns=left) for s in (short, long))
     assert BADNESS[before] <= BADNESS[after]
     assert (after is Health.FAILSAFE) == (left < 0)
 
@@ -93,14 +93,14 @@ def test_of_plans_it_never_gets_better_with_silence_and_is_failsafe_at_the_end_o
 )
 def test_of_plans_two_replacements_may_be_missing(silent_ms, period_ms, left_ms, word):
     silent_ns = None if silent_ms is None else round(silent_ms * MS)
-    assert of_plans(silent_ns=silent_ns, period_ns=period_ms * MS, left_ns=round(left_ms * MS)) == word
+    assert plan_health(silent_ns=silent_ns, period_ns=period_ms * MS, left_ns=round(left_ms * MS)) == word
 
 
 def test_of_reports_who_never_said_anything_is_no_fault_and_who_falls_silent_is_one():
-    assert of_reports(silent_ns=None, period_ns=0) == "nominal"
-    assert of_reports(silent_ns=500 * MS, period_ns=100 * MS) == "nominal"
-    assert of_reports(silent_ns=500 * MS + 1, period_ns=100 * MS) == "degraded"
-    assert of_reports(silent_ns=2000 * MS, period_ns=1000 * MS) == "nominal"
+    assert report_health(silent_ns=None, period_ns=0) == "nominal"
+    assert report_health(silent_ns=500 * MS, period_ns=100 * MS) == "nominal"
+    assert report_health(silent_ns=500 * MS + 1, period_ns=100 * MS) == "degraded"
+    assert report_health(silent_ns=2000 * MS, period_ns=1000 * MS) == "nominal"
 
 
 def test_the_worst_of_several_counts():

@@ -5,15 +5,15 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.input_monitor import SET_BACK_NS, Input, Period
+from ltv_mpc.safety.input_monitor import SET_BACK_NS, InputMonitor, Period
 
 MS = 1_000_000
 
 
-def heard(*stamps_ms: float, epoch: int = 7, delay_ms: float = 0.0) -> Input:
-    of = Input()
+def heard(*stamps_ms: float, epoch: int = 7, delay_ms: float = 0.0) -> InputMonitor:
+    of = InputMonitor()
     for k, t in enumerate(stamps_ms):
-        assert of.hear(epoch=epoch, sequence=k, stamp_ns=round(t * MS), heard_ns=round((t + delay_ms) * MS))
+        assert of.receive(epoch=epoch, sequence=k, stamp_ns=round(t * MS), received_ns=round((t + delay_ms) * MS))
     return of
 
 
@@ -21,69 +21,69 @@ def test_the_period_is_the_median_spacing_so_that_a_lost_estimate_and_a_burst_do
     period = Period()
     assert period.median_ns == 0
     for t_ms in (0, 200, 400, 600, 1400, 1401, 1402, 1600, 1800, 2000):
-        period.stamped(t_ms * MS)
+        period.add(t_ms * MS)
     assert period.median_ns == 200 * MS
     for t_ms in range(2020, 2200, 20):
-        period.stamped(t_ms * MS)
+        period.add(t_ms * MS)
     assert period.median_ns == 20 * MS
 
 
 def test_before_the_first_nothing_is_so():
-    assert Input().word(0) == (False, False, False, None, 0)
+    assert InputMonitor().state_at(0) == (False, False, False, None, 0)
 
 
 def test_alive_is_by_arrival_and_valid_by_stamp():
     late = heard(*range(0, 1000, 100), delay_ms=700)  # each 0.7 s old when it comes
-    assert late.word(1650 * MS)[:3] == (True, False, True)
-    assert late.word(2200 * MS)[:3] == (False, False, True)
+    assert late.state_at(1650 * MS)[:3] == (True, False, True)
+    assert late.state_at(2200 * MS)[:3] == (False, False, True)
     assert late.silent_ns(1650 * MS) == 50 * MS
     prompt = heard(*range(0, 1000, 100))
-    assert prompt.word(1400 * MS)[:3] == (True, True, True)
-    assert prompt.word(1400 * MS + 1)[:3] == (False, False, True)
-    assert prompt.word(950 * MS).age_ns == 50 * MS
+    assert prompt.state_at(1400 * MS)[:3] == (True, True, True)
+    assert prompt.state_at(1400 * MS + 1)[:3] == (False, False, True)
+    assert prompt.state_at(950 * MS).age_ns == 50 * MS
 
 
 def test_the_rate_is_not_kept_where_more_than_half_is_missing():
-    assert heard(0, 100, 200, 300, 400, 500, 900).word(900 * MS).rate
-    assert not heard(0, 100, 200, 300, 400, 500, 2000).word(2000 * MS).rate
+    assert heard(0, 100, 200, 300, 400, 500, 900).state_at(900 * MS).rate
+    assert not heard(0, 100, 200, 300, 400, 500, 2000).state_at(2000 * MS).rate
 
 
 def test_what_comes_again_or_after_a_newer_one_is_counted_and_not_read():
     of = heard(0, 100, 200)
-    before = of.word(300 * MS)
-    assert not of.hear(epoch=7, sequence=2, stamp_ns=200 * MS, heard_ns=210 * MS)
-    assert not of.hear(epoch=7, sequence=1, stamp_ns=300 * MS, heard_ns=300 * MS)
-    assert not of.hear(epoch=7, sequence=3, stamp_ns=150 * MS, heard_ns=300 * MS)
-    assert not of.hear(epoch=9, sequence=0, stamp_ns=150 * MS, heard_ns=300 * MS)
-    assert of.refused == 4
-    assert of.word(300 * MS) == before
+    before = of.state_at(300 * MS)
+    assert not of.receive(epoch=7, sequence=2, stamp_ns=200 * MS, received_ns=210 * MS)
+    assert not of.receive(epoch=7, sequence=1, stamp_ns=300 * MS, received_ns=300 * MS)
+    assert not of.receive(epoch=7, sequence=3, stamp_ns=150 * MS, received_ns=300 * MS)
+    assert not of.receive(epoch=9, sequence=0, stamp_ns=150 * MS, received_ns=300 * MS)
+    assert of.rejected == 4
+    assert of.state_at(300 * MS) == before
 
 
 def test_a_source_that_was_started_anew_goes_on_and_one_whose_clock_was_set_back_begins_anew():
     of = heard(0, 100, 200)
-    assert of.hear(epoch=9, sequence=0, stamp_ns=900 * MS, heard_ns=900 * MS)
-    assert not of.hear(epoch=9, sequence=0, stamp_ns=1000 * MS, heard_ns=1000 * MS)
-    assert of.hear(epoch=9, sequence=1, stamp_ns=900 * MS - SET_BACK_NS - 1, heard_ns=1000 * MS)
-    assert of.word(1000 * MS).period_ns == 0
+    assert of.receive(epoch=9, sequence=0, stamp_ns=900 * MS, received_ns=900 * MS)
+    assert not of.receive(epoch=9, sequence=0, stamp_ns=1000 * MS, received_ns=1000 * MS)
+    assert of.receive(epoch=9, sequence=1, stamp_ns=900 * MS - SET_BACK_NS - 1, received_ns=1000 * MS)
+    assert of.state_at(1000 * MS).period_ns == 0
 
 
 def test_a_clock_that_jumps_ahead_and_comes_back_leaves_nothing_behind():
     """By 5 s, which is no set back clock, and by 200 s."""
     for jump_ms in (1_001, 5_000, 200_000):
         of = heard(0, 100, 200)
-        assert not of.hear(epoch=7, sequence=3, stamp_ns=(300 + jump_ms) * MS, heard_ns=300 * MS)
-        assert of.refused == 1
-        assert of.hear(epoch=7, sequence=4, stamp_ns=400 * MS, heard_ns=400 * MS)
-        assert of.word(400 * MS).valid
+        assert not of.receive(epoch=7, sequence=3, stamp_ns=(300 + jump_ms) * MS, received_ns=300 * MS)
+        assert of.rejected == 1
+        assert of.receive(epoch=7, sequence=4, stamp_ns=400 * MS, received_ns=400 * MS)
+        assert of.state_at(400 * MS).valid
         assert of.silent_ns(450 * MS) == 50 * MS
 
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 9), st.integers(0, 2000)), max_size=30))
 def test_what_is_read_of_one_source_has_growing_sequences_and_stamps(messages):
-    of, last = Input(), {}
+    of, last = InputMonitor(), {}
     newest = -1
     for epoch, sequence, stamp_ms in messages:
-        if of.hear(epoch=epoch, sequence=sequence, stamp_ns=stamp_ms * MS, heard_ns=2000 * MS):
+        if of.receive(epoch=epoch, sequence=sequence, stamp_ns=stamp_ms * MS, received_ns=2000 * MS):
             if last and last["epoch"] == epoch:
                 assert sequence > last["sequence"]
             assert stamp_ms >= newest

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, ModelCheck
-from ltv_mpc.safety.model_check import ALARM, QUIET, SETTLING_MPS, ModelWatch
+from ltv_mpc.safety.model_check import ALARM, QUIET, SETTLING_MPS, ModelMonitor
 from ltv_mpc.safety.thrust_loss_detector import WINDOWS
 from ltv_mpc.vehicle.dynamics import derivative
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -37,7 +37,7 @@ class Sea:
     """The equations of motion in small steps, with thrusts other than those reported."""
 
     def __init__(self, *, thrust: Thrust = surging, true: Coefficients | None = None, settles_s: float = 0.0) -> None:
-        self.watch = ModelWatch(PAPER, 1e-3, settles_s=settles_s)
+        self.monitor = ModelMonitor(PAPER, 1e-3, settles_s=settles_s)
         self.share = np.ones(2)
         self.cost_Ns = 0.0
         self.words: list[ModelCheck] = []
@@ -48,12 +48,12 @@ class Sea:
     def sail(self, seconds: float, *, until_alarm: bool = False, told: Callable[[Estimate], Estimate] = lambda e: e):
         for _ in range(round(seconds / 0.1)):
             t = 0.1 * self._k
-            self.watch.report(applied(self._k, self._thrust(t)))
+            self.monitor.report(applied(self._k, self._thrust(t)))
             if self._k % CYCLE == 0:
-                word = self.watch.see(told(self._estimate()))
+                word = self.monitor.update(told(self._estimate()))
                 if word is not None:
                     self.words.append(word)
-                if until_alarm and self.watch.alarm:
+                if until_alarm and self.monitor.alarm:
                     return
             for i in range(10):
                 reported = np.array(self._thrust(t + STEP_S * (i + 0.5)))
@@ -95,7 +95,7 @@ def test_a_vehicle_that_does_as_its_model_says_leaves_no_residual_and_no_evidenc
     sea = Sea()
     sea._x[2:] = 0.2, 0.3, 0.0, 0.2  # sideways and turning: 30 N of Coriolis force at first
     sea.sail(12.0)
-    assert sea.watch.evidence < 0.1
+    assert sea.monitor.evidence < 0.1
     residuals = [abs(word.residual_N) for word in sea.words]
     assert len(residuals) == pytest.approx(12, abs=3)  # one a second, at the next estimate
     assert residuals[0] < 3.0
@@ -109,7 +109,7 @@ def test_a_vehicle_that_does_as_its_model_says_leaves_no_residual_and_no_evidenc
 def test_mismatch_of_ten_per_cent_of_everything_gives_no_alarm(thrust, drag, mass):
     sea = off_by(thrust, drag, mass)
     sea.sail(12.0)
-    assert sea.watch.evidence < 0.25 * ALARM
+    assert sea.monitor.evidence < 0.25 * ALARM
     assert not any(word.alarm for word in sea.words)
 
 
@@ -122,7 +122,7 @@ def test_a_loss_is_found_at_the_first_estimate_after_it_has_cost_ten_newton_seco
     sea.sail(begun_s)
     sea.share[:] = share
     sea.sail(8.0, until_alarm=True)
-    assert sea.watch.alarm
+    assert sea.monitor.alarm
     a_cycle = 0.3 * max(abs(x) for x in surging(0.1 * sea._k)) * 2
     assert sea.cost_Ns < 10.0 + a_cycle
     sea.sail(3.0)
@@ -142,7 +142,7 @@ def test_an_alarm_is_said_at_once_and_ends_a_while_after_the_loss():
     assert sea.words[-1].t_ns == (sea._k) * PERIOD_NS
     sea.share[:] = 1.0
     sea.sail(0.3 * (WINDOWS[-1] + QUIET) + 3.0)
-    assert not sea.watch.alarm
+    assert not sea.monitor.alarm
     assert sea.words[-1].why == ""
 
 
@@ -166,14 +166,14 @@ def test_in_the_first_seconds_of_thrust_a_loss_shows_in_the_turn():
     sea.sail(3.0)
     sea.share[:] = 0.7, 1.0
     sea.sail(2.0, until_alarm=True)
-    assert sea.watch.alarm
+    assert sea.monitor.alarm
 
 
 def test_a_weak_thrust_that_costs_nothing_is_no_alarm():
     sea = Sea(thrust=lambda t: (0.5 * math.sin(t), 0.4 * math.cos(t)))
     sea.share[:] = 0.7
     sea.sail(8.0)
-    assert not sea.watch.alarm
+    assert not sea.monitor.alarm
 
 
 @pytest.mark.parametrize("missing", ["reports", "current"])
@@ -181,12 +181,12 @@ def test_without_reports_or_a_current_nothing_is_said(missing):
     sea = Sea()
     sea.share[:] = 0.3
     if missing == "reports":
-        sea.watch.report = lambda _: None
+        sea.monitor.report = lambda _: None
     else:
         sea.current = None
     sea.sail(5.0)
     assert sea.words == []
-    assert not sea.watch.alarm
+    assert not sea.monitor.alarm
 
 
 def test_a_correction_that_the_filter_owns_up_to_is_no_loss():
@@ -237,24 +237,24 @@ def test_one_that_goes_on_from_what_another_learned_knows_the_vehicle():
     """One that did more than its model says, and now does 30 % less: by its model alone that is a loss of 23 %."""
     before = off_by(1.1, 0.9, 0.9)
     before.sail(30.0)
-    learned = before.watch.learned
+    learned = before.monitor.products
     knowing, forgetful = (off_by(0.77, 0.9, 0.9) for _ in range(2))  # 30 % less than it was
-    knowing.watch.resume(learned)
-    np.testing.assert_array_equal(knowing.watch.learned, learned)
-    assert forgetful.watch.learned is None
+    knowing.monitor.restore(learned)
+    np.testing.assert_array_equal(knowing.monitor.products, learned)
+    assert forgetful.monitor.products is None
     for sea in (knowing, forgetful):
         sea.sail(3.0)
-    assert knowing.watch.evidence > 2.0 * forgetful.watch.evidence
+    assert knowing.monitor.evidence > 2.0 * forgetful.monitor.evidence
 
 
 def test_one_that_goes_on_does_not_wait_for_a_dive_to_settle():
     before = Sea()
     before.sail(30.0)
     sea = Sea(settles_s=5.0)
-    sea.watch.resume(before.watch.learned)
+    sea.monitor.restore(before.monitor.products)
     sea.share[:] = 0.5
     sea.sail(4.0, until_alarm=True)
-    assert sea.watch.alarm
+    assert sea.monitor.alarm
 
 
 def test_after_a_gap_it_begins_anew():
@@ -262,12 +262,12 @@ def test_after_a_gap_it_begins_anew():
     sea.share[:] = 0.5
     sea.sail(0.6)
     sea.sail(2.0, told=lambda e: msgspec.structs.replace(e, current=None))  # nothing to go by
-    assert sea.watch.evidence == 0.0
+    assert sea.monitor.evidence == 0.0
     sea.sail(3.0)
-    assert sea.watch.alarm
+    assert sea.monitor.alarm
 
 
 def test_an_estimate_of_a_time_that_the_reports_do_not_reach_back_to_is_not_used():
-    watch = ModelWatch(PAPER, 1e-3)
-    watch.report(applied(50, (1.0, 1.0)))
-    assert watch.see(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None
+    monitor = ModelMonitor(PAPER, 1e-3)
+    monitor.report(applied(50, (1.0, 1.0)))
+    assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None

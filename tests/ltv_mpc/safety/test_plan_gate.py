@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Plan, PlanOrigin, Solve, SolveStatus
-from ltv_mpc.safety.plan_gate import COMMANDERS, Gate, Verdict
+from ltv_mpc.safety.plan_gate import COMMANDERS, PlanGate, PlanVerdict
 from ltv_mpc.vehicle.parameters import Vehicle
 
 VEHICLE = Vehicle.load("paper")  # +-62.5 N, 100 N/s
@@ -34,21 +34,21 @@ def constant(start_ns: int, *thrust: float, knots: int = 5) -> Plan:
     return plan(start_ns, [thrust] * knots)
 
 
-def commands(gate: Gate, from_ns: int, until_ns: int) -> np.ndarray:
+def commands(gate: PlanGate, from_ns: int, until_ns: int) -> np.ndarray:
     return np.array([gate.command_at(t) for t in range(from_ns, until_ns + 1, STEP_NS)])
 
 
 def test_a_plan_that_starts_at_the_command_in_force_is_followed_exactly():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     followed = plan(0, [[0, 0, 0], [30, -30, 20], [60, -30, 20], [31, 0, 50]])
-    assert gate.offer(followed, 1, 0, 0) is Verdict.ACCEPTED
+    assert gate.offer(followed, 1, 0, 0) is PlanVerdict.ACCEPTED
     for t in range(0, 900_000_001, STEP_NS):
         np.testing.assert_allclose(gate.command_at(t), followed.thrust_at(t), rtol=0, atol=1e-12)
 
 
 def test_the_plan_before_stays_in_force_until_the_next_one_starts():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(plan(0, [[0, 0, 0], [30, 30, 30], [60, 60, 60]]), 1, 0, 0)
     gate.offer(plan(450_000_000, [[45, 45, 45], [45, 45, 45]]), 1, 1, 100_000_000)
@@ -57,7 +57,7 @@ def test_the_plan_before_stays_in_force_until_the_next_one_starts():
 
 
 def test_a_plan_that_waits_is_replaced_by_a_newer_one_that_starts_no_later():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(constant(0, 5.0, 5.0, 5.0, knots=30), 1, 0, 0)
     gate.offer(constant(3 * S, 50.0, 50.0, 50.0), 1, 1, 0)
@@ -69,7 +69,7 @@ def test_a_plan_that_waits_is_replaced_by_a_newer_one_that_starts_no_later():
 
 def test_commands_at_many_times_are_those_at_each_in_turn():
     """Also where a plan starts, or the last one ends, in between."""
-    one, many = Gate(VEHICLE), Gate(VEHICLE)
+    one, many = PlanGate(VEHICLE), PlanGate(VEHICLE)
     offered = [
         plan(0, [[0, 0, 0], [30, -30, 20], [60, -30, 20], [31, 0, 50]]),
         plan(455_000_000, [[45, -30, 20], [45, 0, 10], [20, 0, 10]]),
@@ -77,7 +77,7 @@ def test_commands_at_many_times_are_those_at_each_in_turn():
     ]
     for gate in (one, many):
         assert gate.command_at(0) == (0.0, 0.0, 0.0)
-        assert [gate.offer(x, 1, i, 0) for i, x in enumerate(offered)] == [Verdict.ACCEPTED] * 3
+        assert [gate.offer(x, 1, i, 0) for i, x in enumerate(offered)] == [PlanVerdict.ACCEPTED] * 3
     times = [int(t) for t in np.cumsum(np.random.default_rng(1).integers(0, 2 * STEP_NS, 250))]
     for first in range(0, 250, 50):
         chunk = times[first : first + 50]
@@ -88,7 +88,7 @@ def test_commands_at_many_times_are_those_at_each_in_turn():
 
 
 def test_after_its_last_knot_the_lateral_thrusts_ramp_to_zero_and_the_vertical_one_to_the_failsafe():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(plan(0, [[0, 0, 0], [30, -30, 30], [60, -60, 60], [62.5, -62.5, 62.5]]), 1, 0, 0)
     end = 3 * STAGE_NS
@@ -100,11 +100,11 @@ def test_after_its_last_knot_the_lateral_thrusts_ramp_to_zero_and_the_vertical_o
 
 
 def test_a_late_plan_is_counted_and_met_at_the_slew_limit_at_its_present_time():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     late = plan(0, [[0, 0, 0], [30, 30, 0], [60, 60, 0], [60, 60, 0], [60, 60, 0]])
     gate.command_at(400_000_000)
-    assert gate.offer(late, 1, 0, 400_000_000) is Verdict.LATE
+    assert gate.offer(late, 1, 0, 400_000_000) is PlanVerdict.LATE
     assert gate.plans_late == 1
     rows = commands(gate, 410_000_000, 1 * S)
     np.testing.assert_allclose(np.diff(rows[:, 0])[:40], 1.0)  # 100 N/s, from 0, after a plan that stands at 40 N
@@ -113,134 +113,134 @@ def test_a_late_plan_is_counted_and_met_at_the_slew_limit_at_its_present_time():
 
 
 def test_a_plan_that_arrives_at_its_start_is_not_late():
-    gate = Gate(VEHICLE)
-    assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 0, S) is Verdict.ACCEPTED
-    assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 1, S + 1) is Verdict.LATE
+    gate = PlanGate(VEHICLE)
+    assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 0, S) is PlanVerdict.ACCEPTED
+    assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 1, S + 1) is PlanVerdict.LATE
 
 
 def test_plans_out_of_order_are_refused():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     verdicts = [gate.offer(constant(0, 1.0, 1.0, 1.0), 7, k, 0) for k in (4, 4, 3, 5)]
-    assert verdicts == [Verdict.ACCEPTED, Verdict.OUT_OF_ORDER, Verdict.OUT_OF_ORDER, Verdict.ACCEPTED]
-    assert gate.plans_refused == 2
+    assert verdicts == [PlanVerdict.ACCEPTED, PlanVerdict.OUT_OF_ORDER, PlanVerdict.OUT_OF_ORDER, PlanVerdict.ACCEPTED]
+    assert gate.plans_rejected == 2
 
 
 # --- one commander at a time -----------------------------------------------------------------------------------------
 
 
-def commanded(gate: Gate, epoch: int, until_ns: int, *, period_ns: int = STAGE_NS, thrust: float = 10.0) -> int:
+def commanded(gate: PlanGate, epoch: int, until_ns: int, *, period_ns: int = STAGE_NS, thrust: float = 10.0) -> int:
     """A commander that gives a plan each period up to ``until_ns``; when it gave its last."""
     for k, t in enumerate(range(0, until_ns, period_ns)):
         gate.command_at(t)
-        assert gate.offer(constant(t, thrust, thrust, thrust, knots=18), epoch, k, t) is Verdict.ACCEPTED
+        assert gate.offer(constant(t, thrust, thrust, thrust, knots=18), epoch, k, t) is PlanVerdict.ACCEPTED
     return t
 
 
 def test_two_commanders_at_once_do_not_alternate_and_each_plan_of_the_second_is_refused_as_it_comes():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     for k in range(20):
         t = k * STAGE_NS
         gate.offer(constant(t, 5.0, 5.0, 5.0, knots=18), 7, k, t)
         commands(gate, t, t + 100_000_000)
         at = t + 110_000_000
-        assert gate.offer(constant(at, -5.0, -5.0, -5.0, knots=18), 9, k, at) is Verdict.SECOND_COMMANDER
-        assert gate.plans_refused == k + 1
+        assert gate.offer(constant(at, -5.0, -5.0, -5.0, knots=18), 9, k, at) is PlanVerdict.SECOND_COMMANDER
+        assert gate.plans_rejected == k + 1
     assert gate.command_at(6 * S) == (5.0, 5.0, 5.0)
 
 
 @pytest.mark.parametrize(("period_s", "silence_s"), [(0.1, 0.5), (0.3, 0.75), (0.71, 1.775)])
 def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(period_s, silence_s):
     period_ns, silence_ns = round(period_s * 1e9), round(silence_s * 1e9)
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 5 * S, period_ns=period_ns)
     assert gate.health(last + silence_ns) == "nominal"
     early = constant(last + silence_ns, 20.0, 20.0, 20.0)
-    assert gate.offer(early, 9, 0, last + silence_ns) is Verdict.SECOND_COMMANDER
+    assert gate.offer(early, 9, 0, last + silence_ns) is PlanVerdict.SECOND_COMMANDER
     assert gate.health(last + silence_ns + 1) == "degraded"
     late = constant(last + silence_ns + 1, 20.0, 20.0, 20.0)
-    assert gate.offer(late, 9, 1, last + silence_ns + 1) is Verdict.ACCEPTED
+    assert gate.offer(late, 9, 1, last + silence_ns + 1) is PlanVerdict.ACCEPTED
     # The one before, that was only delayed, is now the second.
-    assert gate.offer(constant(last + S, 0.0, 0.0, 0.0), 7, 999, last + silence_ns + 2) is Verdict.SECOND_COMMANDER
-    assert gate.plans_refused == 2
+    assert gate.offer(constant(last + S, 0.0, 0.0, 0.0), 7, 999, last + silence_ns + 2) is PlanVerdict.SECOND_COMMANDER
+    assert gate.plans_rejected == 2
 
 
 def test_a_controller_that_was_started_anew_is_followed_two_wall_seconds_after_the_fault_at_twice_the_speed():
     """It died at 3 s; spawned in 0.5 s of wall time and silent for 1 s of the vehicle's."""
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 3 * S)
     again = last + 1 * S
-    assert gate.offer(constant(again, 10.0, 10.0, 10.0), 8, 0, again) is Verdict.ACCEPTED
+    assert gate.offer(constant(again, 10.0, 10.0, 10.0), 8, 0, again) is PlanVerdict.ACCEPTED
     assert gate.health(again) == "nominal"
 
 
 def test_at_the_end_of_its_plan_a_commander_has_no_claim_left():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.offer(constant(0, 1.0, 1.0, 1.0, knots=2), 7, 0, 0)
     assert gate.health(STAGE_NS) == "nominal"
     assert gate.health(STAGE_NS + 1) == "failsafe"
-    assert gate.offer(constant(STAGE_NS + 1, 1.0, 1.0, 1.0), 9, 0, STAGE_NS + 1) is Verdict.ACCEPTED
+    assert gate.offer(constant(STAGE_NS + 1, 1.0, 1.0, 1.0), 9, 0, STAGE_NS + 1) is PlanVerdict.ACCEPTED
 
 
 def test_who_sends_what_is_refused_does_not_stay_in_charge_by_that():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 3 * S)
     for k in range(8):
         gate.offer(constant(last + k * 100_000_000, 99.0, 0.0, 0.0), 7, 100 + k, last + k * 100_000_000)
     at = last + 800_000_000
-    assert gate.offer(constant(at, 10.0, 10.0, 10.0), 9, 0, at) is Verdict.ACCEPTED
+    assert gate.offer(constant(at, 10.0, 10.0, 10.0), 9, 0, at) is PlanVerdict.ACCEPTED
 
 
 def test_old_frames_of_a_commander_that_was_replaced_are_never_followed_again():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 3 * S)
     gate.offer(constant(last + S, 1.0, 1.0, 1.0), 9, 0, last + S)
-    assert gate.offer(constant(last + 9 * S, 1.0, 1.0, 1.0), 7, 3, last + 9 * S) is Verdict.OUT_OF_ORDER
+    assert gate.offer(constant(last + 9 * S, 1.0, 1.0, 1.0), 7, 3, last + 9 * S) is PlanVerdict.OUT_OF_ORDER
 
 
 def test_the_memory_of_commanders_is_bounded():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     for epoch in range(1000):
         at = epoch * 10 * S
-        assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is Verdict.ACCEPTED
+        assert gate.offer(constant(at, 0.0, 0.0, 0.0), epoch, 5, at) is PlanVerdict.ACCEPTED
     assert len(gate._last_sequence) == COMMANDERS
 
 
 @pytest.mark.parametrize(
     ("thrust", "verdict"),
     [
-        ([[0, 0, 0], [30, 30, 30]], Verdict.ACCEPTED),
-        ([[62.5 + 1e-7, 0, 0], [62.5, 0, 0]], Verdict.ACCEPTED),
-        ([[62.5 + 1e-5, 0, 0], [62.5, 0, 0]], Verdict.OUTSIDE_BOX),
-        ([[0, 0, 0], [0, -62.6, 0]], Verdict.OUTSIDE_BOX),
-        ([[0, 0, np.nan], [0, 0, 0]], Verdict.OUTSIDE_BOX),
-        ([[0, 0, 0], [30 + 1e-7, 0, 0]], Verdict.ACCEPTED),
-        ([[0, 0, 0], [0, 30 + 1e-5, 0]], Verdict.OUTSIDE_SLEW),
-        ([[0, 0, 0], [0, 0, -31]], Verdict.OUTSIDE_SLEW),
-        ([[0, 0, 31], [0, 0, 0]], Verdict.OUTSIDE_SLEW),
+        ([[0, 0, 0], [30, 30, 30]], PlanVerdict.ACCEPTED),
+        ([[62.5 + 1e-7, 0, 0], [62.5, 0, 0]], PlanVerdict.ACCEPTED),
+        ([[62.5 + 1e-5, 0, 0], [62.5, 0, 0]], PlanVerdict.OUTSIDE_BOX),
+        ([[0, 0, 0], [0, -62.6, 0]], PlanVerdict.OUTSIDE_BOX),
+        ([[0, 0, np.nan], [0, 0, 0]], PlanVerdict.OUTSIDE_BOX),
+        ([[0, 0, 0], [30 + 1e-7, 0, 0]], PlanVerdict.ACCEPTED),
+        ([[0, 0, 0], [0, 30 + 1e-5, 0]], PlanVerdict.OUTSIDE_SLEW),
+        ([[0, 0, 0], [0, 0, -31]], PlanVerdict.OUTSIDE_SLEW),
+        ([[0, 0, 31], [0, 0, 0]], PlanVerdict.OUTSIDE_SLEW),
     ],
 )
 def test_a_plan_outside_box_or_slew_is_refused_and_nothing_changes(thrust, verdict):
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(constant(0, 20.0, 20.0, 20.0, knots=20), 1, 0, 0)
     commands(gate, 0, S)
     assert gate.offer(plan(S, thrust), 1, 1, S) is verdict
-    if verdict is not Verdict.ACCEPTED:
-        assert gate.plans_refused == 1
+    if verdict is not PlanVerdict.ACCEPTED:
+        assert gate.plans_rejected == 1
         commands(gate, S, 2 * S)
         assert gate.command_at(2 * S) == (20.0, 20.0, 20.0)
-        assert gate.offer(constant(2 * S, 20.0, 20.0, 20.0), 1, 1, 2 * S) is Verdict.ACCEPTED
+        assert gate.offer(constant(2 * S, 20.0, 20.0, 20.0), 1, 1, 2 * S) is PlanVerdict.ACCEPTED
 
 
 def test_what_rounding_adds_to_a_plan_does_not_reach_the_command():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(constant(0, 62.5 + 1e-7, -62.5 - 1e-7, 62.5), 1, 0, 0)
     assert commands(gate, 0, S)[-1].tolist() == [62.5, -62.5, 62.5]
 
 
 def test_commands_do_not_go_back_in_time():
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     gate.command_at(S)
     with pytest.raises(ValueError, match="before"):
         gate.command_at(S - 1)
@@ -253,7 +253,7 @@ offers = st.lists(st.tuples(st.integers(-300, 600), thrusts, st.integers(0, 2)),
 @settings(max_examples=150, deadline=None)
 @given(offers)
 def test_no_command_leaves_box_or_slew_whatever_is_offered_by_whomever(sequence):
-    gate = Gate(VEHICLE)
+    gate = PlanGate(VEHICLE)
     rows = [gate.command_at(0)]
     t = 0
     for k, (ahead_ms, thrust, epoch) in enumerate(sequence):
@@ -268,7 +268,7 @@ def test_no_command_leaves_box_or_slew_whatever_is_offered_by_whomever(sequence)
 
 def test_without_plans_the_vertical_thruster_goes_where_the_vehicle_s_file_wants_it():
     vehicle = msgspec.structs.replace(VEHICLE, failsafe_vertical_N=-20.0)
-    gate = Gate(vehicle)
+    gate = PlanGate(vehicle)
     gate.command_at(0)
     gate.offer(constant(0, 0.0, 0.0, 30.0, knots=2), 1, 0, 0)
     assert commands(gate, 0, S)[-1][2] == pytest.approx(-20.0)

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import uvicorn
 
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Authority,
     Clock,
     ClockCommand,
@@ -68,7 +68,7 @@ class SyntheticVehicle:
             for node, kinds in (
                 ("plant", (Truth, Clock, type(synthetic_run.applied(0)), type(synthetic_run.EVENT), NodeStatus)),
                 ("estimator", (Estimate, NodeStatus)),
-                ("controller", (Plan, type(synthetic_run.timing(0)), Acknowledged, NodeStatus)),
+                ("controller", (Plan, type(synthetic_run.timing(0)), Acknowledgement, NodeStatus)),
                 ("operator", (Command,)),
                 ("sensors", (NodeStatus,)),
                 ("recorder", (NodeStatus,)),
@@ -104,7 +104,7 @@ class SyntheticVehicle:
             vehicle_ns=vehicle_ns,
             speed_num=num,
             speed_den=den,
-            asked_speed=num / den,
+            requested_speed=num / den,
             state=state,
         )
 
@@ -142,7 +142,7 @@ class SyntheticVehicle:
                 state = ClockState.PAUSED if signal.paused else ClockState.RUNNING
                 self.announce(vehicle_ns=self._now_ns(), state=state, speed=signal.speed)
             if isinstance(signal, Command):
-                answer = Acknowledged(
+                answer = Acknowledgement(
                     t_ns=self._now_ns(),
                     command_id=signal.command_id,
                     accepted=signal.action != "hold",

@@ -202,7 +202,7 @@ def test_buttons_send_what_they_say_and_show_the_controller_s_answer(page: Serve
     assert [kill.node for kill in vehicle.received_of(Kill)] == ["estimator"]
     (kick,) = vehicle.received_of(Disturbance)
     assert asked_s is not None
-    assert 0 < kick.until_t_ns / 1e9 <= asked_s + 2.0
+    assert 0 < kick.end_t_ns / 1e9 <= asked_s + 2.0
     asked = [(one.paused, one.speed) for one in vehicle.received_of(ClockCommand)]
     assert asked == [(False, 4.0), (True, 4.0), (False, 4.0), (False, SPEED)]
 

@@ -9,7 +9,7 @@ import msgspec, numpy as np
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.messages import *
 from services.processes.estimator import rehearse
 
@@ -38,7 +38,7 @@ before = compiled()
 estimator = Estimator(full if sys.argv[1] == "full" else base, config)
 said = []
 def feed(message):
-    said.extend(estimator.steps([(message.t_ns, [Arrival(message, 1, 0, message.t_ns)])])[0])
+    said.extend(estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])[0])
 still = {"north_m": 0.0, "east_m": 0.0}
 feed(GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0))
 feed(CompassHeading(t_ns=0, heading_rad=1.0))

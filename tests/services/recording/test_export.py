@@ -166,4 +166,4 @@ def test_rows_beyond_a_batch_follow_in_order(tmp_path: Path, monkeypatch: pytest
     exported(tmp_path, "parquet", *[("plant", example(Applied, t_ns=k)) for k in range(8)])
     table = pq.read_table(tmp_path / "applied.parquet")
     assert table["t_ns"].to_pylist() == list(range(8))
-    assert table.schema.metadata[b"ltv_mpc.signal"] == b"Applied"
+    assert table.schema.metadata[b"ltv_mpc.message"] == b"Applied"

@@ -57,7 +57,7 @@ def test_the_figures_of_a_recording_in_two_segments(recording: Path) -> None:
     assert found.duration_s == pytest.approx(2.0)
     by_key = {key.key: key for key in found.keys}
     depths = by_key["sensor/depth"]
-    assert (depths.signal, depths.messages, depths.missing) == ("PressureDepth", 21, 3)
+    assert (depths.message, depths.messages, depths.missing) == ("PressureDepth", 21, 3)
     assert (depths.first_s, depths.last_s) == (-1.0, pytest.approx(0.9))
     assert depths.rate_hz == pytest.approx(20 / 1.9)
     assert [(of.epoch, of.messages, of.gaps) for of in depths.sources] == [(7, 17, ((5, 6), (9, 9))), (8, 4, ())]

@@ -13,7 +13,7 @@ import pytest
 
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Action, Command, Estimate, InboxEntry, Message, StepRecord
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import Recording
@@ -102,7 +102,7 @@ def test_a_controller_alone_by_a_foreign_clock_is_replayed_by_the_times_in_its_r
                 key = key_of(type(signal), "")
                 payload = SPELLINGS[1](wire.plain(signal, wire.Header(epoch=theirs, sequence=numbered(key))))
                 understood, header = wire.decode(type(signal), payload)
-                arrivals.append(Arrival(understood, header.epoch, header.sequence, t_ns))
+                arrivals.append(ReceivedMessage(understood, header.epoch, header.sequence, t_ns))
                 entries.append(InboxEntry(key=key, crc=wire.crc(payload), received_t_ns=t_ns, **_named(header)))
                 writer.write_plain(key, type(signal), wire.unpack(payload), t_ns, wire.crc(payload))
             record = StepRecord(node=node.name, epoch=own, step=step, t_ns=t_ns, cause="cycle", inbox=tuple(entries))

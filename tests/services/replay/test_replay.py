@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Handed, StepRecord
+from ltv_mpc.messages import InjectorFrame, StepRecord
 from services.bus import wire
 from services.bus.topics import key_of
 from services.recording.reader import Stored
@@ -142,7 +142,7 @@ def test_what_an_injector_has_harmed_is_compared_with_what_was_said_and_given(
                 continue
             payload = wire.packed(plain)
             text = base64.b64encode(payload).decode()
-            handed = Handed(t_ns=stored.t_ns, key="plan", crc=wire.crc(payload), payload_base64=text)
+            handed = InjectorFrame(t_ns=stored.t_ns, key="plan", crc=wire.crc(payload), payload_base64=text)
             writer.write("inject", handed, wire.Header(epoch=9, sequence=count), stored.t_ns)
             count += 1
             for off_N in at_a:
@@ -158,7 +158,7 @@ def test_a_handed_frame_that_nobody_can_read_is_nobody_s(recording: Path, tmp_pa
     out = tmp_path / "run.mcap"
     with RunWriter(out, start_ns=-1_000_000_000, metadata=dict(engine.Run(recording).metadata)) as writer:
         for i, text in enumerate(("AAA=", "?", "gA==", "")):
-            handed = Handed(t_ns=0, key="plan", crc=1, payload_base64=text)
+            handed = InjectorFrame(t_ns=0, key="plan", crc=1, payload_base64=text)
             writer.write("inject", handed, wire.Header(epoch=9, sequence=i), 0)
         for stored, plain in messages(recording):
             assert stored.kind is not None

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ltv_mpc.messages import (
-    Acknowledged,
+    Acknowledgement,
     Action,
     Applied,
     Authority,
@@ -140,13 +140,13 @@ def clock(t_ns: int, *, speed: int = 10, state: ClockState = ClockState.RUNNING)
         vehicle_ns=t_ns,
         speed_num=speed,
         speed_den=1,
-        asked_speed=float(speed),
+        requested_speed=float(speed),
         state=state,
     )
 
 
 ARM = Command(command_id=1, action=Action.ARM)
-ARMED = Acknowledged(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
+ARMED = Acknowledgement(t_ns=0, command_id=1, accepted=True, authority=Authority.CONTROLLER, why="")
 EVENT = RunEvent(t_ns=5 * S, node="plant", kind="test", text="</script><b>a mark</b>")
 
 

@@ -71,7 +71,7 @@ FULL = LiveView(
     start_ns=-1 * S,
     end_ns=1800 * S,
     speed=123.4,
-    asked_speed=1000.0,
+    requested_speed=1000.0,
     wall_s=99999.0,
     phase="diving",
     truth=TRUTH,
@@ -82,7 +82,7 @@ FULL = LiveView(
     status={name: long_status(name) for name in ORDER},
     state=dict.fromkeys(ORDER, "running"),
 )
-EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, asked_speed=10.0, phase="starting")
+EMPTY = LiveView(t_ns=0, start_ns=-S, end_ns=200 * S, speed=10.0, wall_s=0.0, requested_speed=10.0, phase="starting")
 
 
 def drawn(view: LiveView) -> list[str]:

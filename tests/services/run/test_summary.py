@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ltv_mpc.messages import CycleTiming, Estimate, PressureDepth, Rejected
+from ltv_mpc.messages import CycleTiming, Estimate, PressureDepth, RejectedFrame
 from services.bus import wire
 from services.recording.writer import RunWriter
 from services.run.run_config import Override, resolve
@@ -15,7 +15,7 @@ from sim.evaluation.summary import Messages, Summary
 from tests.services.words import status
 
 ESTIMATE = Estimate.at_rest()
-REJECTED = Rejected(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
+REJECTED = RejectedFrame(t_ns=0, node="estimator", key="sensor/depth", reason="range", crc=0, payload_base64="")
 DEPTH = PressureDepth(t_ns=0, depth_m=1.0)
 
 

@@ -266,14 +266,14 @@ def test_who_cannot_keep_up_is_waited_for() -> None:
     sent: list[object] = []
     clock = VehicleClock()
     keeping = keeping_time(clock, sent, "estimator")
-    keeping.heard(status("estimator", behind_us=10**9), T0_US, "plant")
+    keeping.heard(status("estimator", min_queue_delay_us=10**9), T0_US, "plant")
     keeping.tend(T0_US)
     begun = len(sent)
     now_us = T0_US + 5_000_000
-    keeping.heard(status("estimator", behind_us=MOST_BEHIND_US), now_us, "plant")
+    keeping.heard(status("estimator", min_queue_delay_us=MOST_BEHIND_US), now_us, "plant")
     assert len(sent) == begun
     before = clock.at(now_us + 10 * LEAD_US)
-    keeping.heard(status("estimator", behind_us=MOST_BEHIND_US + 30_000), now_us, "plant")
+    keeping.heard(status("estimator", min_queue_delay_us=MOST_BEHIND_US + 30_000), now_us, "plant")
     assert len(sent) == begun + 2  # the clock, and an event that counts
     after = clock.at(now_us + 10 * LEAD_US)
     assert before is not None

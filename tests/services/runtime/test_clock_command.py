@@ -62,7 +62,7 @@ def test_who_waits_for_the_start_keeps_waiting_and_an_end_is_an_end() -> None:
     waiting.asked(1000 * MS)
     waiting.asked(1000 * MS, paused=True, speed=4.0)
     assert waiting.newest().state is ClockState.WAITING
-    assert waiting.newest().asked_speed == 4.0
+    assert waiting.newest().requested_speed == 4.0
     ended = Kept()
     ended.keeping.stop(1000 * MS)
     ended.asked(2000 * MS)

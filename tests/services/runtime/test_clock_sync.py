@@ -207,7 +207,7 @@ def applied(t_ns: int, received_ns: int, sequence: int, epoch: int = EPOCH) -> A
         plan_received_t_ns=received_ns,
         plan_late=False,
         plans_late=0,
-        plans_refused=0,
+        plans_rejected=0,
     )
 
 

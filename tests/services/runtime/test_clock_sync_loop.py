@@ -24,7 +24,7 @@ from ltv_mpc.messages import (
     Plan,
     Truth,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_sync import ClockSync
 from sim.plant import PERIOD_NS, Plant
@@ -102,14 +102,14 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
     clock = VehicleClock()
     foreign = ClockSync(clock, epoch=EPOCH)
     node = ControllerNode(VEHICLE, references.Point(north_m=0.0, east_m=0.0), ControllerConfig())
-    inbox = [Arrival(Command(command_id=1, action=Action.ARM), 1, 0, 0)]
+    inbox = [ReceivedMessage(Command(command_id=1, action=Action.ARM), 1, 0, 0)]
     due_ns: int | None = None
     off, wrong, error = [], [], []
     late = 0
     for t_ns in range(0, UNTIL_S * 10**9, PERIOD_NS):
         m_us = BEGIN_US + round(t_ns / (1000 * (1 + PPM * 1e-6)))
         plans = [
-            Arrival(_shifted(plan, -UNIX_NS), EPOCH, number, t_ns - PERIOD_NS + 1)
+            ReceivedMessage(_shifted(plan, -UNIX_NS), EPOCH, number, t_ns - PERIOD_NS + 1)
             for plan, number, _ in there.come(m_us)
         ]
         for said in step(plant, t_ns, plans):
@@ -123,13 +123,13 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
                     here.send(_shifted(said, UNIX_NS), m_us)
         for signal, number, at_us in here.come(m_us):
             assert foreign.heard(signal, at_us) == ""
-            inbox.append(Arrival(signal, 5, number, clock.read(at_us) or signal.t_ns))
+            inbox.append(ReceivedMessage(signal, 5, number, clock.read(at_us) or signal.t_ns))
         now_ns = clock.read(m_us)
         if now_ns is not None and now_ns >= (due_ns or now_ns):
             due_ns = now_ns + 300_000_000
             (plan,) = (said for said in step(node, now_ns, inbox) if isinstance(said, Plan))
             timing = CycleTiming(t_ns=now_ns, compute_ns=0, compute_wall_ns=0, estimate_age_ns=0, stage_us={})
-            inbox = [Arrival(timing, EPOCH, 0, now_ns)]
+            inbox = [ReceivedMessage(timing, EPOCH, 0, now_ns)]
             foreign.sent(there.send(plan, m_us), m_us)
             reading = foreign.reading(m_us)
             wrong.append((now_ns - UNIX_NS - t_ns) * 1e-9)

@@ -24,7 +24,7 @@ from ltv_mpc.messages import (
     Solve,
     SolveStatus,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.bus.message_validation import MessageValidator
 from services.runtime.clock_sync import Reading
 from services.runtime.controller_status import ControllerStatusReporter
@@ -76,8 +76,8 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     assert (first.estimate_age_ns, first.cycle_median_us, first.error_m) == (None, None, None)
     assert (first.authority, first.health) == ("disarmed", "degraded")
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
-    node.hear(Arrival(estimate, 1, 0, estimate.t_ns))
-    node.helm.steer((1e6, 0.0, 0.0), 0)
+    node.receive(ReceivedMessage(estimate, 1, 0, estimate.t_ns))
+    node.arbiter.receive_manual((1e6, 0.0, 0.0), 0)
     report.heard(estimate)
     for _ in range(5):
         report.stepped([plan(0.0)], 9_000, 1 * S)  # forgotten by the time it is asked
@@ -97,8 +97,8 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
 
 
 def test_a_message_by_hand_outside_the_box_is_counted_by_the_node(node: ControllerNode) -> None:
-    step(node, 0, [Arrival(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
-    assert node.helm.manual_refused == 1
+    step(node, 0, [ReceivedMessage(Manual(thrust_N=(0.0, 0.0, 99.0)), 1, 0, 0)])
+    assert node.arbiter.manual_rejected == 1
 
 
 class Terminal(io.StringIO):

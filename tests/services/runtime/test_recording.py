@@ -13,7 +13,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, Rejected, RunEvent
+from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, RejectedFrame, RunEvent
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_TYPE
@@ -92,7 +92,7 @@ def clock(at_us: int) -> Clock:
         vehicle_ns=0,
         speed_num=1,
         speed_den=1,
-        asked_speed=1.0,
+        requested_speed=1.0,
         state=ClockState.RUNNING,
     )
 
@@ -114,7 +114,7 @@ def test_a_frame_with_a_wrong_header_neither_moves_the_others_nor_ends_the_recor
     assert all(0 <= message.t_ns < 5 * S for message in depths)
     assert all(message.t_ns < 5 * S for message in messages)
     reasons = [
-        message.plain["reason"] for message in messages if message.kind is Rejected and message.plain["key"] == KEY
+        message.plain["reason"] for message in messages if message.kind is RejectedFrame and message.plain["key"] == KEY
     ]
     assert [reason.partition(" = ")[0] for reason in reasons] == ["sent_monotonic_us", "sequence"]
 

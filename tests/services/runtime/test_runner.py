@@ -26,7 +26,7 @@ from ltv_mpc.messages import (
     Plan,
     PlanOrigin,
     PressureDepth,
-    Rejected,
+    RejectedFrame,
     Solve,
     SolveStatus,
     StepRecord,
@@ -56,7 +56,7 @@ class Plant(OneByOne):
     writes: tuple[type[Message], ...] = (Truth, Applied)
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        assert all(type(arrival.signal) is Plan for arrival in inbox)
+        assert all(type(arrival.message) is Plan for arrival in inbox)
         truth = Truth(
             t_ns=t_ns,
             position_m=ZERO,
@@ -81,7 +81,7 @@ class Sensors(OneByOne):
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         """Speaks at every tenth step only."""
-        assert [type(arrival.signal) for arrival in inbox] == [Truth]
+        assert [type(arrival.message) for arrival in inbox] == [Truth]
         self.last_t_ns = t_ns
         return [Estimate.at_rest(north_m=t_ns * 1e-9)] if t_ns % (10 * TICK_NS) == 0 else []
 
@@ -96,7 +96,7 @@ class Controller(OneByOne):
         self.inboxes: list[list[Message]] = []
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        self.inboxes.append([arrival.signal for arrival in inbox])
+        self.inboxes.append([arrival.message for arrival in inbox])
         return [
             Plan(
                 cycle_t_ns=t_ns,
@@ -126,8 +126,8 @@ class Listener(OneByOne):
         self._error = error
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
-        assert t_ns == inbox[-1].signal.t_ns  # type: ignore[attr-defined]
-        self.heard += [arrival.signal for arrival in inbox]
+        assert t_ns == inbox[-1].message.t_ns  # type: ignore[attr-defined]
+        self.heard += [arrival.message for arrival in inbox]
         if self._error is not None:
             raise self._error
         return []
@@ -329,9 +329,9 @@ def test_refused_frames_are_published_with_their_reason_and_the_node_never_sees_
         out.publish(PressureDepth(t_ns=0, depth_m=float("nan")))
         out.publish(PressureDepth(t_ns=1, depth_m=3.0))
 
-        def refusals() -> list[Rejected]:
+        def refusals() -> list[RejectedFrame]:
             known = [f for f in drained(box, frames) if f.key.startswith("rejected/")]
-            return [s for _, s, _ in read(known) if isinstance(s, Rejected)]
+            return [s for _, s, _ in read(known) if isinstance(s, RejectedFrame)]
 
         until(lambda: len(node.heard) == 1 and len(refusals()) == 2)
         assert [s.node for s in refusals()] == ["estimator", "estimator"]
@@ -453,7 +453,7 @@ def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_b
         until(lambda: any(isinstance(s, NodeStatus) for _, s, _ in read(drained(box, []))))
         out = Outbox(session, node="operator", epoch=5, kinds=(Estimate, Applied, Command))
         out.publish(Command(command_id=1, action=Action.ARM))
-        until(lambda: any(isinstance(s, Rejected) for _, s, _ in read(drained(box, frames))))
+        until(lambda: any(isinstance(s, RejectedFrame) for _, s, _ in read(drained(box, frames))))
 
         def said(answers: bool) -> bool:
             now_ns = offset_ns + time.monotonic_ns()
@@ -472,7 +472,7 @@ def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_b
         reading = runner.clock_sync.reading(monotonic_us())
         assert reading.error_ns is not None
         assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
-    (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, Rejected))
+    (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, RejectedFrame))
     assert rejected.key == "command"
     assert "no time yet" in rejected.reason
     for _, plan, header in read(frames):
@@ -492,7 +492,7 @@ def answer(header: Header, plan: Plan, t_ns: int) -> Applied:
         plan_received_t_ns=t_ns,
         plan_late=False,
         plans_late=0,
-        plans_refused=0,
+        plans_rejected=0,
     )
 
 
@@ -515,7 +515,7 @@ def test_an_estimate_stamped_an_hour_off_is_refused_and_the_node_never_sees_it(b
         until(lambda: not spoken() and planned() >= 1)
         spoken(3_600_000_000_000)
         until(lambda: not spoken() and planned() >= 3)
-    assert [s.key for _, s, _ in read(frames) if isinstance(s, Rejected)] == ["estimate"]
+    assert [s.key for _, s, _ in read(frames) if isinstance(s, RejectedFrame)] == ["estimate"]
     stamps = [s.t_ns for inbox in controller.inboxes for s in inbox if isinstance(s, Estimate)]
     assert max(stamps) - min(stamps) < 600_000_000_000
 

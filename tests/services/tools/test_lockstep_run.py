@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRecord
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recorded, Recording
@@ -132,11 +132,11 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
     assert steps["plant"] == steps["sensors"] == 701
 
 
-def inbox(record: StepRecord, frames: dict[tuple[str, int, int], Recorded]) -> Iterator[Arrival]:
+def inbox(record: StepRecord, frames: dict[tuple[str, int, int], Recorded]) -> Iterator[ReceivedMessage]:
     for entry in record.inbox:
         signal, header = frames[entry.key, entry.epoch, entry.sequence].typed()
         assert wire.crc(wire.encode(signal, header)) == entry.crc
-        yield Arrival(signal, entry.epoch, entry.sequence, entry.received_t_ns)
+        yield ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
 
 
 def test_a_step_is_on_record_before_its_outputs(recorded: tuple[Situation, RunFolder, Summary]) -> None:

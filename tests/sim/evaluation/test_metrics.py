@@ -97,7 +97,7 @@ def applied(
         plan_received_t_ns=received_t_ns,
         plan_late=False,
         plans_late=late,
-        plans_refused=refused,
+        plans_rejected=refused,
     )
 
 
@@ -270,7 +270,7 @@ def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
         vehicle_ns=vehicle_ns,
         speed_num=5,
         speed_den=2,
-        asked_speed=10.0,
+        requested_speed=10.0,
         state=state,
     )
 

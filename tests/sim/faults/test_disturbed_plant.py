@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Disturbance, Plan, PlanOrigin, Solve, SolveStatus, Truth
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant
 from sim.scenario import Mismatch, Scenario
@@ -33,7 +33,7 @@ def plant_of(*, thrust: float = 1.0, heading_rad: float = 0.0) -> Plant:
     return Plant(settings, VEHICLE, make(settings.water, 0))
 
 
-def steady(thrust_N: tuple[float, float, float]) -> Arrival:
+def steady(thrust_N: tuple[float, float, float]) -> ReceivedMessage:
     ramp = np.minimum(np.arange(41) * 30.0 / np.abs(thrust_N).max(), 1.0)
     plan = Plan(
         cycle_t_ns=0,
@@ -43,7 +43,7 @@ def steady(thrust_N: tuple[float, float, float]) -> Arrival:
         origin=PlanOrigin.SOLVED,
         solve=Solve(status=SolveStatus.SOLVED),
     )
-    return Arrival(plan, 5, 0, 0)
+    return ReceivedMessage(plan, 5, 0, 0)
 
 
 def run(plant: Plant, until_ns: int, *, disturbance: Disturbance | None = None, at_ns: int = 0, plan=None):
@@ -52,14 +52,14 @@ def run(plant: Plant, until_ns: int, *, disturbance: Disturbance | None = None, 
     for t in range(0, until_ns + 1, PERIOD_NS):
         inbox = [] if plan is None or t else [plan]
         if disturbance is not None and t == at_ns:
-            inbox.append(Arrival(disturbance, 9, 0, t))
+            inbox.append(ReceivedMessage(disturbance, 9, 0, t))
         truth |= {x.t_ns: x for x in step(plant, t, inbox) if isinstance(x, Truth)}
     return truth
 
 
 def test_a_short_push_changes_the_momentum_by_its_impulse():
     """f dt = M dv along each axis of the body, m dt = I dr; damping of a vehicle at rest is of second order."""
-    push = Disturbance(until_t_ns=S // 10, force_N=(40.0, -30.0, 20.0), yaw_moment_Nm=15.0)
+    push = Disturbance(end_t_ns=S // 10, force_N=(40.0, -30.0, 20.0), yaw_moment_Nm=15.0)
     heading = 0.7
     moved = run(plant_of(heading_rad=heading), S // 10, disturbance=push)[S // 10]
     still = run(plant_of(heading_rad=heading), S // 10)[S // 10]  # it rises by its buoyancy
@@ -73,7 +73,7 @@ def test_a_short_push_changes_the_momentum_by_its_impulse():
 
 def test_lost_thrust_moves_the_vehicle_as_one_whose_propellers_give_less():
     """The plant's own factor on thrust, which goes through its integrator, is the other way to the same motion."""
-    lost = Disturbance(until_t_ns=60 * S, thrust_scale=(0.6, 0.6, 0.6))
+    lost = Disturbance(end_t_ns=60 * S, thrust_scale=(0.6, 0.6, 0.6))
     thrust = (40.0, 25.0, 30.0)
     here = run(plant_of(), 8 * S, disturbance=lost, plan=steady(thrust))
     there = run(plant_of(thrust=0.6), 8 * S, plan=steady(thrust))
@@ -85,14 +85,14 @@ def test_lost_thrust_moves_the_vehicle_as_one_whose_propellers_give_less():
 
 
 def test_one_lost_thruster_turns_the_vehicle_to_its_own_side():
-    lost = Disturbance(until_t_ns=60 * S, thrust_scale=(0.5, 1.0, 1.0))
+    lost = Disturbance(end_t_ns=60 * S, thrust_scale=(0.5, 1.0, 1.0))
     turned = run(plant_of(), 3 * S, disturbance=lost, plan=steady((40.0, 40.0, 0.0)))
     assert turned[3 * S].yaw_rate_radps * M.arm_port < 0.0  # less of F1 a1
     assert turned[3 * S].thrust_N[0] == pytest.approx(0.5 * turned[3 * S].thrust_N[1], rel=1e-2)
 
 
 def test_it_ends_when_it_says_and_leaves_no_bit_changed_before_it_comes():
-    push = Disturbance(until_t_ns=3 * S, force_N=(50.0, 0.0, 0.0))
+    push = Disturbance(end_t_ns=3 * S, force_N=(50.0, 0.0, 0.0))
     here, there = run(plant_of(), 6 * S, disturbance=push, at_ns=2 * S), run(plant_of(), 6 * S)
     assert all(msgspec.json.encode(here[t]) == msgspec.json.encode(there[t]) for t in there if t <= 2 * S)
     speed = {t: here[t].water_velocity_mps[0] for t in here}
@@ -102,8 +102,8 @@ def test_it_ends_when_it_says_and_leaves_no_bit_changed_before_it_comes():
 
 def test_a_new_one_takes_the_old_ones_place():
     plant = plant_of()
-    run(plant, S // 10, disturbance=Disturbance(until_t_ns=60 * S, force_N=(50.0, 0.0, 0.0)))
-    nothing = Disturbance(until_t_ns=60 * S)
-    (before, *_) = step(plant, S // 10 + PERIOD_NS, [Arrival(nothing, 9, 1, S // 10 + PERIOD_NS)])
+    run(plant, S // 10, disturbance=Disturbance(end_t_ns=60 * S, force_N=(50.0, 0.0, 0.0)))
+    nothing = Disturbance(end_t_ns=60 * S)
+    (before, *_) = step(plant, S // 10 + PERIOD_NS, [ReceivedMessage(nothing, 9, 1, S // 10 + PERIOD_NS)])
     (after, *_) = step(plant, S // 10 + 2 * PERIOD_NS, [])
     assert after.water_velocity_mps[0] <= before.water_velocity_mps[0]

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from ltv_mpc.messages import Estimate, Harm, ImuSample, Message, PressureDepth, Rejected
-from ltv_mpc.node import Arrival, Grid, Inbox, OnMessage
+from ltv_mpc.messages import Estimate, ImuSample, Message, MessageFault, PressureDepth, RejectedFrame
+from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
 from ltv_mpc.validation import refusal
 from sim.faults.interval import Spell
 from sim.faults.message_faults import Harmed, Transit
@@ -24,65 +24,67 @@ def depth(t_ns: int) -> PressureDepth:
     return PressureDepth(t_ns=t_ns, depth_m=1e-9 * t_ns)
 
 
-def by_validation(_: str, delivery: Delivery) -> Arrival | str:
+def by_validation(_: str, delivery: Delivery) -> ReceivedMessage | str:
     if delivery.payload is not None:
         return "damaged"
-    return refusal(delivery.message.signal) or delivery.message
+    return refusal(delivery.message.message) or delivery.message
 
 
-def transit(harm: Harm, size: float = 1.0, kind: type[Message] = PressureDepth) -> Transit:
+def transit(harm: MessageFault, size: float = 1.0, kind: type[Message] = PressureDepth) -> Transit:
     return Transit([Harmed((kind,), harm, SPELL, size, seed=4)], encode=lambda _: bytes(range(60)), admit=by_validation)
 
 
 def through(way: Transit, *, until_ns: int = 3 * S) -> list[Delivery]:
     """All that comes of ten messages a second."""
     times = range(0, until_ns, PERIOD_NS)
-    return [d for i, t in enumerate(times) for d in way.carry("sensors", "estimator", Arrival(depth(t), 1, i, t))]
+    return [
+        d for i, t in enumerate(times) for d in way.carry("sensors", "estimator", ReceivedMessage(depth(t), 1, i, t))
+    ]
 
 
 def sequences(deliveries: list[Delivery]) -> list[int]:
     return [d.message.sequence for d in deliveries]
 
 
-@pytest.mark.parametrize("harm", Harm)
+@pytest.mark.parametrize("harm", MessageFault)
 def test_outside_its_spell_and_on_other_keys_every_message_arrives_as_it_was_sent(harm):
     way = transit(harm, kind=ImuSample)
-    assert [(d.at_ns, d.message.signal.t_ns, d.payload) for d in through(way)] == [
+    assert [(d.at_ns, d.message.message.t_ns, d.payload) for d in through(way)] == [
         (t, t, None) for t in range(0, 3 * S, PERIOD_NS)
     ]
     outside = [d for d in through(transit(harm)) if d.message.sequence < 10 or d.message.sequence > 20]
-    assert [(d.at_ns, d.message.signal.t_ns, d.payload) for d in outside] == [
+    assert [(d.at_ns, d.message.message.t_ns, d.payload) for d in outside] == [
         (t, t, None) for t in [*range(0, S, PERIOD_NS), *range(2 * S + PERIOD_NS, 3 * S, PERIOD_NS)]
     ]
 
 
 def test_a_share_of_the_messages_is_lost():
-    way = transit(Harm.LOSS, 0.5)
+    way = transit(MessageFault.LOSS, 0.5)
     came = sequences(through(way))
     assert 0 < way.harmed[0] < 10
     assert len(came) == 30 - way.harmed[0]
-    assert sequences(through(transit(Harm.LOSS, 1.0))) == [*range(10), *range(20, 30)]
+    assert sequences(through(transit(MessageFault.LOSS, 1.0))) == [*range(10), *range(20, 30)]
 
 
 def test_a_delayed_message_arrives_later_and_is_the_same():
-    came = through(transit(Harm.DELAY, 0.25))
-    assert [d.at_ns - d.message.signal.t_ns for d in came] == [0] * 10 + [250 * MS] * 10 + [0] * 10
+    came = through(transit(MessageFault.DELAY, 0.25))
+    assert [d.at_ns - d.message.message.t_ns for d in came] == [0] * 10 + [250 * MS] * 10 + [0] * 10
 
 
 def test_a_reordered_message_comes_right_after_its_successor():
-    way = transit(Harm.REORDER, 1.0)
+    way = transit(MessageFault.REORDER, 1.0)
     assert sequences(through(way))[10:20] == [11, 10, 13, 12, 15, 14, 17, 16, 19, 18]
     assert way.harmed == [5]
 
 
 def test_a_duplicate_comes_twice():
-    way = transit(Harm.DUPLICATE, 1.0)
+    way = transit(MessageFault.DUPLICATE, 1.0)
     assert sequences(through(way))[10:16] == [10, 10, 11, 11, 12, 12]
     assert way.harmed == [10]
 
 
 def test_damage_flips_a_few_bits_of_the_bytes():
-    for delivery in through(transit(Harm.CORRUPTION, 1.0))[10:20]:
+    for delivery in through(transit(MessageFault.CORRUPTION, 1.0))[10:20]:
         flipped = sum((a ^ b).bit_count() for a, b in zip(delivery.payload, range(60), strict=True))
         assert 1 <= flipped <= 8
 
@@ -96,23 +98,23 @@ def test_damage_flips_a_few_bits_of_the_bytes():
     ],
 )
 def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal):
-    way = transit(Harm.NOT_A_NUMBER, kind=type(signal))
+    way = transit(MessageFault.NOT_A_NUMBER, kind=type(signal))
     for sequence in range(20):
-        (came,) = way.carry("a", "b", Arrival(signal, 1, sequence, S))
-        assert "must be from" in refusal(came.message.signal)
+        (came,) = way.carry("a", "b", ReceivedMessage(signal, 1, sequence, S))
+        assert "must be from" in refusal(came.message.message)
         assert refusal(signal) is None
 
 
 def test_a_stale_publisher_repeats_itself_with_new_numbers():
-    came = through(transit(Harm.STALE))
+    came = through(transit(MessageFault.STALE))
     assert sequences(came) == list(range(30))
-    assert [d.message.signal.t_ns for d in came[10:20]] == [S] * 10
+    assert [d.message.message.t_ns for d in came[10:20]] == [S] * 10
 
 
 def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
-    came = through(transit(Harm.CLOCK_JUMP, -3600.0))
-    assert [d.message.signal.t_ns - d.at_ns for d in came[10:20]] == [-3600 * S] * 10
-    assert [d.message.signal.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
+    came = through(transit(MessageFault.CLOCK_JUMP, -3600.0))
+    assert [d.message.message.t_ns - d.at_ns for d in came[10:20]] == [-3600 * S] * 10
+    assert [d.message.message.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
 
 
 class Speaker(OneByOne):
@@ -128,7 +130,7 @@ class Speaker(OneByOne):
 class Listener(OneByOne):
     name = "estimator"
     schedule = OnMessage((PressureDepth,))
-    reads: tuple[type[Message], ...] = (PressureDepth, Rejected)
+    reads: tuple[type[Message], ...] = (PressureDepth, RejectedFrame)
     writes: tuple[type[Message], ...] = ()
 
     def __init__(self) -> None:
@@ -136,8 +138,8 @@ class Listener(OneByOne):
         self.rejected = 0
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:  # noqa: ARG002
-        self.heard += [(a.received_t_ns, a.sequence) for a in inbox if isinstance(a.signal, PressureDepth)]
-        self.rejected += sum(isinstance(a.signal, Rejected) for a in inbox)
+        self.heard += [(a.received_t_ns, a.sequence) for a in inbox if isinstance(a.message, PressureDepth)]
+        self.rejected += sum(isinstance(a.message, RejectedFrame) for a in inbox)
         return []
 
 
@@ -148,7 +150,7 @@ def in_lockstep(way: Transit | None) -> Listener:
 
 
 def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives():
-    heard = in_lockstep(transit(Harm.DELAY, 0.25)).heard
+    heard = in_lockstep(transit(MessageFault.DELAY, 0.25)).heard
     assert heard[:10] == [(t, i) for i, t in enumerate(range(0, S, PERIOD_NS))]
     assert (S + 250 * MS, 10) in heard
     assert (S, 10) not in heard
@@ -156,7 +158,7 @@ def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives():
 
 
 def test_in_lock_step_what_the_door_refuses_is_told_and_not_heard():
-    listener = in_lockstep(transit(Harm.CORRUPTION, 1.0))
+    listener = in_lockstep(transit(MessageFault.CORRUPTION, 1.0))
     assert [sequence for _, sequence in listener.heard] == [*range(10), *range(20, 31)]
     assert listener.rejected == 10
 
@@ -167,6 +169,8 @@ def test_without_faults_a_way_between_the_nodes_changes_nothing():
 
 
 def test_numbers_that_are_none_are_all_met():
-    way = transit(Harm.NOT_A_NUMBER)
-    values = {str(way.carry("a", "b", Arrival(depth(S), 1, i, S))[0].message.signal.depth_m) for i in range(60)}
+    way = transit(MessageFault.NOT_A_NUMBER)
+    values = {
+        str(way.carry("a", "b", ReceivedMessage(depth(S), 1, i, S))[0].message.message.depth_m) for i in range(60)
+    }
     assert values == {str(math.nan), str(math.inf), str(-math.inf)}

@@ -11,7 +11,7 @@ import pytest
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
 from sim.scenario import Scenario, overridden
 from sim.sensors.node import Sensors
@@ -76,7 +76,7 @@ def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
             current_mps=(0.0, 0.0),
             thrust_N=(0.0, 0.0, 0.0),
         )
-        for message in step(node, t, [Arrival(truth, 1, k, t)]):
+        for message in step(node, t, [ReceivedMessage(truth, 1, k, t)]):
             assert refusal(message) is None
             if isinstance(message, kind):
                 seen += 1

@@ -23,7 +23,7 @@ from ltv_mpc.messages import (
     UsblFix,
     to_wire,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
 from sim.scenario import Scenario, overridden
 from sim.sensors.lbl import AcousticTransceiver
@@ -91,7 +91,7 @@ def said(suite: SensorConfig, world: list[Truth], settings: Scenario | None = No
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     out = []
     for k, truth in enumerate(world):
-        for message in step(node, truth.t_ns, [Arrival(truth, 1, k, truth.t_ns)]):
+        for message in step(node, truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)]):
             assert type(message) in node.writes
             assert refusal(message) is None
             out.append((truth.t_ns, message))

@@ -21,7 +21,7 @@ from ltv_mpc.messages import (
     Truth,
     to_wire,
 )
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
@@ -53,7 +53,7 @@ def measured(settings: Scenario, suite: SensorConfig, world: list[Truth]):
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     said = []
     for k, truth in enumerate(world):
-        said += step(node, truth.t_ns, [Arrival(truth, 1, k, truth.t_ns)])
+        said += step(node, truth.t_ns, [ReceivedMessage(truth, 1, k, truth.t_ns)])
     assert {type(x) for x in said} <= set(node.writes)
     return said
 

@@ -15,7 +15,7 @@ REACH_NS = 10_000_000_000
 SD = 0.01
 
 
-def begun(steps):
+def has_started(steps):
     """A belief after so many steps of the grid, and its onsets: the errors of each at random."""
     rng = np.random.default_rng(0)
     belief, onsets = Belief.blank(LAYOUT, 0), Onsets()
@@ -65,7 +65,7 @@ def test_all_water_drifts_from_when_it_began_and_the_oldest_instant_gives_its_pl
 @pytest.mark.parametrize(("truth", "old"), [((2, 5), True), ((4, None), True), ((9, None), False), ((8, 10), False)])
 def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
     """By a sum over all hypotheses, each by the textbook. Twelve instants; the filter goes back by three of them."""
-    belief, onsets = begun(12)
+    belief, onsets = has_started(12)
     J, E = belief.astray.information, belief.astray.error
     belief.astray.score[:] = J @ hypothesis(*truth) @ np.array([0.012, -0.02])
     mean, second, total, best = np.zeros(N), np.zeros((N, N)), 0.0, 0.0
@@ -99,7 +99,7 @@ def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
 
 
 def test_nothing_is_found_in_what_is_forgotten_or_where_nothing_is_asked():
-    belief, onsets = begun(12)
+    belief, onsets = has_started(12)
     belief.astray.score[:] = belief.astray.information @ hypothesis(3) @ np.full(2, 0.05)
     copy = onsets.copy()
     assert copy.found(belief, LIMIT, REACH_NS) is not None

@@ -11,7 +11,7 @@ import json
 import pytest
 from msgspec import structs
 
-from ltv_mpc.messages import Harm, Injection
+from ltv_mpc.messages import Injection, MessageFault
 from services.bus.session import BusOptions
 from services.cli.app import run as command
 from services.replay import replay
@@ -30,7 +30,7 @@ def test_a_quick_campaign_ends_in_no_bad_thrust_no_uncounted_loss_and_no_late_re
     assert {name: of[name] for name in ("injected", "in_processes")} == {"injected": 25, "in_processes": 5}
     assert of["classes"] == len([kind for kind in kinds.KINDS if kind.place is Place.LOCKSTEP])
     broken = {name: of[name] for name in ("uncontrolled_exits", "bad_thrusts", "uncounted_losses", "late_reactions")}
-    assert broken == dict.fromkeys(broken, 0), of["not_kept"]
+    assert broken == dict.fromkeys(broken, 0), of["violations"]
     assert code == 0
     seen = [one for _, result in read(tmp_path / NAME)[1] for one in result]
     harmed = {one["fault"]["kind"]: one["harmed"] for one in seen if one["place"] == "processes"}
@@ -61,7 +61,7 @@ def test_faults_move_nothing_before_they_begin():
 def test_the_injector_is_told_what_the_campaign_has_drawn(tmp_path):
     fault = Fault(kind="message_delay", target="plan", start_s=3.25, end_s=4.5, size=0.125, seed=77)
     drawn = Injection(
-        key="plan", harm=Harm.DELAY, start_t_ns=3_250_000_000, end_t_ns=4_500_000_000, size=0.125, seed=77
+        key="plan", fault=MessageFault.DELAY, start_t_ns=3_250_000_000, end_t_ns=4_500_000_000, size=0.125, seed=77
     )
     told = inject.Config(node="controller", injections=(bench.injection(fault),), at_a=BusOptions(), at_b=BusOptions())
     write_config(tmp_path / "inject.json", told)

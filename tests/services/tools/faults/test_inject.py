@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.messages import Harm, Injection, PressureDepth
+from ltv_mpc.messages import Injection, MessageFault, PressureDepth
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, decode, encode
 from services.tools.faults import schedule
@@ -20,8 +20,8 @@ def frame(sequence: int) -> bytes:
     return encode(PressureDepth(t_ns=sequence * 100 * MS, depth_m=float(sequence)), header)
 
 
-def fault(harm: Harm, size: float = 1.0, key: str = TOPIC.key) -> Injection:
-    return Injection(key=key, harm=harm, start_t_ns=S, end_t_ns=2 * S, size=size, seed=2)
+def fault(harm: MessageFault, size: float = 1.0, key: str = TOPIC.key) -> Injection:
+    return Injection(key=key, fault=harm, start_t_ns=S, end_t_ns=2 * S, size=size, seed=2)
 
 
 def through(way: Interference) -> list[tuple[int, bytes]]:
@@ -29,55 +29,55 @@ def through(way: Interference) -> list[tuple[int, bytes]]:
     return [come for i in range(30) for come in way.carry(TOPIC, frame(i), i * 100 * MS)]
 
 
-@pytest.mark.parametrize("way", [Interference(), Interference([fault(Harm.LOSS, key="estimate")])])
+@pytest.mark.parametrize("way", [Interference(), Interference([fault(MessageFault.LOSS, key="estimate")])])
 def test_what_no_fault_concerns_passes_byte_for_byte(way):
     assert through(way) == [(i * 100 * MS, frame(i)) for i in range(30)]
 
 
 def test_before_and_after_a_fault_every_frame_passes_byte_for_byte():
-    for harm in Harm:
+    for harm in MessageFault:
         came = [payload for _, payload in through(Interference([fault(harm, 0.5)]))]
         assert came[:10] == [frame(i) for i in range(10)]
         assert came[-9:] == [frame(i) for i in range(21, 30)]
 
 
 def test_a_lost_frame_is_gone_and_counted():
-    way = Interference([fault(Harm.LOSS)])
+    way = Interference([fault(MessageFault.LOSS)])
     assert [payload for _, payload in through(way)] == [frame(i) for i in (*range(10), *range(20, 30))]
     assert way.harmed == [10]
 
 
 def test_a_late_a_doubled_and_a_reordered_frame_are_the_same_bytes():
-    assert through(Interference([fault(Harm.DELAY, 0.25)]))[10] == (S + 250 * MS, frame(10))
-    doubled = [payload for _, payload in through(Interference([fault(Harm.DUPLICATE)]))]
+    assert through(Interference([fault(MessageFault.DELAY, 0.25)]))[10] == (S + 250 * MS, frame(10))
+    doubled = [payload for _, payload in through(Interference([fault(MessageFault.DUPLICATE)]))]
     assert doubled[10:14] == [frame(10), frame(10), frame(11), frame(11)]
-    reordered = [payload for _, payload in through(Interference([fault(Harm.REORDER)]))]
+    reordered = [payload for _, payload in through(Interference([fault(MessageFault.REORDER)]))]
     assert reordered[10:14] == [frame(11), frame(10), frame(13), frame(12)]
 
 
 def test_a_frame_with_no_number_keeps_its_header_and_is_refused_by_the_wire():
-    for _, payload in through(Interference([fault(Harm.NOT_A_NUMBER)]))[10:20]:
+    for _, payload in through(Interference([fault(MessageFault.NOT_A_NUMBER)]))[10:20]:
         with pytest.raises(WireError, match="depth_m"):
             decode(PressureDepth, payload)
         assert payload != frame(10)
 
 
 def test_a_jumped_clock_stamps_what_is_otherwise_the_same():
-    came = through(Interference([fault(Harm.CLOCK_JUMP, 7.0)]))
+    came = through(Interference([fault(MessageFault.CLOCK_JUMP, 7.0)]))
     signal, header = decode(PressureDepth, came[10][1])
     assert (signal.t_ns, signal.depth_m) == (8 * S, 10.0)
     assert header == decode(PressureDepth, frame(10))[1]
 
 
 def test_rubbish_is_none_of_its_business():
-    way = Interference([fault(Harm.LOSS)])
+    way = Interference([fault(MessageFault.LOSS)])
     assert way.carry(TOPIC, b"rubbish", S) == [(S, b"rubbish")]
 
 
 def test_a_fault_may_be_added_while_it_runs():
     way = Interference()
     assert way.carry(TOPIC, frame(0), S) == [(S, frame(0))]
-    way.add(fault(Harm.LOSS))
+    way.add(fault(MessageFault.LOSS))
     assert way.carry(TOPIC, frame(1), S) == []
 
 
@@ -87,7 +87,7 @@ def test_a_schedule_is_read_from_a_file_and_from_words(tmp_path):
     (one,) = schedule.load(path)
     (same,) = schedule.parse(["delay,plan,3,4.5,0.25,6"])
     for asked in (one, same):
-        assert (asked.harm, asked.key, asked.size, asked.seed) == (Harm.DELAY, "plan", 0.25, 6)
+        assert (asked.fault, asked.key, asked.size, asked.seed) == (MessageFault.DELAY, "plan", 0.25, 6)
         assert (asked.start_t_ns, asked.end_t_ns) == (3 * S, 4_500_000_000)
 
 
@@ -110,11 +110,11 @@ def test_what_cannot_be_done_is_refused_by_field_and_bound(word, said):
     assert said in str(refused.value)
 
 
-@pytest.mark.parametrize("harm", Harm)
+@pytest.mark.parametrize("harm", MessageFault)
 @pytest.mark.parametrize("said_at_b", [False, True])
 def test_with_what_is_unlike_at_a_a_recorder_there_has_every_frame_of_both_routers(harm, said_at_b):
     """What it hears on the keys themselves is A's: the sent frames of others, what arrives of the node under test."""
-    way = Interference([fault(harm, 0.25 if harm is Harm.DELAY else 0.6)])
+    way = Interference([fault(harm, 0.25 if harm is MessageFault.DELAY else 0.6)])
     at_a, at_b, handed = set(), set(), set()
     for i in range(30):
         now_ns, sent = i * 100 * MS, frame(i)
@@ -126,6 +126,6 @@ def test_with_what_is_unlike_at_a_a_recorder_there_has_every_frame_of_both_route
         assert unlike == [] or S <= now_ns <= 2 * S
         handed |= set(unlike)
     assert at_b <= at_a | handed
-    if harm in (Harm.NOT_A_NUMBER, Harm.CLOCK_JUMP):  # the same numbers of the sequence, other bytes
+    if harm in (MessageFault.NOT_A_NUMBER, MessageFault.CLOCK_JUMP):  # the same numbers of the sequence, other bytes
         assert at_a != at_b
         assert handed

@@ -283,7 +283,7 @@ def test_the_table_adds_up_what_was_seen_and_names_what_was_not_kept():
     of = campaign(good, good, bad)
     assert (of.injected, of.classes, of.late_reactions, of.uncounted_losses) == (3, 2, 1, 2)
     assert [row.injected for row in of.rows] == [1, 2]
-    assert of.not_kept == (bad,)
+    assert of.violations == (bad,)
     assert not result.kept(of)
     assert result.kept(campaign(good))
     text = table_text.table(of)

@@ -13,7 +13,7 @@ import typer
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import CompassHeading
-from ltv_mpc.node import Arrival
+from ltv_mpc.node import ReceivedMessage
 from services.cli.localisation_check import localisation_check
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
@@ -33,7 +33,7 @@ def record(drift: tuple[float, float], velocity: tuple[float, float]) -> Record:
     return Record(
         drift_m=np.array(drift),
         velocity_error_mps=np.array(velocity),
-        velocity_said_m2ps2=np.array([4e-6, 4e-6]),
+        velocity_reported_m2ps2=np.array([4e-6, 4e-6]),
         bound_drift_m2=np.array([0.36, 0.64]),
         bound_velocity_m2ps2=np.array([1e-6, 1e-6]),
         true_error_m=abs(drift[0]),
@@ -59,7 +59,7 @@ def test_drift_is_held_against_the_bound_and_against_the_velocity_error() -> Non
     assert result.slope_s == pytest.approx(200.0)
     assert result.r2 == pytest.approx(1 - 0.04 / 2.04)
     assert result.velocity_error_rms_mps == pytest.approx(math.sqrt(50e-6 / 4))
-    assert (result.velocity_said_rms_mps, result.velocity_bound_rms_mps) == pytest.approx((2e-3, 1e-3))
+    assert (result.velocity_reported_rms_mps, result.velocity_bound_rms_mps) == pytest.approx((2e-3, 1e-3))
     assert result.drawn_per_dof == {"gyro_bias": 2.0}
     assert (result.cells_nees_per_dof, result.nis_per_dof["gnss"]) == (1.0, 1.0)
     assert result.ratio_at_bound[0] < 1 < result.ratio_at_bound[1]
@@ -118,7 +118,7 @@ def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scena
     assert watched.least_eigenvalue > 0
     assert watched.asymmetry == 0
     # two codes that share nothing but the sensors file
-    np.testing.assert_allclose(watched.velocity_said_m2ps2, watched.bound_velocity_m2ps2, rtol=0.1)
+    np.testing.assert_allclose(watched.velocity_reported_m2ps2, watched.bound_velocity_m2ps2, rtol=0.1)
     for name in ("position", "velocity", "heading", "tilt", "adcp_bias", "compass_bias", "mounting", "cells"):
         assert watched.nees[name].t_ns.tolist() == [k * 1_000_000_000 for k in range(5)], name
     assert (np.diff(watched.nees["cells"].dof) >= 0).all()  # what has been seen stays seen
@@ -142,10 +142,10 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
     class Ears(Probe):
         hears = Probe.hears | {CompassHeading}
 
-        def published(self, node: str, message: Arrival) -> None:
+        def published(self, node: str, message: ReceivedMessage) -> None:
             super().published(node, message)
-            if isinstance(message.signal, CompassHeading) and self.truth is not None:
-                headings.append(wrap_angle(message.signal.heading_rad - self.truth.attitude_rad[2]))
+            if isinstance(message.message, CompassHeading) and self.truth is not None:
+                headings.append(wrap_angle(message.message.heading_rad - self.truth.attitude_rad[2]))
 
     situation = Job(scenario, ("sensors=realistic", "run.seed=5")).situation()
     probe = Ears(situation)

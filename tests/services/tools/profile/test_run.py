@@ -52,7 +52,7 @@ class Probe(OneByOne):
 
     def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
         del t_ns
-        self.estimates += [arrival.signal for arrival in inbox if isinstance(arrival.signal, Estimate)]
+        self.estimates += [arrival.message for arrival in inbox if isinstance(arrival.message, Estimate)]
         return []
 
 
