@@ -108,7 +108,7 @@ def recorded(
         if t_ns % round(CORNER_S * 1e9) == 0:
             controller.follow(_corner(t_ns // round(CORNER_S * 1e9)))
         if t_ns % CYCLE_NS == 0:
-            commands.sent(controller.plan(estimate))
+            commands.add(controller.plan(estimate))
         steps = commands.at(np.arange(t_ns, t_ns + ESTIMATE_NS + 1, STEP_NS))
         for before, after in itertools.pairwise(steps):
             boat.go(before, after)

@@ -18,7 +18,7 @@ from rich.progress import Progress
 
 from benchmarks.loop import Loop, situation
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.prediction import current_at
+from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from services.tools.batch.executor import each
 
@@ -56,7 +56,7 @@ def one(job: Job) -> Flown:
     seen: list[tuple[float, float, int, bool]] = []
 
     def look(estimate: Estimate, plan: Plan) -> None:
-        water = current_at(estimate.current, np.array([estimate.depth_m]))[0]
+        water = currents_at_depths(estimate.current, np.array([estimate.depth_m]))[0]
         past = estimate.velocity_north_mps - water[0], estimate.velocity_east_mps - water[1]
         surge = past[0] * math.cos(estimate.heading_rad) + past[1] * math.sin(estimate.heading_rad)
         solved = plan.solve.status is SolveStatus.SOLVED

@@ -54,8 +54,8 @@ def follow(name: str, vehicle: Vehicle, toward: tuple[float, float], horizon_s: 
                 off.append(abs(plan.cross_track_m))
                 target.append(math.dist(plan.states[0, :2], plan.reference_m))
             end_s = t_s if plan.progress >= 1.0 else end_s
-        commands.sent(plan)
-        estimate = as_estimate(plant.roll(estimate, estimate.t_ns + PERIOD_NS, commands), estimate)
+        commands.add(plan)
+        estimate = as_estimate(plant.state_at(estimate, estimate.t_ns + PERIOD_NS, commands), estimate)
     return Outcome(
         float(np.mean(off)), float(np.max(off)), float(np.mean(target)), end_s - begun_s, float(np.mean(solved))
     )

@@ -21,7 +21,7 @@ from rich.progress import Progress
 
 from benchmarks.loop import Loop, Outcome, situation
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.prediction import current_at
+from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.messages import CurrentProfile, Estimate
 from services.tools.batch.executor import each
 
@@ -38,7 +38,7 @@ class Job(NamedTuple):
 
 def without_preview(estimate: Estimate) -> Estimate:
     """Return the estimate with the current of its own depth at all depths."""
-    here = current_at(estimate.current, np.array([estimate.depth_m]))[0]
+    here = currents_at_depths(estimate.current, np.array([estimate.depth_m]))[0]
     everywhere = CurrentProfile(
         depth_m=np.array([0.0, 1.0]),
         north_mps=np.full(2, here[0]),

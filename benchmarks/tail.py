@@ -1,11 +1,11 @@
 """The tail of a cycle on a machine that is busy with other things: 10 Hz for ten minutes, each core kept busy besides.
 
-    .venv/bin/python -m benchmarks.tail [--minutes 10] [--rate-hz 10] [--busy N] [--least-delay-s 0.08]
+    .venv/bin/python -m benchmarks.tail [--minutes 10] [--rate-hz 10] [--busy N] [--min-delay-s 0.08]
                                       [--out DIR] [--json]
 
 `hover` by `ltv-mpc sim` in real time, its recorder, plant, sensors and estimator beside the controller, and N processes
 (one a core) that count as fast as they can, at the usual priority. A miss is a plan that came after the start it was
-made for. ``[controller] least_delay_s`` is what every plan is given at least: what an ordinary process may have to wait
+made for. ``[controller] min_delay_s`` is what every plan is given at least: what an ordinary process may have to wait
 for a processor shows up too seldom to be learned.
 """
 
@@ -24,13 +24,13 @@ from typing import Any
 COUNTS = "while True: pass"
 
 
-def fly(folder: Path, *, minutes: float, rate_hz: float, busy: int, least_delay_s: float) -> dict[str, Any]:
+def fly(folder: Path, *, minutes: float, rate_hz: float, busy: int, min_delay_s: float) -> dict[str, Any]:
     """Make the run and return its summary."""
     command = [
         *(sys.executable, "-P", "-m", "services.cli", "sim", "hover", "--speed", "1", "--json", "--out", str(folder)),
         *("--duration-s", str(60.0 * minutes), "--surface-time-s", "10"),
         *("--set", f"controller.period_s={1.0 / rate_hz!r}"),
-        *("--set", f"controller.least_delay_s={least_delay_s!r}"),
+        *("--set", f"controller.min_delay_s={min_delay_s!r}"),
     ]
     with ExitStack() as ended:
         for _ in range(busy):
@@ -48,7 +48,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--rate-hz", type=float, default=10.0)
     parser.add_argument("--busy", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--least-delay-s", type=float, default=0.08)
+    parser.add_argument("--min-delay-s", type=float, default=0.08)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -59,7 +59,7 @@ def main() -> int:
             minutes=options.minutes,
             rate_hz=options.rate_hz,
             busy=options.busy,
-            least_delay_s=options.least_delay_s,
+            min_delay_s=options.min_delay_s,
         )
     if options.json:
         print(json.dumps(told))

@@ -157,7 +157,7 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
         if not 1 <= deepest_m / cell_m <= most:
             problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
             raise ConfigError(source, f"[{table}] cell_m", problem, value=cell_m)
-    control.checked(scenario.controller, source=source, table=("controller",))
+    control.validate(scenario.controller, source=source, table=("controller",))
     return scenario
 
 

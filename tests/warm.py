@@ -13,7 +13,7 @@ from services.processes import controller
 
 def main() -> None:
     """Compile the cycle along references that are paths."""
-    controller.rehearse(Vehicle.load("paper"), references.load("square"), ControllerConfig())
+    controller.warm_up(Vehicle.load("paper"), references.load("square"), ControllerConfig())
 
 
 if __name__ == "__main__":

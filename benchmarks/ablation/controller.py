@@ -89,7 +89,7 @@ def equal_stages() -> Iterator[None]:
     made = Controller.__init__
 
     def init(self: Controller, vehicle: Any, reference: Any, config: Any = None, **others: Any) -> None:
-        made(self, vehicle, reference, msgspec.structs.replace(config or ControllerConfig(), most_stages=400), **others)
+        made(self, vehicle, reference, msgspec.structs.replace(config or ControllerConfig(), max_stages=400), **others)
 
     with replaced((Controller, "__init__", init)):
         yield
@@ -139,7 +139,7 @@ def nothing(*_: Any, **__: Any) -> None:
 def largest(self: Delay) -> None:
     """Expect the largest delay measured lately."""
     measured = self._receipts or self._computing
-    self._expected_ns = max(*measured, self._least_ns, 0)
+    self._expected_ns = max(*measured, self._min_ns, 0)
 
 
 def median(self: Delay) -> None:
@@ -312,9 +312,9 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("line search", SHORT, kernels(searches=False), ERROR),
     row("line search", TIGHT, kernels(searches=False), EVENT),
     row("line search", STUCK, kernels(searches=False), HELD),
-    row("commands reported", TAKEN_OVER, without((SentCommands, "reported", nothing)), JUNCTION),
-    row("commands reported", TAKEN_OVER_BLIND, without((SentCommands, "reported", nothing)), JUNCTION),
-    row("commands reported", LATE_FAR_OFF, without((SentCommands, "reported", nothing)), JUNCTION),
+    row("commands reported", TAKEN_OVER, without((SentCommands, "correct", nothing)), JUNCTION),
+    row("commands reported", TAKEN_OVER_BLIND, without((SentCommands, "correct", nothing)), JUNCTION),
+    row("commands reported", LATE_FAR_OFF, without((SentCommands, "correct", nothing)), JUNCTION),
     row("second QP", NOMINAL, one_qp, ERROR),
     row("second QP", SHORT, one_qp, ERROR),
     row("second QP", FAR_OFF, one_qp, EVENT),
@@ -364,12 +364,12 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row("delay quantile, against the median", SCATTER, without((Delay, "_learn", median)), LOCKED),
     row("delay quantile, against the largest", SCATTER, without((Delay, "_learn", largest)), LOCKED),
     row("delay quantile, against the largest", OVERRUN, without((Delay, "_learn", largest)), LOCKED),
-    row("commands reported", OVERRUN, without((SentCommands, "reported", nothing)), LOCKED),
-    row("commands reported", INTRUDED, without((SentCommands, "reported", nothing)), LOCKED),
-    row("commands reported", LOST_PLANS, without((SentCommands, "reported", nothing)), LOCKED),
-    row("thrust reported", NOMINAL, without((Prediction, "report", nothing)), ERROR),
-    row("thrust reported", OVERRUN, without((Prediction, "report", nothing)), LOCKED),
-    row("thrust reported", HALF, without((Prediction, "report", nothing)), ERROR),
+    row("commands reported", OVERRUN, without((SentCommands, "correct", nothing)), LOCKED),
+    row("commands reported", INTRUDED, without((SentCommands, "correct", nothing)), LOCKED),
+    row("commands reported", LOST_PLANS, without((SentCommands, "correct", nothing)), LOCKED),
+    row("thrust reported", NOMINAL, without((Prediction, "add_report", nothing)), ERROR),
+    row("thrust reported", OVERRUN, without((Prediction, "add_report", nothing)), LOCKED),
+    row("thrust reported", HALF, without((Prediction, "add_report", nothing)), ERROR),
     row("estimate gate", NONSENSE, without((EstimateGate, "check", believe)), EVENT),
     row("estimate gate", CORRUPT_ESTIMATE, without((EstimateGate, "check", believe)), LOCKED),
     row("input monitor: order", REORDER, without((InputMonitor, "receive", receive_all)), LOCKED),

@@ -40,9 +40,9 @@ class Loop(ControllerNode):
         self.unsolved = 0
         self._target: Pair | None = None
 
-    def hear(self, arrival: ReceivedMessage) -> None:
+    def receive(self, arrival: ReceivedMessage) -> None:
         """One message, and what it says of the loop once there is a plan."""
-        super().hear(arrival)
+        super().receive(arrival)
         match arrival.message:
             case Estimate() as estimate if self._target is not None:
                 north, east = self._target

@@ -20,7 +20,7 @@ from scipy.linalg import expm, solve_discrete_are
 from benchmarks.rivals.law import PERIOD_NS
 from benchmarks.rivals.pid import nearer_axis
 from benchmarks.rivals.search import Span
-from ltv_mpc.control.prediction import current_at
+from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate, Pair
 from ltv_mpc.vehicle import dynamics
@@ -57,7 +57,7 @@ class Lqr:
         """See above."""
         assert estimate.current is not None
         assert estimate.depth_m is not None
-        c = current_at(estimate.current, np.array([estimate.depth_m]))[0]
+        c = currents_at_depths(estimate.current, np.array([estimate.depth_m]))[0]
         psi, speed = estimate.heading_rad, math.hypot(*c)
         into = math.atan2(-c[1], -c[0])
         trim = nearer_axis(into, psi)

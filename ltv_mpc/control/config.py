@@ -19,7 +19,7 @@ STAGE_NS = 300_000_000
 """Time between the first two knots."""
 
 
-class GivenWeights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class WeightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """[controller.weights]: those that a file names. The others follow from the vehicle: ``scaling.py``."""
 
     position_per_m2: Annotated[float, Meta(gt=0, le=1e6)] | None = None
@@ -29,7 +29,7 @@ class GivenWeights(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     thrust_change: Annotated[float, Meta(ge=0, le=1e6)] | None = None
 
 
-class Weights(GivenWeights, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Weights(WeightSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The cost, all of it: see ``qp/sparse.py``. The defaults are those of the paper's vehicle, found on seeds from 100
     up, but for the last halving of the thrust weights, which looked at seeds 0 to 3 of the 20 that are reported.
 
@@ -54,7 +54,7 @@ class Disturbance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     sd_mps: Annotated[float, Meta(ge=0, le=2)] | None = None
     walk_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.01  # 4 cm/s over 8 m at 0.2 m/s: 9 mm/s per sqrt(s)
     noise_mps: Annotated[float, Meta(gt=0, le=1)] = 1e-3  # of the velocity over ground from estimate to estimate
-    most_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # the bias stays within, each way
+    max_mps: Annotated[float, Meta(gt=0, le=5)] = 0.5  # the bias stays within, each way
 
 
 class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -66,7 +66,7 @@ class MotionLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     yaw_rate_radps: Annotated[float, Meta(gt=0, le=20)] | None = None
 
     @property
-    def most(self) -> Array:
+    def max_abs(self) -> Array:
         """(2,) of ``limits.LIMITED``; infinite where nothing is asked."""
         asked = self.surge_mps, self.yaw_rate_radps
         return np.array([math.inf if most is None else most for most in asked])
@@ -76,11 +76,11 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """Settings of the controller."""
 
     horizon_s: Annotated[float, Meta(ge=0.3, le=120)] = 5.0
-    most_stages: Annotated[int, Meta(ge=2, le=400)] = (
+    max_stages: Annotated[int, Meta(ge=2, le=400)] = (
         34  # a longer horizon is reached by stages that grow: shooting_grid.py
     )
     period_s: Annotated[float, Meta(ge=0.02, le=60)] = 0.3
-    weights: GivenWeights = GivenWeights()  # what is left out follows from the vehicle
+    weights: WeightSettings = WeightSettings()  # what is left out follows from the vehicle
     disturbance: Disturbance = Disturbance()
     limits: MotionLimits = MotionLimits()  # of the motion, as far as it can be kept within them
     lateral: bool = True  # false: the lateral thrusters stay at zero: what happens without control
@@ -90,19 +90,19 @@ class ControllerConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     solver: str = "osqp"
     delay_quantile: Annotated[float, Meta(ge=0.5, le=1)] = 0.98
     first_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.05  # expected before anything was measured
-    least_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0  # expected whatever was measured: room on a busy machine
+    min_delay_s: Annotated[float, Meta(ge=0, le=10)] = 0.0  # expected whatever was measured: room on a busy machine
     ages: Ages = Ages()  # of the newest estimate, beyond which less and less is done on it
 
     @classmethod
     def load(cls, path: str) -> ControllerConfig:
         """A TOML file that holds the [controller] table alone. Raises ``ConfigError``."""
         settings = config.load(path, cls, what="controller settings", package="ltv_mpc.control.files")
-        return checked(settings, source=f"controller settings {path}")
+        return validate(settings, source=f"controller settings {path}")
 
     @property
     def stages(self) -> int:
-        """Number of stages N: ``horizon_s`` in whole stages of 0.3 s, at most ``most_stages``."""
-        return min(self._reach, self.most_stages)
+        """Number of stages N: ``horizon_s`` in whole stages of 0.3 s, at most ``max_stages``."""
+        return min(self._reach, self.max_stages)
 
     @property
     def knots(self) -> Array:
@@ -130,7 +130,7 @@ class ResolvedConfig(ControllerConfig, frozen=True, kw_only=True, forbid_unknown
     weights: Weights = Weights()
 
 
-def checked(settings: ControllerConfig, *, source: str, table: tuple[str, ...] = ()) -> ControllerConfig:
+def validate(settings: ControllerConfig, *, source: str, table: tuple[str, ...] = ()) -> ControllerConfig:
     """The settings, after what no single field can tell; ``table`` is where they stand. Raises ``ConfigError``."""
     if settings.period_s > settings.horizon_s:
         problem = f"must be <= horizon_s = {settings.horizon_s:g}: a plan lasts until the next one"

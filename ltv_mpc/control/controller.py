@@ -31,7 +31,7 @@ from ltv_mpc.control.delay import Delay
 from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.prediction import Prediction, Start, current_in, currents, profile_of
+from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, fill_currents, profile_of
 from ltv_mpc.control.problem_data import pack
 from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.sparse import SparseQp
@@ -104,7 +104,7 @@ class Controller:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
         self.config = config = resolve_weights(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
-        self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S, config.limits.most)
+        self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._lap = stopwatch
         self._new_solver: Callable[[], Solver] = lambda: make(vehicle, config)
         self._solver = self._new_solver()
@@ -137,13 +137,13 @@ class Controller:
 
     def report(self, applied: Applied) -> None:
         """What the actuators say they do."""
-        self._delay.receipt(applied)
-        self._prediction.report(applied)
-        self._commands.reported(applied.t_ns, applied.command_N)
+        self._delay.add_receipt(applied)
+        self._prediction.add_report(applied)
+        self._commands.correct(applied.t_ns, applied.command_N)
 
     def timing(self, timing: CycleTiming) -> None:
         """What the last cycle took."""
-        self._delay.timing(timing)
+        self._delay.add_timing(timing)
 
     def health(self, t_ns: int) -> Health:
         """How well the estimates that are believed keep up at ``t_ns``."""
@@ -184,7 +184,7 @@ class Controller:
         if own is not Health.NOMINAL:
             health = worst(health, own)
         if self._bias is not None and not doubt:
-            estimate = self._bias.corrected(estimate, self._prediction, self._commands)
+            estimate = self._bias.correct(estimate, self._prediction, self._commands)
         begun, idle, rest = False, doubt, False
         if own is not Health.NOMINAL and abs(now - estimate.t_ns) > self._oldest_ns():
             idle = f"the newest estimate is {(now - estimate.t_ns) * 1e-9:.1f} s old"
@@ -202,11 +202,11 @@ class Controller:
         if not (idle or self.config.lateral):
             idle = "lateral control is off"
         delay_ns = self._delay.expected_ns()
-        start = self._prediction.roll(estimate, now + delay_ns, self._commands)
+        start = self._prediction.state_at(estimate, now + delay_ns, self._commands)
         knots = start.t_ns + self._ahead_ns
         profile = profile_of(estimate)
         if begun:
-            here = current_in(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
+            here = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, start.depth_m)
             self._follower.advance(knots, start.lateral, here)
         goal = None if override is None else override.targets(knots)
         if goal is not None:
@@ -217,7 +217,7 @@ class Controller:
             vertical = self._vertical_hold(start, knots, estimate)
         else:
             vertical = self._vertical_plan(start, knots, begun and estimate.depth_m is not None)
-        currents(profile.depth_m, profile.north_mps, profile.east_mps, vertical.depth_m, self._lin.flat)
+        fill_currents(profile.depth_m, profile.north_mps, profile.east_mps, vertical.depth_m, self._lin.flat)
         self._lap("predict")
         if idle:
             lateral = self._released(start, idle, goal)
@@ -260,17 +260,17 @@ class Controller:
         self._new_solver = lambda: instead(settings())
         self._solver = instead(self._solver)
 
-    def rehearse(self) -> None:
+    def warm_up(self) -> None:
         """Take each rung below the solved plan once, so that nothing is left to be compiled when it is needed.
 
         For a controller that is thrown away.
         """
-        start = self._prediction.roll(Estimate.at_rest(), 0, self._commands)
+        start = self._prediction.state_at(Estimate.at_rest(), 0, self._commands)
         self._lin.C[...] = 0.0
         thrust = np.zeros((len(self._ahead_ns), 3))
         self._shifted(start, start.t_ns - STAGE_NS // 2, thrust, NOT_RUN)
         self._released(start, "", self._nothing)
-        self._commands.reported(start.t_ns, (0.0, 0.0, 0.0))
+        self._commands.correct(start.t_ns, (0.0, 0.0, 0.0))
         self._keep(NOT_RUN)
 
     def save(self, t_ns: int) -> ControllerState:
@@ -329,7 +329,7 @@ class Controller:
 
     def _new_delay(self, first_ns: int) -> Delay:
         """One that has learned nothing yet."""
-        return Delay(first_ns, self.config.delay_quantile, round(self.config.least_delay_s * 1e9))
+        return Delay(first_ns, self.config.delay_quantile, round(self.config.min_delay_s * 1e9))
 
     def _believed(self, newest: Estimate, now: int) -> tuple[str, Estimate]:
         """The newest estimate that is believed, and why there is none: then one that says nothing, of now."""
@@ -421,7 +421,7 @@ class Controller:
     @cached_property
     def _form(self) -> SparseQp:
         """The QP's layout, for a problem that was not solved."""
-        limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.most)
+        limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.max_abs)
         return SparseQp(self._knots, limits, self.config.weights)
 
     def _keep(self, solve: Solve) -> None:
@@ -431,7 +431,7 @@ class Controller:
 
     def _sent(self, plan: Plan) -> None:
         """Keep a plan that was sent: its commands are in force from its first knot on."""
-        self._commands.sent(plan)
+        self._commands.add(plan)
         self._last = plan
         if plan.origin is PlanOrigin.SOLVED:
             self._solved_until_ns = int(plan.t_ns[0]) + self._shifts_ns

@@ -21,10 +21,10 @@ REMEMBERED = 100
 class Delay:
     """Expected delay in vehicle nanoseconds."""
 
-    def __init__(self, first_ns: int, quantile: float, least_ns: int = 0) -> None:
-        self._expected_ns = max(first_ns, least_ns)
+    def __init__(self, first_ns: int, quantile: float, min_ns: int = 0) -> None:
+        self._expected_ns = max(first_ns, min_ns)
         self._quantile = quantile
-        self._least_ns = least_ns
+        self._min_ns = min_ns
         self._receipts: deque[int] = deque(maxlen=REMEMBERED)
         self._computing: deque[int] = deque(maxlen=REMEMBERED)
         self._receipt_of: int | None = None  # the cycle whose receipt came last
@@ -40,7 +40,7 @@ class Delay:
         if self._receipts or self._computing:
             self._learn()
 
-    def receipt(self, applied: Applied) -> None:
+    def add_receipt(self, applied: Applied) -> None:
         """The actuators say which plan they got, and when."""
         if applied.plan_sequence < 0 or applied.plan_cycle_t_ns == self._receipt_of:
             return
@@ -48,7 +48,7 @@ class Delay:
         self._receipts.append(max(applied.plan_received_t_ns - applied.plan_cycle_t_ns, 0))
         self._learn()
 
-    def timing(self, timing: CycleTiming) -> None:
+    def add_timing(self, timing: CycleTiming) -> None:
         """What the last cycle took, without transport."""
         self._computing.append(timing.compute_ns)
         self._learn()
@@ -61,4 +61,4 @@ class Delay:
         """Between cycles: what is expected from now on."""
         in_order = sorted(self._receipts or self._computing)
         middle, high = (in_order[math.ceil(share * (len(in_order) - 1))] for share in (0.5, self._quantile))
-        self._expected_ns = max(high + (high - middle), self._least_ns)
+        self._expected_ns = max(high + (high - middle), self._min_ns)

@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.control.config import Disturbance
-from ltv_mpc.control.prediction import Prediction, current_in, roll_to
+from ltv_mpc.control.prediction import Prediction, current_at_depth, predict_state
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, CurrentProfile, Estimate, Times
@@ -51,7 +51,7 @@ class CurrentBias:
         self.covariance: Array = self._prior * np.eye(2)
         self._last: Estimate | None = None
 
-    def corrected(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
+    def correct(self, estimate: Estimate, prediction: Prediction, commands: SentCommands) -> Estimate:
         """``estimate``, newer than the last one, with b in its current; as it is where its profile is believed."""
         if estimate.current is not None and not self._always:
             self._last = None
@@ -65,7 +65,7 @@ class CurrentBias:
         settings, profile = self._settings, last.current or STILL
         found = np.array([estimate.velocity_north_mps, estimate.velocity_east_mps])
         vehicle, flat, report_ns, report = prediction.before(last)
-        bias, covariance = corrected(
+        bias, covariance = update_bias(
             self.bias_mps,
             self.covariance,
             found,
@@ -85,11 +85,11 @@ class CurrentBias:
         )
         if np.isfinite(bias).all():
             self.covariance = covariance
-            self.bias_mps = np.clip(bias, -settings.most_mps, settings.most_mps)
+            self.bias_mps = np.clip(bias, -settings.max_mps, settings.max_mps)
 
 
 @jit
-def corrected(
+def update_bias(
     b: Array,
     P: Array,
     found: Array,
@@ -110,7 +110,8 @@ def corrected(
 ) -> tuple[Array, Array]:
     """b (2,) and P (2, 2) after the velocity over ground ``found`` (2,) at ``until``.
 
-    ``walk`` is q, ``noise`` r, ``prior`` the variance that no direction's may exceed; the rest goes to ``roll_to``.
+    ``walk`` is q, ``noise`` r, ``prior`` the variance that no direction's may exceed; the rest is for
+    ``predict_state``.
     """
     foreseen, H = np.empty(2), np.empty((2, 2))
     for j in range(-1, 2):
@@ -119,8 +120,8 @@ def corrected(
             dn += STEP_MPS
         elif j == 1:
             de += STEP_MPS
-        out = roll_to(vehicle, before, since, until, t, thrust, report_ns, report, depth, north + dn, east + de)
-        c = current_in(depth, north + dn, east + de, out[11])
+        out = predict_state(vehicle, before, since, until, t, thrust, report_ns, report, depth, north + dn, east + de)
+        c = current_at_depth(depth, north + dn, east + de, out[11])
         cos, sin = np.cos(out[4]), np.sin(out[4])
         # v = R(psi) [u, v] + c
         v0, v1 = cos * out[2] - sin * out[3] + c[0], sin * out[2] + cos * out[3] + c[1]

@@ -38,10 +38,10 @@ from ltv_mpc.safety.input_monitor import InputMonitor
 from ltv_mpc.safety.model_check import ModelMonitor
 from ltv_mpc.vehicle.parameters import Vehicle
 
-DEEPEST_HOLD_M = 11_000.0
+MAX_HOLD_DEPTH_M = 11_000.0
 """As a reference's ``depth_m``."""
 
-SAVE_NS = 5_000_000_000
+SAVE_PERIOD_NS = 5_000_000_000
 """Longest time between two saved states."""
 
 LONGEST_WRITTEN = 65_536
@@ -173,7 +173,7 @@ class ControllerNode:
         """Return the state to publish now: at each change of who is in charge or of what is followed, and each 5 s."""
         before = self._saved
         if before is not None and (
-            0 <= t_ns - before.t_ns < SAVE_NS
+            0 <= t_ns - before.t_ns < SAVE_PERIOD_NS
             and before.authority is self.arbiter.authority
             and before.reference_toml is self._written
             and (before.reference_start is None) == (self.controller.follower.target_m is None)
@@ -227,7 +227,7 @@ class ControllerNode:
         estimate = self._estimate
         if estimate is None:
             return CommandResult(self.arbiter.authority, "no estimate yet: nobody knows where here is")
-        depth_m = None if estimate.depth_m is None else min(max(estimate.depth_m, 0.0), DEEPEST_HOLD_M)
+        depth_m = None if estimate.depth_m is None else min(max(estimate.depth_m, 0.0), MAX_HOLD_DEPTH_M)
         hold = Hold(depth_m=depth_m)
         self._take(hold, _written(hold))
         return self.arbiter.request(Action.HOLD)

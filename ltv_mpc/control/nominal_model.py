@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from ltv_mpc.control.prediction import Prediction, Start, current_at
+from ltv_mpc.control.prediction import Prediction, Start, currents_at_depths
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -18,8 +18,8 @@ def advance(vehicle: Vehicle, estimate: Estimate, plan: Plan, *, duration_s: flo
     not hold the thrust being delivered: thrusters are taken to be where they are commanded at the beginning.
     """
     commands = SentCommands(vehicle)
-    commands.sent(plan)
-    end = Prediction(vehicle).roll(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
+    commands.add(plan)
+    end = Prediction(vehicle).state_at(estimate, estimate.t_ns + round(duration_s * 1e9), commands)
     return as_estimate(end, estimate)
 
 
@@ -27,7 +27,7 @@ def as_estimate(end: Start, before: Estimate) -> Estimate:
     """The state that a roll of ``before`` ended in, as an estimate: [n', e'] = R(psi) [u, v] + c."""
     n, e, u, v, psi, r = (float(x) for x in end.X[:6])
     has_depth = before.depth_m is not None
-    c = current_at(before.current, np.array([end.depth_m]))[0]
+    c = currents_at_depths(before.current, np.array([end.depth_m]))[0]
     cos, sin = np.cos(psi), np.sin(psi)
     return msgspec.structs.replace(
         before,

@@ -55,7 +55,7 @@ class Start(NamedTuple):
         return np.array([*self.lateral[STATES:], self.vertical_command_N])
 
 
-def current_at(profile: CurrentProfile | None, depth_m: Array) -> Array:
+def currents_at_depths(profile: CurrentProfile | None, depth_m: Array) -> Array:
     """North and east current (M, 2) at depths (M,): linear between the profile's depths, constant beyond; else zero."""
     if profile is None:
         return np.zeros((len(depth_m), 2))
@@ -73,17 +73,17 @@ class Prediction:
         self._reports: deque[tuple[int, Array]] = deque(maxlen=REPORTS)
         self._nothing = np.zeros(3)
 
-    def report(self, applied: Applied) -> None:
+    def add_report(self, applied: Applied) -> None:
         """The actuators say what they deliver."""
         if not self._reports or applied.t_ns > self._reports[-1][0]:
             self._reports.append((applied.t_ns, np.array(applied.thrust_N)))
 
-    def roll(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
+    def state_at(self, estimate: Estimate, t_ns: int, commands: SentCommands) -> Start:
         """The vehicle at ``t_ns``, not before the estimate's own time."""
         t_ns = max(t_ns, estimate.t_ns)
         vehicle, flat, report_ns, report = self.before(estimate)
         profile = profile_of(estimate)
-        start = roll_to(
+        start = predict_state(
             vehicle,
             flat,
             estimate.t_ns,
@@ -98,7 +98,7 @@ class Prediction:
         return Start(t_ns, start[:10], *start[10:].tolist())
 
     def before(self, estimate: Estimate) -> tuple[Array, Array, int, Array]:
-        """What ``roll_to`` starts from: vehicle (19,), estimate (8,), time of the last report, its thrust (3,)."""
+        """Inputs of ``predict_state``: vehicle (19,), estimate (8,), time of the last report, its thrust (3,)."""
         report_ns, report = NEVER, self._nothing
         for at, thrust in reversed(self._reports):
             if at <= estimate.t_ns:
@@ -125,7 +125,7 @@ def profile_of(estimate: Estimate) -> CurrentProfile:
 
 
 @jit
-def current_in(depth: Array, north: Array, east: Array, z: float) -> tuple[float, float]:
+def current_at_depth(depth: Array, north: Array, east: Array, z: float) -> tuple[float, float]:
     """North and east current at depth z: linear between the profile's depths, constant beyond; zero without one."""
     if len(depth) == 0:
         return 0.0, 0.0
@@ -155,7 +155,7 @@ def _delivered(since: int, F: Array, until: int, t: Times, thrust: Array, lags: 
 
 
 @jit
-def roll_to(
+def predict_state(
     vehicle: Array,
     estimate: Array,
     since: int,
@@ -184,7 +184,7 @@ def roll_to(
     has_depth = not np.isnan(estimate[6])
     z, w, F3 = (estimate[6] if has_depth else 0.0), estimate[7], F[2]
     c0, c1, u0, u1 = np.empty(2), np.empty(2), np.empty(2), np.empty(2)
-    c0[0], c0[1] = current_in(depth, north, east, z)
+    c0[0], c0[1] = current_at_depth(depth, north, east, z)
     # [u, v] = R(psi)' (velocity over ground - current)
     cos, sin = np.cos(estimate[2]), np.sin(estimate[2])
     vn, ve = estimate[4] - c0[0], estimate[5] - c0[1]
@@ -204,7 +204,7 @@ def roll_to(
                 z, w, F3 = advance_heave(z, w, F3, w0, w1, h, p)
                 if z <= 0.0:  # the surface
                     z, w = 0.0, max(w, 0.0)
-            c1[0], c1[1] = current_in(depth, north, east, z)
+            c1[0], c1[1] = current_at_depth(depth, north, east, z)
             for j in range(2):
                 u0[j], u1[j] = command_at(t, thrust, since, j), command_at(t, thrust, at, j)
             advance_stage(X.copy(), u0, u1, c0, c1, h, p, X)
@@ -218,8 +218,8 @@ def roll_to(
 
 
 @jit
-def currents(depth: Array, north: Array, east: Array, at: Array, flat: Array) -> None:
+def fill_currents(depth: Array, north: Array, east: Array, at: Array, flat: Array) -> None:
     """The current at depths ``at`` (N+1,) into the C of a linearisation's flat array."""
     C = views(flat, len(at) - 1).C
     for k in range(len(at)):
-        C[k, 0], C[k, 1] = current_in(depth, north, east, at[k])
+        C[k, 0], C[k, 1] = current_at_depth(depth, north, east, at[k])

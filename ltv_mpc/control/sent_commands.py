@@ -34,7 +34,7 @@ class SentCommands:
         self._t: Times = np.empty(0, dtype=np.int64)
         self._thrust: Array = np.empty((0, 3))
 
-    def sent(self, plan: Plan) -> None:
+    def add(self, plan: Plan) -> None:
         """``plan`` was sent: it is in force from its first knot on."""
         self._t, self._thrust = supersede(self._t, self._thrust, plan.t_ns, plan.thrust_N, self._slew, self._rest)
 
@@ -43,7 +43,7 @@ class SentCommands:
         """Times (M,) and commands (M, 3): linear between, constant beyond."""
         return self._t, self._thrust
 
-    def reported(self, t_ns: int, command_N: Triple) -> None:
+    def correct(self, t_ns: int, command_N: Triple) -> None:
         """The actuators say what was in force at ``t_ns``."""
         port, starboard, vertical = command_N
         if _apart(self._t, self._thrust, t_ns, port, starboard, vertical) <= AGREES_N:

@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.prediction import current_in
+from ltv_mpc.control.prediction import current_at_depth
 from ltv_mpc.messages import Applied, Array, Estimate, ModelCheck, Pair
 from ltv_mpc.safety.thrust_loss_detector import WINDOWS, learn, weigh
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -139,7 +139,7 @@ class ModelMonitor:
         profile = e.current
         if impulse is None or profile is None:
             return None
-        cn, ce = current_in(profile.depth_m, profile.north_mps, profile.east_mps, e.depth_m or 0.0)
+        cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, e.depth_m or 0.0)
         cos, sin = math.cos(e.heading_rad), math.sin(e.heading_rad)
         vn, ve = e.velocity_north_mps - cn, e.velocity_east_mps - ce
         P = e.covariance

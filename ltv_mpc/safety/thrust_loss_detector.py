@@ -201,7 +201,7 @@ def whitened(y: Array) -> Array:
     return out
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Have it compiled."""
     rows, known = np.zeros((2, 5, 2)), np.zeros((4, 4))
     learn(known, rows[1])

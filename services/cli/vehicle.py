@@ -78,7 +78,7 @@ def controller(
     from msgspec.structs import replace
 
     from ltv_mpc import references
-    from ltv_mpc.control.config import ControllerConfig, checked
+    from ltv_mpc.control.config import ControllerConfig, validate
     from ltv_mpc.control.horizon_selection import proposed_horizon_s
     from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -91,7 +91,7 @@ def controller(
         horizon_s = proposed_horizon_s(parameters)
     if horizon_s is not None:
         control = replace(control, horizon_s=horizon_s)
-    control = checked(control, source="options --rate-hz, --horizon-s")
+    control = validate(control, source="options --rate-hz, --horizon-s")
     from services.processes import controller as process
 
     return process.main(

@@ -72,7 +72,7 @@ def main(config: Config) -> int:
             except OSError as error:
                 sayer(ControllerNode.name)(f"--metrics {config.metrics_port}: {error.strerror}")
                 return FAILED
-        rehearse(vehicle, reference, settings)
+        warm_up(vehicle, reference, settings)
         node_stages = StageTimer()
         node = ControllerNode(vehicle, reference, settings, stopwatch=node_stages)
         line = StatusLine(node.name, key_in(bus, BY_TYPE[Estimate]), sys.stderr)
@@ -132,7 +132,7 @@ def _fields(kind: type[Message]) -> str:
     return f"{needed} [{optional}]" if optional else needed
 
 
-def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
+def warm_up(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -> None:
     """Have all compiled code and the solver loaded: some cycles of a controller that is thrown away.
 
     At the line; far off it, where the solver takes more than one turn and the step more than one try; with an estimate
@@ -152,14 +152,14 @@ def rehearse(vehicle: Vehicle, reference: Reference, config: ControllerConfig) -
         t_ns = begun + k * config.period_ns
         signals = (msgspec.structs.replace(estimate, t_ns=t_ns), *words.get(k, ()))
         node.steps([(t_ns, [ReceivedMessage(signal, 1, k, t_ns) for signal in signals])])
-    node.controller.rehearse()
-    thrust_loss_detector.rehearse()  # which these cycles, without a report of the actuators, have not asked for
+    node.controller.warm_up()
+    thrust_loss_detector.warm_up()  # which these cycles, without a report of the actuators, have not asked for
     for missed_s in (2.0, 20.0):  # hold, and then failsafe
         node.steps([(t_ns + round(missed_s * 1e9), [])])
 
 
-def rehearse_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
-    """Have compiled what ``rehearse`` comes to last: for a process that runs beside the one that does."""
+def warm_up_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
+    """Have compiled what ``warm_up`` comes to last: for a process that runs beside the one that does."""
     settings = resolve_weights(config, vehicle)
     solver, lin = make(vehicle, settings), Linearisation.empty(settings.stages)
     lin.flat[:] = 0.0
@@ -174,4 +174,4 @@ def rehearse_solver(vehicle: Vehicle, config: ControllerConfig) -> None:
         origin=PlanOrigin.SOLVED,
         solve=Solve(status=SolveStatus.SOLVED),
     )
-    SentCommands(vehicle).sent(plan)
+    SentCommands(vehicle).add(plan)

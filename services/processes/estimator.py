@@ -47,7 +47,7 @@ def main(config: Config) -> int:
     """Publish an estimate each period, from whatever measures."""
     suite, settings = SensorConfig.load(config.sensors), config.settings
     prior = told(settings)
-    rehearse(suite, settings)
+    warm_up(suite, settings)
 
     def make(request: StopRequest, say: Say) -> Runner:
         node = Estimator(suite, settings, prior, progress=lambda: HEARTBEAT.beat(monotonic_us()))
@@ -56,7 +56,7 @@ def main(config: Config) -> int:
     return serve(Estimator.name, config.bus, make)
 
 
-def rehearse(suite: SensorConfig, config: EstimatorConfig) -> None:
+def warm_up(suite: SensorConfig, config: EstimatorConfig) -> None:
     """Have all compiled code loaded: a second afloat and at rest for a filter that is thrown away."""
     estimator = Estimator(suite, config)
     second, imu_ns = 1_000_000_000, suite.imu.period_ns

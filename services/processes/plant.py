@@ -31,7 +31,7 @@ def main(config: Config) -> int:
         speed=scenario.run.speed,
         expects=("sensors", *estimator, "controller", *config.expects),
     )
-    rehearse(situation)
+    warm_up(situation)
     return serve(
         Plant.name,
         config.bus,
@@ -39,7 +39,7 @@ def main(config: Config) -> int:
     )
 
 
-def rehearse(situation: Situation) -> None:
+def warm_up(situation: Situation) -> None:
     """Have all compiled code loaded: a few steps of a plant that is thrown away."""
     plant = _make(situation)
     for t_ns in range(0, 5 * Plant.schedule.period_ns, Plant.schedule.period_ns):

@@ -24,7 +24,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Answer each true state with what is measured at its time."""
     situation = resolve(config.scenario)
-    rehearse(situation)
+    warm_up(situation)
     return serve(
         Sensors.name,
         config.bus,
@@ -32,7 +32,7 @@ def main(config: Config) -> int:
     )
 
 
-def rehearse(situation: Situation) -> None:
+def warm_up(situation: Situation) -> None:
     """Have all compiled code loaded: 1.4 s at rest for sensors that are thrown away, each speaking once at least."""
     sensors = _make(situation)
     still = (0.0, 0.0, 0.0)

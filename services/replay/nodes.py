@@ -86,7 +86,7 @@ def replaced(situation: Situation, path: Path) -> tuple[str, Situation, tuple[Ch
     name = node_of(path)
     scenario = situation.scenario
     if name == ControllerNode.name:
-        controller = control.checked(ControllerConfig.load(str(path)), source=f"--with {path}")
+        controller = control.validate(ControllerConfig.load(str(path)), source=f"--with {path}")
         other = dataclasses.replace(situation, scenario=msgspec.structs.replace(scenario, controller=controller))
     else:
         estimator = beside(path.parent, EstimatorConfig.load(str(path)))

@@ -203,12 +203,12 @@ def main() -> None:
 
 
 def load(scenario: str) -> None:
-    """Import what the processes of this scenario use, and rehearse its nodes."""
+    """Import what the processes of this scenario use, and warm up its nodes."""
     import services.processes.recorder
     import services.processes.router  # noqa: F401
     from services.supervisor import jit_cache
 
-    jit_cache.rehearse(scenario)
+    jit_cache.warm_up(scenario)
 
 
 def _fork(parent: int, request: Request, descriptors: list[int], requests: socket.socket) -> int:

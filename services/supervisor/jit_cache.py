@@ -58,45 +58,45 @@ def share() -> float:
     return min(1.0, sum(1 for _ in CACHE.rglob("*.nbi")) / expected)
 
 
-def rehearse(scenario: str) -> None:
+def warm_up(scenario: str) -> None:
     """Every node of it: all their compiled code and solvers are loaded then."""
-    rehearse_controller(scenario)
-    rehearse_others(scenario)
+    warm_up_controller(scenario)
+    warm_up_others(scenario)
 
 
-def rehearse_controller(scenario: str) -> None:
+def warm_up_controller(scenario: str) -> None:
     """The controller."""
     from services.processes import controller
     from services.run.run_config import resolve
 
     situation = resolve(scenario)
-    controller.rehearse(situation.vehicle, situation.reference, situation.scenario.controller)
+    controller.warm_up(situation.vehicle, situation.reference, situation.scenario.controller)
 
 
-def rehearse_solver(scenario: str) -> None:
+def warm_up_solver(scenario: str) -> None:
     """Of the controller what a cycle comes to last."""
     from services.processes import controller
     from services.run.run_config import resolve
 
     situation = resolve(scenario)
-    controller.rehearse_solver(situation.vehicle, situation.scenario.controller)
+    controller.warm_up_solver(situation.vehicle, situation.scenario.controller)
 
 
-def rehearse_others(scenario: str) -> None:
+def warm_up_others(scenario: str) -> None:
     """Plant, sensors and estimator."""
     from services.processes import estimator, plant, sensors
     from services.run.run_config import resolve
 
     situation = resolve(scenario)
-    plant.rehearse(situation)
-    sensors.rehearse(situation)
-    estimator.rehearse(situation.suite, situation.scenario.estimator)
+    plant.warm_up(situation)
+    sensors.warm_up(situation)
+    estimator.warm_up(situation.suite, situation.scenario.estimator)
 
 
 PARTS: dict[str, Callable[[str], None]] = {
-    "controller": rehearse_controller,
-    "others": rehearse_others,
-    "solver": rehearse_solver,
+    "controller": warm_up_controller,
+    "others": warm_up_others,
+    "solver": warm_up_solver,
 }
 """Each in a process of its own, all at once."""
 

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc import config
-from ltv_mpc.control.prediction import current_in, profile_of
+from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Array, Estimate, Message, Plan
 from ltv_mpc.vehicle.identification import Found, Identified, Known, KnownYaw, Motion, NotEnoughMotion, identify
@@ -151,7 +151,7 @@ def _increasing(signals: Sequence[Timed]) -> list[Timed]:
 def _through_the_water(estimate: Estimate) -> tuple[float, float, float]:
     """Compute u, v, r: [u, v] = R(psi)' (velocity over ground - current)."""
     profile = profile_of(estimate)
-    cn, ce = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
+    cn, ce = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m or 0.0)
     cos, sin = np.cos(estimate.heading_rad), np.sin(estimate.heading_rad)
     north, east = estimate.velocity_north_mps - cn, estimate.velocity_east_mps - ce
     return cos * north + sin * east, cos * east - sin * north, estimate.yaw_rate_radps
@@ -163,8 +163,8 @@ def _shear(estimate: Estimate) -> tuple[float, float]:
     if w == 0.0 or estimate.depth_m is None:
         return 0.0, 0.0
     profile = profile_of(estimate)
-    n0, e0 = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m - 0.5)
-    n1, e1 = current_in(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m + 0.5)
+    n0, e0 = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m - 0.5)
+    n1, e1 = current_at_depth(profile.depth_m, profile.north_mps, profile.east_mps, estimate.depth_m + 0.5)
     return (n1 - n0) * w, (e1 - e0) * w
 
 

@@ -350,7 +350,7 @@ def settings() -> Iterator[Target]:
     """The files that a user writes."""
     vehicles, suites = texts("ltv_mpc/vehicle/files"), texts("ltv_mpc/localisation/files", "examples/sensors")
     paths = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
-    controller = [b"horizon_s = 5.0\nmost_stages = 34\n[weights]\nposition = 1.0\n", b"period_s = 0.3\n[disturbance]\n"]
+    controller = [b"horizon_s = 5.0\nmax_stages = 34\n[weights]\nposition = 1.0\n", b"period_s = 0.3\n[disturbance]\n"]
     estimator = [b"current_sd_mps = 0.04\ndeepest_m = 100.0\ncell_m = 1.0\n"]
     scenarios = texts("sim/scenarios")
     yield file_reader("vehicle", 1.5, of_text(vehicles), lambda p: Vehicle.load(str(p)), file="vehicle.toml")

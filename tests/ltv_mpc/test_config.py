@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from ltv_mpc import config
 from ltv_mpc.config import not_there
-from ltv_mpc.control.config import ControllerConfig, GivenWeights
+from ltv_mpc.control.config import ControllerConfig, WeightSettings
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -165,7 +165,7 @@ def test_a_bare_name_is_a_shipped_one_and_an_unknown_one_lists_them(
 
 
 def test_what_is_written_is_read_back_bit_for_bit() -> None:
-    settings_ = ControllerConfig(horizon_s=0.1 + 0.2, weights=GivenWeights(thrust=1e-300), max_iterations=7)
+    settings_ = ControllerConfig(horizon_s=0.1 + 0.2, weights=WeightSettings(thrust=1e-300), max_iterations=7)
     assert config.parse(tomllib.loads(config.to_toml(settings_)), ControllerConfig, source="x") == settings_
     point = Point(north_m=1.0, east_m=2.0)
     assert config.parse(tomllib.loads(config.to_toml(point)), Reference, source="x") == point  # None is left out
@@ -181,7 +181,7 @@ scalars = (
         [10**400, datetime.date(2020, 1, 1), datetime.time(1), datetime.datetime(2020, 1, 1), -0.0, 1e308]
     )
 )
-KINDS = (ControllerConfig, EstimatorConfig, GivenWeights, Vehicle, SensorConfig, Point, Hold, Reference)
+KINDS = (ControllerConfig, EstimatorConfig, WeightSettings, Vehicle, SensorConfig, Point, Hold, Reference)
 NAMES = sorted(
     {f.name for k in KINDS[:-1] for f in msgspec.structs.fields(k)} | {"kind", "port", "mass_kg", "lever_arm_m"}
 )

@@ -24,7 +24,7 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
-from services.processes.controller import rehearse
+from services.processes.controller import warm_up
 from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet.place import Fleet, Wire, begin, namespace, now_ns
 from sim.evaluation.metrics import quantiles
@@ -49,7 +49,7 @@ def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
     vehicle = Vehicle.load(fleet.vehicle)
     config = ControllerConfig(horizon_s=fleet.horizon_s, period_s=1.0 / fleet.rate_hz)
     point = Point(north_m=0.0, east_m=0.0, depth_m=10.0)
-    rehearse(vehicle, point, config)
+    warm_up(vehicle, point, config)
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox = Mailbox()
         helms = {

@@ -87,7 +87,7 @@ def recorded(run: str, stages: int, cycles: int) -> list[Episode]:
             vehicle=Vehicle.load(str(held.config("vehicle"))),
             reference=references.load(str(held.config("reference"))),
             config=msgspec.structs.replace(
-                config, horizon_s=seconds(stages), most_stages=max(stages, 2), sqp_iterations=1
+                config, horizon_s=seconds(stages), max_stages=max(stages, 2), sqp_iterations=1
             ),
             cycles=cycles,
             feed=lambda node, enough: _replay(held.recording, node, enough),
@@ -127,7 +127,7 @@ def _hard(stages: int, cycles: int, seed: int) -> Episode:
 
 
 def _situation(stages: int, seed: int, *settings: str) -> Situation:
-    horizon = (f"controller.horizon_s={seconds(stages)!r}", f"controller.most_stages={max(stages, 2)}")
+    horizon = (f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}")
     common = ("run.perfect_state=true", "controller.sqp_iterations=1", *horizon)
     return resolve(
         "descent", [Override("option --seed", [f"run.seed={seed}"]), Override("profile", [*common, *settings])]

@@ -43,9 +43,9 @@ def descend(
     commands, vehicle = SentCommands(PAPER), Prediction(PAPER)
     for _ in range(cycles):
         plan = controller.plan(estimate)
-        commands.sent(plan)
-        end = vehicle.roll(estimate, estimate.t_ns + 300_000_000, commands)
-        vehicle.report(applied(end))
+        commands.add(plan)
+        end = vehicle.state_at(estimate, estimate.t_ns + 300_000_000, commands)
+        vehicle.add_report(applied(end))
         controller.report(applied(end))
         estimate = as_estimate(end, estimate)
         plans.append(plan)

@@ -38,8 +38,8 @@ def held(disturbance: Disturbance, told: CurrentProfile | None, cycles: int = 20
     force, off = [], []
     for _ in range(cycles):
         plan = controller.plan(msgspec.structs.replace(truth, current=told))
-        commands.sent(plan)
-        truth = as_estimate(vehicle.roll(truth, truth.t_ns + 300_000_000, commands), truth)
+        commands.add(plan)
+        truth = as_estimate(vehicle.state_at(truth, truth.t_ns + 300_000_000, commands), truth)
         force.append(np.abs(plan.thrust_N[0, :2]).mean())
         off.append(np.hypot(truth.north_m, truth.east_m))
     late = slice(cycles // 2, None)
@@ -70,12 +70,12 @@ def test_a_profile_that_comes_and_goes_is_no_step_of_the_bias():
     bias, commands, vehicle = CurrentBias(BY_ITSELF), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), velocity_north_mps=0.2)
     for i in range(50):
-        bias.corrected(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        bias.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
     learned = bias.bias_mps.copy()
     assert learned[0] > 0.05
     told = msgspec.structs.replace(estimate, t_ns=50 * 300_000_000, current=flat(WATER))
-    assert bias.corrected(told, vehicle, commands) is told
-    again = bias.corrected(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
+    assert bias.correct(told, vehicle, commands) is told
+    again = bias.correct(msgspec.structs.replace(estimate, t_ns=51 * 300_000_000), vehicle, commands)
     assert again.current.north_mps[0] == learned[0]
 
 
@@ -95,7 +95,7 @@ def drifting(seconds: float, steps: int, settings: Disturbance = ON, **changes: 
     bias, commands, vehicle = CurrentBias(settings), SentCommands(PAPER), Prediction(PAPER)
     estimate = msgspec.structs.replace(Estimate.at_rest(), **changes)
     for i in range(steps):
-        told = bias.corrected(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
+        told = bias.correct(msgspec.structs.replace(estimate, t_ns=round(i * seconds * 1e9)), vehicle, commands)
     return bias, told
 
 
@@ -121,12 +121,12 @@ def test_over_a_long_silence_nothing_is_learned():
 def test_what_is_not_finite_is_not_believed_and_the_bias_stays_in_its_limits():
     bias, commands, vehicle = CurrentBias(ON), SentCommands(PAPER), Prediction(PAPER)
     first = Estimate.at_rest()
-    bias.corrected(first, vehicle, commands)
+    bias.correct(first, vehicle, commands)
     broken = msgspec.structs.replace(first, t_ns=300_000_000, velocity_north_mps=float("nan"))
-    bias.corrected(broken, vehicle, commands)
+    bias.correct(broken, vehicle, commands)
     np.testing.assert_array_equal(bias.bias_mps, 0.0)
-    tight = CurrentBias(Disturbance(sd_mps=0.1, most_mps=0.01))
+    tight = CurrentBias(Disturbance(sd_mps=0.1, max_mps=0.01))
     estimate = msgspec.structs.replace(first, velocity_north_mps=0.2)
     for i in range(50):
-        tight.corrected(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
+        tight.correct(msgspec.structs.replace(estimate, t_ns=i * 300_000_000), vehicle, commands)
     assert tight.bias_mps[0] == 0.01

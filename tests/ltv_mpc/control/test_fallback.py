@@ -158,11 +158,11 @@ def test_a_motion_that_nobody_can_foresee_ends_in_thrusts_of_zero(monkeypatch):
 # --- whatever raises -------------------------------------------------------------------------------------------------
 
 STAGES = (
-    ("_prediction", "roll"),
+    ("_prediction", "state_at"),
     ("_follower", "begin"),
     ("_follower", "advance"),
     ("_follower", "fill"),
-    ("_commands", "sent"),
+    ("_commands", "add"),
     ("_commands", "at"),
     ("estimate_gate", "check"),
     ("_solver", "build"),
@@ -190,7 +190,7 @@ def test_whatever_raises_the_same_cycle_has_a_plan_and_the_next_good_one_is_solv
     estimate = advance(SURFACES, estimate, plan, duration_s=0.3)
     after = controller.plan(estimate)
     assert after.origin is SOLVED
-    check(after, None if method == "sent" else plan)  # what was sent is then known from the actuators alone
+    check(after, None if method == "add" else plan)  # what was sent is then known from the actuators alone
 
 
 @pytest.mark.parametrize("method", ["choose_nominal", "line_search", "shifted_trajectory"])

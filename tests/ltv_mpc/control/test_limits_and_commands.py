@@ -83,8 +83,8 @@ def test_nothing_was_sent_so_nothing_is_in_force():
 
 def test_a_plan_is_in_force_from_its_first_knot_and_the_next_takes_over_at_its_own():
     sent = SentCommands(PAPER)
-    sent.sent(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
-    sent.sent(plan(150_000_000, [[15, -15, 5], [0, 0, 0], [0, 0, 0]]))
+    sent.add(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
+    sent.add(plan(150_000_000, [[15, -15, 5], [0, 0, 0], [0, 0, 0]]))
     at = sent.at(np.array([75_000_000, 150_000_000, 300_000_000, 450_000_000]))
     np.testing.assert_allclose(at[:, 0], [7.5, 15.0, 7.5, 0.0], atol=1e-6)
     np.testing.assert_allclose(at[:, 1], [-7.5, -15.0, -7.5, 0.0], atol=1e-6)
@@ -93,7 +93,7 @@ def test_a_plan_is_in_force_from_its_first_knot_and_the_next_takes_over_at_its_o
 def test_after_the_last_knot_every_thruster_goes_to_rest_at_its_own_slew_limit():
     vehicle = msgspec.structs.replace(PAPER, failsafe_vertical_N=-10.0)
     sent = SentCommands(vehicle)
-    sent.sent(plan(0, [[0, 0, 0], [20, -10, 30]]))
+    sent.add(plan(0, [[0, 0, 0], [20, -10, 30]]))
     end = 300_000_000
     at = sent.at(np.array([end, end + 100_000_000, end + 200_000_000, end + 400_000_000, end + 2 * SECOND]))
     np.testing.assert_allclose(at[:, 0], [20, 10, 0, 0, 0], atol=1e-6)
@@ -103,7 +103,7 @@ def test_after_the_last_knot_every_thruster_goes_to_rest_at_its_own_slew_limit()
 
 def test_between_gives_both_ends_and_the_knots_inside():
     sent = SentCommands(PAPER)
-    sent.sent(plan(0, np.zeros((4, 3))))
+    sent.add(plan(0, np.zeros((4, 3))))
     np.testing.assert_array_equal(
         sent.between(100_000_000, 700_000_000), [100_000_000, 300_000_000, 600_000_000, 700_000_000]
     )
@@ -112,8 +112,8 @@ def test_between_gives_both_ends_and_the_knots_inside():
 def test_where_the_actuators_report_another_command_it_goes_from_there_to_the_plan_at_the_slew_limit():
     """A plan that came late, or a controller that has just started: the next plan begins at what is in force."""
     sent = SentCommands(PAPER)
-    sent.sent(plan(0, np.full((10, 3), 40.0)))
-    sent.reported(1_000_000_000, (10.0, 40.0, 62.5))
+    sent.add(plan(0, np.full((10, 3), 40.0)))
+    sent.correct(1_000_000_000, (10.0, 40.0, 62.5))
     at = sent.at(np.array([1_000_000_000, 1_200_000_000, 1_300_000_000, 2_000_000_000]))
     np.testing.assert_allclose(at[:, 0], [10.0, 30.0, 40.0, 40.0], atol=0.02)
     np.testing.assert_allclose(at[:, 1], 40.0, atol=0.02)
@@ -124,19 +124,19 @@ def test_where_the_actuators_report_another_command_it_goes_from_there_to_the_pl
 def test_one_thruster_that_does_something_else_is_enough(thruster):
     """Between knots, each by itself; what rounding makes is none."""
     sent = SentCommands(PAPER)
-    sent.sent(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20], [10, 40, -20]]))
+    sent.add(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20], [10, 40, -20]]))
     before = [part.copy() for part in sent.knots]
     now = sent.at(np.array([750_000_000]))[0]
-    sent.reported(750_000_000, tuple(now + 0.005))
+    sent.correct(750_000_000, tuple(now + 0.005))
     np.testing.assert_array_equal(sent.knots[1], before[1])
     now[thruster] += 1.0
-    sent.reported(750_000_000, tuple(now))
+    sent.correct(750_000_000, tuple(now))
     np.testing.assert_allclose(sent.at(np.array([750_000_000]))[0], now)
 
 
 def test_a_new_controller_takes_the_reported_command_and_lets_it_go_to_rest():
     sent = SentCommands(PAPER)
-    sent.reported(0, (50.0, -50.0, 20.0))
+    sent.correct(0, (50.0, -50.0, 20.0))
     at = sent.at(np.array([0, 250_000_000, 500_000_000, SECOND]))
     np.testing.assert_allclose(at[:, 0], [50.0, 25.0, 0.0, 0.0], atol=0.02)
     np.testing.assert_allclose(at[:, 1], [-50.0, -25.0, 0.0, 0.0], atol=0.02)
@@ -144,7 +144,7 @@ def test_a_new_controller_takes_the_reported_command_and_lets_it_go_to_rest():
 
 def test_a_report_that_agrees_changes_nothing():
     sent = SentCommands(PAPER)
-    sent.sent(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
+    sent.add(plan(0, [[0, 0, 0], [30, -30, 10], [60, -60, 20]]))
     before = sent.at(np.arange(0, 900_000_000, 50_000_000))
-    sent.reported(150_000_000, (15.0, -15.0, 5.0))
+    sent.correct(150_000_000, (15.0, -15.0, 5.0))
     np.testing.assert_array_equal(sent.at(np.arange(0, 900_000_000, 50_000_000)), before)

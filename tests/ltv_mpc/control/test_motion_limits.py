@@ -35,7 +35,7 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 def form_of(limits: MotionLimits) -> SparseQp:
     config = resolve_weights(settings(limits), PAPER)
-    return SparseQp(equidistant(N), HorizonLimits.of(PAPER, 0.3, limits.most), config.weights)
+    return SparseQp(equidistant(N), HorizonLimits.of(PAPER, 0.3, limits.max_abs), config.weights)
 
 
 def excesses(form: SparseQp, x: Array) -> Array:

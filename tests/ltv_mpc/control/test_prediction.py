@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc import CurrentProfile, Estimate, Plan, PlanOrigin, SolveStatus, Vehicle
 from ltv_mpc.control.delay import Delay
-from ltv_mpc.control.prediction import Prediction, current_at
+from ltv_mpc.control.prediction import Prediction, currents_at_depths
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Applied, CycleTiming, Solve
 from ltv_mpc.vehicle.dynamics import derivative, heave_acceleration
@@ -25,7 +25,7 @@ PROFILE = CurrentProfile(
 def sent() -> SentCommands:
     commands = SentCommands(PAPER)
     thrust = np.array([[0.0, 0, 0], [25, -10, 30], [5, 20, 60], [-20, 30, 62.5], [-20, 30, 62.5]])
-    commands.sent(
+    commands.add(
         Plan(
             cycle_t_ns=0,
             t_ns=np.arange(5, dtype=np.int64) * 300_000_000,
@@ -72,15 +72,15 @@ def applied(t_ns: int, thrust=(0.0, 0.0, 0.0), **changes) -> Applied:
 
 def test_the_roll_agrees_with_an_independent_integration_through_the_same_commands():
     commands, prediction = sent(), Prediction(PAPER)
-    prediction.report(applied(100_000_000, (8.0, -3.0, 10.0)))
-    start = prediction.roll(estimate(200_000_000), 1_000_000_000, commands)
-    c0 = current_at(PROFILE, np.array([10.2]))[0]
+    prediction.add_report(applied(100_000_000, (8.0, -3.0, 10.0)))
+    start = prediction.state_at(estimate(200_000_000), 1_000_000_000, commands)
+    c0 = currents_at_depths(PROFILE, np.array([10.2]))[0]
     turn = np.exp(-1j * 0.7) * ((0.1 - c0[0]) + 1j * (0.02 - c0[1]))
 
     def rhs(t, y):
         u = commands.at(np.array([round(t * 1e9)]))[0]
-        c = current_at(PROFILE, y[8:9])[0]
-        slope = (current_at(PROFILE, y[8:9] + 1e-6)[0] - current_at(PROFILE, y[8:9] - 1e-6)[0]) / 2e-6
+        c = currents_at_depths(PROFILE, y[8:9])[0]
+        slope = (currents_at_depths(PROFILE, y[8:9] + 1e-6)[0] - currents_at_depths(PROFILE, y[8:9] - 1e-6)[0]) / 2e-6
         dx = np.empty(6)
         derivative(y[:6], y[6:8], c, slope * y[9], P, dx)
         lateral = (u[:2] - y[6:8]) / 0.3
@@ -100,21 +100,23 @@ def test_the_roll_agrees_with_an_independent_integration_through_the_same_comman
 
 
 def test_without_reports_the_thrusters_are_taken_to_do_as_they_were_told():
-    start = Prediction(PAPER).roll(estimate(300_000_000), 300_000_000, sent())
+    start = Prediction(PAPER).state_at(estimate(300_000_000), 300_000_000, sent())
     np.testing.assert_allclose(start.X[6:], [25.0, -10.0])
 
 
 def test_a_report_that_is_newer_than_the_estimate_does_not_hide_the_one_before_it():
     prediction, commands = Prediction(PAPER), sent()
-    prediction.report(applied(200_000_000, (1.0, 2.0, 3.0)))
-    prediction.report(applied(300_000_000, (40.0, 40.0, 40.0)))
-    start = prediction.roll(estimate(200_000_000), 200_000_000, commands)
+    prediction.add_report(applied(200_000_000, (1.0, 2.0, 3.0)))
+    prediction.add_report(applied(300_000_000, (40.0, 40.0, 40.0)))
+    start = prediction.state_at(estimate(200_000_000), 200_000_000, commands)
     np.testing.assert_allclose([*start.X[6:], start.vertical_N], [1.0, 2.0, 3.0])
 
 
 def test_the_current_is_constant_beyond_both_ends_of_the_profile_and_zero_without_one():
-    np.testing.assert_allclose(current_at(PROFILE, np.array([-1.0, 10.5, 99.0])), [[0, 0.05], [0.06, 0], [0.1, 0]])
-    np.testing.assert_array_equal(current_at(None, np.array([5.0])), [[0.0, 0.0]])
+    np.testing.assert_allclose(
+        currents_at_depths(PROFILE, np.array([-1.0, 10.5, 99.0])), [[0, 0.05], [0.06, 0], [0.1, 0]]
+    )
+    np.testing.assert_array_equal(currents_at_depths(None, np.array([5.0])), [[0.0, 0.0]])
 
 
 # --- how long it takes -----------------------------------------------------------------------------------------------
@@ -130,9 +132,9 @@ def test_before_anything_was_measured_the_setting_counts():
 
 def test_the_cycles_own_time_counts_until_the_actuators_report():
     delay = Delay(0, 1.0)
-    delay.timing(timing(400))
+    delay.add_timing(timing(400))
     assert delay.expected_ns() == 400
-    delay.receipt(applied(10, plan_cycle_t_ns=1000, plan_received_t_ns=1700))
+    delay.add_receipt(applied(10, plan_cycle_t_ns=1000, plan_received_t_ns=1700))
     assert delay.expected_ns() == 700
 
 
@@ -140,7 +142,7 @@ def received(delay: Delay, *took_ns: int) -> None:
     for k, took in enumerate(took_ns):
         at = 1_000_000 * (k + 1) + len(took_ns)
         for _ in range(3):  # the actuators repeat their report
-            delay.receipt(applied(10, plan_cycle_t_ns=at, plan_received_t_ns=at + took))
+            delay.add_receipt(applied(10, plan_cycle_t_ns=at, plan_received_t_ns=at + took))
 
 
 def test_a_delay_that_never_varies_is_expected_as_it_is():
@@ -152,9 +154,9 @@ def test_a_delay_that_never_varies_is_expected_as_it_is():
 def test_no_less_is_expected_than_a_setting_says():
     delay = Delay(0, 1.0, 30)
     assert delay.expected_ns() == 30
-    delay.timing(timing(10))
+    delay.add_timing(timing(10))
     assert delay.expected_ns() == 30
-    delay.timing(timing(40))
+    delay.add_timing(timing(40))
     assert delay.expected_ns() == 40  # the median of two is the later one
 
 
@@ -174,5 +176,5 @@ def test_what_was_long_ago_is_forgotten():
 @pytest.mark.parametrize("sequence", [-1])
 def test_no_plan_accepted_yet_is_no_receipt(sequence):
     delay = Delay(5, 1.0)
-    delay.receipt(applied(10, plan_sequence=sequence))
+    delay.add_receipt(applied(10, plan_sequence=sequence))
     assert delay.expected_ns() == 5

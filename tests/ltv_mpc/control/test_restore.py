@@ -8,7 +8,7 @@ import pytest
 
 from ltv_mpc import Controller, Estimate, Plan, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.control.node import SAVE_NS, ControllerNode
+from ltv_mpc.control.node import SAVE_PERIOD_NS, ControllerNode
 from ltv_mpc.messages import (
     Acknowledgement,
     Action,
@@ -204,7 +204,7 @@ def test_it_writes_down_each_change_and_else_each_five_seconds():
     flight.fly(60)  # 18 s
     times = [c.t_ns for c in flight.states[count - 1 :]]
     assert len(times) == 4
-    assert all(SAVE_NS <= gap < SAVE_NS + PERIOD_NS for gap in np.diff(times))
+    assert all(SAVE_PERIOD_NS <= gap < SAVE_PERIOD_NS + PERIOD_NS for gap in np.diff(times))
     assert flight.states[-1].progress == pytest.approx(flight.plans[-1].progress, abs=0.05)
     flight.step(Command(command_id=2, action=Action.HOLD))
     assert 'kind = "hold"' in flight.states[-1].reference_toml

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
-from ltv_mpc.control.config import GivenWeights, ResolvedConfig, Weights
+from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
 from ltv_mpc.control.scaling import PAPER as FOUND_FOR
 from ltv_mpc.control.scaling import resolve_weights, scales_of, slowness, state_scale, weaker_couple, weights_of
 from ltv_mpc.errors import ConfigError
@@ -82,7 +82,7 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
 
 def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     surface = Vehicle.load("surface")
-    config = resolve_weights(ControllerConfig(weights=GivenWeights(thrust=0.5), horizon_s=7.2), surface)
+    config = resolve_weights(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
     assert config.weights == msgspec.structs.replace(weights_of(surface), thrust=0.5)
     assert config.horizon_s == 7.2
     assert resolve_weights(config, PAPER) is config  # what is settled stays

@@ -115,7 +115,7 @@ def test_a_long_stage_is_linearised_over_its_own_length():
 
 
 def test_a_plan_lasts_as_long_as_the_horizon_and_obeys_box_and_slew_and_the_motion():
-    config = ControllerConfig(horizon_s=10.2, most_stages=N)
+    config = ControllerConfig(horizon_s=10.2, max_stages=N)
     controller = Controller(PAPER, references.Point(north_m=0.0, east_m=0.0), config)
     plan = controller.plan(Estimate.at_rest(north_m=2.0, heading_rad=2.0))
     assert plan.origin is PlanOrigin.SOLVED
@@ -136,4 +136,4 @@ def test_looking_further_ahead_at_the_same_cost_holds_the_line_better(closed_loo
         assert {plan.origin for plan in plans} == {PlanOrigin.SOLVED}
         return np.mean([np.hypot(e.north_m, e.east_m) for e in way])
 
-    assert mean_m(horizon_s=10.2, most_stages=N) < 0.8 * mean_m(horizon_s=5.1)
+    assert mean_m(horizon_s=10.2, max_stages=N) < 0.8 * mean_m(horizon_s=5.1)

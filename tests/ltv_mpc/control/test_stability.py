@@ -51,12 +51,12 @@ def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) 
     applied, off = report(0, [*X[6:], 0.0]), []
     for _ in range(cycles):
         controller.report(applied)
-        motion.report(applied)
-        commands.reported(applied.t_ns, applied.command_N)
+        motion.add_report(applied)
+        commands.correct(applied.t_ns, applied.command_N)
         plan = controller.plan(estimate)
         assert plan.origin == "solved"
-        commands.sent(plan)
-        end = motion.roll(estimate, estimate.t_ns + CYCLE_NS, commands)
+        commands.add(plan)
+        end = motion.state_at(estimate, estimate.t_ns + CYCLE_NS, commands)
         applied = report(end.t_ns, [*end.X[6:], end.vertical_N], end.command)
         estimate = as_estimate(end, estimate)
         off.append(abs(estimate.east_m))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc import config
-from ltv_mpc.control.config import ControllerConfig, checked
+from ltv_mpc.control.config import ControllerConfig, validate
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Health
 from ltv_mpc.safety.health import WORST_FIRST, Ages, health, plan_health, report_health, worst
@@ -119,6 +119,6 @@ def test_the_worst_of_several_counts():
 )
 def test_thresholds_that_contradict_each_other_are_refused_by_name(table, field):
     with pytest.raises(ConfigError, match=field):
-        checked(config.parse({"ages": table}, ControllerConfig, source="settings"), source="settings")
+        validate(config.parse({"ages": table}, ControllerConfig, source="settings"), source="settings")
     fine = msgspec.structs.replace(ControllerConfig(), ages=Ages(degraded_s=0.2, hold_s=0.2, failsafe_s=0.2))
-    assert checked(fine, source="settings") is fine
+    assert validate(fine, source="settings") is fine

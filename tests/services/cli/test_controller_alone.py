@@ -79,7 +79,7 @@ def test_bad_options_are_refused_before_anything_starts(words, said, started, ca
 
 
 def test_a_port_that_is_taken_is_said_and_nothing_is_started(capsys, monkeypatch) -> None:
-    monkeypatch.setattr(controller, "rehearse", lambda *_: pytest.fail("started"))
+    monkeypatch.setattr(controller, "warm_up", lambda *_: pytest.fail("started"))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert controller.main(controller.Config(bus=BusOptions(), metrics_port=port)) == 1

@@ -40,7 +40,7 @@ def test_its_commands_are_the_optimum(problem, stages, limits):
 
 
 def test_stages_that_grow_and_gaps():
-    config = msgspec.structs.replace(CONFIG, horizon_s=20.1, most_stages=17)
+    config = msgspec.structs.replace(CONFIG, horizon_s=20.1, max_stages=17)
     solver = RiccatiSolver(config, LIMITS)
     for seed in range(3):
         lin, target = motion(seed, 17, gap=0.02)

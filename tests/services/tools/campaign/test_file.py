@@ -30,7 +30,7 @@ seed = 3
 [vary]
 water.sd_mps = { low = 0.01, high = 0.09 }
 water.correlation_length_m = { low = 1.0, high = 100.0, scale = "log" }
-controller.most_stages = { low = 10, high = 40 }
+controller.max_stages = { low = 10, high = 40 }
 sensors = ["paper", "realistic"]
 """
 
@@ -71,7 +71,7 @@ def test_a_sobol_design_fills_each_range_evenly_and_is_the_same_again(tmp_path: 
     # a power of two of scrambled points: one in each of as many equal parts
     np.testing.assert_array_equal(np.floor((sd - 0.01) / 0.08 * 64), np.arange(64))
     np.testing.assert_array_equal(np.floor(length / 2 * 64), np.arange(64))
-    stages = [point["controller.most_stages"] for point in made]
+    stages = [point["controller.max_stages"] for point in made]
     assert all(isinstance(n, int) and 10 <= n <= 40 for n in stages)
     assert [point["sensors"] for point in made].count("paper") == 32
 

@@ -11,7 +11,7 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.messages import *
-from services.processes.estimator import rehearse
+from services.processes.estimator import warm_up
 
 odd = {"period_ns": 10**9, "missing_share": 0.0, "outlier_share": 0.0, "outlier_m": 0.0}
 base = SensorConfig.load("realistic")
@@ -33,7 +33,7 @@ def compiled():
         for key, value in vars(module).items() if hasattr(value, "nopython_signatures")
     }
 
-rehearse(full if sys.argv[1] == "full" else base, config)
+warm_up(full if sys.argv[1] == "full" else base, config)
 before = compiled()
 estimator = Estimator(full if sys.argv[1] == "full" else base, config)
 said = []

@@ -10,7 +10,7 @@ import sys
 import msgspec, numpy as np
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, PlanOrigin, Vehicle, advance, references
 from ltv_mpc.messages import Applied, CycleTiming
-from services.processes.controller import rehearse
+from services.processes.controller import warm_up
 
 (solver,) = sys.argv[1:]
 vehicle, config = Vehicle.load("paper"), ControllerConfig(solver=solver)
@@ -23,7 +23,7 @@ def compiled():
         for key, value in vars(module).items() if hasattr(value, "signatures")
     }
 
-rehearse(vehicle, reference, config)
+warm_up(vehicle, reference, config)
 before = compiled()
 controller = Controller(vehicle, reference, config)
 z = np.arange(40.0)
