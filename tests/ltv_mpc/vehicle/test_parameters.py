@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc import Controller, Estimate, Vehicle, advance, references
 from ltv_mpc.errors import ConfigError
-from ltv_mpc.safety.plan_gate import Gate
+from ltv_mpc.safety.plan_gate import PlanGate
 from ltv_mpc.vehicle.flow import advance_heave
 
 PAPER = Path(__file__).resolve().parents[3] / "ltv_mpc" / "vehicle" / "files" / "paper.toml"
@@ -84,7 +84,7 @@ def test_a_surface_craft_stays_at_the_surface_in_the_simulation():
     craft = Vehicle.load("surface")
     p = craft.coefficients()
     assert advance_heave(0.0, 0.0, 0.0, 0.0, 0.0, 10.0, p) == (0.0, 0.0, 0.0)
-    plan = Gate(craft).command_at(0)
+    plan = PlanGate(craft).command_at(0)
     assert plan == (0.0, 0.0, 0.0)
 
 

@@ -116,7 +116,7 @@ def applied(t_ns: int) -> Applied:
         plan_received_t_ns=0,
         plan_late=False,
         plans_late=0,
-        plans_refused=0,
+        plans_rejected=0,
     )
 
 

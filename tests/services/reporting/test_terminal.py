@@ -39,7 +39,7 @@ APPLIED = Applied(
     plan_received_t_ns=122 * S,
     plan_late=False,
     plans_late=123456,
-    plans_refused=0,
+    plans_rejected=0,
 )
 PLAN = Plan(
     cycle_t_ns=122 * S,
