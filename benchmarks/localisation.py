@@ -28,8 +28,9 @@ from rich.progress import Progress
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import ImuSample
 from ltv_mpc.node import Due
 from services.run.nodes import make_nodes
@@ -128,13 +129,13 @@ def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     filter_ = Filter(descent.suite, config, estimator.filter.belief)
     from_ns = filter_.belief.t_ns
     samples: list[ImuSample] = []
-    aiding: list[Aiding] = []
+    aiding: list[Measurement] = []
     for _, inbox in rest:
         for arrival in inbox:
             signal = arrival.message
             if isinstance(signal, ImuSample):
                 samples.append(signal)
-            elif isinstance(signal, Aiding) and signal.t_ns > from_ns:
+            elif isinstance(signal, Measurement) and signal.t_ns > from_ns:
                 aiding.append(signal)
     aiding.sort(key=lambda message: message.t_ns, reverse=True)
     began = time.process_time()

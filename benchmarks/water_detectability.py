@@ -26,9 +26,10 @@ import numpy as np
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Verdict
+from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import AdcpPing, Array, ImuSample, Truth
 from ltv_mpc.node import Due, ReceivedMessage
 from services.run.nodes import make_nodes
@@ -147,7 +148,7 @@ class Descent:
                 assert wild is not None
                 self.pings[t_ns] = _Ping(self._beams @ R.T, down, wild)
 
-    def aligned(self) -> tuple[Belief, list[ImuSample | Aiding]]:
+    def aligned(self) -> tuple[Belief, list[ImuSample | Measurement]]:
         """Where the filter stands once it is aligned, and what is measured from there on, by validity time."""
         estimator = Estimator(self.suite, _OPEN)
         rest = iter(self.steps)
@@ -159,19 +160,19 @@ class Descent:
             raise RuntimeError("the descent has not been long enough to align")
         estimator.filter.settle()
         belief = estimator.filter.belief
-        later = [a.message for _, inbox in rest for a in inbox if isinstance(a.message, ImuSample | Aiding)]
+        later = [a.message for _, inbox in rest for a in inbox if isinstance(a.message, ImuSample | Measurement)]
         # a sample moves the filter to its time before anything else is used there
         later.sort(key=lambda m: (m.t_ns, not isinstance(m, ImuSample)))
         return belief.copy(), [m for m in later if m.t_ns > belief.t_ns]
 
-    def clean(self, message: ImuSample | Aiding) -> ImuSample | Aiding:
+    def clean(self, message: ImuSample | Measurement) -> ImuSample | Measurement:
         """Without outliers."""
         if not isinstance(message, AdcpPing):
             return message
         z = np.where(self.pings[message.t_ns].wild, np.nan, message.beam_velocity_mps)
         return msgspec.structs.replace(message, beam_velocity_mps=z)
 
-    def changed(self, message: ImuSample | Aiding, change: Change) -> ImuSample | Aiding:
+    def changed(self, message: ImuSample | Measurement, change: Change) -> ImuSample | Measurement:
         """As it would have been."""
         replace, t_s = msgspec.structs.replace, message.t_ns * 1e-9
         if isinstance(message, ImuSample) and t_s > BEGINS_S:
@@ -190,7 +191,7 @@ class Descent:
 class _Heard(NamedTuple):
     """What came of one message in the filter that hears no change."""
 
-    said: ImuSample | Aiding
+    said: ImuSample | Measurement
     residual: Array  # (m,); none of an inertial sample
     S: Array
     velocity: Array  # (2,)
@@ -234,7 +235,7 @@ class Comparison:
                 rows.append((one.said.t_ns * 1e-9, deflection, off, math.hypot(*d)))
         return Seen(*np.array(rows).T)
 
-    def _hear(self, messages: Sequence[ImuSample | Aiding]) -> Iterator[_Heard]:
+    def _hear(self, messages: Sequence[ImuSample | Measurement]) -> Iterator[_Heard]:
         filter_, verdicts = Filter(self._descent.suite, _OPEN, self._from.copy()), list[Verdict]()
         filter_.observers.append(verdicts.append)
         v, x, P = slice(VELOCITY.start, VELOCITY.start + 2), filter_.belief.x, filter_.belief.P

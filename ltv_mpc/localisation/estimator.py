@@ -21,14 +21,16 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.preintegration import readings
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.publishing import CheckpointSchedule, EstimateSchedule, estimate
 from ltv_mpc.localisation.reinitialisation import is_usable
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensor_screening import SensorScreening
-from ltv_mpc.localisation.sequencing import SENSORS, Sequencing
+from ltv_mpc.localisation.sensors import BY_MESSAGE
+from ltv_mpc.localisation.sensors.sensor import Measurement
+from ltv_mpc.localisation.sequencing import Sequencing
 from ltv_mpc.localisation.supervision import Supervision
 from ltv_mpc.localisation.warm_restart import WarmRestart
 from ltv_mpc.messages import Estimate, EstimatorState, ImuSample, LocalisationReport, Message
@@ -39,8 +41,8 @@ class Estimator:
     """ADCP-aided localisation as a node."""
 
     name = "estimator"
-    schedule = OnMessage(tuple(SENSORS))
-    reads: tuple[type[Message], ...] = tuple(SENSORS)
+    schedule = OnMessage(tuple(BY_MESSAGE))
+    reads: tuple[type[Message], ...] = tuple(BY_MESSAGE)
     writes: tuple[type[Message], ...] = (Estimate, LocalisationReport, EstimatorState)
 
     def __init__(
@@ -120,13 +122,13 @@ class Estimator:
         out = self._out = []
         for arrival in inbox:
             signal: Any = arrival.message
-            sensor = SENSORS.get(type(signal))  # a tenth of the time of isinstance() of nine types
+            sensor = BY_MESSAGE.get(type(signal))  # a tenth of the time of isinstance() of nine types
             if sensor is not None:
                 why = self._screening.rejection(signal.t_ns, signal, arrival.received_t_ns)
                 if why is None:
                     self._take(signal)
                 else:
-                    self._account[f"{sensor}.{why}"] += 1
+                    self._account[f"{sensor.name}.{why}"] += 1
             elif isinstance(signal, EstimatorState):
                 self._restore(signal)
         return out
@@ -172,7 +174,7 @@ class Estimator:
         self._alignment = WarmRestart(self._suite, self._config, belief, state.estimate)
         self._supervision.restore(state.restarts)
 
-    def _take(self, message: ImuSample | Aiding) -> None:
+    def _take(self, message: ImuSample | Measurement) -> None:
         """Use a message that has passed the screening: for the alignment, then for the filter."""
         if self.filter is not None:
             self._use(message)
@@ -187,7 +189,7 @@ class Estimator:
         for earlier in since:
             self._use(earlier)
 
-    def _use(self, message: ImuSample | Aiding) -> None:
+    def _use(self, message: ImuSample | Measurement) -> None:
         self._supervision.receive(message)
         self._sequencing.apply(message)
         self._supervision.check()

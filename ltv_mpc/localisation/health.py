@@ -30,6 +30,9 @@ from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.error_state_filter import Verdict
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import SENSORS, fitted
+from ltv_mpc.localisation.sensors.sensor import Availability
+from ltv_mpc.localisation.sensors.settings import latency_ns
 from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
 
 WINDOW_NS = 10_000_000_000
@@ -39,11 +42,11 @@ MIN_MESSAGES = 3
 FALSE_ALARM = 1e-6
 GROSS_NIS = 2.3
 """Upper end of the band of thirty messages, a window of pings, were all rows of a message one."""
-ONLY_TOO_LARGE = ("lbl", "usbl", "gnss", "tdcp")
-ESSENTIAL = ("adcp", "bottom_track", "pressure")
+ONLY_TOO_LARGE = frozenset(s.name for s in SENSORS if s.availability is not Availability.CONTINUOUS)
+ESSENTIAL = frozenset(s.name for s in SENSORS if s.is_essential)
 NOT_REJECTED = ("used", "deweighted", "late_applied")
 """The first counts what the others do."""
-AT_SURFACE = ("gnss", "tdcp")
+AT_SURFACE = frozenset(s.name for s in SENSORS if s.availability is Availability.SURFACE)
 """Silent by design once the descent has begun."""
 
 
@@ -180,17 +183,9 @@ def _words(report: SensorReport) -> str:
 
 
 def _silent_after(suite: SensorConfig) -> dict[str, int]:
-    """Of each sensor that corrects the filter, by name: how old its newest message may be (ns)."""
-    tables = {
-        "gnss": suite.gnss,
-        "tdcp": suite.tdcp,
-        "adcp": suite.adcp,
-        "pressure": suite.pressure,
-        "compass": suite.compass,
-        "bottom_track": suite.bottom_track,
-        "usbl": suite.usbl,
-    }
-    after = {name: SILENT_PERIODS * t.period_ns + t.latency_ns for name, t in tables.items() if t is not None}
-    if suite.lbl is not None:
-        after["lbl"] = SILENT_PERIODS * suite.lbl.period_ns + REACH_NS
+    """Return the maximum age (ns) of the newest message of each sensor that corrects the filter, by name."""
+    after = {}
+    for sensor, settings in fitted(suite):
+        latency = latency_ns(settings)
+        after[sensor.name] = SILENT_PERIODS * settings.period_ns + (REACH_NS if latency is None else latency)
     return after

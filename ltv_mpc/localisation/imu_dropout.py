@@ -24,7 +24,7 @@ import numpy as np
 
 from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
-from ltv_mpc.localisation.sensor_config import Imu
+from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.messages import Array, ImuSample, Triple
 

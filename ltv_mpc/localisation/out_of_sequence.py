@@ -20,9 +20,12 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, Change
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Snapshot
+from ltv_mpc.localisation.filter.error_state_filter import Filter, Snapshot
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import Array, ImuSample, LblRange
+from ltv_mpc.localisation.sensors import BY_MESSAGE, fitted
+from ltv_mpc.localisation.sensors.sensor import Availability, Measurement
+from ltv_mpc.localisation.sensors.settings import latency_ns
+from ltv_mpc.messages import Array, ImuSample
 from ltv_mpc.node import Progress, no_progress
 
 REACH_NS = 1_250_000_000
@@ -36,7 +39,7 @@ class Done(NamedTuple):
     """Moved to ``t_ns`` by a sample, or corrected there."""
 
     t_ns: int
-    what: ImuSample | Aiding
+    what: ImuSample | Measurement
 
 
 class _Segment(NamedTuple):
@@ -50,20 +53,21 @@ class _Segment(NamedTuple):
         return self.snapshot.belief.t_ns
 
 
-def is_duplicate(one: ImuSample | Aiding, other: ImuSample | Aiding) -> bool:
+def is_duplicate(one: ImuSample | Measurement, other: ImuSample | Measurement) -> bool:
     """Two messages of one sensor and time, of which the second says nothing new."""
     if type(one) is not type(other) or one.t_ns != other.t_ns:
         return False
-    if isinstance(one, LblRange) and isinstance(other, LblRange):
-        return one.transponder == other.transponder
-    return True
+    source = BY_MESSAGE[type(one)].source
+    return source is None or bool(source(one) == source(other))
 
 
 def snapshot_spacing_ns(suite: SensorConfig) -> int:
     """Between two snapshots: longer where only a bus makes messages late."""
-    tables = (suite.gnss, suite.tdcp, suite.adcp, suite.pressure, suite.compass, suite.bottom_track)
-    expected = any(table is not None and table.latency_ns > 0 for table in tables)
-    return _OFTEN_NS if expected or suite.lbl is not None or suite.usbl is not None else _SELDOM_NS
+    late = any(
+        sensor.availability is Availability.INTERMITTENT or latency_ns(settings) != 0
+        for sensor, settings in fitted(suite)
+    )
+    return _OFTEN_NS if late else _SELDOM_NS
 
 
 class MeasurementBuffer:
@@ -100,19 +104,19 @@ class MeasurementBuffer:
         self._segments[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
         return done
 
-    def correct(self, message: Aiding) -> None:
+    def correct(self, message: Measurement) -> None:
         """As ``Filter.correct``: of the filter's own instant."""
         self.filter.correct(message)
         self._segments[-1].done.append(Done(message.t_ns, message))
 
-    def use(self, message: Aiding) -> None:
+    def use(self, message: Measurement) -> None:
         """Correct by a message of the filter's own instant, or of one before it within reach."""
         if message.t_ns == self.filter.belief.t_ns:
             self.correct(message)
         else:
             self.insert(message)
 
-    def contains(self, message: Aiding) -> bool:
+    def contains(self, message: Measurement) -> bool:
         """One of its kind and time has been used."""
         for segment in reversed(self._segments):
             for done in reversed(segment.done):
@@ -126,7 +130,7 @@ class MeasurementBuffer:
         """A message of this time, before the filter's, can still be used. Of the oldest instant nothing is known."""
         return t_ns >= self.filter.belief.t_ns - REACH_NS and t_ns > self._segments[0].t_ns
 
-    def insert(self, message: Aiding) -> None:
+    def insert(self, message: Measurement) -> None:
         """Correct by a message of a time before the filter's, within reach."""
         segments = self._segments
         first = max(i for i, segment in enumerate(segments) if segment.t_ns <= message.t_ns)

@@ -9,7 +9,8 @@ Covariance  J P J^T of [n, e, v_n, v_e, heading, heading'], J by the fifteen cor
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
+from collections.abc import Iterator
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -17,21 +18,13 @@ from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS, Belief
-from ltv_mpc.localisation.sensor_config import Adcp, BottomTracking, Compass, Gnss, Pressure, SensorConfig, Tdcp
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import fitted
 from ltv_mpc.localisation.sensors.compass import heading_partials
+from ltv_mpc.localisation.sensors.sensor import Availability
+from ltv_mpc.localisation.sensors.settings import latency_ns
 from ltv_mpc.localisation.water import current_model
-from ltv_mpc.messages import (
-    AdcpPing,
-    Array,
-    BottomTrack,
-    CompassHeading,
-    Estimate,
-    GnssFix,
-    Message,
-    PressureDepth,
-    TdcpFix,
-    Triple,
-)
+from ltv_mpc.messages import Array, Estimate, Triple
 
 _TILT, _GYRO = ATTITUDE.start, GYRO_BIAS.start
 
@@ -60,9 +53,9 @@ class EstimateSchedule:
         """
         self.next_ns = 0
         self.is_open = False
-        self._suite = suite
+        self._expected = tuple(_expected(suite))
         self._period_ns = period_ns
-        self._awaited: list[type[Message]] = []
+        self._awaited: list[type[Any]] = []
 
     @property
     def is_complete(self) -> bool:
@@ -90,7 +83,7 @@ class EstimateSchedule:
             self.next_ns += self._period_ns
             self._awaited = self._due(t_ns)
 
-    def receive(self, kind: type[Message]) -> None:
+    def receive(self, kind: type[Any]) -> None:
         """Note that a message of the open estimate's instant has arrived.
 
         Parameters
@@ -115,19 +108,17 @@ class EstimateSchedule:
         """
         self.next_ns, self.is_open = state
 
-    def _due(self, t_ns: int) -> list[type[Message]]:
-        """Return the messages that are valid at ``t_ns`` and arrive at once; of satellites only until t = 0."""
-        s = self._suite
-        tables: list[tuple[type[Message], Gnss | Tdcp | Adcp | Pressure | Compass | BottomTracking]] = [
-            (AdcpPing, s.adcp),
-            (PressureDepth, s.pressure),
-            (CompassHeading, s.compass),
-        ]
-        if s.bottom_track is not None:
-            tables.append((BottomTrack, s.bottom_track))
-        if t_ns <= 0:
-            tables += [(GnssFix, s.gnss), (TdcpFix, s.tdcp)]
-        return [kind for kind, table in tables if table.latency_ns == 0 and t_ns % table.period_ns == 0]
+    def _due(self, t_ns: int) -> list[type[Any]]:
+        """Return the types of the messages that are valid at ``t_ns`` and arrive without latency."""
+        return [message for message, period_ns, until_ns in self._expected if t_ns <= until_ns and not t_ns % period_ns]
+
+
+def _expected(suite: SensorConfig) -> Iterator[tuple[type[Any], int, float]]:
+    """Iterate over the messages that an estimate waits for: type, period (ns) and time of the last one (ns)."""
+    for sensor, settings in fitted(suite):
+        if sensor.availability is not Availability.INTERMITTENT and latency_ns(settings) == 0:
+            until_ns = 0.0 if sensor.availability is Availability.SURFACE else math.inf
+            yield sensor.message, settings.period_ns, until_ns
 
 
 class CheckpointSchedule:

@@ -30,10 +30,10 @@ import numpy as np
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import LEVELLING_NS, Alignment
-from ltv_mpc.localisation.filter.error_state_filter import Aiding
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.health import WINDOW_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, FilterStatus, GnssFix, ImuSample
 
@@ -132,7 +132,7 @@ class Reinitialisation:
         """A whole one, settled."""
         self._beliefs.append(belief)
 
-    def begin(self, now_ns: int, recent: Sequence[ImuSample | Aiding]) -> Alignment:
+    def begin(self, now_ns: int, recent: Sequence[ImuSample | Measurement]) -> Alignment:
         """What a new filter is made of, of what was heard recently; if that is not enough it is to be given more."""
         t_ns = _start(now_ns, recent)
         good = self._good(now_ns)
@@ -197,7 +197,7 @@ class Reinitialisation:
         return before[-1] if before else self._places[0]
 
 
-def _start(now_ns: int, recent: Sequence[ImuSample | Aiding]) -> int:
+def _start(now_ns: int, recent: Sequence[ImuSample | Measurement]) -> int:
     """Of the new filter: the last heading that enough samples have followed; now, if there is none."""
     headings = [m.t_ns for m in recent if isinstance(m, CompassHeading) and m.t_ns <= now_ns - LEVELLING_NS - _SPARE_NS]
     return max(headings, default=now_ns)

@@ -24,7 +24,8 @@ import numpy.typing as npt
 
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.filter.preintegration import readings
-from ltv_mpc.messages import AdcpPing, Array, GnssFix, ImuSample, LblRange, Message, TdcpFix, Triple
+from ltv_mpc.localisation.sensors import SENSORS
+from ltv_mpc.messages import Array, ImuSample, Message, Triple
 
 MAX_CLOCK_LEAD_NS = 250_000_000
 """The clocks of two computers may differ by some of it."""
@@ -36,11 +37,10 @@ MIN_INTERVAL_S = 0.01
 MIN_CONSISTENT = 5
 
 _READINGS: Mapping[type[Message], Callable[[Any], object]] = {
-    ImuSample: lambda s: (s.angular_rate_radps, s.specific_force_mps2),
-    GnssFix: lambda s: (s.north_m, s.east_m, s.velocity_north_mps, s.velocity_east_mps),
-    TdcpFix: lambda s: (s.north_m, s.east_m),
-    AdcpPing: lambda s: None if np.isnan(s.beam_velocity_mps).all() else s.beam_velocity_mps.tobytes(),
+    sensor.message: sensor.reading for sensor in SENSORS if sensor.reading is not None
 }
+_IN_ORDER: frozenset[type[Message]] = frozenset(sensor.message for sensor in SENSORS if sensor.source is None)
+"""Messages that arrive in order of their validity times, because they have a single source."""
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ class SensorScreening:
         if t_ns > received_ns + MAX_CLOCK_LEAD_NS:
             return "future"
         kind = type(message)
-        if kind is not LblRange and self._went_back(kind, t_ns, received_ns):
+        if kind in _IN_ORDER and self._went_back(kind, t_ns, received_ns):
             return "stale"
         read = _READINGS.get(kind)
         if read is not None:

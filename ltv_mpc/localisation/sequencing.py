@@ -16,38 +16,15 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from ltv_mpc.localisation import imu_dropout
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer, snapshot_spacing_ns
 from ltv_mpc.localisation.publishing import EstimateSchedule
 from ltv_mpc.localisation.reinitialisation import is_finite
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import (
-    AdcpPing,
-    Array,
-    BottomTrack,
-    CompassHeading,
-    GnssFix,
-    ImuSample,
-    LblRange,
-    Message,
-    PressureDepth,
-    TdcpFix,
-    UsblFix,
-)
+from ltv_mpc.localisation.sensors import BY_MESSAGE
+from ltv_mpc.localisation.sensors.sensor import Measurement
+from ltv_mpc.messages import AdcpPing, Array, ImuSample
 from ltv_mpc.node import Progress
-
-SENSORS: dict[type[Message], str] = {
-    ImuSample: "imu",
-    GnssFix: "gnss",
-    TdcpFix: "tdcp",
-    AdcpPing: "adcp",
-    PressureDepth: "pressure",
-    CompassHeading: "compass",
-    BottomTrack: "bottom_track",
-    LblRange: "lbl",
-    UsblFix: "usbl",
-}
-"""The messages that the estimator reads, and each sensor's name in the account and in the sensors file."""
 
 _MAX_WAITING = 1000
 """Maximum number of measurements that wait for an inertial sample. Beyond it the inertial unit has failed, and the
@@ -61,7 +38,7 @@ class FollowsFilter(Protocol):
         """Propagate to ``t_ns`` by the rates of ``sample``."""
         ...
 
-    def use(self, message: Aiding) -> None:
+    def use(self, message: Measurement) -> None:
         """Correct by a measurement, at its own time."""
         ...
 
@@ -97,7 +74,9 @@ class Sequencing:
         self._publish = publish
         self._progress = progress
         self._buffer: MeasurementBuffer | None = None
-        self._waiting: list[Aiding] = []  # for the inertial sample that covers them; by time, then order of arrival
+        self._waiting: list[
+            Measurement
+        ] = []  # for the inertial sample that covers them; by time, then order of arrival
 
     @property
     def filter(self) -> Filter | None:
@@ -118,7 +97,7 @@ class Sequencing:
         """
         self._buffer = MeasurementBuffer(filter_, self._spacing_ns, self._progress)
 
-    def apply(self, message: ImuSample | Aiding) -> None:
+    def apply(self, message: ImuSample | Measurement) -> None:
         """Apply one message to the filter, or store it until the inertial sample that covers it.
 
         Parameters
@@ -129,11 +108,11 @@ class Sequencing:
         if isinstance(message, ImuSample):
             self._propagate(buffer, message)
             return
-        now_ns, sensor = buffer.filter.belief.t_ns, SENSORS[type(message)]
+        now_ns, sensor = buffer.filter.belief.t_ns, BY_MESSAGE[type(message)].name
         if message.t_ns > now_ns:
             bisect.insort(self._waiting, message, key=lambda m: m.t_ns)
             if len(self._waiting) > _MAX_WAITING:
-                self._account[f"{SENSORS[type(self._waiting.pop(0))]}.without_imu"] += 1
+                self._account[f"{BY_MESSAGE[type(self._waiting.pop(0))].name}.without_imu"] += 1
         elif message.t_ns == now_ns:
             self._correct(buffer, message)
         elif not buffer.is_within_reach(message.t_ns):
@@ -144,7 +123,7 @@ class Sequencing:
             self._use(buffer, message)
             self._account[f"{sensor}.late_applied"] += 1
 
-    def reapply(self, messages: Sequence[ImuSample | Aiding]) -> None:
+    def reapply(self, messages: Sequence[ImuSample | Measurement]) -> None:
         """Apply past messages to a new filter without publishing an estimate on the way.
 
         Parameters
@@ -222,10 +201,10 @@ class Sequencing:
             if self._schedule.is_complete:
                 self._publish(filter_)
 
-    def _correct(self, buffer: MeasurementBuffer, message: Aiding) -> None:
+    def _correct(self, buffer: MeasurementBuffer, message: Measurement) -> None:
         """Correct by a measurement of the filter's own instant."""
         if buffer.contains(message):
-            self._account[f"{SENSORS[type(message)]}.duplicate"] += 1
+            self._account[f"{BY_MESSAGE[type(message)].name}.duplicate"] += 1
             return
         if is_finite(buffer.filter.belief):
             self._use(buffer, message)
@@ -233,7 +212,7 @@ class Sequencing:
         if self._schedule.is_complete:
             self._publish(buffer.filter)
 
-    def _use(self, buffer: MeasurementBuffer, message: Aiding) -> None:
+    def _use(self, buffer: MeasurementBuffer, message: Measurement) -> None:
         """Correct both filters at the message's own time; after a ping, adapt the water's process noise."""
         buffer.use(message)
         if isinstance(message, AdcpPing):

@@ -21,11 +21,12 @@ from collections import deque
 
 import numpy as np
 
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter, Verdict
+from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
 from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.localisation.health import ESSENTIAL
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
 from ltv_mpc.localisation.reinitialisation import PastBeliefs
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import ImuSample
 
 MAX_AGE_NS = 60_000_000_000
@@ -75,7 +76,7 @@ class ShadowFilter:
         """As the other does."""
         self._buffer.advance(t_ns, sample)
 
-    def use(self, message: Aiding) -> None:
+    def use(self, message: Measurement) -> None:
         """Of its own time or a late one, if that is after its beginning."""
         if message.t_ns == self.filter.belief.t_ns or self._buffer.is_within_reach(message.t_ns):
             self._buffer.use(message)

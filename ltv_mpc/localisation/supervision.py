@@ -18,12 +18,13 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.adaptive.process_noise import Change
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
-from ltv_mpc.localisation.filter.error_state_filter import Aiding, Filter
+from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.health import HealthMonitor, filter_status
 from ltv_mpc.localisation.out_of_sequence import snapshot_spacing_ns
 from ltv_mpc.localisation.reinitialisation import RESTARTED_NS, Reinitialisation, is_finite, is_usable
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.sequencing import Sequencing
 from ltv_mpc.localisation.shadow_filter import ShadowFilter
 from ltv_mpc.messages import FilterStatus, ImuSample, LocalisationReport, SensorReport
@@ -64,7 +65,7 @@ class Supervision:
         self._account = account
         self._monitor = HealthMonitor(suite, config.gate_probability)
         self._reinitialisation = Reinitialisation(suite, config, prior)
-        self._recent: deque[ImuSample | Aiding] = deque(maxlen=_MAX_RECENT)
+        self._recent: deque[ImuSample | Measurement] = deque(maxlen=_MAX_RECENT)
         self._replacement: Alignment | None = None  # of the filter that is to replace the diverged one
         self._shadow: ShadowFilter | None = None
         self._returned_ns: int | None = None  # when the shadow filter took over
@@ -108,7 +109,7 @@ class Supervision:
             self._warm_started_ns = belief.t_ns
         self._set_filter(Filter(self._suite, self._config, belief))
 
-    def receive(self, message: ImuSample | Aiding) -> None:
+    def receive(self, message: ImuSample | Measurement) -> None:
         """Store a message for a reinitialisation, and give it to one that is under way.
 
         Parameters
@@ -119,7 +120,7 @@ class Supervision:
         if self._replacement is not None:
             self._replacement.take(message)
 
-    def store(self, messages: Sequence[ImuSample | Aiding]) -> None:
+    def store(self, messages: Sequence[ImuSample | Measurement]) -> None:
         """Store messages for a reinitialisation, and drop those older than ``RECENT_NS``.
 
         Parameters

@@ -27,11 +27,11 @@ import numpy as np
 from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import LEVELLING_NS
-from ltv_mpc.localisation.filter.error_state_filter import Aiding
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS, POSITION, VELOCITY, Belief
 from ltv_mpc.localisation.imu_dropout import TURN_WALK, VELOCITY_WALK
 from ltv_mpc.localisation.reinitialisation import ACCELERATION_SD_MPS2
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, Estimate, ImuSample
 
@@ -40,7 +40,7 @@ MAX_ESTIMATE_LEAD_NS = 30_000_000_000
 
 _MOST_HEARD = 6000
 
-Message: TypeAlias = ImuSample | Aiding
+Message: TypeAlias = ImuSample | Measurement
 
 
 class WarmRestart:

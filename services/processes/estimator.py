@@ -7,24 +7,14 @@ import math
 import msgspec
 import numpy as np
 
-from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.correction import update
-from ltv_mpc.localisation.filter.error_state_filter import Aiding
 from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import fitted
+from ltv_mpc.localisation.sensors.imu import IMU
 from ltv_mpc.localisation.sensors.rows import Rows
-from ltv_mpc.messages import (
-    AdcpPing,
-    BottomTrack,
-    CompassHeading,
-    GnssFix,
-    ImuSample,
-    LblRange,
-    PressureDepth,
-    TdcpFix,
-    UsblFix,
-)
+from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.node import ReceivedMessage
 from services.bus.session import BusOptions
 from services.run.water import told
@@ -57,37 +47,14 @@ def main(config: Config) -> int:
 
 
 def warm_up(suite: SensorConfig, config: EstimatorConfig) -> None:
-    """Have all compiled code loaded: a second afloat and at rest for a filter that is thrown away."""
+    """Load all compiled code: run one second of a vehicle at rest through an estimator that is then discarded."""
     estimator = Estimator(suite, config)
     second, imu_ns = 1_000_000_000, suite.imu.period_ns
-    adcp = suite.adcp
-    range_m = adcp.blanking_m + adcp.cell_m * np.arange(0.5, max(1.0, (adcp.range_m - adcp.blanking_m) // adcp.cell_m))
-    still = {"north_m": 0.0, "east_m": 0.0}
-    messages: list[ImuSample | Aiding] = [
-        GnssFix(t_ns=0, **still, velocity_north_mps=0.0, velocity_east_mps=0.0),
-        CompassHeading(t_ns=0, heading_rad=0.0),
-        PressureDepth(t_ns=0, depth_m=0.0),
-    ]
-
-    def sample(t_ns: int) -> ImuSample:
-        rate = (0.0, 0.0, 1e-9 * (t_ns // imu_ns))  # the same again and again would be refused
-        force = (0.0, 0.0, -GRAVITY_MPS2)
-        return ImuSample(t_ns=t_ns, interval_ns=imu_ns, angular_rate_radps=rate, specific_force_mps2=force)
-
-    messages += map(sample, range(imu_ns, second + 1, imu_ns))
-    messages += [
-        AdcpPing(t_ns=second, range_m=range_m, beam_velocity_mps=np.zeros((4, len(range_m)))),
-        TdcpFix(t_ns=second, from_t_ns=0, **still),
-        PressureDepth(t_ns=second, depth_m=0.0),
-        CompassHeading(t_ns=second, heading_rad=0.0),
-        GnssFix(t_ns=second, **still, velocity_north_mps=0.0, velocity_east_mps=0.0),
-        BottomTrack(t_ns=second, range_m=np.ones(4), beam_velocity_mps=np.zeros(4)),
-        sample(second + imu_ns),
-        # late, so that the way back is walked too
-        LblRange(t_ns=second, transponder=0, travel_time_s=1.0),
-        UsblFix(t_ns=second // 2, **still),
-    ]
-    for message in messages:
+    samples = [IMU.at_rest(t_ns, suite.imu) for t_ns in range(imu_ns, second + imu_ns + 1, imu_ns)]
+    start = [sensor.at_rest(0, settings) for sensor, settings in fitted(suite)]
+    end = [sensor.at_rest(second, settings) for sensor, settings in fitted(suite)]
+    late = [s.at_rest(second // 2, x) for s, x in fitted(suite) if s.availability is not Availability.SURFACE]
+    for message in (*start, *samples[:-1], *end, samples[-1], *late):
         estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
     for states in (2, 8):  # many rows of few states, and of many: whichever this ping was not
         place, one = np.arange(8)[:, None] % states, np.ones((8, 1))

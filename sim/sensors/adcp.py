@@ -26,7 +26,7 @@ import numpy as np
 
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.sensor_config import Adcp
+from ltv_mpc.localisation.sensors.adcp import Adcp
 from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.outlier_masks import Mask, OutlierMasks

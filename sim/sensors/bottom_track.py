@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.localisation.sensor_config import BottomTracking
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.messages import Array, BottomTrack
 from sim.random_streams import Stream, generator
 from sim.sensors.adcp import Instrument

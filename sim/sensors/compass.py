@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ltv_mpc.frames import roll_pitch_heading, wrap_angle
-from ltv_mpc.localisation.sensor_config import Compass
+from ltv_mpc.localisation.sensors.compass import Compass
 from ltv_mpc.messages import CompassHeading
 from sim.random_streams import Stream, generator
 from sim.sensors.drift import Drift

@@ -5,7 +5,7 @@ p_m = p + R l + N(0, sd_p^2),  v_m = v + R (w x l) + N(0, sd_v^2),  north and ea
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.sensor_config import Gnss
+from ltv_mpc.localisation.sensors.gnss import Gnss
 from ltv_mpc.messages import GnssFix
 from sim.random_streams import Stream, generator
 from sim.sensors.vehicle_state import VehicleState

@@ -21,7 +21,7 @@ import numpy as np
 from ltv_mpc import so3
 from ltv_mpc.frames import GRAVITY_MPS2, earth_rate
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.sensor_config import Imu
+from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Nine
 from sim.random_streams import Stream, generator

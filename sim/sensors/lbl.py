@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.localisation.sensor_config import Lbl
+from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.messages import MAX_TRAVEL_TIME_S, LblRange, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.outlier_masks import OutlierMasks

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.sensor_config import Pressure
+from ltv_mpc.localisation.sensors.pressure import Pressure
 from ltv_mpc.messages import PressureDepth
 from sim.random_streams import Stream, generator
 from sim.sensors.vehicle_state import VehicleState

@@ -5,7 +5,7 @@ d_m = a(t) - a(t - period) + N(0, sd^2),  a = p + R l,  north and east, white fr
 
 from __future__ import annotations
 
-from ltv_mpc.localisation.sensor_config import Tdcp
+from ltv_mpc.localisation.sensors.tdcp import Tdcp
 from ltv_mpc.messages import TdcpFix, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.vehicle_state import VehicleState

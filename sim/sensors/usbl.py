@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from ltv_mpc.localisation.sensor_config import Usbl
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import UsblFix
 from sim.random_streams import Stream, generator
 from sim.sensors.outlier_masks import OutlierMasks

@@ -23,7 +23,6 @@ import numpy as np
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.frames import GRAVITY_MPS2, rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.error_state_filter import Aiding
 from ltv_mpc.localisation.filter.state import (
     ACCELEROMETER_BIAS,
     ATTITUDE,
@@ -36,6 +35,7 @@ from ltv_mpc.localisation.filter.state import (
 from ltv_mpc.localisation.out_of_sequence import is_duplicate
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import lever_arm
+from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
 
@@ -62,7 +62,9 @@ class Alignment:
         self._fix: GnssFix | None = None
         self._heading: CompassHeading | None = None
         self._depth: PressureDepth | None = None
-        self._heard: list[ImuSample | Aiding] = []  # of the last PATIENCE_NS of inertial samples, by time, then arrival
+        self._heard: list[
+            ImuSample | Measurement
+        ] = []  # of the last PATIENCE_NS of inertial samples, by time, then arrival
 
     @property
     def waiting_for(self) -> str:
@@ -78,7 +80,7 @@ class Alignment:
                 missing.append("imu")
         return ", ".join(missing)
 
-    def take(self, message: ImuSample | Aiding) -> None:
+    def take(self, message: ImuSample | Measurement) -> None:
         """One message, in order of arrival."""
         place = bisect.bisect_right(self._heard, message.t_ns, key=lambda m: m.t_ns)
         first = bisect.bisect_left(self._heard, message.t_ns, key=lambda m: m.t_ns)
@@ -98,7 +100,7 @@ class Alignment:
                 self._choose(earlier)
         self._choose(message)
 
-    def _choose(self, message: ImuSample | Aiding) -> None:
+    def _choose(self, message: ImuSample | Measurement) -> None:
         if isinstance(message, CompassHeading) and (self._heading is None or self._suits(message, self._heading)):
             self._heading = message
         elif isinstance(message, PressureDepth) and (self._depth is None or self._suits(message, self._depth)):
@@ -116,7 +118,7 @@ class Alignment:
         samples = [m for m in self._since() if isinstance(m, ImuSample)]
         return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
-    def _since(self) -> list[ImuSample | Aiding]:
+    def _since(self) -> list[ImuSample | Measurement]:
         """Measured after the fix, in order; without what makes the belief, which must not correct it as well."""
         if self._fix is None:
             return []
@@ -137,7 +139,7 @@ class Alignment:
             seconds += dt
         return total / seconds, self._suite.imu.velocity_random_walk_mps_per_rts**2 / seconds
 
-    def belief(self) -> tuple[Belief, list[ImuSample | Aiding]]:
+    def belief(self) -> tuple[Belief, list[ImuSample | Measurement]]:
         """The belief at t0, and what is to be applied to it since. ``RuntimeError`` while something is missing."""
         fix, heading, depth = self._fix, self._heading, self._depth
         if fix is None or heading is None or depth is None:

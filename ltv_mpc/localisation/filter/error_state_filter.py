@@ -13,7 +13,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,33 +29,18 @@ from ltv_mpc.localisation.filter.correction import Correction, correct
 from ltv_mpc.localisation.filter.preintegration import carry, core_of, integrate, noise_of, readings
 from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
-from ltv_mpc.localisation.sensors.adcp import AdcpModel, Indices
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors import BY_MESSAGE
+from ltv_mpc.localisation.sensors.adcp import LinearisedPing
+from ltv_mpc.localisation.sensors.rows import Indices, Linearised
+from ltv_mpc.localisation.sensors.sensor import AnySensor, Availability, Context, Measurement
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.localisation.water.grid_window import follow
-from ltv_mpc.messages import (
-    AdcpPing,
-    Array,
-    BottomTrack,
-    CompassHeading,
-    GnssFix,
-    ImuSample,
-    LblRange,
-    PressureDepth,
-    TdcpFix,
-    UsblFix,
-)
+from ltv_mpc.messages import AdcpPing, Array, ImuSample
 
-Aiding: TypeAlias = GnssFix | TdcpFix | AdcpPing | PressureDepth | CompassHeading | BottomTrack | LblRange | UsblFix
-"""What corrects the filter; the inertial unit moves it."""
-
-
-_SELDOM = ("gnss", "tdcp")
-"""Before a descent there may be one of them, and all that follows hangs on it."""
-_DOUBTFUL = 36.0
-"""Six deviations, up to which a row of theirs that the gate holds back is doubted: half a wave of carrier phase, 95 mm,
-is more even where the velocity is known by the receiver alone (15 mm)."""
+_MAX_DEWEIGHTED = 36.0
+"""Squared innovation over its variance up to which an outlier of a sensor at the surface is de-weighted instead of
+rejected: six deviations. Half a wave of carrier phase, 95 mm, is more, even if the velocity is known by the receiver
+alone (15 mm)."""
 
 
 class Verdict(NamedTuple):
@@ -63,7 +48,7 @@ class Verdict(NamedTuple):
 
     sensor: str
     t_ns: int
-    places: npt.NDArray[np.int64]  # (m,), of each row in its message; of a profiler's: beam x cells + cell
+    indices: Indices  # (m,), of each row in its message; of a profiler's: beam x cells + cell
     residual: Array  # (m,)
     S: Array  # (m, m), innovation covariance
     accepted: npt.NDArray[np.bool_]  # (m,)
@@ -98,7 +83,6 @@ class Filter:
         self._config = config
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
         self._reach_m = reach_m(suite.adcp)
-        self._adcp = AdcpModel(suite.adcp, belief.layout, config.cell_m)
         self._noise = noise_of(suite.imu)
         self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
         self._Phi = np.eye(CORE)
@@ -242,75 +226,58 @@ class Filter:
         """That the gyros sense (rad/s), NED, (3,)."""
         return self._earth
 
-    def correct(self, message: Aiding) -> None:
-        """Use a message whose time is the belief's."""
-        self.settle()
-        follow(self.belief, *self._reach_m, self._config.cell_m)
-        suite = self._suite
-        match message:
-            case AdcpPing():
-                self.water.before(self.belief)
-                ping = self._adcp.linearise(self.belief, message, self.rate)
-                self.account["adcp.no_return"] += ping.without_return
-                self.account["adcp.outside_grid"] += ping.outside_grid
-                cells = len(message.range_m)
-                correction = self._use("adcp", ping.rows, ping.places)
-                if correction is not None:
-                    self.belief.column.see(ping.nodes[correction.accepted])
-                    if self._config.adapts_to_water and correction.definite:
-                        r, S = ping.rows.residual, correction.S
-                        self.water.hear(self.belief.t_ns, ping.beams, ping.places % cells, r, S)
-                        self.water.moved(self.belief, ping.nodes, correction.error)
-            case PressureDepth():
-                self._use("pressure", pressure.rows(self.belief, message, suite.pressure))
-            case CompassHeading():
-                self._use("compass", compass.rows(self.belief, message, suite.compass))
-            case GnssFix():
-                self._use("gnss", gnss.rows(self.belief, message, suite.gnss, self.rate))
-                self._at_epoch = True
-            case TdcpFix():
-                if message.from_t_ns == self.belief.epoch_t_ns:
-                    self._use("tdcp", tdcp.rows(self.belief, message, suite.tdcp, suite.gnss.lever_arm_m))
-                else:
-                    self.account["tdcp.other_epoch"] += 2
-                self._at_epoch = True
-            case BottomTrack():
-                if suite.bottom_track is None:
-                    self.account["bottom_track.not_fitted"] += 4
-                    return
-                seen = bottom_track.linearise(self.belief, message, suite.bottom_track, suite.adcp, self.rate)
-                self.account["bottom_track.no_return"] += seen.without_return
-                self._use("bottom_track", seen.rows, seen.places)
-            case LblRange():
-                if suite.lbl is None:
-                    self.account["lbl.not_fitted"] += 1
-                elif message.transponder >= len(suite.lbl.transponders_m):
-                    self.account["lbl.unknown_transponder"] += 1
-                else:
-                    self._use("lbl", lbl.rows(self.belief, message, suite.lbl), np.array([message.transponder]))
-            case UsblFix():
-                if suite.usbl is None:
-                    self.account["usbl.not_fitted"] += 2
-                else:
-                    self._use("usbl", usbl.rows(self.belief, message, suite.usbl))
+    def correct(self, message: Measurement) -> None:
+        """Correct by a measurement of the belief's time.
 
-    def _use(self, sensor: str, rows: Rows, places: Indices | None = None) -> Correction | None:
-        """None without rows."""
+        Parameters
+        ----------
+        message : measurement of any sensor of the registry; it is counted only, if the vehicle lacks the sensor.
+        """
+        self.settle()
+        belief, sensor = self.belief, BY_MESSAGE[type(message)]
+        follow(belief, *self._reach_m, self._config.cell_m)
+        settings = getattr(self._suite, sensor.name)
+        if settings is None or sensor.linearise is None:
+            self.account[f"{sensor.name}.not_fitted"] += sensor.scalars
+            return
+        if isinstance(message, AdcpPing):
+            self.water.before(belief)
+        context = Context(self._suite, self._config.cell_m, self.rate)
+        linearised = sensor.linearise(belief, message, settings, context)
+        correction = self._use(sensor, linearised)
+        if correction is not None and isinstance(linearised, LinearisedPing) and isinstance(message, AdcpPing):
+            self._observe_water(linearised, correction, len(message.range_m))
+        self._at_epoch |= sensor.clones_position
+
+    def _observe_water(self, ping: LinearisedPing, correction: Correction, cells: int) -> None:
+        """Mark the grid points that a ping has measured, and give its innovations to the adaptation."""
+        self.belief.column.see(ping.grid_points[correction.accepted])
+        if self._config.adapts_to_water and correction.definite and ping.indices is not None:
+            r, S = ping.rows.residual, correction.S
+            self.water.hear(self.belief.t_ns, ping.beams, ping.indices % cells, r, S)
+            self.water.moved(self.belief, ping.grid_points, correction.error)
+
+    def _use(self, sensor: AnySensor, linearised: Linearised) -> Correction | None:
+        """Correct by the rows of one message and count them; return None if there are none."""
+        name, rows = sensor.name, linearised.rows
+        for reason, count in linearised.unused.items():
+            self.account[f"{name}.{reason}"] += count
         if len(rows.residual) == 0:
             return None
-        correction = correct(self.belief, rows, self._gate, _DOUBTFUL if sensor in _SELDOM else 0.0)
+        deweighted = _MAX_DEWEIGHTED if sensor.availability is Availability.SURFACE else 0.0
+        correction = correct(self.belief, rows, self._gate, deweighted)
         used = int(np.count_nonzero(correction.accepted)) + correction.doubted
-        self.account[f"{sensor}.used"] += used
+        self.account[f"{name}.used"] += used
         refused = "gate" if correction.definite else "not_definite"
         if correction.doubted:
-            self.account[f"{sensor}.deweighted"] += correction.doubted
-        self.account[f"{sensor}.{refused}"] += len(rows.residual) - used
+            self.account[f"{name}.deweighted"] += correction.doubted
+        self.account[f"{name}.{refused}"] += len(rows.residual) - used
         if self.observers:
-            where = np.arange(len(rows.residual)) if places is None else places
+            indices = linearised.indices
             verdict = Verdict(
-                sensor=sensor,
+                sensor=name,
                 t_ns=self.belief.t_ns,
-                places=where,
+                indices=np.arange(len(rows.residual)) if indices is None else indices,
                 residual=rows.residual,
                 S=correction.S,
                 accepted=correction.accepted,

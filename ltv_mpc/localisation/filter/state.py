@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,9 +24,12 @@ from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Adcp, SensorConfig
 from ltv_mpc.localisation.water.column import Column
 from ltv_mpc.messages import Array, Triple
+
+if TYPE_CHECKING:  # the sensors import this file
+    from ltv_mpc.localisation.sensor_config import SensorConfig
+    from ltv_mpc.localisation.sensors.adcp import Adcp
 
 POSITION = slice(0, 3)
 VELOCITY = slice(3, 6)

@@ -9,34 +9,51 @@ Partials, with d = -v:
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
+from msgspec import Meta
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
-from ltv_mpc.localisation.sensor_config import Adcp, BottomTracking
 from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.sensors.rows import Rows
-from ltv_mpc.messages import BottomTrack, Triple
+from ltv_mpc.localisation.sensors.rows import Linearised, Rows
+from ltv_mpc.localisation.sensors.sensor import Context, Sensor
+from ltv_mpc.localisation.sensors.settings import Latency, PositiveSd, Sd, SensorSettings, Share
+from ltv_mpc.messages import BottomTrack
 
 
-class Linearised(NamedTuple):
-    """Of one ping: its rows, and how many beams have not found the bottom."""
+class BottomTracking(SensorSettings, frozen=True, kw_only=True):
+    """Pings of the profiler at the sea bed: beams, mounting and lever arm of the profiler, noise of their own."""
 
-    rows: Rows
-    places: npt.NDArray[np.int64]  # (m,), beam of each row
-    without_return: int
+    range_m: Annotated[float, Meta(gt=0, le=2000)]  # of the bottom, along the vertical
+    beam_noise_sd_mps: PositiveSd
+    missing_share: Share
+    outlier_share: Share
+    outlier_mps: Sd
+    latency_ns: Latency = 0
 
 
-def linearise(belief: Belief, ping: BottomTrack, tracking: BottomTracking, adcp: Adcp, rate: Triple) -> Linearised:
-    """``rate`` is the angular rate that the unit measured at the ping, bias included (rad/s, body)."""
+def linearise(belief: Belief, ping: BottomTrack, tracking: BottomTracking, context: Context) -> Linearised:
+    """Linearise a ping about the belief.
+
+    Parameters
+    ----------
+    belief : the filter's belief at the ping's time.
+    ping : velocity of the bed along each beam (m/s, positive away from the vehicle); NaN: no return.
+    tracking : settings of the bottom track.
+    context : settings of the profiler, and the measured angular rate.
+
+    Returns
+    -------
+    One row a beam that has found the bottom; the index of a row is its beam.
+    """
+    adcp = context.sensors.adcp
     found = np.flatnonzero(~np.isnan(ping.beam_velocity_mps))
     b = beam_directions(adcp.beam_angle_rad)[found] @ belief.mounting.T
     u = b @ belief.R.T
     l = np.array(adcp.lever_arm_m)  # noqa: E741  (the lever arm's symbol)
     d = -belief.x[VELOCITY]
-    s = belief.R.T @ d - np.cross(np.array(rate) - belief.x[GYRO_BIAS], l)
+    s = belief.R.T @ d - np.cross(np.array(context.rate) - belief.x[GYRO_BIAS], l)
     mounting = belief.layout.mounting
     at = [
         *range(VELOCITY.start, VELOCITY.stop),
@@ -56,4 +73,15 @@ def linearise(belief: Belief, ping: BottomTrack, tracking: BottomTracking, adcp:
         residual=ping.beam_velocity_mps[found] - b @ s,
         variance=np.full(len(found), tracking.beam_noise_sd_mps**2),
     )
-    return Linearised(rows, found, 4 - len(found))
+    return Linearised(rows=rows, indices=found, unused={"no_return": 4 - len(found)})
+
+
+BOTTOM_TRACK = Sensor(
+    name="bottom_track",
+    message=BottomTrack,
+    settings=BottomTracking,
+    scalars=4,
+    at_rest=lambda t_ns, _: BottomTrack(t_ns=t_ns, range_m=np.ones(4), beam_velocity_mps=np.zeros(4)),
+    linearise=linearise,
+    is_essential=True,
+)

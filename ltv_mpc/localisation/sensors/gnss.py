@@ -9,17 +9,39 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, Belief
-from ltv_mpc.localisation.sensor_config import Gnss
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.rows import Linearised, Rows
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.settings import Latency, Lever, PositiveSd, SensorSettings
 from ltv_mpc.messages import GnssFix, Triple
 
 _TURNING = (*range(ATTITUDE.start, ATTITUDE.stop), *range(GYRO_BIAS.start, GYRO_BIAS.stop))
 _STATES = np.array([[own, *_TURNING] for own in (0, 1, 3, 4)])
 
 
+class Gnss(SensorSettings, frozen=True, kw_only=True):
+    """Satellite position and velocity, at the surface."""
+
+    position_sd_m: PositiveSd
+    velocity_sd_mps: PositiveSd
+    latency_ns: Latency = 0
+    lever_arm_m: Lever = (0.0, 0.0, 0.0)
+
+
 def rows(belief: Belief, fix: GnssFix, gnss: Gnss, rate: Triple) -> Rows:
-    """Four rows; ``rate`` is the angular rate that the unit measured, bias included (rad/s, body)."""
+    """Linearise a satellite fix about the belief.
+
+    Parameters
+    ----------
+    belief : the filter's belief at the fix's time.
+    fix : position (m) and velocity (m/s) of the antenna, north and east.
+    gnss : settings of the receiver.
+    rate : angular rate that the inertial unit measured, bias included (rad/s, body).
+
+    Returns
+    -------
+    Four rows: position north, east, velocity north, east.
+    """
     antenna = lever_arm.point(belief, gnss.lever_arm_m)
     swing = lever_arm.swing(belief, gnss.lever_arm_m, rate)
     partial = np.zeros((4, 7))
@@ -35,3 +57,26 @@ def rows(belief: Belief, fix: GnssFix, gnss: Gnss, rate: Triple) -> Rows:
         residual=z - belief.x[_STATES[:, 0]] - np.concatenate([antenna.offset[:2], swing.velocity[:2]]),
         variance=np.array([p, p, v, v]),
     )
+
+
+def _linearise(belief: Belief, fix: GnssFix, gnss: Gnss, context: Context) -> Linearised:
+    return Linearised(rows=rows(belief, fix, gnss, context.rate))
+
+
+def _at_rest(t_ns: int, _: Gnss) -> GnssFix:
+    return GnssFix(t_ns=t_ns, north_m=0.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=1e-15 * t_ns)
+
+
+GNSS = Sensor(
+    name="gnss",
+    message=GnssFix,
+    settings=Gnss,
+    scalars=4,
+    at_rest=lambda t_ns, _: GnssFix(
+        t_ns=t_ns, north_m=0.0, east_m=0.0, velocity_north_mps=0.0, velocity_east_mps=1e-15 * t_ns
+    ),
+    linearise=_linearise,
+    availability=Availability.SURFACE,
+    clones_position=True,
+    reading=lambda fix: (fix.north_m, fix.east_m, fix.velocity_north_mps, fix.velocity_east_mps),
+)

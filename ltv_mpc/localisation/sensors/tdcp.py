@@ -10,14 +10,34 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief
-from ltv_mpc.localisation.sensor_config import Tdcp
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.rows import Linearised, Rows, unusable
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.settings import Latency, PositiveSd, SensorSettings
 from ltv_mpc.messages import TdcpFix, Triple
 
 
+class Tdcp(SensorSettings, frozen=True, kw_only=True):
+    """Change of position from carrier phase, at the surface, between epochs one period apart."""
+
+    displacement_sd_m: PositiveSd
+    latency_ns: Latency = 0
+
+
 def rows(belief: Belief, fix: TdcpFix, tdcp: Tdcp, antenna_m: Triple) -> Rows:
-    """Two rows; the antenna is the satellite receiver's. The caller has made sure that the clone is of that epoch."""
+    """Linearise a displacement about the belief.
+
+    Parameters
+    ----------
+    belief : the filter's belief at the fix's time; its clone must be of the epoch at which the displacement begins.
+    fix : displacement of the antenna, north and east (m).
+    tdcp : settings of the carrier phase measurement.
+    antenna_m : lever arm of the satellite receiver's antenna (m, body).
+
+    Returns
+    -------
+    Two rows: north, east.
+    """
     e = belief.layout.epoch.start
     attitude = range(ATTITUDE.start, ATTITUDE.stop)
     antenna = lever_arm.point(belief, antenna_m)
@@ -29,3 +49,22 @@ def rows(belief: Belief, fix: TdcpFix, tdcp: Tdcp, antenna_m: Triple) -> Rows:
         residual=np.array([fix.north_m - (x[0] + q_n - x[e]), fix.east_m - (x[1] + q_e - x[e + 1])]),
         variance=np.full(2, tdcp.displacement_sd_m**2),
     )
+
+
+def _linearise(belief: Belief, fix: TdcpFix, tdcp: Tdcp, context: Context) -> Linearised:
+    if fix.from_t_ns != belief.epoch_t_ns:
+        return unusable("other_epoch", 2)
+    return Linearised(rows=rows(belief, fix, tdcp, context.sensors.gnss.lever_arm_m))
+
+
+TDCP = Sensor(
+    name="tdcp",
+    message=TdcpFix,
+    settings=Tdcp,
+    scalars=2,
+    at_rest=lambda t_ns, tdcp: TdcpFix(t_ns=t_ns, from_t_ns=t_ns - tdcp.period_ns, north_m=0.0, east_m=1e-15 * t_ns),
+    linearise=_linearise,
+    availability=Availability.SURFACE,
+    clones_position=True,
+    reading=lambda fix: (fix.north_m, fix.east_m),
+)

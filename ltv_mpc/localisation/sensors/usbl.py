@@ -1,7 +1,7 @@
 """Ultra-short baseline: position over ground, north and east, of the beacon at lever arm l, measured from a ship.
 
-z = p + q + n, q = R l;  n ~ N(0, sd_p^2 + (sd_bearing r)^2) north and east, r the slant range from the ship, which is
-at the surface where the sensors file has it, to where the beacon is believed to be. Partials in ``lever_arm.py``.
+z = p + q + n, q = R l;  n ~ N(0, sd_p^2 + (sd_bearing r)^2) north and east. r is the slant range from the ship, at the
+surface at the position in the sensors file, to the estimated position of the beacon. Partials in ``lever_arm.py``.
 """
 
 from __future__ import annotations
@@ -11,16 +11,41 @@ import math
 import numpy as np
 
 from ltv_mpc.localisation.filter.state import ATTITUDE, POSITION, Belief
-from ltv_mpc.localisation.sensor_config import Usbl
 from ltv_mpc.localisation.sensors import lever_arm
-from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.rows import Linearised, Rows
+from ltv_mpc.localisation.sensors.sensor import Availability, Context, Sensor
+from ltv_mpc.localisation.sensors.settings import Coordinate, Latency, Lever, PositiveSd, Sd, SensorSettings, Share
 from ltv_mpc.messages import UsblFix
 
 _STATES = np.array([[own, *range(ATTITUDE.start, ATTITUDE.stop)] for own in (0, 1)])
 
 
+class Usbl(SensorSettings, frozen=True, kw_only=True):
+    """Ultra-short baseline: a ship measures the position of the vehicle, and sends it to the vehicle."""
+
+    latency_ns: Latency
+    ship_m: tuple[Coordinate, Coordinate]  # north, east
+    position_sd_m: PositiveSd
+    bearing_sd_rad: Sd  # times the slant range; added to the standard deviation in quadrature
+    missing_share: Share
+    outlier_share: Share
+    outlier_m: Sd
+    lever_arm_m: Lever = (0.0, 0.0, 0.0)
+
+
 def rows(belief: Belief, fix: UsblFix, usbl: Usbl) -> Rows:
-    """Two rows."""
+    """Linearise a position from a ship about the belief.
+
+    Parameters
+    ----------
+    belief : the filter's belief at the fix's time.
+    fix : position of the beacon, north and east (m).
+    usbl : settings: position of the ship, and the standard deviations.
+
+    Returns
+    -------
+    Two rows: north, east.
+    """
     beacon = lever_arm.point(belief, usbl.lever_arm_m)
     north, east, down = (belief.x[POSITION] + beacon.offset).tolist()
     slant = math.hypot(north - usbl.ship_m[0], east - usbl.ship_m[1], down)
@@ -33,3 +58,18 @@ def rows(belief: Belief, fix: UsblFix, usbl: Usbl) -> Rows:
         residual=np.array([fix.north_m - north, fix.east_m - east]),
         variance=np.full(2, usbl.position_sd_m**2 + (usbl.bearing_sd_rad * slant) ** 2),
     )
+
+
+def _linearise(belief: Belief, fix: UsblFix, usbl: Usbl, _: Context) -> Linearised:
+    return Linearised(rows=rows(belief, fix, usbl))
+
+
+USBL = Sensor(
+    name="usbl",
+    message=UsblFix,
+    settings=Usbl,
+    scalars=2,
+    at_rest=lambda t_ns, _: UsblFix(t_ns=t_ns, north_m=0.0, east_m=0.0),
+    linearise=_linearise,
+    availability=Availability.INTERMITTENT,
+)

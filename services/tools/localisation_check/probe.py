@@ -255,7 +255,7 @@ class Probe:
         good = np.ones(len(verdict.residual), dtype=bool)
         outlier_masks = self._injected.get(verdict.sensor)
         if outlier_masks is not None and (wild := outlier_masks.at(verdict.t_ns)) is not None:
-            good = ~(wild.ravel()[verdict.places] if wild.size > 1 else wild)
+            good = ~(wild.ravel()[verdict.indices] if wild.size > 1 else wild)
         if good.any():
             row = verdict.t_ns, squared(verdict.residual[good], verdict.S[np.ix_(good, good)]), int(good.sum())
             self._nis.setdefault(verdict.sensor, []).append(row)

@@ -22,7 +22,8 @@ from scipy.linalg import expm
 
 from ltv_mpc.frames import earth_rate, gravity, rotation, skew
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.sensor_config import Adcp, SensorConfig
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.adcp import Adcp
 from ltv_mpc.messages import Array
 
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)

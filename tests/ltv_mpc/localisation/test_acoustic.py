@@ -10,8 +10,11 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import AdcpPing, BottomTrack, Estimate, LblRange, UsblFix
 from tests.stepping import step
 

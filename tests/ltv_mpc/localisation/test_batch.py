@@ -13,8 +13,10 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, POSITION, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
-from ltv_mpc.localisation.sensor_config import BottomTracking, SensorConfig, Usbl
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import BottomTrack, GnssFix, ImuSample, PressureDepth, TdcpFix, UsblFix
 
 DT_NS, DT = 20_000_000, 0.02

@@ -11,8 +11,9 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.publishing import estimate
-from ltv_mpc.localisation.sensor_config import BottomTracking, SensorConfig
-from ltv_mpc.localisation.sequencing import SENSORS
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import BY_MESSAGE
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.messages import AdcpPing, BottomTrack, CompassHeading, Estimate, GnssFix, ImuSample, PressureDepth, TdcpFix
 from tests.stepping import step
 
@@ -111,7 +112,7 @@ def test_an_estimate_waits_for_the_sea_bed_where_it_is_tracked_at_once(dive, run
 def test_an_estimate_does_not_wait_for_a_sensor_that_is_late_by_its_file(dive, run, sensor):
     """Nor for one that is not there: at -0.1 s only the pressure is due, at 0 everything but the profiler's ping."""
     late = msgspec.structs.replace(getattr(SUITE, sensor), latency_ns=50_000_000)
-    kind = next(kind for kind, name in SENSORS.items() if name == sensor)
+    kind = next(kind for kind, s in BY_MESSAGE.items() if s.name == sensor)
     others = [m for m in dive.messages if not isinstance(m, kind) or m.t_ns < -800_000_000]
     _, out = run(others, suite=msgspec.structs.replace(SUITE, **{sensor: late}))
     delays = {said.t_ns: cause.t_ns - said.t_ns for cause, said in out}

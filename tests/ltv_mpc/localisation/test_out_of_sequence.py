@@ -12,9 +12,12 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import Filter
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import BY_MESSAGE
 from ltv_mpc.localisation.sensors.adcp import beam_directions
-from ltv_mpc.localisation.sequencing import SENSORS
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -139,7 +142,7 @@ def test_a_sensor_that_is_late_leaves_the_belief_that_it_leaves_in_time(messages
     late, ordered = used(arrived, inbox_of)[0], used(in_order(arrived), inbox_of)[0]
     assert_same(late, ordered)
     came_late = sum(isinstance(m, kind) and ALIGNED_NS < m.t_ns <= 3 * SECOND - 730_000_000 for m in messages)
-    assert late.account[f"{SENSORS[kind]}.late_applied"] >= came_late > 0
+    assert late.account[f"{BY_MESSAGE[kind].name}.late_applied"] >= came_late > 0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -148,7 +151,7 @@ def test_all_sensors_late_at_random_leave_the_belief_that_they_leave_in_order(me
     arrived = arriving(messages, scattered(seed))
     late, ordered = used(arrived, inbox_of)[0], used(in_order(arrived), inbox_of)[0]
     assert_same(late, ordered)
-    assert sum(late.account[f"{SENSORS[kind]}.late_applied"] for kind in KINDS) > 100
+    assert sum(late.account[f"{BY_MESSAGE[kind].name}.late_applied"] for kind in KINDS) > 100
     # It is not that lateness does not matter: without the late ones the belief is another.
     dropped = used([m for m in messages if m.t_ns <= ALIGNED_NS or isinstance(m, ImuSample)], inbox_of)[0]
     assert plain(dropped.filter.snapshot()) != plain(ordered.filter.snapshot())
@@ -168,7 +171,7 @@ def test_a_message_is_judged_counted_and_observed_once(messages, inbox_of):
     arrived = arriving(messages, scattered(0))
     late = used(arrived, inbox_of, verdicts.append)[0]
     before = used([m for m in arrived if m.t_ns <= ALIGNED_NS], inbox_of)[0].account
-    judged = Counter((v.sensor, v.t_ns, *v.places.tolist()) for v in verdicts)
+    judged = Counter((v.sensor, v.t_ns, *v.indices.tolist()) for v in verdicts)
     assert set(judged.values()) == {1}
     account = late.account
     for sensor in ("adcp", "pressure", "compass", "lbl", "usbl", "bottom_track"):

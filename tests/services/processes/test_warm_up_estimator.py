@@ -8,7 +8,10 @@ import math, sys
 import msgspec, numpy as np
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.messages import *
 from services.processes.estimator import warm_up

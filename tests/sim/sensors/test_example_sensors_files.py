@@ -89,9 +89,9 @@ def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
     ("base", "says"),
     [
         ('"realistc"', 'own.toml: base = "realistc": no shipped name; shipped: paper, realistic; did you mean'),
-        ('"./mine.toml"', 'own.toml: base = "./mine.toml": must be the name of a shipped suite'),
-        ('"realistic.toml"', 'own.toml: base = "realistic.toml": must be the name of a shipped suite'),
-        ("3", "own.toml: base = 3: must be the name of a shipped suite"),
+        ('"./mine.toml"', 'own.toml: base = "./mine.toml": must be the name of a shipped sensors file'),
+        ('"realistic.toml"', 'own.toml: base = "realistic.toml": must be the name of a shipped sensors file'),
+        ("3", "own.toml: base = 3: must be the name of a shipped sensors file"),
     ],
 )
 def test_a_base_is_a_shipped_suite_and_nothing_else(tmp_path, base, says):

@@ -9,7 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,

@@ -11,7 +11,8 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.sensor_config import Lbl, Usbl
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import Truth
 from sim.sensors.lbl import AcousticTransceiver, arrival_ns
 from sim.sensors.usbl import ShipTransceiver

@@ -11,7 +11,8 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from ltv_mpc import frames
-from ltv_mpc.localisation.sensor_config import BottomTracking, SensorConfig
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.validation import refusal
 from sim.sensors.adcp import Instrument, Profiler
 from sim.sensors.bottom_track import BottomTracker

@@ -10,7 +10,8 @@ from ltv_mpc.frames import GRAVITY_MPS2, roll_pitch_heading, rotation, rotation_
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, ATTITUDE, GYRO_BIAS
-from ltv_mpc.localisation.sensor_config import Lbl, SensorConfig
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.messages import CompassHeading, GnssFix, ImuSample, PressureDepth
 
 SUITE = SensorConfig.load("realistic")

@@ -9,8 +9,9 @@ from ltv_mpc.localisation.filter.correction import correct, update
 from ltv_mpc.localisation.filter.measurement_compression import _root, entries, innovation, project, sufficient, touched
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.sensors.adcp import AdcpModel
+from ltv_mpc.localisation.sensors import adcp
 from ltv_mpc.localisation.sensors.rows import Rows
+from ltv_mpc.localisation.sensors.sensor import Context
 from ltv_mpc.localisation.water.current_model import write_prior
 from ltv_mpc.messages import AdcpPing
 
@@ -42,7 +43,7 @@ def ping(belief, seed=2):
     rng = np.random.default_rng(seed)
     z = 0.05 * rng.standard_normal((4, 30))
     message = AdcpPing(t_ns=0, range_m=1.0 + np.arange(30.0), beam_velocity_mps=z)
-    return AdcpModel(SUITE.adcp, belief.layout, CONFIG.cell_m).linearise(belief, message, (0.0, 0.0, 0.0)).rows
+    return adcp.linearise(belief, message, SUITE.adcp, Context(SUITE, CONFIG.cell_m, (0.0, 0.0, 0.0))).rows
 
 
 @pytest.fixture

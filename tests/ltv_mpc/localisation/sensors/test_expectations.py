@@ -9,9 +9,13 @@ import pytest
 from ltv_mpc.frames import rotation, rotation_exp
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import GYRO_BIAS, Belief, Layout
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
-from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
-from ltv_mpc.localisation.sensors.adcp import AdcpModel, beam_directions
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import adcp, bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
+from ltv_mpc.localisation.sensors.adcp import beam_directions
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.sensor import Context
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -39,6 +43,10 @@ LBL = Lbl(
 )
 USBL = Usbl(**ODD, latency_ns=0, ship_m=(30.0, 0.0), position_sd_m=1.5, bearing_sd_rad=0.05, outlier_m=30.0)
 TRACKING = BottomTracking(**ODD, range_m=20.0, beam_noise_sd_mps=0.01, outlier_mps=0.5)
+
+
+def context(rate=STILL):
+    return Context(SUITE, CONFIG.cell_m, rate)
 
 
 @pytest.fixture
@@ -106,9 +114,8 @@ def test_a_beam_sees_the_rate_at_which_water_recedes_from_the_moving_transducer(
             water = [np.interp(depth, np.arange(71), x[axis]) for axis in (LAYOUT.north, LAYOUT.east)]
             z[i, j] = along @ (np.array([*water, 0.0]) - velocity)
             z[i, j] += x[LAYOUT.beam_bias][i] + x[LAYOUT.near_bias][i] * math.exp(-r / SUITE.adcp.near_bias_length_m)
-    model = AdcpModel(SUITE.adcp, LAYOUT, CONFIG.cell_m)
     ping = AdcpPing(t_ns=0, range_m=ranges, beam_velocity_mps=z)
-    linearised = model.linearise(belief, ping, tuple(measured.tolist()))
+    linearised = adcp.linearise(belief, ping, SUITE.adcp, context(tuple(measured.tolist())))
     assert len(linearised.rows.residual) == 60
     np.testing.assert_allclose(linearised.rows.residual, 0, atol=1e-9)
 
@@ -121,11 +128,9 @@ def test_what_has_no_return_or_lies_outside_the_grid_is_left_out_and_counted(bel
     z[1] = np.nan
     reach = 60.0 + SUITE.adcp.lever_arm_m[2] + ranges * math.cos(SUITE.adcp.beam_angle_rad)
     inside = int((reach < 70.0).sum())
-    linearised = AdcpModel(SUITE.adcp, LAYOUT, CONFIG.cell_m).linearise(
-        belief, AdcpPing(t_ns=0, range_m=ranges, beam_velocity_mps=z), (0.0, 0.0, 0.0)
-    )
-    assert linearised.without_return == 15
-    assert linearised.outside_grid == 3 * (15 - inside)
+    ping = AdcpPing(t_ns=0, range_m=ranges, beam_velocity_mps=z)
+    linearised = adcp.linearise(belief, ping, SUITE.adcp, context())
+    assert linearised.unused == {"no_return": 15, "outside_grid": 3 * (15 - inside)}
     assert len(linearised.rows.residual) == 3 * inside
 
 
@@ -134,7 +139,7 @@ def test_a_suite_without_biases_has_rows_without_them():
     layout = Layout.of(suite, CONFIG)
     belief = Belief.blank(layout, 0)
     ping = AdcpPing(t_ns=0, range_m=np.array([3.0]), beam_velocity_mps=np.zeros((4, 1)))
-    rows = AdcpModel(suite.adcp, layout, CONFIG.cell_m).linearise(belief, ping, (0.0, 0.0, 0.0)).rows
+    rows = adcp.linearise(belief, ping, suite.adcp, context()).rows
     assert set(np.flatnonzero(np.abs(rows.dense(layout.size)).sum(axis=0))) <= {
         *range(9),
         *range(layout.north.start, layout.east.stop),
@@ -265,7 +270,7 @@ def test_the_bottom_goes_astern_and_up_past_a_vehicle_that_goes_ahead_and_down(b
     s, c = math.sin(SUITE.adcp.beam_angle_rad), math.cos(SUITE.adcp.beam_angle_rad)
     z = np.array([-s, s, 0.0, 0.0]) - 0.2 * c
     ping = BottomTrack(t_ns=0, range_m=np.full(4, 9.0), beam_velocity_mps=z)
-    seen = bottom_track.linearise(belief, ping, TRACKING, SUITE.adcp, STILL)
+    seen = bottom_track.linearise(belief, ping, TRACKING, context())
     np.testing.assert_allclose(seen.rows.residual, 0, atol=1e-15)
     np.testing.assert_array_equal(seen.rows.variance, [1e-4] * 4)
 
@@ -276,11 +281,10 @@ def test_water_that_moves_with_the_bottom_looks_like_the_bottom(belief):
         belief.x[states] = 0.0
     rate = (0.3, -0.2, 0.4)
     zero = np.zeros((4, 1))
-    water = AdcpModel(SUITE.adcp, LAYOUT, CONFIG.cell_m).linearise(
-        belief, AdcpPing(t_ns=0, range_m=np.array([9.0]), beam_velocity_mps=zero), rate
-    )
+    ping = AdcpPing(t_ns=0, range_m=np.array([9.0]), beam_velocity_mps=zero)
+    water = adcp.linearise(belief, ping, SUITE.adcp, context(rate))
     bed = bottom_track.linearise(
-        belief, BottomTrack(t_ns=0, range_m=np.full(4, 9.0), beam_velocity_mps=zero[:, 0]), TRACKING, SUITE.adcp, rate
+        belief, BottomTrack(t_ns=0, range_m=np.full(4, 9.0), beam_velocity_mps=zero[:, 0]), TRACKING, context(rate)
     )
     np.testing.assert_allclose(bed.rows.residual, water.rows.residual, atol=1e-14)
 
@@ -288,9 +292,9 @@ def test_water_that_moves_with_the_bottom_looks_like_the_bottom(belief):
 def test_a_beam_that_has_not_found_the_bottom_is_left_out_and_counted(belief):
     lost = np.array([9.0, np.nan, 9.0, np.nan])
     ping = BottomTrack(t_ns=0, range_m=lost, beam_velocity_mps=lost)
-    seen = bottom_track.linearise(belief, ping, TRACKING, SUITE.adcp, STILL)
-    assert seen.without_return == 2
-    np.testing.assert_array_equal(seen.places, [0, 2])
+    seen = bottom_track.linearise(belief, ping, TRACKING, context())
+    assert seen.unused == {"no_return": 2}
+    np.testing.assert_array_equal(seen.indices, [0, 2])
     assert seen.rows.state.shape[0] == 2
     nothing = BottomTrack(t_ns=0, range_m=np.full(4, np.nan), beam_velocity_mps=np.full(4, np.nan))
-    assert len(bottom_track.linearise(belief, nothing, TRACKING, SUITE.adcp, STILL).rows.residual) == 0
+    assert len(bottom_track.linearise(belief, nothing, TRACKING, context()).rows.residual) == 0

@@ -7,9 +7,12 @@ import pytest
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief, Layout
-from ltv_mpc.localisation.sensor_config import BottomTracking, Lbl, SensorConfig, Usbl
-from ltv_mpc.localisation.sensors import bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
-from ltv_mpc.localisation.sensors.adcp import AdcpModel
+from ltv_mpc.localisation.sensor_config import SensorConfig
+from ltv_mpc.localisation.sensors import adcp, bottom_track, compass, gnss, lbl, pressure, tdcp, usbl
+from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
+from ltv_mpc.localisation.sensors.lbl import Lbl
+from ltv_mpc.localisation.sensors.sensor import Context
+from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -50,7 +53,7 @@ SUITE = msgspec.structs.replace(
 RATE = (0.3, -0.2, 0.1)
 CONFIG = EstimatorConfig()
 LAYOUT = Layout.of(SUITE, CONFIG)
-ADCP = AdcpModel(SUITE.adcp, LAYOUT, CONFIG.cell_m)
+CONTEXT = Context(SUITE, CONFIG.cell_m, RATE)
 
 
 def random_belief(rng):
@@ -81,14 +84,13 @@ LINEARISED = {
     ),
     "pressure": lambda belief, _: pressure.rows(belief, PressureDepth(t_ns=0, depth_m=1.0), SUITE.pressure),
     "compass": lambda belief, _: compass.rows(belief, CompassHeading(t_ns=0, heading_rad=0.3), SUITE.compass),
-    "adcp": lambda belief, seen: ADCP.linearise(belief, seen, RATE).rows,
+    "adcp": lambda belief, seen: adcp.linearise(belief, seen, SUITE.adcp, CONTEXT).rows,
     "bottom_track": lambda belief, seen: (
         bottom_track.linearise(
             belief,
             BottomTrack(t_ns=0, range_m=np.full(4, 9.0), beam_velocity_mps=seen.beam_velocity_mps[:, 0]),
             SUITE.bottom_track,
-            SUITE.adcp,
-            RATE,
+            CONTEXT,
         ).rows
     ),
     "lbl": lambda belief, _: lbl.rows(belief, LblRange(t_ns=0, transponder=1, travel_time_s=0.1), SUITE.lbl),

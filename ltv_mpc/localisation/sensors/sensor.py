@@ -1,0 +1,82 @@
+"""Description of a sensor: everything that the estimator needs to know of it, beside its settings."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
+
+from ltv_mpc.localisation.filter.state import Belief
+from ltv_mpc.localisation.sensors.rows import Linearised
+from ltv_mpc.localisation.sensors.settings import SensorSettings
+from ltv_mpc.messages import Message, Triple
+
+if TYPE_CHECKING:  # the sensor configuration imports every sensor, and every sensor imports this file
+    from ltv_mpc.localisation.sensor_config import SensorConfig
+
+M = TypeVar("M", bound=Message)
+S = TypeVar("S", bound=SensorSettings)
+
+
+class Measurement(Protocol):
+    """A message that corrects the filter. Inertial samples propagate it instead."""
+
+    @property
+    def t_ns(self) -> int:
+        """Validity time (ns)."""
+        ...
+
+
+class Availability(enum.Enum):
+    """Times at which the messages of a sensor can be expected.
+
+    CONTINUOUS: a message at every multiple of the period, up to losses. An estimate waits for it if it has no latency.
+    SURFACE: the same while the vehicle is at the surface, before the descent begins at t = 0. Silence after that is
+    normal. One such fix may be all that a descent has, so outliers just beyond the gate are de-weighted, not rejected.
+    INTERMITTENT: messages come seldom or with a latency that varies.
+
+    The mean squared innovation of a sensor that is not continuous is judged by its upper limit alone: its messages are
+    few, and the variance of some contains a second-order term.
+    """
+
+    CONTINUOUS = enum.auto()
+    SURFACE = enum.auto()
+    INTERMITTENT = enum.auto()
+
+
+class Context(NamedTuple):
+    """Quantities that a measurement model may use beside the belief, the message and its own settings."""
+
+    sensors: SensorConfig  # settings of all sensors
+    cell_m: float  # spacing of the grid points of the water (m)
+    rate: Triple  # angular rate that the inertial unit measured last, bias included (rad/s, body)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor(Generic[M, S]):
+    """Description of a sensor, one constant in the sensor's file."""
+
+    name: str
+    """In the sensors file, in the account and in reports."""
+    message: type[M]
+    settings: type[S]
+    scalars: int
+    """Number of scalar measurements that the account counts for a message if the vehicle does not have the sensor."""
+    at_rest: Callable[[int, S], M]
+    """Message of a given time (ns) from a vehicle at rest at the origin, for the warm-up of compiled code. Messages
+    of different times differ in their ``reading``."""
+    linearise: Callable[[Belief, M, S, Context], Linearised] | None
+    """Measurement model; None: the sensor propagates the filter."""
+    availability: Availability = Availability.CONTINUOUS
+    is_essential: bool = False
+    """It bounds the error of velocity or depth: the filter is inconsistent if this sensor alone is rejected."""
+    clones_position: bool = False
+    """The position of the message's time becomes a state, as the reference of the next displacement."""
+    reading: Callable[[M], object] | None = None
+    """Values that never repeat exactly, so that a repetition shows a frozen sensor. None: they may repeat."""
+    source: Callable[[M], object] | None = None
+    """Identity of the emitter, if the sensor has several: their messages may have one time and come in any order."""
+
+
+AnySensor = Sensor[Any, Any]
