@@ -128,7 +128,7 @@ def missed(recording: Path) -> list[Missed]:
     rows: list[tuple[int, int, int, int]] = []  # time, not solved, late, missing in all
     losses, late_before, lost_before = LossAccounting(), 0, 0
     for message in Recording(recording):
-        losses.saw(message.key, message.plain["epoch"], message.plain["sequence"])
+        losses.add(message.key, message.plain["epoch"], message.plain["sequence"])
         if message.kind is Plan and message.plain["cycle_t_ns"] >= 0:
             rows.append((message.t_ns, int(message.plain["origin"] != PlanOrigin.SOLVED), 0, 0))
         elif message.kind is Applied:

@@ -122,12 +122,12 @@ def export(
     from services.reporting import log_text
     from services.reporting.terminal import progress_bar
 
-    result: tables.Result | perfetto.Written
+    result: tables.ExportResult | perfetto.TraceSummary
     with progress_bar(f"{recording} as {form.value}") as told:
         if form is Format.PERFETTO:
-            result = perfetto.write(parts, place / "trace.json", told=told)
+            result = perfetto.write(parts, place / "trace.json", progress=told)
         else:
-            result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", told=told)
+            result = tables.export(parts, place, "csv" if form is Format.CSV else "parquet", progress=told)
     if as_json:
         import msgspec
 

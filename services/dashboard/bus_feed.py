@@ -156,7 +156,7 @@ class BusFeed:
         if newest is not None and newest.clock_epoch != clock.clock_epoch:
             self._reset()
         with contextlib.suppress(ClockError):  # kept on another host: times are then the estimates' own
-            self._clock.hear(clock)
+            self._clock.follow(clock)
 
     def _reset(self) -> None:
         self.run += 1

@@ -19,7 +19,7 @@ from services.dashboard import page
 from services.dashboard.access_guard import LOOPBACK, Token, hosts
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.config import Config
-from services.runtime.serve import until_stopped
+from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
 GRACE_S = 1
@@ -68,7 +68,7 @@ def main(config: Config) -> int:
             # a signal ends it, and is then handed on to the handlers that were there before
             uvicorn.Server(configuration(app)).run(sockets=[place])
 
-    return until_stopped("dashboard", work)
+    return run_until_stopped("dashboard", work)
 
 
 def _give_way() -> None:

@@ -39,12 +39,12 @@ from services.bus.session import BusOptions
 from services.bus.topics import BY_TYPE, Topic
 from services.processes.failed_qps import FailedQps
 from services.runtime import metrics as prometheus
-from services.runtime.controller_status import ControllerStatusReporter, Shown
+from services.runtime.controller_status import ControllerStatusReporter, StatusSink
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
+from services.runtime.stage_timer import StageTimer
 from services.runtime.status_line import StatusLine
-from services.runtime.stopping import FAILED, Say, StopRequest, sayer
-from services.runtime.stopwatch import StageTimer
+from services.runtime.stopping import FAILED, Say, StopRequest, stderr_printer
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -70,7 +70,7 @@ def main(config: Config) -> int:
             try:
                 stack.enter_context(prometheus.serving(metrics, config.metrics_port))
             except OSError as error:
-                sayer(ControllerNode.name)(f"--metrics {config.metrics_port}: {error.strerror}")
+                stderr_printer(ControllerNode.name)(f"--metrics {config.metrics_port}: {error.strerror}")
                 return FAILED
         warm_up(vehicle, reference, settings)
         node_stages = StageTimer()
@@ -82,7 +82,7 @@ def main(config: Config) -> int:
             say = line.saying(say)
             for text in (*announcement(bus, settings), *reference.notes(vehicle)):
                 say(text)
-            shown: list[Shown] = [line.show, metrics.show]
+            shown: list[StatusSink] = [line.show, metrics.show]
             if config.failed_qps is not None:
                 shown.append(FailedQps(node.controller, config.failed_qps, say).show)
             return Runner(

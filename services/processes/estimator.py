@@ -19,10 +19,10 @@ from ltv_mpc.node import ReceivedMessage
 from services.bus.session import BusOptions
 from services.run.water import told
 from services.runtime.clock import monotonic_us
-from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from services.runtime.stopping import Say, StopRequest
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
@@ -40,7 +40,7 @@ def main(config: Config) -> int:
     warm_up(suite, settings)
 
     def make(request: StopRequest, say: Say) -> Runner:
-        node = Estimator(suite, settings, prior, progress=lambda: HEARTBEAT.beat(monotonic_us()))
+        node = Estimator(suite, settings, prior, progress=lambda: SUPERVISOR_LINK.beat(monotonic_us()))
         return Runner(node, stop=request, say=say)
 
     return serve(Estimator.name, config.bus, make)

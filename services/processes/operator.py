@@ -11,7 +11,7 @@ from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, OPERATOR
 from services.bus.wire import WireError, decode
-from services.runtime.stopping import DONE, FAILED, sayer
+from services.runtime.stopping import DONE, FAILED, stderr_printer
 
 PATIENCE_S = 3.0
 """So long for a router, and again for the answer: a cycle takes a third of a second."""
@@ -19,7 +19,7 @@ PATIENCE_S = 3.0
 
 def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     """The exit code: 0 where the controller accepted, 1 with the reason on stderr where not."""
-    say = sayer(f"ctl {action.value}")
+    say = stderr_printer(f"ctl {action.value}")
     until = time.monotonic() + PATIENCE_S
     try:
         with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:

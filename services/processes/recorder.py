@@ -9,10 +9,10 @@ import msgspec
 
 from services.bus.session import BusError, BusOptions
 from services.recording.segments import SegmentWriter
-from services.runtime.heartbeat import HEARTBEAT
-from services.runtime.recording import NAME, RecordingLoop
-from services.runtime.serve import until_stopped
+from services.runtime.recording_loop import NAME, RecordingLoop
+from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 MODE = "services"
 """The mode of a recording of processes, in its metadata."""
@@ -36,9 +36,9 @@ def main(config: Config) -> int:
     """Record until told to stop."""
 
     def work(request: StopRequest, say: Say) -> None:
-        HEARTBEAT.state()
+        SUPERVISOR_LINK.state()
         recording = config.folder / "run.mcap"
         with SegmentWriter(recording, start_ns=config.start_ns, metadata=config.metadata) as writer:
             RecordingLoop(writer, start_ns=config.start_ns, stop=request, say=say).serve(config.bus)
 
-    return until_stopped(NAME, work, failures=(BusError, OSError))
+    return run_until_stopped(NAME, work, failures=(BusError, OSError))

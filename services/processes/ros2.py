@@ -16,7 +16,7 @@ from services.bus.wire import WireError
 from services.edges.ros2 import cdr
 from services.edges.ros2.edge import Edge
 from services.runtime.clock import monotonic_us
-from services.runtime.serve import until_stopped
+from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 
 NAME = "ros2"
@@ -33,12 +33,12 @@ class Topics(msgspec.Struct, frozen=True, kw_only=True):
 def main(topics: Topics, bus: BusOptions, *, ros_namespace: str, rate_hz: float) -> int:
     """Translate until told to stop. ``ros_namespace`` is the bridge's, before each of its keys."""
     period_us = round(1e6 / rate_hz)
-    return until_stopped(NAME, lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say))
+    return run_until_stopped(NAME, lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say))
 
 
 def _run(topics: Topics, bus: BusOptions, ros_namespace: str, period_us: int, request: StopRequest, say: Say) -> None:
     mailbox = Mailbox()
-    request.wakes(mailbox.wake)
+    request.on_request(mailbox.wake)
     theirs = msgspec.structs.replace(bus, namespace=ros_namespace)
     with (
         open_session(bus, stop=request, say=say) as session,

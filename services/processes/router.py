@@ -20,12 +20,12 @@ from services.bus.session import BusOptions, Session, log_to_stdout, open_sessio
 from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
-from services.runtime.heartbeat import HEARTBEAT, PULSE_US
-from services.runtime.serve import until_stopped
+from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
+from services.runtime.supervisor_link import HEARTBEAT_PERIOD_US, SUPERVISOR_LINK
 
 STATUS_US = 500_000
-PULSE_S = PULSE_US / 1e6
+PULSE_S = HEARTBEAT_PERIOD_US / 1e6
 STDOUT = 1
 PAUSE_S = 0.05
 """Between two looks at Zenoh's log: it comes in lines, some thousand a second, and is read in blocks."""
@@ -49,16 +49,16 @@ def main(config: Config) -> int:
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
 
     def work(request: StopRequest, say: Say) -> None:
-        HEARTBEAT.state()
+        SUPERVISOR_LINK.state()
         if secure:
             _guard(options, request, say)
             return
         with open_session(options, stop=request, say=say):
             say(f"ready at {', '.join(endpoints)}")
             while not request.wait(PULSE_S):
-                HEARTBEAT.beat(monotonic_us())
+                SUPERVISOR_LINK.beat(monotonic_us())
 
-    return until_stopped(ROUTER, work)
+    return run_until_stopped(ROUTER, work)
 
 
 def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
@@ -70,7 +70,7 @@ def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
         due_us = 0
         while not request.wait(PULSE_S):
             now_us = monotonic_us()
-            HEARTBEAT.beat(now_us)
+            SUPERVISOR_LINK.beat(now_us)
             if now_us >= due_us:
                 due_us = now_us + STATUS_US
                 report.publish()
@@ -98,7 +98,7 @@ class _Report:
         self._heard = True
         if topic is BY_TYPE[Clock]:
             with contextlib.suppress(WireError, ClockError):  # its followers say so
-                self._clock.hear(decode(Clock, payload)[0])
+                self._clock.follow(decode(Clock, payload)[0])
 
     def publish(self, *, finished: bool = False) -> None:
         """Say it now."""

@@ -25,13 +25,13 @@ import msgspec
 
 from ltv_mpc.errors import ConfigError
 from services.bus import topics
-from services.recording.recover import Line, Told, through, untold
+from services.recording.recover import Progress, RawMessage, no_progress, read_segments
 
 Format: TypeAlias = Literal["csv", "parquet"]
 
 WIDEST = 1024
 """Columns of one field; a longer list stays one column."""
-MOST_KEYS = 500
+MAX_KEYS = 500
 BATCH_ROWS = 5000
 """Rows of a table in memory; also of a row group of Parquet."""
 INT64 = 2**63
@@ -42,7 +42,7 @@ _SCALARS: dict[type, str] = {int: "int", float: "float", bool: "bool", str: "tex
 _NUMBERS = {int, float, NoneType}
 
 
-class Exported(msgspec.Struct, frozen=True, kw_only=True):
+class ExportedFile(msgspec.Struct, frozen=True, kw_only=True):
     """One file."""
 
     file: str
@@ -51,11 +51,11 @@ class Exported(msgspec.Struct, frozen=True, kw_only=True):
     columns: int
 
 
-class Result(msgspec.Struct, frozen=True, kw_only=True):
+class ExportResult(msgspec.Struct, frozen=True, kw_only=True):
     """All of them; ``unreadable``: messages that are no JSON object, which are left out."""
 
     folder: str
-    files: tuple[Exported, ...]
+    files: tuple[ExportedFile, ...]
     unreadable: int
 
 
@@ -67,7 +67,7 @@ class Column(msgspec.Struct, frozen=True, kw_only=True):
     depth: int = 0
 
 
-class Spread(msgspec.Struct, frozen=True, kw_only=True):
+class ColumnMapping(msgspec.Struct, frozen=True, kw_only=True):
     """How a field of a message becomes columns: one, or one an entry of a list of ``shape``."""
 
     path: str
@@ -103,7 +103,7 @@ class Sink(Protocol):
         ...
 
 
-def export(parts: Sequence[Path], folder: Path, form: Format, *, told: Told = untold) -> Result:
+def export(parts: Sequence[Path], folder: Path, form: Format, *, progress: Progress = no_progress) -> ExportResult:
     """The recording's segments as tables into ``folder``, which is there.
 
     Raises ``ConfigError`` where a segment is no MCAP file, or pyarrow is needed and not installed.
@@ -111,33 +111,33 @@ def export(parts: Sequence[Path], folder: Path, form: Format, *, told: Told = un
     open_sink = _csv if form == "csv" else _parquet()
     layouts: dict[str, _Layout] = {}
     unreadable = 0
-    for line, message in _messages(parts, told, (0.0, 0.5)):
+    for line, message in _messages(parts, progress, (0.0, 0.5)):
         if message is None:
             unreadable += 1
             continue
-        if line.key not in layouts and len(layouts) >= MOST_KEYS:
-            raise ConfigError(f"recording {parts[0]}", "", f"more than {MOST_KEYS} keys")
-        layouts.setdefault(line.key, _Layout()).saw(message)
+        if line.key not in layouts and len(layouts) >= MAX_KEYS:
+            raise ConfigError(f"recording {parts[0]}", "", f"more than {MAX_KEYS} keys")
+        layouts.setdefault(line.key, _Layout()).add(message)
     tables = {
         key: _Table(key, layout.spreads(), folder, name, open_sink) for key, layout, name in _named(layouts, form)
     }
     try:
-        for line, message in _messages(parts, told, (0.5, 1.0)):
+        for line, message in _messages(parts, progress, (0.5, 1.0)):
             if message is not None:
                 tables[line.key].add(line.t_ns, message)
     finally:
         for table in tables.values():
             table.close()
     files = tuple(table.exported for table in tables.values())
-    return Result(folder=str(folder), files=files, unreadable=unreadable)
+    return ExportResult(folder=str(folder), files=files, unreadable=unreadable)
 
 
 def _messages(
-    parts: Sequence[Path], told: Told, share: tuple[float, float]
-) -> Iterator[tuple[Line, dict[str, Any] | None]]:
+    parts: Sequence[Path], progress: Progress, share: tuple[float, float]
+) -> Iterator[tuple[RawMessage, dict[str, Any] | None]]:
     """Each line with its map, flattened; None where it is none."""
     decode = msgspec.json.Decoder().decode
-    for _, line in through(parts, told, share):
+    for _, line in read_segments(parts, progress, share):
         try:
             plain = decode(line.data)
         except (msgspec.DecodeError, ValueError, RecursionError):
@@ -174,20 +174,20 @@ class _Field:
         self._shapes: set[tuple[int, ...] | None] = set()
         self._entries: set[type] = set()
 
-    def saw(self, value: Any) -> None:
+    def add(self, value: Any) -> None:
         """A value of a message."""
         if value is None:
             return
         if isinstance(value, list):
             self.kinds.add("list")
-            self._saw_list(value)
+            self._add_list(value)
             return
         kind = _SCALARS.get(type(value), "json")
         if kind == "int" and not -INT64 <= value < INT64:
             kind = "float" if abs(value) < LARGEST else "json"
         self.kinds.add(kind)
 
-    def spread(self, path: str) -> Spread:
+    def spread(self, path: str) -> ColumnMapping:
         """The columns for all that was seen."""
         if self.kinds == {"list"}:
             return self._spread_list(path)
@@ -195,9 +195,9 @@ class _Field:
             kind = "int" if self.kinds == {"int"} else "float"
         else:
             kind = next(iter(self.kinds)) if len(self.kinds) == 1 else "json"
-        return Spread(path=path, columns=(Column(name=path, kind=kind),))
+        return ColumnMapping(path=path, columns=(Column(name=path, kind=kind),))
 
-    def _saw_list(self, value: list[Any]) -> None:
+    def _add_list(self, value: list[Any]) -> None:
         rows = value if value and all(type(row) is list for row in value) else [value]
         entries = {type(entry) for row in rows for entry in row}
         if int in entries:
@@ -212,20 +212,20 @@ class _Field:
         elif not even:
             self._shapes = {None}
 
-    def _spread_list(self, path: str) -> Spread:
+    def _spread_list(self, path: str) -> ColumnMapping:
         shapes = self._shapes
         if None in shapes or len({len(shape) for shape in shapes if shape is not None}) > 1:
-            return Spread(path=path, columns=(Column(name=path, kind="json"),))
+            return ColumnMapping(path=path, columns=(Column(name=path, kind="json"),))
         shape = next(iter(shapes)) or ()
         whole = self._entries <= {int, NoneType} and int in self._entries
         mixed = not whole and int in self._entries
         if len(shapes) > 1 or not 0 < math.prod(shape) <= WIDEST:
             kind = "integers" if whole else "numbers"
-            return Spread(path=path, columns=(Column(name=path, kind=kind, depth=len(shape)),), mixed=mixed)
+            return ColumnMapping(path=path, columns=(Column(name=path, kind=kind, depth=len(shape)),), mixed=mixed)
         kind = "int" if whole else "float"
         places = itertools.product(*map(range, shape))
         columns = tuple(Column(name="_".join((path, *map(str, place))), kind=kind) for place in places)
-        return Spread(path=path, columns=columns, shape=shape, mixed=mixed)
+        return ColumnMapping(path=path, columns=columns, shape=shape, mixed=mixed)
 
 
 def _floats(value: list[Any]) -> list[Any]:
@@ -238,15 +238,15 @@ class _Layout:
     def __init__(self) -> None:
         self._fields: dict[str, _Field] = {}
 
-    def saw(self, message: dict[str, Any]) -> None:
+    def add(self, message: dict[str, Any]) -> None:
         """A message of the key."""
         for path, value in message.items():
             field = self._fields.get(path)
             if field is None:
                 field = self._fields[path] = _Field()
-            field.saw(value)
+            field.add(value)
 
-    def spreads(self) -> list[Spread]:
+    def spreads(self) -> list[ColumnMapping]:
         """In the order in which the fields were first seen."""
         parents = {path.rpartition(".")[0] for path in self._fields}
         # a field that is null here and a map there has the columns of the map
@@ -259,7 +259,7 @@ class _Table:
     def __init__(
         self,
         key: str,
-        spreads: list[Spread],
+        spreads: list[ColumnMapping],
         folder: Path,
         name: str,
         open_sink: Callable[[Path, str, list[Column]], Sink],
@@ -275,9 +275,9 @@ class _Table:
         self._count = 0
 
     @property
-    def exported(self) -> Exported:
+    def exported(self) -> ExportedFile:
         """What was written."""
-        return Exported(file=self._name, key=self._key, rows=self._count, columns=self._width)
+        return ExportedFile(file=self._name, key=self._key, rows=self._count, columns=self._width)
 
     def add(self, published_ns: int, message: dict[str, Any]) -> None:
         """A message of the key."""

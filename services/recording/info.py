@@ -17,12 +17,12 @@ from ltv_mpc.config import loads
 from ltv_mpc.messages import Count
 from services.bus import topics
 from services.bus.wire import Epoch
-from services.recording.recover import RECOVERY, Line, Lines
+from services.recording.recover import RECOVERY, RawMessage, SegmentReader
 from services.recording.sequence_gaps import SequenceGaps
 
-MOST_EVENTS = 1000
+MAX_EVENTS = 1000
 """That are listed; all are counted."""
-MOST_GAPS = 20
+MAX_GAPS = 20
 """That are listed of each source."""
 
 
@@ -46,7 +46,7 @@ class Source(msgspec.Struct, frozen=True, kw_only=True):
     published: int  # up to the last one that is there
     missing: int
     doubled: int
-    gaps: tuple[tuple[int, int], ...]  # first and last sequence number that is missing, at most MOST_GAPS
+    gaps: tuple[tuple[int, int], ...]  # first and last sequence number that is missing, at most MAX_GAPS
 
 
 class Key(msgspec.Struct, frozen=True, kw_only=True):
@@ -105,41 +105,41 @@ class _RunEvent(msgspec.Struct):
     text: str
 
 
-class _OfKey:
+class _KeyStatistics:
     def __init__(self) -> None:
         self.first_ns: int | None = None
         self.last_ns = 0
         self.bytes = 0
         self.sources: dict[int, SequenceGaps] = {}
 
-    def saw(self, line: Line, header: _Header) -> None:
+    def add(self, line: RawMessage, header: _Header) -> None:
         self.first_ns = line.t_ns if self.first_ns is None else min(self.first_ns, line.t_ns)
         self.last_ns = max(self.last_ns, line.t_ns) if self.bytes else line.t_ns
         self.bytes += len(line.data)
-        self.sources.setdefault(header.epoch, SequenceGaps()).saw(header.sequence)
+        self.sources.setdefault(header.epoch, SequenceGaps()).add(header.sequence)
 
 
 class _Collector:
     def __init__(self) -> None:
-        self.keys: dict[str, _OfKey] = {}
+        self.keys: dict[str, _KeyStatistics] = {}
         self.events: list[Event] = []
         self.events_total = 0
         self.unreadable = 0
         self._header = msgspec.json.Decoder(_Header).decode
         self._event = msgspec.json.Decoder(_RunEvent).decode
 
-    def saw(self, line: Line) -> None:
+    def add(self, line: RawMessage) -> None:
         try:
             header = self._header(line.data)
         except (msgspec.DecodeError, ValueError, RecursionError):
             self.unreadable += 1
             return
-        self.keys.setdefault(line.key, _OfKey()).saw(line, header)
+        self.keys.setdefault(line.key, _KeyStatistics()).add(line, header)
         if line.key.startswith("event/"):
             self.events_total += 1
             with contextlib.suppress(msgspec.DecodeError, ValueError, RecursionError):
                 event = self._event(line.data)
-                if len(self.events) < MOST_EVENTS:
+                if len(self.events) < MAX_EVENTS:
                     self.events.append(Event(t_s=event.t_ns / 1e9, node=event.node, kind=event.kind, text=event.text))
 
 
@@ -150,7 +150,7 @@ def read(parts: Sequence[Path]) -> Info:
     metadata: dict[str, str] = {}
     recovered = False
     for path in parts:
-        lines = Lines(path)
+        lines = SegmentReader(path)
         segments.append(_segment(lines, collector))
         metadata = metadata or lines.metadata
         recovered = recovered or RECOVERY in lines.others
@@ -178,13 +178,13 @@ def read(parts: Sequence[Path]) -> Info:
     )
 
 
-def _segment(lines: Lines, collector: _Collector) -> Segment:
+def _segment(lines: SegmentReader, collector: _Collector) -> Segment:
     count, first, last = 0, None, None
     for line in lines:
         count += 1
         first = line.t_ns if first is None else min(first, line.t_ns)
         last = line.t_ns if last is None else max(last, line.t_ns)
-        collector.saw(line)
+        collector.add(line)
     records = lines.records
     return Segment(
         file=records.path.name,
@@ -197,7 +197,7 @@ def _segment(lines: Lines, collector: _Collector) -> Segment:
     )
 
 
-def _key(name: str, of: _OfKey) -> Key:
+def _key(name: str, of: _KeyStatistics) -> Key:
     topic = topics.topic_at(name)
     messages = sum(gaps.messages for gaps in of.sources.values())
     first_ns = of.first_ns or 0
@@ -218,7 +218,7 @@ def _key(name: str, of: _OfKey) -> Key:
                 published=gaps.published,
                 missing=gaps.missing,
                 doubled=gaps.doubled,
-                gaps=gaps.ranges[:MOST_GAPS],
+                gaps=gaps.ranges[:MAX_GAPS],
             )
             for epoch, gaps in of.sources.items()
         ),

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 from services.recording.sequence_gaps import SequenceGaps
 
-MOST_SOURCES = 10_000
+MAX_SOURCES = 10_000
 """Keys times epochs that are counted apart. A run has some fifty, and ten more for each restart."""
 
-MOST_KEYS = 1_000
+MAX_KEYS = 1_000
 OTHER = "others"
 """In place of the key, where there are too many keys as well."""
 
@@ -35,26 +35,26 @@ class LossAccounting:
         self._sums: dict[str, _Sum] = {}
         self._forgot = False
 
-    def saw(self, key: str, epoch: int, sequence: int) -> bool:
+    def add(self, key: str, epoch: int, sequence: int) -> bool:
         """A message that is there; whether it was not there before."""
         name = key, epoch
         source = self._sources.pop(name, None)
         if source is None:
             source = SequenceGaps(sequence if self._forgot else 0)
         self._sources[name] = source
-        if len(self._sources) > MOST_SOURCES:
+        if len(self._sources) > MAX_SOURCES:
             self._forget_oldest()
-        return source.saw(sequence)
+        return source.add(sequence)
 
-    def begins(self, key: str, epoch: int, sequence: int) -> None:
+    def start_at(self, key: str, epoch: int, sequence: int) -> None:
         """Count this source from here, if it is new: what it said before was not ours to hear."""
         self._sources.setdefault((key, epoch), SequenceGaps(sequence))
 
-    def lost(self, key: str, epoch: int) -> None:
+    def mark_lost(self, key: str, epoch: int) -> None:
         """One that was there is not."""
         source = self._sources.get((key, epoch))
         if source is not None:
-            source.lose()
+            source.mark_lost()
         else:
             name = self._sum_of(key)
             of = self._sums.get(name, _Sum())
@@ -94,4 +94,4 @@ class LossAccounting:
         self._forgot = True
 
     def _sum_of(self, key: str) -> str:
-        return key if key in self._sums or len(self._sums) < MOST_KEYS else OTHER
+        return key if key in self._sums or len(self._sums) < MAX_KEYS else OTHER

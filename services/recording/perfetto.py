@@ -26,7 +26,7 @@ from msgspec import Meta
 
 from services.bus import topics
 from services.recording.records import start_of
-from services.recording.recover import Line, Told, through, untold
+from services.recording.recover import Progress, RawMessage, no_progress, read_segments
 
 THINNEST_NS = 1000
 STEPS, THRUSTERS = 1, 2
@@ -43,7 +43,7 @@ PlanId: TypeAlias = tuple[int, int]
 """Epoch and sequence."""
 
 
-class Written(msgspec.Struct, frozen=True, kw_only=True):
+class TraceSummary(msgspec.Struct, frozen=True, kw_only=True):
     """What the file holds."""
 
     file: str
@@ -152,7 +152,7 @@ _DECODERS: dict[type, Callable[[bytes], Any]] = {
 }
 
 
-class _Heard:
+class _TraceData:
     """What of a recording goes into its trace."""
 
     def __init__(self) -> None:
@@ -167,9 +167,9 @@ class _Heard:
         self._nodes_of: dict[int, set[str]] = {}
         self._open: dict[str, tuple[_Record, int]] = {}  # the newest step by process, and its last output
 
-    def saw(self, line: Line) -> None:
+    def add(self, line: RawMessage) -> None:
         try:
-            self._saw(line)
+            self._add(line)
         except (msgspec.DecodeError, ValueError, RecursionError):
             self.unreadable += 1
 
@@ -186,7 +186,7 @@ class _Heard:
         i = bisect_right(steps, published_ns, key=lambda step: step.begin_ns) - 1
         return _Place(node, STEPS, steps[i].begin_ns) if i >= 0 else None
 
-    def _saw(self, line: Line) -> None:
+    def _add(self, line: RawMessage) -> None:
         first = line.key.partition("/")[0]
         match line.key:
             case "timing":
@@ -209,7 +209,7 @@ class _Heard:
         self._nodes_of.setdefault(record.epoch, set()).add(record.node)
         self._open[record.node] = record, 0
 
-    def _output(self, line: Line) -> None:
+    def _output(self, line: RawMessage) -> None:
         header: _Header = _DECODERS[_Header](line.data)
         node = self._writer(line.key, header.epoch)
         if node in self._open:
@@ -250,27 +250,27 @@ class _Heard:
             self.followed.append(_Followed(plan, applied.plan_received_t_ns, applied.plan_late))
 
 
-def write(parts: Sequence[Path], out: Path, *, told: Told = untold) -> Written:
+def write(parts: Sequence[Path], out: Path, *, progress: Progress = no_progress) -> TraceSummary:
     """The recording's segments as one trace file.
 
     Raises ``ConfigError`` where a segment is no MCAP file.
     """
-    heard = _Heard()
+    data = _TraceData()
     metadata: dict[str, str] = {}
-    for lines, line in through(parts, told):
-        heard.saw(line)
+    for lines, line in read_segments(parts, progress):
+        data.add(line)
         metadata = metadata or lines.metadata
-    heard.finish()
+    data.finish()
     trace = _Trace(start_of(metadata))
-    trace.draw(heard)
+    trace.draw(data)
     trace.save(out, metadata)
-    return Written(
+    return TraceSummary(
         file=str(out),
         processes=len(trace.processes),
         slices=trace.slices,
         arrows=trace.arrows,
-        marks=len(heard.events),
-        unreadable=heard.unreadable,
+        marks=len(data.events),
+        unreadable=data.unreadable,
     )
 
 
@@ -285,19 +285,19 @@ class _Trace:
         for name in FIRST_PROCESSES:
             self._pid(name)
 
-    def draw(self, heard: _Heard) -> None:
+    def draw(self, data: _TraceData) -> None:
         """Everything."""
-        for node, steps in heard.steps.items():
+        for node, steps in data.steps.items():
             self._track(node, STEPS, "steps")
             for step in steps:
                 self._slice(node, STEPS, step)
-        cycles = self._cycles(heard)
-        thrusts = self._thrusts(heard)
-        for key, plan in heard.plans.items():
-            places = heard.place_of(plan.estimate_t_ns), cycles.get(key), thrusts.get(key)
+        cycles = self._cycles(data)
+        thrusts = self._thrusts(data)
+        for key, plan in data.plans.items():
+            places = data.place_of(plan.estimate_t_ns), cycles.get(key), thrusts.get(key)
             self._arrow([place for place in places if place is not None])
-        self._counters(heard.thrusts)
-        for event in heard.events:
+        self._counters(data.thrusts)
+        for event in data.events:
             mark = {"ph": "i", "s": "g", "pid": self._pid(event.node), "tid": STEPS, "name": event.kind}
             self._add(event.t_ns, mark | {"args": {"text": event.text}})
 
@@ -315,14 +315,14 @@ class _Trace:
             file.write(b",\n".join([*self._head, *(event for _, _, event in self._events)]))
             file.write(b"\n]}\n")
 
-    def _cycles(self, heard: _Heard) -> dict[PlanId, _Place]:
+    def _cycles(self, data: _TraceData) -> dict[PlanId, _Place]:
         """A slice each, its stages inside; when it begins, by plan."""
         self._track("controller", STEPS, "cycles")
         begun: dict[PlanId, _Place] = {}
-        plans = {(plan.epoch, plan.cycle_t_ns): plan for plan in heard.plans.values()}
-        times = sorted(heard.timings.keys() | plans.keys(), key=lambda key: key[1])
+        plans = {(plan.epoch, plan.cycle_t_ns): plan for plan in data.plans.values()}
+        times = sorted(data.timings.keys() | plans.keys(), key=lambda key: key[1])
         for key in times:
-            plan, timing = plans.get(key), heard.timings.get(key)
+            plan, timing = plans.get(key), data.timings.get(key)
             duration_ns = 0 if timing is None else timing.compute_ns
             args: dict[str, Any] = {} if timing is None else {"estimate_age_ms": timing.estimate_age_ns / 1e6}
             name = "cycle"
@@ -338,17 +338,17 @@ class _Trace:
                     self._draw_slice(self._pid("controller"), STEPS, stage.begin_ns, stage.end_ns, stage)
         return begun
 
-    def _thrusts(self, heard: _Heard) -> dict[PlanId, _Place]:
+    def _thrusts(self, data: _TraceData) -> dict[PlanId, _Place]:
         """A slice for each plan that was followed, from its first knot or its arrival; when it begins, by plan."""
         self._track("plant", THRUSTERS, "thrusters")
         begins = []
-        for followed in heard.followed:
-            plan = heard.plans.get(followed.plan)
+        for followed in data.followed:
+            plan = data.plans.get(followed.plan)
             begins.append(max([followed.received_ns, *(plan.t_ns[:1] if plan is not None else [])]))
-        ends = [*begins[1:], *(applied.t_ns for applied in heard.thrusts[-1:] if begins)]
+        ends = [*begins[1:], *(applied.t_ns for applied in data.thrusts[-1:] if begins)]
         begun: dict[PlanId, _Place] = {}
-        for followed, begin_ns, end_ns in zip(heard.followed, begins, ends, strict=True):
-            plan = heard.plans.get(followed.plan)
+        for followed, begin_ns, end_ns in zip(data.followed, begins, ends, strict=True):
+            plan = data.plans.get(followed.plan)
             args = {"epoch": followed.plan[0], "late": followed.late, "received_s": followed.received_ns / 1e9}
             name = f"plan {followed.plan[1]}" + (f": {plan.origin}" if plan is not None else "")
             drawn_ns, _ = self._slice("plant", THRUSTERS, _Slice(begin_ns, end_ns, name, args))

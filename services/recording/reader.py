@@ -20,7 +20,7 @@ from services.recording.records import Record, Records, start_of
 from services.recording.writer import RUN
 
 
-class Recorded(msgspec.Struct, frozen=True):
+class RecordedMessage(msgspec.Struct, frozen=True):
     """One message. ``t_ns`` is the vehicle time of its publication; ``plain`` its map, header included.
 
     ``kind`` is None where the table of topics has no such key.
@@ -38,7 +38,7 @@ class Recorded(msgspec.Struct, frozen=True):
         return wire.typed(self.kind, self.plain)
 
 
-class Stored(NamedTuple):
+class StoredMessage(NamedTuple):
     """One message as it stands in the file: ``data`` is its JSON, ``crc`` that of the frame as it was received."""
 
     key: str
@@ -56,7 +56,7 @@ class Recording:
         self.metadata: dict[str, str] = {}
         self.cut = False
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedMessage]:
         decode = msgspec.json.Decoder(dict[str, Any]).decode
         for key, kind, t_ns, _, data in self.stored():
             try:
@@ -64,9 +64,9 @@ class Recording:
             except (msgspec.DecodeError, ValueError, RecursionError):  # nobody that writes recordings wrote it
                 self.cut = True
                 return
-            yield Recorded(key, kind, t_ns, plain)
+            yield RecordedMessage(key, kind, t_ns, plain)
 
-    def stored(self, keys: Container[str] | None = None) -> Iterator[Stored]:
+    def stored(self, keys: Container[str] | None = None) -> Iterator[StoredMessage]:
         """The messages undecoded; ``keys`` are those that are wanted, None: all."""
         channels: dict[int, tuple[str, type[Message] | None] | None] = {}
         start_ns = 0
@@ -74,7 +74,7 @@ class Recording:
             if isinstance(record, McapMessage):
                 channel = channels[record.channel_id]
                 if channel is not None:
-                    yield Stored(*channel, record.log_time + start_ns, record.sequence, record.data)
+                    yield StoredMessage(*channel, record.log_time + start_ns, record.sequence, record.data)
             elif isinstance(record, Channel):
                 topic = topics.topic_at(record.topic)
                 wanted = keys is None or record.topic in keys

@@ -6,7 +6,7 @@
 
 A file ends in its middle where its writer was killed: what is whole before that place is given. A chunk is the unit of
 what can be lost: zstd gives nothing of a compressed block that is not complete, and a wrong CRC says that something in
-it is wrong, not what. Memory is bounded by the largest record and by ``LARGEST_CHUNK``, whatever lengths are claimed.
+it is wrong, not what. Memory is bounded by the largest record and by ``MAX_CHUNK_BYTES``, whatever lengths are claimed.
 
 Source: https://mcap.dev/spec
 """
@@ -32,7 +32,7 @@ from mcap.records import Channel, Chunk, Message, Metadata, Schema
 from ltv_mpc.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
-LARGEST_CHUNK = 1 << 24
+MAX_CHUNK_BYTES = 1 << 24
 """Bytes; our own chunks have 1 MiB and a message more."""
 
 _HEAD = struct.Struct("<BQ")
@@ -48,7 +48,7 @@ _watcher: ContextVar[Callable[[float], None] | None] = ContextVar("watcher of re
 
 
 @contextmanager
-def watched(told: Callable[[float], None]) -> Iterator[None]:
+def report_progress(told: Callable[[float], None]) -> Iterator[None]:
     """Who reads within it, however deep, tells which share of a file it has read."""
     before = _watcher.set(told)
     try:
@@ -197,11 +197,11 @@ def _message(data: bytes, start: int, end: int) -> Message:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    if chunk.uncompressed_size > LARGEST_CHUNK:
-        raise ValueError(f"{chunk.uncompressed_size} bytes, at most {LARGEST_CHUNK}")
+    if chunk.uncompressed_size > MAX_CHUNK_BYTES:
+        raise ValueError(f"{chunk.uncompressed_size} bytes, at most {MAX_CHUNK_BYTES}")
     if chunk.compression == "zstd":
         # The frame says a size of its own, which zstd would believe.
-        if zstandard.frame_content_size(chunk.data) > LARGEST_CHUNK:
+        if zstandard.frame_content_size(chunk.data) > MAX_CHUNK_BYTES:
             raise ValueError("its zstd frame claims too many bytes")
         return zstandard.decompress(chunk.data, chunk.uncompressed_size)
     if chunk.compression:

@@ -167,7 +167,7 @@ class _Copy:
         return self._schemas[name]
 
 
-class Line(msgspec.Struct, frozen=True):
+class RawMessage(msgspec.Struct, frozen=True):
     """One message as the file holds it: its key, vehicle time of publication, and JSON."""
 
     key: str
@@ -175,7 +175,7 @@ class Line(msgspec.Struct, frozen=True):
     data: bytes
 
 
-class Lines:
+class SegmentReader:
     """The messages of one segment; ``metadata`` is what the run was made of, complete once iteration began.
 
     ``others`` holds further metadata by the name of its record, complete at the end.
@@ -186,13 +186,13 @@ class Lines:
         self.metadata: dict[str, str] = {}
         self.others: dict[str, dict[str, str]] = {}
 
-    def __iter__(self) -> Iterator[Line]:
+    def __iter__(self) -> Iterator[RawMessage]:
         keys: dict[int, str] = {}
         start_ns = 0
         for record in self.records:
             match record:
                 case Message():
-                    yield Line(keys[record.channel_id], record.log_time + start_ns, record.data)
+                    yield RawMessage(keys[record.channel_id], record.log_time + start_ns, record.data)
                 case Channel():
                     keys[record.id] = record.topic
                 case Metadata() if record.name == RUN:
@@ -204,23 +204,25 @@ class Lines:
                     pass
 
 
-Told: TypeAlias = Callable[[float], None]
-"""Is told which share of the work is done, 0 to 1, at most every ``TOLD_EVERY`` messages."""
-TOLD_EVERY = 1000
+Progress: TypeAlias = Callable[[float], None]
+"""Is told which share of the work is done, 0 to 1, at most every ``PROGRESS_INTERVAL`` messages."""
+PROGRESS_INTERVAL = 1000
 
 
-def untold(share: float) -> None:
+def no_progress(share: float) -> None:
     """Tell nobody."""
 
 
-def through(parts: Sequence[Path], told: Told, share: tuple[float, float] = (0.0, 1.0)) -> Iterator[tuple[Lines, Line]]:
-    """Every message of the segments in their order; ``told`` on the way from the first to the second ``share``."""
+def read_segments(
+    parts: Sequence[Path], progress: Progress, share: tuple[float, float] = (0.0, 1.0)
+) -> Iterator[tuple[SegmentReader, RawMessage]]:
+    """Every message of the segments in their order; ``progress`` on the way from the first to the second ``share``."""
     sizes = [path.stat().st_size for path in parts]
     before, total = 0, max(1, sum(sizes))
     for path, size in zip(parts, sizes, strict=True):
-        lines = Lines(path)
+        lines = SegmentReader(path)
         for count, line in enumerate(lines):
-            if count % TOLD_EVERY == 0:
-                told(share[0] + (share[1] - share[0]) * (before + lines.records.position) / total)
+            if count % PROGRESS_INTERVAL == 0:
+                progress(share[0] + (share[1] - share[0]) * (before + lines.records.position) / total)
             yield lines, line
         before += size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-MOST_GAPS = 1_000
+MAX_GAPS = 1_000
 """That may still be filled: of more, the oldest are lost for good."""
 
 
@@ -17,13 +17,13 @@ class SequenceGaps:
         self._missing: list[list[int]] = []  # [first, last], in order
         self._lost = 0  # for good
 
-    def saw(self, sequence: int) -> bool:
+    def add(self, sequence: int) -> bool:
         """A message that is there; whether it was not there before."""
         self.messages += 1
         if sequence >= self._next:
             if sequence > self._next:
                 self._missing.append([self._next, sequence - 1])
-                if len(self._missing) > MOST_GAPS:
+                if len(self._missing) > MAX_GAPS:
                     first, last = self._missing.pop(0)
                     self._lost += last - first + 1
             self._next = sequence + 1
@@ -33,7 +33,7 @@ class SequenceGaps:
         self.doubled += 1
         return False
 
-    def lose(self) -> None:
+    def mark_lost(self) -> None:
         """One that was there is not."""
         self.messages -= 1
         self._lost += 1

@@ -10,7 +10,7 @@ import msgspec
 from ltv_mpc.messages import InboxEntry, Message
 from ltv_mpc.node import Node
 from services.bus.wire import WireError
-from services.recording.reader import Stored
+from services.recording.reader import StoredMessage
 from services.replay.frames import Frames, Header, arrival
 from services.replay.verdict import Gap
 
@@ -36,15 +36,15 @@ class Outcome(Protocol):
         """Whether the file holds outputs of later steps than were replayed."""
         ...
 
-    def stepped(self, record: Record, signals: Sequence[Message]) -> None:
+    def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:
         """A step made these."""
         ...
 
-    def raised(self, record: Record, error: Exception) -> None:
+    def step_failed(self, record: Record, error: Exception) -> None:
         """A step that has a record, and so was survived, ended like this."""
         ...
 
-    def heard(self, stored: Stored, header: Header) -> None:
+    def add_recorded(self, stored: StoredMessage, header: Header) -> None:
         """The file holds this output of the epoch."""
         ...
 
@@ -114,7 +114,7 @@ class Epoch:
         self.outcome.close(self.gap)
         self._node = None
 
-    def _step(self, record: Record, inbox: Sequence[Stored]) -> None:
+    def _step(self, record: Record, inbox: Sequence[StoredMessage]) -> None:
         del self._records[record.step]
         try:
             arrivals = list(map(arrival, inbox, record.inbox))
@@ -122,17 +122,17 @@ class Epoch:
             self._stop(f"this version knows no such message: {error}", record.t_ns)
             return
         for entry in record.inbox:
-            self._frames.used(entry)
+            self._frames.discard_through(entry)
         if self._node is None:
             self._node = self._make()
         self._next += 1
         try:
             (signals,) = self._node.steps([(record.t_ns, arrivals)])
         except Exception as error:
-            self.outcome.raised(record, error)
+            self.outcome.step_failed(record, error)
             self._stop(f"the replayed step {record.step} raised {type(error).__name__}", record.t_ns)
             return
-        self.outcome.stepped(record, signals)
+        self.outcome.add_replayed(record, signals)
 
     def _stop(self, why: str, t_ns: int | None) -> None:
         steps = self.steps_run - self._next

@@ -15,7 +15,7 @@ from ltv_mpc.messages import InboxEntry, InjectorFrame
 from ltv_mpc.node import ReceivedMessage
 from services.bus import wire
 from services.bus.topics import BY_TYPE, topic_at
-from services.recording.reader import Stored
+from services.recording.reader import StoredMessage
 
 
 class Header(wire.Header, frozen=True, kw_only=True, forbid_unknown_fields=False):
@@ -36,7 +36,7 @@ class _Handed(msgspec.Struct, frozen=True):
 _handed = msgspec.json.Decoder(_Handed).decode
 
 
-def unwrapped(stored: Stored) -> Stored | None:
+def unwrap(stored: StoredMessage) -> StoredMessage | None:
     """Return the frame inside an ``InjectorFrame`` as if it were recorded on its own key; None if it is unreadable."""
     try:
         handed = _handed(stored.data)
@@ -45,32 +45,32 @@ def unwrapped(stored: Stored) -> Stored | None:
     except (ValueError, TypeError, RecursionError):  # a damaged frame: the node's door could not read it either
         return None
     topic = topic_at(handed.key)
-    return Stored(handed.key, topic.message_type if topic else None, stored.t_ns, wire.crc(payload), data)
+    return StoredMessage(handed.key, topic.message_type if topic else None, stored.t_ns, wire.crc(payload), data)
 
 
 class Frames:
     """Filled in the order of the file. ``at`` counts the messages of the file: by it what is old is forgotten."""
 
     def __init__(self) -> None:
-        self._of_source: dict[tuple[str, int], dict[int, list[tuple[int, Stored]]]] = {}
+        self._of_source: dict[tuple[str, int], dict[int, list[tuple[int, StoredMessage]]]] = {}
 
-    def add(self, stored: Stored, header: Header, at: int) -> None:
+    def add(self, stored: StoredMessage, header: Header, at: int) -> None:
         """A message of the file."""
         source = self._of_source.setdefault((stored.key, header.epoch), {})
         source.setdefault(header.sequence, []).append((at, stored))
 
-    def find(self, entry: InboxEntry) -> Stored | None:
+    def find(self, entry: InboxEntry) -> StoredMessage | None:
         """The very frame that the node was given; None where it is not here."""
         copies = self._of_source.get((entry.key, entry.epoch), {}).get(entry.sequence, ())
         return next((stored for _, stored in copies if stored.crc == entry.crc), None)
 
-    def used(self, entry: InboxEntry) -> None:
+    def discard_through(self, entry: InboxEntry) -> None:
         """Up to this one no message of its source is asked for again: a door lets in no sequence that does not grow."""
         source = self._of_source[entry.key, entry.epoch]
         for sequence in [sequence for sequence in source if sequence <= entry.sequence]:
             del source[sequence]
 
-    def forget(self, before: int) -> None:
+    def discard_before(self, before: int) -> None:
         """What the file held before message ``before`` of it."""
         for source in self._of_source.values():
             for sequence in [sequence for sequence, copies in source.items() if copies[-1][0] < before]:
@@ -81,7 +81,7 @@ class Frames:
         return sum(map(len, self._of_source.values()))
 
 
-def arrival(stored: Stored, entry: InboxEntry) -> ReceivedMessage:
+def arrival(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessage:
     """The entry as the node was given it. Raises ``WireError`` where this version knows no such message."""
     if stored.kind is None:
         raise wire.WireError(f"{stored.key}: no topic has this key")

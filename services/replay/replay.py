@@ -24,10 +24,10 @@ from ltv_mpc.localisation.estimator import Estimator
 from services.recording.reader import Recording
 from services.recording.recover import segments
 from services.replay import nodes
-from services.replay.compare import Comparison
-from services.replay.file_pass import NodeReplay, feed
+from services.replay.comparison import Comparison
 from services.replay.machine import elsewhere
-from services.replay.verdict import MOST_GAPS, NodeVerdict, Verdict, WhatIfVerdict, first
+from services.replay.node_replay import NodeReplay, feed
+from services.replay.verdict import MAX_GAPS, NodeVerdict, Verdict, WhatIfVerdict, first
 from services.replay.what_if import WhatIf
 from services.run.machine import core_count
 
@@ -41,7 +41,7 @@ TOGETHER: Mapping[int, tuple[tuple[str, ...], ...]] = {
 """By the number of cores: nodes that have a process of their own. All others are replayed by the caller's."""
 
 Progress = Callable[[int], None]
-"""Told the vehicle time that was reached."""
+"""Progress the vehicle time that was reached."""
 
 
 class Run:
@@ -159,8 +159,8 @@ def _of_node(part: NodeReplay[Comparison]) -> NodeVerdict:
         outputs_compared=sum(outcome.compared for outcome in outcomes),
         outputs_lost=sum(outcome.lost for outcome in outcomes),
         outputs_unpublished=sum(outcome.unpublished for outcome in outcomes),
-        gaps=tuple(gaps[:MOST_GAPS]),
-        more_gaps=max(0, len(gaps) - MOST_GAPS),
+        gaps=tuple(gaps[:MAX_GAPS]),
+        more_gaps=max(0, len(gaps) - MAX_GAPS),
         first_difference=first([outcome.first_difference for outcome in outcomes]),
     )
 
@@ -200,7 +200,7 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
         raise ConfigError("option --node", "", problem, value=only)
     began = time.monotonic()
     whole = WhatIf(name)
-    part = NodeReplay(name, partial(nodes.make, other, name), whole.of_epoch)
+    part = NodeReplay(name, partial(nodes.make, other, name), whole.epoch_outcome)
     feed(run.recordings(), [part], progress=progress)
     return WhatIfVerdict(
         recording=str(run.path),

@@ -7,10 +7,10 @@ from typing import Any
 
 import msgspec
 
-MOST_FIELDS = 20
+MAX_FIELDS = 20
 """Of a difference; what is beyond is counted."""
 
-MOST_GAPS = 20
+MAX_GAPS = 20
 """Of a node; what is beyond is counted."""
 
 

@@ -19,12 +19,12 @@ from ltv_mpc.frames import wrap_angle
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.messages import Array, Estimate, Message, Plan
 from services.bus import wire
-from services.recording.reader import Stored
+from services.recording.reader import StoredMessage
 from services.replay.epoch import Record
 from services.replay.frames import Header
 from services.replay.verdict import Deviation, Gap, Shares
 
-MOST_WAITING = 1000
+MAX_WAITING = 1000
 """Signals of one side that wait for the other's of the same time."""
 
 
@@ -125,9 +125,9 @@ class WhatIf:
             if name and total and again
         )
 
-    def of_epoch(self, epoch: int) -> OfEpoch:
+    def epoch_outcome(self, epoch: int) -> WhatIfEpoch:
         """What takes the outputs of one epoch."""
-        return OfEpoch(self, epoch)
+        return WhatIfEpoch(self, epoch)
 
     def add(self, epoch: int, signal: Message, *, replayed: bool) -> None:
         """One of either side, in any order; of a time that has been, or of another kind, it is left out."""
@@ -142,7 +142,7 @@ class WhatIf:
             return
         mine = self._waiting[replayed]
         mine[name] = signal
-        if len(mine) > MOST_WAITING:
+        if len(mine) > MAX_WAITING:
             del mine[next(iter(mine))]
 
     def _pair(self, rows: Array) -> None:
@@ -155,7 +155,7 @@ class WhatIf:
         self._final = rows[0]
 
 
-class OfEpoch:
+class WhatIfEpoch:
     """The outcome of one epoch, on its way into the whole."""
 
     def __init__(self, whole: WhatIf, epoch: int) -> None:
@@ -167,17 +167,17 @@ class OfEpoch:
         """Not asked: what has no counterpart is left out."""
         return False
 
-    def stepped(self, record: Record, signals: Sequence[Message]) -> None:  # noqa: ARG002
+    def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:  # noqa: ARG002
         """A step made these."""
         self._whole.steps += 1
         for signal in signals:
             self._whole.add(self._epoch, signal, replayed=True)
 
-    def raised(self, record: Record, error: Exception) -> None:
+    def step_failed(self, record: Record, error: Exception) -> None:
         """Other settings must not break a node."""
         raise RuntimeError(f"step {record.step} at {record.t_ns / 1e9:.3f} s") from error
 
-    def heard(self, stored: Stored, header: Header) -> None:  # noqa: ARG002
+    def add_recorded(self, stored: StoredMessage, header: Header) -> None:  # noqa: ARG002
         """The file holds this output of the epoch."""
         if stored.kind is not self._whole.kind:
             return

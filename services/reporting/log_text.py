@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from services.recording.export import Result
+from services.recording.export import ExportResult
 from services.recording.info import Info, Key, Segment
-from services.recording.perfetto import Written
+from services.recording.perfetto import TraceSummary
 from services.recording.recover import Recovery
 
 MAX_EVENTS = 20
@@ -48,9 +48,9 @@ def recovered(made: Recovery) -> str:
     return "\n".join(lines)
 
 
-def exported(result: Result | Written) -> str:
+def exported(result: ExportResult | TraceSummary) -> str:
     """What the files hold."""
-    if isinstance(result, Written):
+    if isinstance(result, TraceSummary):
         parts = f"{result.slices} slices of {result.processes} processes, {result.arrows} arrows, {result.marks} marks"
         lines = [f"{result.file}: {parts}; open it at https://ui.perfetto.dev"]
     else:

@@ -155,9 +155,9 @@ def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable
 @contextmanager
 def reading_progress(what: object) -> Iterator[None]:
     """A bar on stderr with the time left while recordings are read, one after the other."""
-    from services.recording.records import watched
+    from services.recording.records import report_progress
 
-    with progress_bar(str(what)) as told, watched(told):
+    with progress_bar(str(what)) as told, report_progress(told):
         yield
 
 

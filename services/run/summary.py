@@ -80,7 +80,7 @@ def of_recording(
     rejected = mended = 0
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
-        losses.saw(message.key, epoch, sequence)
+        losses.add(message.key, epoch, sequence)
         rejected += message.kind is RejectedFrame
         mended += message.key == MENDED and message.plain["kind"] == "fault"
         if message.kind in grader.hears:

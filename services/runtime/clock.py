@@ -23,7 +23,7 @@ LEAD_US = 50_000
 
 BOOT_ID_FILE = Path("/proc/sys/kernel/random/boot_id")
 MAX_SPEED_DENOMINATOR = 1_000_000
-MOST_LINES = 100
+MAX_SEGMENTS = 100
 """Announcements that are kept: 50 ms ahead at most a few are on their way."""
 
 EARLIEST_NS = -(2**63)
@@ -52,7 +52,7 @@ def fraction_of(speed: float) -> Fraction:
     return Fraction(speed).limit_denominator(MAX_SPEED_DENOMINATOR)
 
 
-class Line(NamedTuple):
+class ClockSegment(NamedTuple):
     """Vehicle time as a function of monotonic time, from ``at_us`` on."""
 
     at_us: int
@@ -89,21 +89,21 @@ class VehicleClock:
 
     def __init__(self, *, speed: float | None = None) -> None:
         self._speed = None if speed is None else fraction_of(speed)
-        self._lines: list[Line] = []  # in force, then those announced for later
+        self._lines: list[ClockSegment] = []  # in force, then those announced for later
         self._epoch = 0
         self._sequence = -1
         self._last_ns: int | None = None
         self._held_ns = EARLIEST_NS  # what the lines before the first one came to
 
-    def go_by(self, line: Line) -> None:
+    def set_segment(self, line: ClockSegment) -> None:
         """Go by this line from its instant on: nobody announces one, and it was found out."""
         self._lines = [line]
 
-    def start_anew(self) -> None:
+    def reset(self) -> None:
         """Forget what was read: the next reading may be before it."""
         self._lines, self._last_ns = [], None
 
-    def hear(self, message: Clock) -> bool:
+    def follow(self, message: Clock) -> bool:
         """Take an announcement; whether it is news. Raises ``ClockError`` for a clock that cannot be followed."""
         if message.host_boot_id != boot_id():
             raise ClockError(
@@ -120,14 +120,16 @@ class VehicleClock:
                 "alone it counts: start both with one scenario"
             )
         self._epoch, self._sequence = message.clock_epoch, message.clock_sequence
-        line = Line(message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state)
+        line = ClockSegment(
+            message.at_monotonic_us, message.vehicle_ns, message.speed_num, message.speed_den, message.state
+        )
         self._lines.append(line)
-        if len(self._lines) > MOST_LINES:
+        if len(self._lines) > MAX_SEGMENTS:
             del self._lines[-2]  # neither one that is soon in force nor the newest
         return True
 
     @property
-    def newest(self) -> Line | None:
+    def newest(self) -> ClockSegment | None:
         """What was announced last, in force or not."""
         return self._lines[-1] if self._lines else None
 
@@ -163,13 +165,13 @@ class VehicleClock:
         return None
 
 
-class TimeKeeper:
+class ClockSource:
     """The one who says what time it is. Its messages are repeated as they are, so that late joiners hear them."""
 
     def __init__(self, *, epoch: int, start_ns: int, speed: float, now_us: int) -> None:
-        self._speed = self._asked = fraction_of(speed)
-        self.slowed_ns = 0  # vehicle time that the wall could not keep up with, in all
-        self.slowed = 0  # how many times
+        self._speed = self._requested = fraction_of(speed)
+        self.slipped_ns = 0  # vehicle time that the wall could not keep up with, in all
+        self.slips = 0  # how many times
         self.message = Clock(
             clock_epoch=epoch,
             clock_sequence=0,
@@ -178,14 +180,14 @@ class TimeKeeper:
             vehicle_ns=start_ns,
             speed_num=self._speed.numerator,
             speed_den=self._speed.denominator,
-            requested_speed=float(self._asked),
+            requested_speed=float(self._requested),
             state=ClockState.WAITING,
         )
 
     @property
     def speed(self) -> Fraction:
         """Vehicle seconds per second, as asked for."""
-        return self._asked
+        return self._requested
 
     def run(self, now_us: int) -> Clock:
         """Start, or go on after a pause."""
@@ -195,23 +197,23 @@ class TimeKeeper:
         """Stand still."""
         return self._announce(now_us, ClockState.PAUSED)
 
-    def pace(self, now_us: int, speed: Fraction, *, asked: float | None = None) -> Clock:
+    def set_speed(self, now_us: int, speed: Fraction, *, requested: float | None = None) -> Clock:
         """Go on at what the machine can do of the speed that was asked for, or is ``asked`` for now."""
         self._speed = speed
-        if asked is not None:
-            self._asked = fraction_of(asked)
+        if requested is not None:
+            self._requested = fraction_of(requested)
         return self._announce(now_us, self.message.state)
 
-    def slow(self, now_us: int, late_us: int) -> Clock:
+    def slip(self, now_us: int, late_us: int) -> Clock:
         """Give up ``late_us`` of wall time that cannot be caught up with: the clock stands still that much longer."""
-        self.slowed += 1
+        self.slips += 1
         slip_ns = late_us * 1000 * self._speed.numerator // self._speed.denominator
-        self.slowed_ns += slip_ns
+        self.slipped_ns += slip_ns
         return self._announce(now_us, self.message.state, slip_ns=slip_ns)
 
     def _announce(self, now_us: int, state: ClockState, *, slip_ns: int = 0) -> Clock:
         old = self.message
-        line = Line(old.at_monotonic_us, old.vehicle_ns, old.speed_num, old.speed_den, old.state)
+        line = ClockSegment(old.at_monotonic_us, old.vehicle_ns, old.speed_num, old.speed_den, old.state)
         at_us = max(now_us + LEAD_US, old.at_monotonic_us)
         self.message = Clock(
             clock_epoch=old.clock_epoch,
@@ -221,7 +223,7 @@ class TimeKeeper:
             vehicle_ns=line.read(at_us) - slip_ns,
             speed_num=self._speed.numerator,
             speed_den=self._speed.denominator,
-            requested_speed=float(self._asked),
+            requested_speed=float(self._requested),
             state=state,
         )
         return self.message

@@ -4,7 +4,7 @@ A clock that stands still now and then is no cure for a machine that does three 
 soon as it goes on, messages wait again, and each waiting is ``speed`` times as long in vehicle time. So what had to be
 given up over a window says what the machine can do, and the next window is gone at that pace:
 
-    speed  <-  speed x (1 - given up / window)      where it was more than ``MOST_GIVEN_UP`` of the window
+    speed  <-  speed x (1 - given up / window)      where it was more than ``MAX_SLIP_RATIO`` of the window
     speed  <-  min(asked, GROWTH x speed)           where nothing was given up
 
 What it can do is not known at first, and a run that begins too fast begins with seconds of vehicle time in which
@@ -19,7 +19,7 @@ from fractions import Fraction
 WINDOW_US = 500_000
 FIRST_WINDOW_US = 150_000
 """While it doubles. Who cannot keep up says so within 50 ms."""
-MOST_GIVEN_UP = Fraction(1, 20)
+MAX_SLIP_RATIO = Fraction(1, 20)
 """One hiccup of the machine: the clock waits for it, and goes on as before."""
 GROWTH = Fraction(51, 50)  # 2 % a window: 10 s from half the speed to most of it again
 REAL_TIME = Fraction(1)
@@ -29,25 +29,25 @@ REAL_TIME = Fraction(1)
 class ClockRate:
     """Told of every standstill; asked for the speed once a window is over."""
 
-    def __init__(self, asked: Fraction) -> None:
-        self.asked = asked
-        self.speed = min(asked, REAL_TIME)
-        self._doubles = self.speed < asked
+    def __init__(self, requested: Fraction) -> None:
+        self.requested = requested
+        self.speed = min(requested, REAL_TIME)
+        self._doubles = self.speed < requested
         self._since_us: int | None = None
         self._given_up_us = 0
 
-    def ask(self, speed: Fraction) -> None:
+    def request(self, speed: Fraction) -> None:
         """Go at this speed, as soon as it is known to be possible."""
-        self.asked = speed
+        self.requested = speed
         self.speed = min(speed, max(self.speed, REAL_TIME))
         self._doubles = self.speed < speed
-        self.begin_anew()
+        self.restart_window()
 
-    def begin_anew(self) -> None:
+    def restart_window(self) -> None:
         """Forget the window: the clock stood still for another reason."""
         self._since_us, self._given_up_us = None, 0
 
-    def gave_up(self, standstill_us: int) -> None:
+    def add_slip(self, standstill_us: int) -> None:
         """The clock stands still so long (wall time)."""
         self._given_up_us += standstill_us
 
@@ -69,12 +69,12 @@ class ClockRate:
             return False
         before = self.speed
         share = min(Fraction(self._given_up_us, window_us), Fraction(1, 2))
-        if share > MOST_GIVEN_UP:
-            self.speed = max(min(self.asked, REAL_TIME), self.speed * (1 - share))
+        if share > MAX_SLIP_RATIO:
+            self.speed = max(min(self.requested, REAL_TIME), self.speed * (1 - share))
             self._doubles = False
         elif not self._given_up_us:
-            self.speed = min(self.asked, self.speed * (2 if self._doubles else GROWTH))
-            self._doubles = self._doubles and self.speed < self.asked
+            self.speed = min(self.requested, self.speed * (2 if self._doubles else GROWTH))
+            self._doubles = self._doubles and self.speed < self.requested
         self.speed = self.speed.limit_denominator(1000)
         self._since_us, self._given_up_us = now_us, 0
         return self.speed != before

@@ -31,31 +31,31 @@ from collections import OrderedDict
 from typing import NamedTuple
 
 from ltv_mpc.messages import Applied, ClockMode, ClockState, Estimate, Message
-from services.runtime.clock import Line, VehicleClock
+from services.runtime.clock import ClockSegment, VehicleClock
 
 WINDOW_US = 30_000_000
 BUCKET_US = 1_000_000
 DRIFT_US_PER_S = 100
 """rho: two crystals of 50 ppm each. A clock that is slewed by more than that is soon taken for one that was set."""
 
-LATEST_NS = 10_000_000_000
+MAX_DELAY_NS = 10_000_000_000
 """No message is later than this."""
 
-BELIEVED_AT = 3
+STEP_DETECTED_AT = 3
 """So many stamps in a row that contradict the bounds are right, and the bounds are wrong."""
 
 
 GRACE_US = 500_000
 """Time without a published clock after which the other side's stamps count: a clock is repeated ten times a second."""
 
-REMEMBERED = 200
+MAX_PENDING_PLANS = 200
 """Plans whose receipt may still be reported: a minute of them."""
 
-STAMPED = (Estimate, Applied)
+STAMPED_INPUTS = (Estimate, Applied)
 """Inputs that carry the time of the other side."""
 
 
-class Reading(NamedTuple):
+class ClockOffset(NamedTuple):
     """What is known of theta at one instant."""
 
     mode: ClockMode
@@ -63,11 +63,11 @@ class Reading(NamedTuple):
     error_ns: int | None  # at most so far off; None: nobody can tell
 
 
-OF_ALL = Reading(ClockMode.SHARED, 0, 0)
+SHARED_CLOCK = ClockOffset(ClockMode.SHARED, 0, 0)
 """One clock for all: nothing to find out."""
 
 
-class Bounds:
+class OffsetBounds:
     """The tightest bound of each second, from one side. ``sign`` 1: from below, -1: from above."""
 
     def __init__(self, sign: int) -> None:
@@ -92,49 +92,49 @@ class Bounds:
 
 
 class ClockOffsetEstimator:
-    """Bounds of theta. Pure: all times are handed in, ours in microseconds, theirs in nanoseconds."""
+    """OffsetBounds of theta. Pure: all times are handed in, ours in microseconds, theirs in nanoseconds."""
 
     def __init__(self, *, input_delay_ns: int = 0) -> None:
         """``input_delay_ns``: the smallest delay of what comes from there, counted in one-way mode."""
         self._input_delay_ns = input_delay_ns
-        self._lower, self._upper = Bounds(1), Bounds(-1)
+        self._lower, self._upper = OffsetBounds(1), OffsetBounds(-1)
         self._newest_us: int | None = None
         self._doubted = 0  # stamps in a row
-        self.times_set = 0
+        self.clock_steps = 0
 
-    def stamped(self, t_ns: int, m_us: int) -> bool:
+    def add_stamp(self, t_ns: int, m_us: int) -> bool:
         """A message that it stamped ``t_ns``, when it sent it or earlier, has come at ``m_us``: may it be believed?"""
         bound = t_ns - m_us * 1000
         low, high = self._lower.tightest(m_us), self._upper.tightest(m_us)
-        above = low is not None and bound > (low + LATEST_NS if high is None else high)
-        below = low is not None and bound < low - LATEST_NS
+        above = low is not None and bound > (low + MAX_DELAY_NS if high is None else high)
+        below = low is not None and bound < low - MAX_DELAY_NS
         if above or below:
             self._doubted += 1
-            if self._doubted < BELIEVED_AT:
+            if self._doubted < STEP_DETECTED_AT:
                 return False
-            self._lower, self._upper = Bounds(1), Bounds(-1)
-            self.times_set += 1
+            self._lower, self._upper = OffsetBounds(1), OffsetBounds(-1)
+            self.clock_steps += 1
         self._doubted = 0
         self._lower.keep(bound, m_us)
         self._age(m_us)
         return True
 
-    def received(self, t_ns: int, m_us: int) -> None:
+    def add_receipt(self, t_ns: int, m_us: int) -> None:
         """What we sent at ``m_us``, or later, came to it at ``t_ns``, as it says."""
         bound = t_ns - m_us * 1000
         low = self._lower.tightest(m_us)
-        if low is not None and low <= bound <= low + 2 * LATEST_NS:
+        if low is not None and low <= bound <= low + 2 * MAX_DELAY_NS:
             self._upper.keep(bound, m_us)
             self._age(m_us)
 
-    def read(self, now_us: int) -> Reading | None:
+    def read(self, now_us: int) -> ClockOffset | None:
         """theta at ``now_us``; None before the first message."""
         low, high = self._lower.tightest(now_us), self._upper.tightest(now_us)
         if low is None:
             return None
         if high is None:
-            return Reading(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
-        return Reading(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
+            return ClockOffset(ClockMode.ONE_WAY, low + self._input_delay_ns, None)
+        return ClockOffset(ClockMode.TWO_WAY, (high + low) // 2, (high - low + 1) // 2)
 
     def _age(self, m_us: int) -> None:
         """Old bounds go when newer ones come, so that after a silence there are still some."""
@@ -162,37 +162,37 @@ class ClockSync:
         self._theirs = ClockOffsetEstimator(input_delay_ns=input_delay_ns)
         self._sent_us: OrderedDict[int, int] = OrderedDict()  # by sequence
         self._first_us: int | None = None
-        self.in_force = False
+        self.active = False
 
     @property
-    def times_set(self) -> int:
+    def clock_steps(self) -> int:
         """How often the other side has set its clock."""
-        return self._theirs.times_set
+        return self._theirs.clock_steps
 
-    def reading(self, now_us: int) -> Reading:
+    def offset(self, now_us: int) -> ClockOffset:
         """By which clock the process goes, and how far off it may be."""
-        reading = self._theirs.read(now_us) if self.in_force else None
-        return reading or OF_ALL
+        reading = self._theirs.read(now_us) if self.active else None
+        return reading or SHARED_CLOCK
 
-    def sent(self, sequence: int, m_us: int) -> None:
+    def on_plan_sent(self, sequence: int, m_us: int) -> None:
         """A plan of that number goes out."""
         self._sent_us[sequence] = m_us
-        while len(self._sent_us) > REMEMBERED:
+        while len(self._sent_us) > MAX_PENDING_PLANS:
             self._sent_us.popitem(last=False)
 
-    def heard(self, signal: Message, m_us: int) -> str:
+    def check_stamp(self, signal: Message, m_us: int) -> str:
         """An input came at ``m_us``. Why it must not be believed; empty where it may."""
-        if not isinstance(signal, STAMPED) or (self._clock.newest is not None and not self.in_force):
+        if not isinstance(signal, STAMPED_INPUTS) or (self._clock.newest is not None and not self.active):
             return ""  # with a clock for all the stamps are by that one, at whatever speed it goes
         if self._first_us is None:
             self._first_us = m_us
-        times_set = self.times_set
-        if not self._theirs.stamped(signal.t_ns, m_us):
+        clock_steps = self.clock_steps
+        if not self._theirs.add_stamp(signal.t_ns, m_us):
             return "t_ns contradicts the clock that all before it were stamped by"
-        if self.in_force and self.times_set > times_set:
-            self._clock.start_anew()
+        if self.active and self.clock_steps > clock_steps:
+            self._clock.reset()
         if isinstance(signal, Applied) and signal.plan_epoch == self._epoch and signal.plan_sequence in self._sent_us:
-            self._theirs.received(signal.plan_received_t_ns, self._sent_us[signal.plan_sequence])
+            self._theirs.add_receipt(signal.plan_received_t_ns, self._sent_us[signal.plan_sequence])
         self._set(m_us, self._first_us)
         return ""
 
@@ -200,5 +200,5 @@ class ClockSync:
         reading = self._theirs.read(m_us)
         if m_us - first_us < GRACE_US or reading is None:
             return
-        self.in_force = True
-        self._clock.go_by(Line(m_us, m_us * 1000 + reading.offset_ns, 1, 1, ClockState.RUNNING))
+        self.active = True
+        self._clock.set_segment(ClockSegment(m_us, m_us * 1000 + reading.offset_ns, 1, 1, ClockState.RUNNING))

@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.messages import Applied, ControllerStatus, Estimate, Message, Plan
 from services.bus.message_validation import MessageValidator
-from services.runtime.clock_sync import Reading
+from services.runtime.clock_sync import ClockOffset
 
 PERIOD_US = 1_000_000
 LOOKED_BACK_US = 10_000_000
 """Over which the cycles' times are taken."""
 
-Shown = Callable[[ControllerStatus, int], None]
+StatusSink = Callable[[ControllerStatus, int], None]
 """What takes each word besides the bus, with the monotonic time in microseconds."""
 
 
@@ -24,7 +24,7 @@ class ControllerStatusReporter:
 
     writes: tuple[type[Message], ...] = (ControllerStatus,)
 
-    def __init__(self, node: ControllerNode, shown: Sequence[Shown] = ()) -> None:
+    def __init__(self, node: ControllerNode, shown: Sequence[StatusSink] = ()) -> None:
         self._node = node
         self._shown = shown
         self._plan: Plan | None = None
@@ -33,7 +33,7 @@ class ControllerStatusReporter:
         self._cycles: deque[tuple[int, int]] = deque()  # when each ended, how long it took (us)
         self.due_us = 0
 
-    def heard(self, signal: Message) -> None:
+    def on_input(self, signal: Message) -> None:
         """An input was let in."""
         match signal:
             case Estimate():
@@ -43,14 +43,14 @@ class ControllerStatusReporter:
             case _:
                 pass
 
-    def stepped(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
+    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
         """A step is done and published."""
         plan = next((signal for signal in outputs if isinstance(signal, Plan)), None)
         if plan is not None:
             self._plan = plan
             self._cycles.append((now_us, took_us))
 
-    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: Reading) -> ControllerStatus:
+    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> ControllerStatus:
         """The word that is due, shown as well as returned."""
         self.due_us = now_us + PERIOD_US
         while self._cycles and self._cycles[0][0] < now_us - LOOKED_BACK_US:

@@ -18,7 +18,7 @@ SILENCE_US = 2_000_000  # without a word of the clock
 HURRIED_PERIOD_US = 50_000  # of who cannot keep up: the time-keeper is to know before much has piled up
 LONGEST_WAY_US = 10_000_000  # one that seems to have been longer on its way was stamped by another machine's clock
 
-MOST_BEHIND_US = 20_000
+MAX_BACKLOG_US = 20_000
 """So long each message may wait at a process: estimates come through two of them before a plan is made of them."""
 
 
@@ -70,11 +70,11 @@ class NodeStatusReporter:
         self._least_wait_us: int | None = None
         self.due_us = 0
 
-    def heard(self, kind: type[Message]) -> None:
+    def on_input(self, kind: type[Message]) -> None:
         """A signal of this kind was let in."""
         self._never_heard.pop(kind, None)
 
-    def waited(self, sent_us: int, arrived_us: int, now_us: int) -> None:
+    def on_delivery(self, sent_us: int, arrived_us: int, now_us: int) -> None:
         """The message taken last was sent, came and was taken then.
 
         Faster than real time a router that cannot keep up counts as well. In real time the way is what it is: a long
@@ -86,7 +86,7 @@ class NodeStatusReporter:
         since_us = sent_us if stamped else arrived_us
         wait_us = max(0, now_us - since_us)
         self._least_wait_us = wait_us if self._least_wait_us is None else min(self._least_wait_us, wait_us)
-        if wait_us > MOST_BEHIND_US:
+        if wait_us > MAX_BACKLOG_US:
             self.due_us = min(self.due_us, now_us + HURRIED_PERIOD_US)
 
     @property
@@ -94,11 +94,11 @@ class NodeStatusReporter:
         """The least wait since the last word: a queue that stands. One that a long step has left drains by itself."""
         return self._least_wait_us or 0
 
-    def heard_clock(self, now_us: int) -> None:
+    def on_clock(self, now_us: int) -> None:
         """The time-keeper lives."""
         self._clock_heard_us = now_us
 
-    def stepped(self, took_us: int) -> None:
+    def on_step(self, took_us: int) -> None:
         """A step is done."""
         self.steps += 1
         self._busy_us += took_us

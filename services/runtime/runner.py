@@ -32,20 +32,20 @@ from services.bus.wire import WireError, crc, decode
 from services.runtime import ports
 from services.runtime.clock import VehicleClock, monotonic_us
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
-from services.runtime.clock_sync import OF_ALL, STAMPED, ClockSync, Reading
+from services.runtime.clock_sync import SHARED_CLOCK, STAMPED_INPUTS, ClockOffset, ClockSync
 from services.runtime.deadlines import DeadlineQueue
-from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.inbox import PendingInbox
 from services.runtime.node_status import NodeStatusReporter
 from services.runtime.schedule import StepSchedule
+from services.runtime.stage_timer import StageTimer
 from services.runtime.stopping import Say, StopRequest
-from services.runtime.stopwatch import StageTimer
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 INPUTS_ARRIVE_US = 6_000
 """What is measured at an instant arrives so much later: a cycle that started at that instant would miss it by a hair,
 and plan on an estimate that is a whole period old."""
 
-LONGEST_TAKING_US = 20_000
+MAX_DRAIN_US = 20_000
 """So long a step that is due waits, at most, for what has arrived to be taken: a flood must not keep it from acting."""
 
 LAST_FRAMES_US, LAST_SILENCE_US = 300_000, 20_000
@@ -67,15 +67,15 @@ class Report(Protocol):
 
     @property
     def writes(self) -> tuple[type[Message], ...]: ...
-    def heard(self, signal: Message) -> None:
+    def on_input(self, signal: Message) -> None:
         """An input was let in."""
         ...
 
-    def stepped(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
+    def on_step(self, outputs: Sequence[Message], took_us: int, now_us: int) -> None:
         """A step is done and published."""
         ...
 
-    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: Reading) -> Message:
+    def status(self, now_us: int, t_ns: int, validator: MessageValidator, clock: ClockOffset) -> Message:
         """What is due."""
         ...
 
@@ -115,7 +115,7 @@ class Runner:
         self._schedule = StepSchedule(node.schedule, end_ns=clock_master.end_ns if clock_master else None)
         self._times_cycles = ports.times_cycles(node)
         self.mailbox = Mailbox()
-        stop.wakes(self.mailbox.wake)
+        stop.on_request(self.mailbox.wake)
         self.epoch = new_epoch()
         self._validator = MessageValidator()
         self._clock = VehicleClock(speed=speed)
@@ -158,7 +158,7 @@ class Runner:
     def _run(self) -> None:
         while not self.finished and self._wait(self._due_us):
             self._step_by_time()
-        HEARTBEAT.last_beat()
+        SUPERVISOR_LINK.last_beat()
         if self._master is not None:
             self._master.stop(monotonic_us())
         self._take_last()
@@ -175,7 +175,7 @@ class Runner:
                 self._take(frame)
             if due is None:
                 continue
-            if monotonic_us() >= (due if frame is None else max(due, entered_us) + LONGEST_TAKING_US):
+            if monotonic_us() >= (due if frame is None else max(due, entered_us) + MAX_DRAIN_US):
                 return True
         return False
 
@@ -195,18 +195,18 @@ class Runner:
         assert t_ns is not None
         if self._schedule.on_grid:
             if self._master is not None:
-                self._master.late(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
+                self._master.on_late_step(now_us, self._clock.due_us(t_ns) or now_us, self._node.name)
             self._step(t_ns, "grid", now_us)
         else:
             self._step(max(t_ns, self._now_ns(now_us)), "cycle", now_us)
-        self._schedule.stepped(self._now_ns(monotonic_us()))
+        self._schedule.advance(self._now_ns(monotonic_us()))
 
     def _add_deadlines(self) -> None:
         """Add the periodic duties of the process to the deadline queue."""
         status, master, report = self._status, self._master, self._report
-        self._deadlines.add(lambda: HEARTBEAT.due_us, HEARTBEAT.beat)
+        self._deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
         if master is not None:
-            self._deadlines.add(lambda: master.due_us, master.tend)
+            self._deadlines.add(lambda: master.due_us, master.run_due)
         self._deadlines.add(lambda: status.due_us, self._publish_status)
         if report is not None:
             self._deadlines.add(lambda: report.due_us, lambda now_us: self._publish_report(report, now_us))
@@ -242,7 +242,7 @@ class Runner:
         )
         self._stages("read")
         (outputs,) = self._node.steps([(t_ns, arrivals)])
-        self._status.stepped(monotonic_us() - started_us)
+        self._status.on_step(monotonic_us() - started_us)
         if not outputs:
             return
         self._flush()
@@ -253,12 +253,12 @@ class Runner:
             now_us = monotonic_us()
             sent = self._out.publish(signal)
             if self.clock_sync is not None and isinstance(signal, Plan):
-                self.clock_sync.sent(sent.sequence, now_us)
+                self.clock_sync.on_plan_sent(sent.sequence, now_us)
         if plan is not None:
             self._time_cycle(plan, t_ns, started_us)
         if self._report is not None:
             now_us = monotonic_us()
-            self._report.stepped(outputs, now_us - started_us, now_us)
+            self._report.on_step(outputs, now_us - started_us, now_us)
 
     def _flush(self) -> None:
         for record in self._records:
@@ -303,16 +303,16 @@ class Runner:
             self._validator.turn_back(reason)
             self._refuse(frame, reason, now_ns)
             return
-        self._status.heard(kind)
-        self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
+        self._status.on_input(kind)
+        self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if self._report is not None:
-            self._report.heard(signal)
+            self._report.on_input(signal)
         if isinstance(signal, Clock):
             self._hear_clock(signal)
         elif isinstance(signal, NodeStatus) and self._master is not None:
-            self._master.heard(signal, monotonic_us(), self._node.name)
+            self._master.on_status(signal, monotonic_us(), self._node.name)
         elif isinstance(signal, ClockCommand) and self._master is not None:
-            self._master.asked(signal, monotonic_us(), self._node.name)
+            self._master.on_command(signal, monotonic_us(), self._node.name)
         if kind not in self._node.reads:
             return
         self._inbox.add(
@@ -335,13 +335,13 @@ class Runner:
         if sync is None:
             return ""
         if isinstance(signal, Clock):
-            return "a clock, and the time is taken from the estimates since before it" if sync.in_force else ""
-        times_set, begun = sync.times_set, sync.in_force
-        reason = sync.heard(signal, received_us)
-        if sync.times_set > times_set:
-            self._schedule.forget()
+            return "a clock, and the time is taken from the estimates since before it" if sync.active else ""
+        clock_steps, begun = sync.clock_steps, sync.active
+        reason = sync.check_stamp(signal, received_us)
+        if sync.clock_steps > clock_steps:
+            self._schedule.reset()
             self._say("the other side has set its clock")
-        if sync.in_force and (not begun or sync.times_set > times_set):
+        if sync.active and (not begun or sync.clock_steps > clock_steps):
             self._begin()
         return reason
 
@@ -364,8 +364,8 @@ class Runner:
         )
 
     def _hear_clock(self, message: Clock) -> None:
-        self._status.heard_clock(monotonic_us())
-        if self._clock.hear(message):
+        self._status.on_clock(monotonic_us())
+        if self._clock.follow(message):
             self._begin()
 
     # --- before the first step ---------------------------------------------------------------------------------------
@@ -402,14 +402,14 @@ class Runner:
         if newest is not None:
             reading = self._clock.read(monotonic_us())
             phase_ns = INPUTS_ARRIVE_US * 1000 * newest.num // newest.den
-            self._schedule.begin(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
+            self._schedule.start(newest.vehicle_ns if reading is None else reading, phase_ns=phase_ns)
 
-    def _clock_reading(self, now_us: int) -> Reading:
-        return OF_ALL if self.clock_sync is None else self.clock_sync.reading(now_us)
+    def _clock_reading(self, now_us: int) -> ClockOffset:
+        return SHARED_CLOCK if self.clock_sync is None else self.clock_sync.offset(now_us)
 
     def _received_ns(self, signal: Message, received_us: int) -> int:
         """When it came; before there is a time, the one that it says itself."""
-        if isinstance(signal, STAMPED) and self._clock.read(received_us) is None:
+        if isinstance(signal, STAMPED_INPUTS) and self._clock.read(received_us) is None:
             return signal.t_ns
         return self._now_ns(received_us)
 

@@ -19,18 +19,18 @@ class StepSchedule:
         self.on_grid = isinstance(schedule, Grid)
         self.next_ns: int | None = None
 
-    def begin(self, now_ns: int, *, phase_ns: int = 0) -> None:
+    def start(self, now_ns: int, *, phase_ns: int = 0) -> None:
         """The clock was heard for the first time. Cycles start ``phase_ns`` after the multiples of their period."""
         if self._period_ns and self.next_ns is None:
             self.next_ns = -(-now_ns // self._period_ns) * self._period_ns
             if self._may_shift:
                 self.next_ns += min(phase_ns, self._period_ns // 2)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """The clock was set: the next step is not known until it is heard again."""
         self.next_ns = None
 
-    def stepped(self, ended_ns: int) -> None:
+    def advance(self, ended_ns: int) -> None:
         """The step that was due is done, its outputs are out; the clock reads ``ended_ns``."""
         if self.next_ns is None:
             return

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from services.bus.session import BusError, BusOptions, Stopped
 from services.runtime.clock import ClockError
-from services.runtime.heartbeat import HEARTBEAT
-from services.runtime.stopping import FAILED, Say, StopRequest, sayer, stop_on_signals
+from services.runtime.stopping import FAILED, Say, StopRequest, stderr_printer, stop_on_signals
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 if TYPE_CHECKING:
     from services.runtime.runner import Runner
 
 
-def until_stopped(
+def run_until_stopped(
     name: str,
     work: Callable[[StopRequest, Say], None],
     *,
@@ -24,7 +24,7 @@ def until_stopped(
 
     An exception of ``failures`` becomes one line on stderr and exit code 1.
     """
-    say = sayer(name)
+    say = stderr_printer(name)
     with stop_on_signals() as request:
         try:
             work(request, say)
@@ -37,10 +37,10 @@ def until_stopped(
 
 
 def serve(name: str, bus: BusOptions, make: Callable[[StopRequest, Say], Runner]) -> int:
-    """Run a node until told to stop or done; the exit code is that of ``until_stopped``."""
+    """Run a node until told to stop or done; the exit code is that of ``run_until_stopped``."""
 
     def work(request: StopRequest, say: Say) -> None:
-        state = HEARTBEAT.state()
+        state = SUPERVISOR_LINK.state()
         make(request, say).serve(bus, state)
 
-    return until_stopped(name, work)
+    return run_until_stopped(name, work)

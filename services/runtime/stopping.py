@@ -35,11 +35,11 @@ class StopRequest:
         """Of a process that did stop cleanly."""
         return INTERRUPTED if self.interrupted else DONE
 
-    def wakes(self, wake: Callable[[], None]) -> None:
+    def on_request(self, wake: Callable[[], None]) -> None:
         """``wake`` is called when it is asked for, to end a wait elsewhere."""
         self._wake = wake
 
-    def ask(self) -> None:
+    def request(self) -> None:
         """Ask for it."""
         self.requested = True
         self._bell.put(None)
@@ -48,7 +48,7 @@ class StopRequest:
     def receive(self, number: int, _frame: FrameType | None) -> None:
         """Ask for it by signal."""
         self.interrupted = number == signal.SIGINT
-        self.ask()
+        self.request()
 
     def wait(self, timeout_s: float | None = None) -> bool:
         """Wait until it is asked for, at most ``timeout_s``; whether it was."""
@@ -70,7 +70,7 @@ def stop_on_signals() -> Iterator[StopRequest]:
             signal.signal(number, handler)
 
 
-def sayer(name: str) -> Say:
+def stderr_printer(name: str) -> Say:
     """A process's words for a person: lines on stderr, with its name."""
 
     def say(text: str) -> None:

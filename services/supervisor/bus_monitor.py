@@ -38,7 +38,7 @@ PLANS = 32
 """Of which one is in force: 10 s of them."""
 
 
-class Sign(NamedTuple):
+class Activity(NamedTuple):
     """The newest thing that shows that a process does its work."""
 
     epoch: int  # of the process
@@ -57,7 +57,7 @@ class _Plans(LatestCache):
         self.payloads.append(payload)
 
 
-class Watch:
+class BusMonitor:
     """The launcher's ears. ``nodes`` are the processes whose word it waits for."""
 
     def __init__(self, session: Session, nodes: Iterable[str]) -> None:
@@ -103,21 +103,21 @@ class Watch:
         clock = self.newest(Clock)
         return clock is not None and clock.state is ClockState.RUNNING
 
-    def sign_of(self, node: str) -> Sign | None:
+    def last_activity(self, node: str) -> Activity | None:
         """What shows that ``node`` works: an estimate, a plan that the actuators have taken, for others a word; of the
         router, which says none, whatever came through it. While time stands still a word is all there is.
         """
         if node == ROUTER:
-            return Sign(0, self._newest.arrived_s)
+            return Activity(0, self._newest.arrived_s)
         if node == "controller" and self.running():
             applied, frame = self.newest(Applied), self._newest.get(BY_TYPE[Applied].key)
-            return None if applied is None or frame is None else Sign(applied.plan_epoch, frame.arrived_s)
+            return None if applied is None or frame is None else Activity(applied.plan_epoch, frame.arrived_s)
         works_by = BY_TYPE[Estimate].key if node == "estimator" and self.running() else f"{STATUS}/{node}"
         frame = self._newest.get(works_by)
         if frame is None:
             return None
         try:
-            return Sign(header_of(unpack(frame.payload)).epoch, frame.arrived_s)
+            return Activity(header_of(unpack(frame.payload)).epoch, frame.arrived_s)
         except WireError:
             return None
 
@@ -145,7 +145,7 @@ class Watch:
         """Vehicle time now."""
         if (message := self.newest(Clock)) is not None:
             try:
-                self._clock.hear(message)
+                self._clock.follow(message)
             except ClockError:
                 return None
         return self._clock.read(monotonic_us())

@@ -12,25 +12,25 @@ import msgspec
 from services.supervisor import forkserver, process_table
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.heartbeat import HUNG_S
-from services.supervisor.managed_process import Child
-from services.supervisor.parent_death import Guard
+from services.supervisor.hang_detector import HANG_TIMEOUT_S
+from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.parent_death import OrphanCleanup
 
 WORLD_PATIENCE_S = 10.0
 """Plant and sensors are not started anew: a machine that is busy for a while shall not end the run."""
 
 
-class Crew:
+class ChildProcesses:
     """``children`` are by name, in the order of their start; each started anew takes its former self's place."""
 
-    def __init__(self, scenario: Path, logs: Path, guard: Guard) -> None:
-        self.children: dict[str, Child] = {}
+    def __init__(self, scenario: Path, logs: Path, guard: OrphanCleanup) -> None:
+        self.children: dict[str, ManagedProcess] = {}
         self.forks: ForkServer | None = None
         """None where the system has no such thing, and everyone is spawned."""
         self._scenario = scenario
         self._logs = logs
         self._guard = guard
-        self._rows: dict[str, process_table.Process] = {}
+        self._rows: dict[str, process_table.ProcessRow] = {}
         self._starts: dict[str, int] = {}
 
     def load(self) -> None:
@@ -44,7 +44,7 @@ class Crew:
             self.forks.close()
             self.load()
 
-    def start(self, row: process_table.Process, config: msgspec.Struct) -> None:
+    def start(self, row: process_table.ProcessRow, config: msgspec.Struct) -> None:
         """The first of its name."""
         self._rows[row.name] = row
         write_config(self._config(row.name), config)
@@ -75,11 +75,11 @@ class Crew:
             if any(child.gone for child in pulses.values()):
                 return
 
-    def _living(self) -> Iterable[Child]:
+    def _living(self) -> Iterable[ManagedProcess]:
         return (child for child in self.children.values() if child.pulse >= 0 and not child.gone)
 
-    def _begin(self, name: str, state: bytes) -> Child:
-        return Child(
+    def _begin(self, name: str, state: bytes) -> ManagedProcess:
+        return ManagedProcess(
             name,
             self._rows[name].module,
             self._config(name),
@@ -87,7 +87,7 @@ class Crew:
             guard=self._guard,
             forks=self.forks,
             state=state,
-            patience_s=HUNG_S if self._rows[name].restartable else WORLD_PATIENCE_S,
+            patience_s=HANG_TIMEOUT_S if self._rows[name].restartable else WORLD_PATIENCE_S,
         )
 
     def _config(self, name: str) -> Path:

@@ -45,10 +45,10 @@ def run(parent: str, module: str, config: str, pulse: str = "") -> int:
     name_process(f"ltv-{name}")
 
     from ltv_mpc.errors import ConfigError
-    from services.runtime.heartbeat import HEARTBEAT
+    from services.runtime.supervisor_link import SUPERVISOR_LINK
 
     if pulse:
-        HEARTBEAT.by(int(pulse), restored=stop_at_end_of_input if name == RECORDER else None)
+        SUPERVISOR_LINK.by(int(pulse), restored=stop_at_end_of_input if name == RECORDER else None)
     node = importlib.import_module(module)
     try:
         code: int = node.main(read_config(Path(config), node.Config))

@@ -32,7 +32,7 @@ from typing import NoReturn
 import msgspec
 
 from services.supervisor import entry_point
-from services.supervisor.parent_death import Guard, die_with_parent
+from services.supervisor.parent_death import OrphanCleanup, die_with_parent
 
 PR_SET_CHILD_SUBREAPER = 36
 PID = struct.Struct("<q")
@@ -74,7 +74,7 @@ def possible() -> bool:
 class ForkServer:
     """Starts to load at once; to be made by the main thread, which the children live with."""
 
-    def __init__(self, scenario: Path, log: Path, guard: Guard) -> None:
+    def __init__(self, scenario: Path, log: Path, guard: OrphanCleanup) -> None:
         self.log = log
         self.loaded = False
         self._guard = guard

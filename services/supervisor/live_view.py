@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 from ltv_mpc.messages import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
 from services.run.run_config import Situation
-from services.supervisor.bus_monitor import Watch
+from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.screen import LiveView
 
 
-def view_of(situation: Situation, watch: Watch, states: Mapping[str, str], wall_s: float) -> LiveView:
+def live_view(situation: Situation, watch: BusMonitor, states: Mapping[str, str], wall_s: float) -> LiveView:
     """The newest of everything. ``states`` are the processes' own."""
     scenario = situation.scenario
     clock = watch.newest(Clock)

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
-from services.runtime.heartbeat import FORMAT, LAST, LENGTH
+from services.runtime.supervisor_link import HEARTBEAT_FORMAT, LAST_HEARTBEAT, STATE_LENGTH
 from services.supervisor import entry_point
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.heartbeat import HUNG_S, HeartbeatMonitor
-from services.supervisor.parent_death import Guard
+from services.supervisor.hang_detector import HANG_TIMEOUT_S, HangDetector
+from services.supervisor.parent_death import OrphanCleanup
 
 LAST_LINES = 12
 LOG_TAIL_BYTES = 16_384
@@ -35,7 +35,7 @@ class Process(Protocol):
     def kill(self) -> None: ...
 
 
-class Child:
+class ManagedProcess:
     """Start it from the main thread only: a child dies with the thread that spawned it, or has adopted it.
 
     ``config`` is the file of its config, ``state`` the state to go on from, as it travels, or nothing. It is forked
@@ -49,14 +49,14 @@ class Child:
         config: Path,
         *,
         log: Path,
-        guard: Guard,
+        guard: OrphanCleanup,
         forks: ForkServer | None = None,
         state: bytes = b"",
-        patience_s: float = HUNG_S,
+        patience_s: float = HANG_TIMEOUT_S,
     ) -> None:
         self.name = name
         self.gone = False  # it has closed its pulse: nothing more comes from it
-        self.heartbeat = HeartbeatMonitor(patience_s)
+        self.heartbeat = HangDetector(patience_s)
         self._log = log
         self._guard = guard
         self._released = False
@@ -72,7 +72,7 @@ class Child:
         self._process = process
         guard.watch(self.pid)
         with contextlib.suppress(BrokenPipeError):  # it is dead itself, which shows elsewhere
-            os.write(self._stdin, LENGTH.pack(len(state)) + state)
+            os.write(self._stdin, STATE_LENGTH.pack(len(state)) + state)
 
     def _start(self, start: Callable[[int, int], Process | None]) -> Process | None:
         """By ``start``, which is given the child's ends of two new pipes. Where it gives nothing, both are closed: one
@@ -100,8 +100,8 @@ class Child:
         """Take the pulses that have come; after the last one of all, wait for the exit, which is not far."""
         with contextlib.suppress(BlockingIOError):
             while beats := os.read(self.pulse, BEATS):
-                for (at_us,) in FORMAT.iter_unpack(beats):
-                    if at_us == LAST:
+                for (at_us,) in HEARTBEAT_FORMAT.iter_unpack(beats):
+                    if at_us == LAST_HEARTBEAT:
                         self.heartbeat.end()
                     else:
                         self.heartbeat.beat(at_us / 1e6)
@@ -202,7 +202,7 @@ def last_lines(log: Path) -> tuple[str, ...]:
     return tuple(line for line in text.splitlines() if line.strip())[-LAST_LINES:]
 
 
-def how_it_ended(code: int) -> str:
+def describe_exit(code: int) -> str:
     """An exit code in words."""
     if code >= 0:
         return f"ended with exit code {code}"

@@ -40,7 +40,7 @@ def stop_at_end_of_input() -> None:
     threading.Thread(target=wait, name="end of input", daemon=True).start()
 
 
-class Guard:
+class OrphanCleanup:
     """The supervisor's end of the guard."""
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Process table: which processes a run is made of, in the order of their start, and the config of each."""
+"""ProcessRow table: which processes a run is made of, in the order of their start, and the config of each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from services.run.run_config import PRIOR, Situation
 from sim.scenario import Scenario
 
 
-class Process(msgspec.Struct, frozen=True):
+class ProcessRow(msgspec.Struct, frozen=True):
     """One row. ``module`` has the process's ``Config`` and ``main``.
 
     ``restartable``: its death need not end a run; of the others' the run dies. ``needs`` must be ready before it
@@ -26,16 +26,16 @@ class Process(msgspec.Struct, frozen=True):
 
 
 PROCESSES = (
-    Process("router", "services.processes.router", True, ()),
-    Process("recorder", "services.processes.recorder", True, ()),
-    Process("plant", "services.processes.plant", False, ("recorder",)),
-    Process("sensors", "services.processes.sensors", False, ("recorder",)),
-    Process("estimator", "services.processes.estimator", True, ("recorder",)),
-    Process("controller", "services.processes.controller", True, ("recorder",)),
+    ProcessRow("router", "services.processes.router", True, ()),
+    ProcessRow("recorder", "services.processes.recorder", True, ()),
+    ProcessRow("plant", "services.processes.plant", False, ("recorder",)),
+    ProcessRow("sensors", "services.processes.sensors", False, ("recorder",)),
+    ProcessRow("estimator", "services.processes.estimator", True, ("recorder",)),
+    ProcessRow("controller", "services.processes.controller", True, ("recorder",)),
 )
 
 
-class RunPlace(msgspec.Struct, frozen=True, kw_only=True):
+class RunContext(msgspec.Struct, frozen=True, kw_only=True):
     """What the processes of one run share: its folder and its bus."""
 
     folder: RunFolder
@@ -44,12 +44,12 @@ class RunPlace(msgspec.Struct, frozen=True, kw_only=True):
     certs: Path | None = None
 
 
-def processes(scenario: Scenario) -> tuple[Process, ...]:
+def processes(scenario: Scenario) -> tuple[ProcessRow, ...]:
     """The rows that a scenario needs: with the truth given away there is nothing to estimate."""
     return tuple(row for row in PROCESSES if not (row.name == "estimator" and scenario.run.perfect_state))
 
 
-def config_of(name: str, situation: Situation, place: RunPlace) -> msgspec.Struct:
+def config_of(name: str, situation: Situation, place: RunContext) -> msgspec.Struct:
     """The config of a process of this run, which reads its settings from the run's own folder."""
     # Only who starts processes needs these, and not for the list of them.
     from services.processes import controller, estimator, plant, recorder, router, sensors

@@ -1,6 +1,6 @@
 """What becomes of a process that has died or hangs: started anew, as often as the budget allows, or the end of the run.
 
-    restart  <=>  the process may be restarted, it had come to work before, and fewer than ``MOST`` restarts of any
+    restart  <=>  the process may be restarted, it had come to work before, and fewer than ``MAX_RESTARTS`` restarts
                   process were done within the last ``WINDOW_S``
 
 Whoever dies again and again is not mended by another start; then the run ends in order, with the reason.
@@ -11,14 +11,14 @@ from __future__ import annotations
 from collections import deque
 from typing import NamedTuple
 
-MOST = 5
+MAX_RESTARTS = 5
 WINDOW_S = 60.0
 
 
-class Budget:
+class RestartBudget:
     """Restarts of all processes together; times are seconds of one monotonic clock."""
 
-    def __init__(self, most: int = MOST, window_s: float = WINDOW_S) -> None:
+    def __init__(self, most: int = MAX_RESTARTS, window_s: float = WINDOW_S) -> None:
         self._most, self._window_s = most, window_s
         self._spent: deque[float] = deque()
 
@@ -32,7 +32,7 @@ class Budget:
         return True
 
 
-class Fault(NamedTuple):
+class ProcessFailure(NamedTuple):
     """One process's death, however it came about."""
 
     node: str
@@ -44,7 +44,7 @@ class Fault(NamedTuple):
 class Recovery(NamedTuple):
     """A process that was started anew and has not done any work yet."""
 
-    fault: Fault
+    fault: ProcessFailure
     before: int  # epoch of its former self; 0 where it has none
     begun_s: float
 
@@ -53,18 +53,22 @@ class Recovery(NamedTuple):
         return arrived_s > self.begun_s and (epoch != self.before or self.before == 0)
 
 
-class Refusal(NamedTuple):
+class RestartRefusal(NamedTuple):
     """No restart: the run ends."""
 
     why: str
     in_order: bool  # there is nothing to hurry from: everyone else is well
 
 
-def judge(fault: Fault, *, restartable: bool, had_worked: bool, budget: Budget) -> Refusal | None:
+def judge(
+    fault: ProcessFailure, *, restartable: bool, had_worked: bool, budget: RestartBudget
+) -> RestartRefusal | None:
     """None: it is to be started anew."""
     if not restartable or not had_worked:
-        return Refusal(f"{fault.node} {fault.how}", in_order=False)
+        return RestartRefusal(f"{fault.node} {fault.how}", in_order=False)
     if not budget.spend(fault.seen_s):
-        text = f"{fault.node} {fault.how}, and {MOST} restarts within {WINDOW_S:.0f} s are the most: a safe stop"
-        return Refusal(text, in_order=True)
+        text = (
+            f"{fault.node} {fault.how}, and {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s are the most: a safe stop"
+        )
+        return RestartRefusal(text, in_order=True)
     return None

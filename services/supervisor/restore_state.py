@@ -11,10 +11,10 @@ import msgspec
 from ltv_mpc.messages import ControllerState, Estimate
 from services.bus.topics import STATES
 from services.bus.wire import Header, encode
-from services.supervisor.bus_monitor import Watch
+from services.supervisor.bus_monitor import BusMonitor
 
 
-def state_of(node: str, watch: Watch) -> bytes:
+def restore_state(node: str, watch: BusMonitor) -> bytes:
     """Return the state for a new process of this name, as it travels; empty where it has none to continue from."""
     kind = STATES.get(node)
     state = None if kind is None else watch.newest(kind)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 
-from services.supervisor.managed_process import Child
+from services.supervisor.managed_process import ManagedProcess
 
 ORDERLY_S = 2.0  # for one node to stop at the end of a run
 ORDERLY_RECORDER_S = 10.0  # a slow disk
@@ -14,7 +14,7 @@ HASTY_RECORDER_S = 0.9
 HASTY_ROUTER_S = 0.2
 
 
-def stop(children: Mapping[str, Child], *, in_order: bool, close_session: Callable[[], None]) -> list[str]:
+def stop(children: Mapping[str, ManagedProcess], *, in_order: bool, close_session: Callable[[], None]) -> list[str]:
     """Stop every child, by force where asking is not enough; the names of those that had to be killed.
 
     ``in_order``: one node after the other, so that each hears all that the one before it has said; else all at once.

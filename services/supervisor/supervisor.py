@@ -26,14 +26,14 @@ from services.run.run_config import Situation
 from services.run.summary import of_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.supervisor import jit_cache, loopback, process_table, shutdown
-from services.supervisor.bus_monitor import Watch
-from services.supervisor.child_processes import Crew
-from services.supervisor.heartbeat import LATE_S
-from services.supervisor.live_view import view_of
-from services.supervisor.managed_process import how_it_ended, last_lines
-from services.supervisor.parent_death import Guard
-from services.supervisor.restarts import Budget, Fault, Recovery, judge
-from services.supervisor.restore_state import state_of
+from services.supervisor.bus_monitor import BusMonitor
+from services.supervisor.child_processes import ChildProcesses
+from services.supervisor.hang_detector import LATE_S
+from services.supervisor.live_view import live_view
+from services.supervisor.managed_process import describe_exit, last_lines
+from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.restarts import ProcessFailure, Recovery, RestartBudget, judge
+from services.supervisor.restore_state import restore_state
 from services.supervisor.screen import Screen
 from sim.evaluation.summary import Summary
 
@@ -114,15 +114,15 @@ class Supervisor:
         self._started = time.monotonic()
         self._ticked = self._started
         self._working = False  # every process has said that it is ready
-        self._watch: Watch | None = None
+        self._watch: BusMonitor | None = None
         self._out: Outbox
         self._unsaid: list[RunEvent] = []
         self._say_from_s = 0.0
-        self._budget = Budget()
+        self._budget = RestartBudget()
         self._recovering: dict[str, Recovery] = {}
         self._last_drops = 0
-        self._guard: Guard
-        self._crew: Crew
+        self._guard: OrphanCleanup
+        self._crew: ChildProcesses
         self._request: StopRequest
         self.restarts = 0
 
@@ -145,8 +145,8 @@ class Supervisor:
     def _supervise(self) -> Outcome:
         in_order = False
         with ExitStack() as sessions:
-            self._guard = Guard()
-            self._crew = Crew(self._folder.scenario, self._logs, self._guard)
+            self._guard = OrphanCleanup()
+            self._crew = ChildProcesses(self._folder.scenario, self._logs, self._guard)
             try:
                 self._warm()
                 self._load()
@@ -175,7 +175,7 @@ class Supervisor:
                 why = f"{name} {self._recovering[name].fault.how}, and was not back at the run's end; its last lines:"
                 return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=child.last_lines())
             if name in killed or code != DONE:
-                how = "did not stop and was killed" if code is None or name in killed else how_it_ended(code)
+                how = "did not stop and was killed" if code is None or name in killed else describe_exit(code)
                 why = f"{name} {how}; its last lines:"
                 return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=child.last_lines())
         return Outcome(completed=True, exit_code=DONE)
@@ -194,7 +194,7 @@ class Supervisor:
                 self._tick()
                 self._screen.wait("compiling", jit_cache.share())
             if process.returncode != 0:
-                raise _Failed(f"compiling {how_it_ended(process.returncode)}; its last lines:", last_lines(log))
+                raise _Failed(f"compiling {describe_exit(process.returncode)}; its last lines:", last_lines(log))
         finally:
             process.kill()
             process.wait()
@@ -208,14 +208,14 @@ class Supervisor:
             return
         while not forks.is_loaded():
             if (code := forks.exit_code()) is not None:
-                raise _Failed(f"loading {how_it_ended(code)}; its last lines:", last_lines(forks.log))
+                raise _Failed(f"loading {describe_exit(code)}; its last lines:", last_lines(forks.log))
             self._tick()
 
     def _start(self, sessions: ExitStack) -> None:
         endpoint = f"{SECURE if self._certs else 'tcp'}/127.0.0.1:{loopback.free_port()}"
         namespace = f"auv/{secrets.token_hex(4)}"
         certs = None if self._certs is None else self._certs.absolute()
-        place = process_table.RunPlace(folder=self._folder, router=endpoint, namespace=namespace, certs=certs)
+        place = process_table.RunContext(folder=self._folder, router=endpoint, namespace=namespace, certs=certs)
         rows = process_table.processes(self._situation.scenario)
         configs = {row.name: process_table.config_of(row.name, self._situation, place) for row in rows}
         for row in (row for row in rows if not row.needs):
@@ -236,9 +236,9 @@ class Supervisor:
                 self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "never got ready")  # type: ignore[misc]
         self._working = True
 
-    def _listen(self, session: Session, rows: Sequence[process_table.Process]) -> Watch:
+    def _listen(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> BusMonitor:
         self._out = Outbox(session, node=LAUNCHER, epoch=new_epoch(), kinds=(RunEvent,))
-        self._watch = Watch(session, [row.name for row in rows])
+        self._watch = BusMonitor(session, [row.name for row in rows])
         return self._watch
 
     # --- watching ----------------------------------------------------------------------------------------------------
@@ -279,11 +279,11 @@ class Supervisor:
         for event in self._watch.events():
             if event.node != LAUNCHER:
                 self._show(event)
-        self._screen.update(view_of(self._situation, self._watch, self._states(), now_s - self._started))
+        self._screen.update(live_view(self._situation, self._watch, self._states(), now_s - self._started))
 
     # --- who is dead -------------------------------------------------------------------------------------------------
 
-    def _fault_of(self, name: str, now_s: float) -> Fault | None:
+    def _fault_of(self, name: str, now_s: float) -> ProcessFailure | None:
         """A child that is dead, or hangs and is therefore ended here and now."""
         child = self._crew.children[name]
         alive_s = child.heartbeat.last_s or now_s
@@ -292,20 +292,20 @@ class Supervisor:
             if self._plant_is_done() or not child.heartbeat.hung(now_s, child.starved_s) or child.waits_for_the_disk():
                 return None
             child.kill()
-            return Fault(name, f"hung: no pulse for {now_s - alive_s:.2f} s", alive_s, now_s)
+            return ProcessFailure(name, f"hung: no pulse for {now_s - alive_s:.2f} s", alive_s, now_s)
         if (name == "plant" and code == DONE) or self._plant_is_done():
             return None
-        return Fault(name, how_it_ended(code), alive_s, now_s)
+        return ProcessFailure(name, describe_exit(code), alive_s, now_s)
 
-    def _mend(self, fault: Fault) -> None:
+    def _mend(self, fault: ProcessFailure) -> None:
         name = fault.node
         refusal = judge(fault, restartable=self._crew.restartable(name), had_worked=self._working, budget=self._budget)
         if refusal is not None:
             lines = self._crew.children[name].last_lines()
             raise _Failed(f"{refusal.why}; its last lines:", lines, in_order=refusal.in_order)
         assert self._watch is not None
-        before = self._watch.sign_of(name)
-        self._crew.restart(name, state_of(name, self._watch))
+        before = self._watch.last_activity(name)
+        self._crew.restart(name, restore_state(name, self._watch))
         self.restarts += 1
         began_s = fault.alive_s if name not in self._recovering else self._recovering[name].fault.alive_s
         self._recovering[name] = Recovery(
@@ -313,9 +313,9 @@ class Supervisor:
         )
         self._tell("fault", f"{name} {fault.how}; seen {fault.seen_s - fault.alive_s:.2f} s after its last pulse")
 
-    def _look_after_recoveries(self, watch: Watch, now_s: float) -> None:
+    def _look_after_recoveries(self, watch: BusMonitor, now_s: float) -> None:
         for name, recovery in tuple(self._recovering.items()):
-            sign = watch.sign_of(name)
+            sign = watch.last_activity(name)
             if sign is not None and recovery.is_over(sign.epoch, sign.arrived_s):
                 del self._recovering[name]
                 fault = recovery.fault
@@ -324,7 +324,9 @@ class Supervisor:
                 self._tell("restart", f"{name} {fault.how}; back {took_s:.2f} s after its last pulse")
             elif now_s - recovery.begun_s > BACK_S:
                 self._crew.children[name].kill()
-                self._mend(Fault(name, f"did not come back within {BACK_S:.0f} s", recovery.fault.alive_s, now_s))
+                self._mend(
+                    ProcessFailure(name, f"did not come back within {BACK_S:.0f} s", recovery.fault.alive_s, now_s)
+                )
         if self._unsaid and now_s >= self._say_from_s and not self._recovering.keys() & LISTENING:
             for event in self._unsaid:
                 self._out.publish(event)

@@ -257,7 +257,7 @@ def vehicle_clock() -> Target:
             for data in (mutate.packed(message, Random(0)), frame):
                 signal, _ = MessageValidator().admit(Frame(topic, "clock", data, 0))
                 assert isinstance(signal, Clock)
-                clock.hear(msgspec.structs.replace(signal, clock_sequence=signal.clock_sequence + (data is frame)))
+                clock.follow(msgspec.structs.replace(signal, clock_sequence=signal.clock_sequence + (data is frame)))
         except (WireError, ClockError):
             return None
         instants = (0, 1, 10**6, 10**12, 2**53)

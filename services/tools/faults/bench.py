@@ -76,7 +76,7 @@ def run(of: Situation, faults: Sequence[Fault], folder: Path, *, patience_s: flo
     logs.mkdir()
     namespace = f"auv/{secrets.token_hex(4)}"
     a, b = (
-        process_table.RunPlace(folder=made, router=f"tcp/127.0.0.1:{loopback.free_port()}", namespace=namespace)
+        process_table.RunContext(folder=made, router=f"tcp/127.0.0.1:{loopback.free_port()}", namespace=namespace)
         for _ in range(2)
     )
     modules = {row.name: row.module for row in process_table.processes(of.scenario)}

@@ -27,7 +27,7 @@ from services.bus.session import BusOptions, Publisher, Session, Stopped, open_s
 from services.bus.topics import BY_TYPE, TOPICS, Topic, topic_at
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
-from services.runtime.serve import until_stopped
+from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from services.tools.faults.schedule import problem
 from sim.faults.interval import Spell
@@ -138,7 +138,7 @@ class Injector:
         self._mailbox = Mailbox()
         self._stop = stop
         self._say = say
-        stop.wakes(self._mailbox.wake)
+        stop.on_request(self._mailbox.wake)
         self._node = node
         self._clock = VehicleClock()
         self._door = MessageValidator()
@@ -187,7 +187,7 @@ class Injector:
             return
         if frame.topic.message_type is Clock:
             with contextlib.suppress(WireError, ClockError):  # its followers say so
-                self._clock.hear(decode(Clock, frame.payload)[0])
+                self._clock.follow(decode(Clock, frame.payload)[0])
         now_ns = self._now_ns()
         if now_ns is None:  # nothing happens before there is a time
             self._send(frame.key, frame.payload)
@@ -296,4 +296,4 @@ def main(config: Config) -> int:
             injector.serve(config.at_a, config.at_b)
         sys.stdout.write(json.dumps(injector.account) + "\n")
 
-    return until_stopped(NAME, work)
+    return run_until_stopped(NAME, work)

@@ -74,7 +74,7 @@ class _Time:
         """Update the clock (called on the bus's thread)."""
         try:
             said, _ = decode(Clock, payload)
-            self._clock.hear(said)
+            self._clock.follow(said)
             self.state = said.state
         except (WireError, ClockError):
             return

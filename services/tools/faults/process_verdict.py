@@ -136,8 +136,8 @@ def _holes(read: Recorded, key: str) -> int:
     """Count the missing sequence numbers of a key between the first and the last recorded one of each epoch."""
     losses = LossAccounting()
     for epoch, sequence in sorted((sent.epoch, sent.sequence) for sent in read.sent if sent.key == key):
-        losses.begins(key, epoch, sequence)
-        losses.saw(key, epoch, sequence)
+        losses.start_at(key, epoch, sequence)
+        losses.add(key, epoch, sequence)
     return losses.missing
 
 

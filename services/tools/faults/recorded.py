@@ -70,7 +70,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
             continue
         key, t_ns = message.key, message.t_ns
         until_ns = max(until_ns, t_ns)
-        if sources.setdefault((key, header.epoch), SequenceGaps()).saw(header.sequence):
+        if sources.setdefault((key, header.epoch), SequenceGaps()).add(header.sequence):
             messages[header.epoch] += 1
         match signal:
             case StepRecord() if signal.node in (CONTROLLER, PLANT):

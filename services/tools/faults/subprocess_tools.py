@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from services.supervisor.parent_death import Guard
+from services.supervisor.parent_death import OrphanCleanup
 
 Process = subprocess.Popen[bytes]
 
@@ -17,7 +17,7 @@ class Started:
     """Context manager of child processes, which kills those that still run at its end or when this process dies."""
 
     def __init__(self) -> None:
-        self._guard = Guard()
+        self._guard = OrphanCleanup()
         self._processes: list[Process] = []
 
     def __enter__(self) -> Started:

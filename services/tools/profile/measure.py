@@ -29,7 +29,7 @@ from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
 from ltv_mpc.node import Stopwatch, no_stopwatch
-from services.runtime.stopwatch import StageTimer
+from services.runtime.stage_timer import StageTimer
 from services.tools.profile.piqp_yardstick import PiqpYardstick
 from services.tools.profile.problems import Episode, seconds
 

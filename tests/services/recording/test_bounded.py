@@ -12,75 +12,75 @@ from services.recording.sequence_gaps import SequenceGaps
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loss_accounting, "MOST_SOURCES", 10)
-    monkeypatch.setattr(loss_accounting, "MOST_KEYS", 3)
-    monkeypatch.setattr(publish_counts, "MOST_EPOCHS", 10)
+    monkeypatch.setattr(loss_accounting, "MAX_SOURCES", 10)
+    monkeypatch.setattr(loss_accounting, "MAX_KEYS", 3)
+    monkeypatch.setattr(publish_counts, "MAX_EPOCHS", 10)
 
 
 def test_what_forgotten_sources_have_lost_stays_counted() -> None:
     of = LossAccounting()
     for epoch in range(1000):
-        of.saw("plan", epoch, 0)
-        of.saw("plan", epoch, 3)  # two are missing
-        of.saw("applied", 7, epoch)  # never silent
+        of.add("plan", epoch, 0)
+        of.add("plan", epoch, 3)  # two are missing
+        of.add("applied", 7, epoch)  # never silent
     assert len(of._sources) == 10
     assert (of.published, of.missing) == (4 * 1000 + 1000, 2 * 1000)
     assert of.by_key() == {"plan": 2000}
     assert of.epochs() == {"plan": 1000, "applied": 1}
-    of.lost("plan", 0)
-    of.lost("plan", 999)
+    of.mark_lost("plan", 0)
+    of.mark_lost("plan", 999)
     assert of.by_key() == {"plan": 2002}
 
 
 def test_a_source_that_was_forgotten_counts_from_where_it_is_heard_again() -> None:
     of = LossAccounting()
     for epoch in range(20):
-        of.saw("plan", epoch, 0)
-    of.saw("plan", 0, 500)
-    of.saw("plan", 0, 502)
+        of.add("plan", epoch, 0)
+    of.add("plan", 0, 500)
+    of.add("plan", 0, 502)
     assert of.missing == 1
 
 
 def test_of_too_many_keys_the_sums_are_one() -> None:
     of = LossAccounting()
     for k in range(100):
-        of.saw(f"status/{k}", 1, 0)
-        of.saw(f"status/{k}", 1, 2)  # one is missing
+        of.add(f"status/{k}", 1, 0)
+        of.add(f"status/{k}", 1, 2)  # one is missing
     assert len(of._sources) == 10
     assert len(of._sums) == 3 + 1
     assert (of.missing, sum(of.by_key().values())) == (100, 100)
 
 
 def test_of_very_many_gaps_the_oldest_are_lost_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sequence_gaps, "MOST_GAPS", 3)
+    monkeypatch.setattr(sequence_gaps, "MAX_GAPS", 3)
     of = SequenceGaps()
     for sequence in range(0, 20, 2):
-        assert of.saw(sequence)
+        assert of.add(sequence)
     assert (of.missing, of.ranges) == (9, ((13, 13), (15, 15), (17, 17)))
-    assert of.saw(17)
-    assert not of.saw(1)  # known no more: it might be there already
+    assert of.add(17)
+    assert not of.add(1)  # known no more: it might be there already
     assert (of.missing, of.doubled) == (8, 1)
 
 
 def test_what_comes_twice_makes_up_for_nothing_that_did_not_come() -> None:
     of = LossAccounting()
-    assert [of.saw("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
+    assert [of.add("plan", 7, sequence) for sequence in (0, 3, 3, 1, 1, 0)] == [True, True, False, True, False, False]
     assert (of.published, of.missing, of.by_key()) == (4, 1, {"plan": 1})
     kept = PublishCounts()
     for again in (False, True, False):
-        kept.saw(7)
+        kept.count(7)
         if again:
             kept.discount(7)
-    kept.promise(7, "controller", 3)
+    kept.set_published(7, "controller", 3)
     assert kept.missing == {"controller": 1}
 
 
 def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> None:
     of = PublishCounts()
     for epoch in range(1000):
-        of.saw(epoch)
-        of.promise(epoch, f"node {epoch % 2}", 3)  # two are missing
-        of.saw(5000)
+        of.count(epoch)
+        of.set_published(epoch, f"node {epoch % 2}", 3)  # two are missing
+        of.count(5000)
     assert len(of._accounts) == 10
     assert of.missing == {"node 0": 1000, "node 1": 1000}
     assert of.unfinished(0)
@@ -89,12 +89,12 @@ def test_what_forgotten_processes_did_not_keep_of_their_word_stays_counted() -> 
 
 def test_who_spoke_before_anybody_counted_keeps_every_word() -> None:
     of = PublishCounts()
-    assert not of.saw(1, late=True)
-    assert not of.saw(1)
-    assert of.saw(2)
-    assert of.saw(2, late=True)  # only the first one tells
-    of.promise(1, "plant", 900)
-    of.promise(2, "sensors", 2)
+    assert not of.count(1, late=True)
+    assert not of.count(1)
+    assert of.count(2)
+    assert of.count(2, late=True)  # only the first one tells
+    of.set_published(1, "plant", 900)
+    of.set_published(2, "sensors", 2)
     assert of.missing == {}
     of.discount(2)
     of.discount(1)

@@ -32,7 +32,7 @@ def rows(folder: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def exported(tmp_path: Path, form: Format, *signals: tuple[str, Message]) -> export.Result:
+def exported(tmp_path: Path, form: Format, *signals: tuple[str, Message]) -> export.ExportResult:
     messages = [(node, signal, 1, k, T_NS + k) for k, (node, signal) in enumerate(signals)]
     return export.export([write(tmp_path / "run.mcap", messages)], tmp_path, form)
 

@@ -22,7 +22,7 @@ S = 1_000_000_000
 def test_gaps_are_what_a_set_says_whatever_the_order(sequences: list[int]) -> None:
     gaps = SequenceGaps()
     for sequence in sequences:
-        gaps.saw(sequence)
+        gaps.add(sequence)
     missing = sorted(set(range(max(sequences) + 1)) - set(sequences))
     assert gaps.published == max(sequences) + 1
     assert gaps.missing == len(missing)

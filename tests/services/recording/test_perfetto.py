@@ -76,7 +76,7 @@ def held_to_the_rules(trace: dict[str, Any]) -> list[Event]:
     return events
 
 
-def drawn(path: Path, out: Path) -> tuple[perfetto.Written, list[Event]]:
+def drawn(path: Path, out: Path) -> tuple[perfetto.TraceSummary, list[Event]]:
     written = perfetto.write([path], out)
     events = held_to_the_rules(json.loads(out.read_text()))
     assert written.slices == sum(event["ph"] == "X" for event in events)

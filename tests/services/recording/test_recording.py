@@ -17,8 +17,8 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import AdcpPing, Estimate, Message, PressureDepth
 from services.bus import schema, wire
 from services.recording.loss_accounting import LossAccounting
-from services.recording.reader import Recorded, Recording
-from services.recording.records import watched
+from services.recording.reader import RecordedMessage, Recording
+from services.recording.records import report_progress
 from services.recording.writer import RunWriter
 from tests.services.recording.recordings import foreign
 from tests.services.words import status
@@ -242,7 +242,7 @@ def test_what_a_failing_disk_took_only_half_of_is_cut_off(path: Path) -> None:
 
 
 def test_a_key_that_no_topic_has_stays_readable_as_a_plain_map() -> None:
-    message = Recorded("elsewhere", None, 0, {"epoch": 1})
+    message = RecordedMessage("elsewhere", None, 0, {"epoch": 1})
     with pytest.raises(wire.WireError, match="elsewhere"):
         message.typed()
 
@@ -257,7 +257,7 @@ def test_losses_are_the_gaps_of_each_key_and_epoch() -> None:
         ("estimate", 9, 2),  # nothing before the third
         ("applied", 1, 0),
     ):
-        losses.saw(key, epoch, sequence)
+        losses.add(key, epoch, sequence)
     assert losses.published == 5 + 1 + 3 + 1
     assert losses.missing == 2 + 2
     assert losses.by_key() == {"plan": 2, "estimate": 2}
@@ -279,7 +279,7 @@ def test_the_recording_package_starts_without_the_simulation() -> None:
 def test_who_waits_hears_how_much_was_read_and_nobody_else_does(path: Path) -> None:
     write_depths(path, 5000)
     shares: list[float] = []
-    with watched(shares.append):
+    with report_progress(shares.append):
         assert len(list(Recording(path))) == 5000
     heard = list(shares)
     list(Recording(path))

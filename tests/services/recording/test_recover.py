@@ -13,13 +13,13 @@ from mcap.reader import make_reader
 
 from ltv_mpc.errors import ConfigError
 from services.recording import recover
-from services.recording.records import LARGEST_CHUNK, MAGIC, Records
-from services.recording.recover import Lines, Recovery, recovered_path, segments
+from services.recording.records import MAGIC, MAX_CHUNK_BYTES, Records
+from services.recording.recover import Recovery, SegmentReader, recovered_path, segments
 from tests.services.recording.recordings import START_NS, depth, write, write_depths
 
 
 def messages(path: Path) -> list[tuple[str, int, bytes]]:
-    return [(line.key, line.t_ns, line.data) for line in Lines(path)]
+    return [(line.key, line.t_ns, line.data) for line in SegmentReader(path)]
 
 
 def chunks(path: Path) -> list[tuple[int, int]]:
@@ -124,7 +124,7 @@ def test_what_the_run_was_made_of_and_each_frames_checksum_are_kept(tmp_path: Pa
     path = write_depths(tmp_path / "run.mcap", range(500))
     path.write_bytes(path.read_bytes()[:-200])
     made = recovered(path)
-    lines = Lines(Path(made.file))
+    lines = SegmentReader(Path(made.file))
     assert len(list(lines)) == 500
     assert lines.metadata["seed"] == "7"
     assert lines.others == {"recovery": {"run.mcap": f"500 messages, {made.lost_bytes} bytes lost"}}
@@ -175,7 +175,7 @@ def text(value: bytes) -> bytes:
 
 CHANNEL = record(4, struct.pack("<HH", 1, 0) + text(b"k") + text(b"json") + struct.pack("<I", 0))
 MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b"{}")
-BOMB = zstandard.ZstdCompressor().compress(bytes(LARGEST_CHUNK + 1))
+BOMB = zstandard.ZstdCompressor().compress(bytes(MAX_CHUNK_BYTES + 1))
 
 
 @pytest.mark.parametrize(

@@ -165,12 +165,12 @@ def test_a_file_that_may_not_be_written_is_refused_at_once_and_nothing_is_left_o
 
 def test_losses_of_one_who_comes_later_begin_with_what_it_hears_first() -> None:
     losses = LossAccounting()
-    losses.begins(KEY, 7, 500)
-    losses.saw(KEY, 7, 500)
-    losses.begins(KEY, 7, 502)  # it has begun already
-    losses.saw(KEY, 7, 502)
-    losses.saw("plan", 8, 1)  # whose first it has missed
+    losses.start_at(KEY, 7, 500)
+    losses.add(KEY, 7, 500)
+    losses.start_at(KEY, 7, 502)  # it has begun already
+    losses.add(KEY, 7, 502)
+    losses.add("plan", 8, 1)  # whose first it has missed
     assert (losses.published, losses.missing) == (3 + 2, 1 + 1)
     assert losses.by_key() == {KEY: 1, "plan": 1}
-    losses.lost(KEY, 7)
+    losses.mark_lost(KEY, 7)
     assert losses.missing == 3

@@ -9,17 +9,17 @@ from typing import Any
 import msgspec
 
 from services.bus import wire
-from services.recording.reader import Recording, Stored
+from services.recording.reader import Recording, StoredMessage
 from services.recording.writer import RunWriter
 from services.replay.replay import metadata_of
 
 Plain = dict[str, Any]
 
-Change = Callable[[Stored, Plain], Iterable[Plain]]
+Change = Callable[[StoredMessage, Plain], Iterable[Plain]]
 """One message of the file -> what is to stand there in its place."""
 
 
-def messages(recording: Path) -> list[tuple[Stored, Plain]]:
+def messages(recording: Path) -> list[tuple[StoredMessage, Plain]]:
     """All of a file."""
     return [(stored, msgspec.json.decode(stored.data)) for stored in Recording(recording).stored()]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from services.cli.app import run as cli
-from services.recording.reader import Stored
+from services.recording.reader import StoredMessage
 from services.run.folder import RunFolder
 from tests.services.replay.altered import Plain, rewritten
 
@@ -28,7 +28,7 @@ def test_it_ends_with_0_and_says_100_percent(locked_run: RunFolder, capsys: pyte
 def test_a_difference_ends_with_1_and_is_shown_field_by_field(
     recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def damaged(stored: Stored, plain: Plain) -> Iterable[Plain]:
+    def damaged(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         return [plain | {"north_m": 12.5}] if stored.key == "estimate" and plain["sequence"] == 7 else [plain]
 
     out = rewritten(recording, tmp_path / "run.mcap", damaged)

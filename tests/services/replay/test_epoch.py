@@ -7,21 +7,23 @@ import msgspec
 from ltv_mpc.messages import InboxEntry, Message, PressureDepth
 from ltv_mpc.node import Grid, Inbox
 from services.bus import wire
-from services.recording.reader import Stored
-from services.replay.compare import Comparison
+from services.recording.reader import StoredMessage
+from services.replay.comparison import Comparison
 from services.replay.epoch import REACH, Epoch, Record
 from services.replay.frames import Frames, Header
 from tests.stepping import OneByOne
 
 
-def depth(sequence: int) -> tuple[Stored, Header]:
+def depth(sequence: int) -> tuple[StoredMessage, Header]:
     signal, header = PressureDepth(t_ns=sequence, depth_m=1.0), Header(epoch=7, sequence=sequence)
     plain = wire.plain(signal, header)
-    stored = Stored("sensor/depth", PressureDepth, sequence, wire.crc(wire.packed(plain)), msgspec.json.encode(plain))
+    stored = StoredMessage(
+        "sensor/depth", PressureDepth, sequence, wire.crc(wire.packed(plain)), msgspec.json.encode(plain)
+    )
     return stored, header
 
 
-def entry(stored: Stored, header: Header) -> InboxEntry:
+def entry(stored: StoredMessage, header: Header) -> InboxEntry:
     return InboxEntry(
         key=stored.key, epoch=header.epoch, sequence=header.sequence, crc=stored.crc, received_t_ns=header.sequence
     )
@@ -33,10 +35,10 @@ def test_what_was_used_or_is_old_is_not_kept() -> None:
         frames.add(*depth(at), at)
     third = entry(*depth(3))
     assert frames.find(third) is not None
-    frames.used(third)
+    frames.discard_through(third)
     assert frames.find(third) is None
     assert len(frames) == 6
-    frames.forget(8)
+    frames.discard_before(8)
     assert len(frames) == 2
     assert frames.find(entry(*depth(9))) is not None
 
@@ -60,7 +62,7 @@ def test_a_step_that_raises_where_the_recorded_one_did_not_is_a_difference_and_e
     frames.add(*depth(0), 0)
     epoch = Epoch(7, Fragile, frames, outcome)
     epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 1)
-    outcome.heard(*depth(0))
+    outcome.add_recorded(*depth(0))
     epoch.take(Record(epoch=7, step=1, t_ns=1, inbox=(entry(*depth(0)),)), 2)
     epoch.take(Record(epoch=7, step=2, t_ns=2, inbox=()), 3)
     epoch.close()
@@ -85,18 +87,18 @@ def test_a_missing_input_is_waited_for_as_far_as_it_may_stand_and_no_further() -
     assert "sensor/depth 0 (epoch 000000000007" in epoch.gap.why
 
 
-def ping(sequence: int) -> tuple[Stored, Header]:
+def ping(sequence: int) -> tuple[StoredMessage, Header]:
     stored, header = depth(sequence)
     return stored._replace(key="sensor/other"), header
 
 
-def killed(*heard: tuple[Stored, Header]) -> tuple[Epoch, Comparison]:
+def killed(*heard: tuple[StoredMessage, Header]) -> tuple[Epoch, Comparison]:
     """One step whose record is in the file, and outputs after which nothing more is said of the node."""
     outcome = Comparison("sensors", 7)
     epoch = Epoch(7, Fragile, Frames(), outcome)
     epoch.take(Record(epoch=7, step=0, t_ns=0, inbox=()), 0)
     for of in heard:
-        outcome.heard(*of)
+        outcome.add_recorded(*of)
     epoch.close()
     return epoch, outcome
 

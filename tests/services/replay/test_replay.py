@@ -14,11 +14,11 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import InjectorFrame, StepRecord
 from services.bus import wire
 from services.bus.topics import key_of
-from services.recording.reader import Stored
+from services.recording.reader import StoredMessage
 from services.recording.writer import RunWriter
 from services.replay import nodes
 from services.replay import replay as engine
-from services.replay.compare import NOT_MADE, NOT_RECORDED
+from services.replay.comparison import NOT_MADE, NOT_RECORDED
 from services.replay.verdict import NodeVerdict, Verdict
 from services.run.provenance import made_by
 from tests.services.replay.altered import Plain, messages, rewritten, without
@@ -63,7 +63,7 @@ def test_one_node_alone(recording: Path) -> None:
 def test_one_digit_of_a_plan_is_found_and_named(recording: Path, tmp_path: Path, keep_crc: bool) -> None:
     """The CRC tells on a frame that is another, the bytes of the file on a file that was edited."""
 
-    def damaged(stored: Stored, plain: Plain) -> Iterable[Plain]:
+    def damaged(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         if stored.key == "plan" and plain["sequence"] == 4:
             row = plain["thrust_N"][3]
             thrusts_N.append(row[1])
@@ -170,7 +170,7 @@ def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Pat
     """The run twice in one file, the first with a loss; the second is of new epochs."""
     crc_of: dict[tuple[str, int], int] = {}
 
-    def second(stored: Stored, plain: Plain) -> Plain:
+    def second(stored: StoredMessage, plain: Plain) -> Plain:
         plain = plain | {"epoch": 2}
         if "inbox" in plain:
             frames = ((entry, crc_of[entry["key"], entry["sequence"]]) for entry in plain["inbox"])
@@ -205,7 +205,7 @@ def test_a_damaged_copy_beside_the_right_frame_changes_nothing(
 ) -> None:
     """As a recorder that listens on both sides of a bad link hears it: inputs and outputs alike."""
 
-    def doubled(stored: Stored, plain: Plain) -> Iterable[Plain]:
+    def doubled(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         if stored.key == "sensor/depth":
             copy = plain | {"depth_m": plain["depth_m"] + 1.0}
         elif stored.key == "plan":
@@ -222,7 +222,7 @@ def test_a_damaged_copy_beside_the_right_frame_changes_nothing(
 def test_an_input_may_stand_in_the_file_behind_the_record_that_names_it(recording: Path, tmp_path: Path) -> None:
     held: list[Plain] = []
 
-    def late(stored: Stored, plain: Plain) -> Iterable[Plain]:
+    def late(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         """Each sensor message comes five later."""
         if stored.key != "sensor/imu":
             return [plain]
@@ -238,10 +238,10 @@ def test_an_input_may_stand_in_the_file_behind_the_record_that_names_it(recordin
 
 
 def test_outputs_that_nothing_lost_explains_are_differences(recording: Path, tmp_path: Path) -> None:
-    def silent(stored: Stored, plain: Plain) -> Iterable[Plain]:
+    def silent(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         return [] if stored.key == "localisation" else [plain]
 
-    def talkative(stored: Stored, plain: Plain) -> Iterable[Plain]:
+    def talkative(stored: StoredMessage, plain: Plain) -> Iterable[Plain]:
         again = stored.key == "localisation" and plain["sequence"] == last
         return [plain, plain | {"sequence": last + 1}] if again else [plain]
 

@@ -11,22 +11,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.messages import Clock, ClockState
-from services.runtime.clock import LEAD_US, MOST_LINES, ClockError, Line, TimeKeeper, VehicleClock, fraction_of
-from services.runtime.clock_master import MOST_CATCH_UP_US, ClockMaster, ClockMasterSettings
-from services.runtime.node_status import MOST_BEHIND_US
+from services.runtime.clock import (
+    LEAD_US,
+    MAX_SEGMENTS,
+    ClockError,
+    ClockSegment,
+    ClockSource,
+    VehicleClock,
+    fraction_of,
+)
+from services.runtime.clock_master import MAX_CATCH_UP_US, ClockMaster, ClockMasterSettings
+from services.runtime.node_status import MAX_BACKLOG_US
 from tests.services.words import status
 
 START_NS = -1_000_000_000
 T0_US = 50_000_000
 
 
-def keeper(speed: float = 10.0) -> TimeKeeper:
-    return TimeKeeper(epoch=1, start_ns=START_NS, speed=speed, now_us=T0_US)
+def keeper(speed: float = 10.0) -> ClockSource:
+    return ClockSource(epoch=1, start_ns=START_NS, speed=speed, now_us=T0_US)
 
 
-def follower(keeper: TimeKeeper) -> VehicleClock:
+def follower(keeper: ClockSource) -> VehicleClock:
     clock = VehicleClock()
-    clock.hear(keeper.message)
+    clock.follow(keeper.message)
     return clock
 
 
@@ -39,7 +47,7 @@ def test_before_the_start_it_stands_at_the_start_and_nothing_is_due() -> None:
 def test_it_runs_at_its_speed_from_the_announced_instant_on() -> None:
     k = keeper(2.5)
     clock = follower(k)
-    clock.hear(k.run(T0_US))
+    clock.follow(k.run(T0_US))
     begin = T0_US + LEAD_US
     assert clock.read(begin - 1) == START_NS
     assert clock.due_us(START_NS) == begin
@@ -49,25 +57,25 @@ def test_it_runs_at_its_speed_from_the_announced_instant_on() -> None:
 def test_a_pause_freezes_it_and_it_goes_on_where_it_stood() -> None:
     k = keeper(10)
     clock = follower(k)
-    clock.hear(k.run(T0_US))
-    clock.hear(k.pause(T0_US + 1_000_000))
+    clock.follow(k.run(T0_US))
+    clock.follow(k.pause(T0_US + 1_000_000))
     frozen = START_NS + 10_000_000_000  # 1 s of wall time ran, lead after lead
     assert clock.read(T0_US + 5_000_000) == frozen
     assert clock.due_us(frozen + 1) is None
-    clock.hear(k.run(T0_US + 9_000_000))
+    clock.follow(k.run(T0_US + 9_000_000))
     assert clock.read(T0_US + 9_000_000) == frozen
     assert clock.read(T0_US + 9_000_000 + LEAD_US + 100) == frozen + 1_000_000
 
 
-def at_speed(k: TimeKeeper, now_us: int, speed: float) -> Clock:
-    return k.pace(now_us, fraction_of(speed), asked=speed)
+def at_speed(k: ClockSource, now_us: int, speed: float) -> Clock:
+    return k.set_speed(now_us, fraction_of(speed), requested=speed)
 
 
 def test_a_change_of_speed_bends_the_line_without_a_jump() -> None:
     k = keeper(1)
     clock = follower(k)
-    clock.hear(k.run(T0_US))
-    clock.hear(at_speed(k, T0_US + 1_000_000, 20))
+    clock.follow(k.run(T0_US))
+    clock.follow(at_speed(k, T0_US + 1_000_000, 20))
     bend = T0_US + 1_000_000 + LEAD_US
     at_bend = START_NS + 1_000_000_000
     assert [clock.read(bend + d) for d in (-1000, 0, 1000)] == [at_bend - 1_000_000, at_bend, at_bend + 20_000_000]
@@ -83,7 +91,7 @@ def test_a_change_of_speed_bends_the_line_without_a_jump() -> None:
 def test_due_is_the_first_microsecond_at_which_the_time_is_reached(
     at: int, vehicle: int, num: int, den: int, ahead: int
 ) -> None:
-    line = Line(at, vehicle, num, den, ClockState.RUNNING)
+    line = ClockSegment(at, vehicle, num, den, ClockState.RUNNING)
     due = line.due_us(vehicle + ahead)
     assert due is not None
     assert line.read(due) >= vehicle + ahead > line.read(due - 1)
@@ -92,17 +100,17 @@ def test_due_is_the_first_microsecond_at_which_the_time_is_reached(
 @given(at=st.integers(0, 2**40), num=st.integers(1, 10**6), den=st.integers(1, 10**6), after=st.integers(0, 2**40))
 def test_a_reading_is_exact_to_the_nanosecond_below(at: int, num: int, den: int, after: int) -> None:
     exact = Fraction(after * 1000 * num, den)
-    assert 0 <= exact - Line(at, 0, num, den, ClockState.RUNNING).read(at + after) < 1
+    assert 0 <= exact - ClockSegment(at, 0, num, den, ClockState.RUNNING).read(at + after) < 1
 
 
 def test_the_time_at_an_instant_does_not_depend_on_what_was_read_before() -> None:
     k = keeper(10)
     clock, fresh = follower(k), follower(k)
     for c in (clock, fresh):
-        c.hear(k.message)
-    for message in (k.run(T0_US), k.slow(T0_US + 1_000_000, 300_000), at_speed(k, T0_US + 2_000_000, 3)):
-        clock.hear(message)
-        fresh.hear(message)
+        c.follow(k.message)
+    for message in (k.run(T0_US), k.slip(T0_US + 1_000_000, 300_000), at_speed(k, T0_US + 2_000_000, 3)):
+        clock.follow(message)
+        fresh.follow(message)
     begin = T0_US + LEAD_US
     clock.at(T0_US * 1000)
     instants = range(T0_US, T0_US + 3_000_000, 10_000)
@@ -141,7 +149,7 @@ def test_no_follower_ever_steps_back_however_late_it_hears_and_whatever_it_misse
         if what == "speed":
             message = at_speed(k, now_us, speed)
         elif what == "slow":
-            message = k.slow(now_us, int(speed * 100))
+            message = k.slip(now_us, int(speed * 100))
         else:
             message = k.pause(now_us) if what == "pause" else k.run(now_us)
         if not lost:
@@ -151,7 +159,7 @@ def test_no_follower_ever_steps_back_however_late_it_hears_and_whatever_it_misse
     for wait in readings:
         at_us += wait
         while messages and messages[0][0] <= at_us:
-            clock.hear(messages.pop(0)[1])
+            clock.follow(messages.pop(0)[1])
         reading = clock.read(at_us)
         if reading is not None:
             heard.append(reading)
@@ -164,16 +172,16 @@ def test_who_hears_in_time_reads_what_the_keeper_reads(changes: list[tuple[int, 
     own, other = follower(k), follower(k)
     now_us = T0_US
     start = k.run(T0_US)
-    own.hear(start)
-    other.hear(start)
+    own.follow(start)
+    other.follow(start)
     for wait, what, speed, delay, _ in changes:
         now_us += LEAD_US + wait
         own.read(now_us)
         message = (
             at_speed(k, now_us, speed) if what == "speed" else k.pause(now_us) if what == "pause" else k.run(now_us)
         )
-        own.hear(message)
-        other.hear(msgspec.structs.replace(message))
+        own.follow(message)
+        other.follow(msgspec.structs.replace(message))
         at_us = now_us + min(delay, LEAD_US)
         assert own.read(at_us) == other.read(at_us)
 
@@ -181,26 +189,26 @@ def test_who_hears_in_time_reads_what_the_keeper_reads(changes: list[tuple[int, 
 def test_a_line_that_slows_lets_readers_hold_still_until_it_catches_up() -> None:
     k = keeper(10)
     clock = follower(k)
-    clock.hear(k.run(T0_US))
+    clock.follow(k.run(T0_US))
     now_us = T0_US + 1_000_000
     before = clock.read(now_us + LEAD_US - 1)
-    clock.hear(k.slow(now_us, 30_000))
+    clock.follow(k.slip(now_us, 30_000))
     held = clock.read(now_us + LEAD_US)
     assert held is not None
     assert before is not None
     assert before <= held <= before + 10_000
     assert clock.read(now_us + LEAD_US + 20_000) == clock.read(now_us + LEAD_US)
     assert clock.read(now_us + LEAD_US + 40_000) == START_NS + 10_000 * (1_000_000 + 40_000 - 30_000)
-    assert (k.slowed, k.slowed_ns) == (1, 300_000_000)
+    assert (k.slips, k.slipped_ns) == (1, 300_000_000)
 
 
 def test_however_much_is_announced_ahead_what_is_kept_of_it_is_bounded() -> None:
     k = keeper(1.0)
     clock = follower(k)
-    clock.hear(k.run(T0_US))
+    clock.follow(k.run(T0_US))
     for i in range(10_000):
-        clock.hear(msgspec.structs.replace(k.message, clock_sequence=i + 2, at_monotonic_us=T0_US + 10**9 + i))
-    assert len(clock._lines) == MOST_LINES
+        clock.follow(msgspec.structs.replace(k.message, clock_sequence=i + 2, at_monotonic_us=T0_US + 10**9 + i))
+    assert len(clock._lines) == MAX_SEGMENTS
     assert clock.newest is not None
     assert clock.newest.at_us == T0_US + 10**9 + 9_999
     assert clock.read(T0_US + LEAD_US + 1_000_000) == START_NS + 1_000_000_000
@@ -209,19 +217,19 @@ def test_however_much_is_announced_ahead_what_is_kept_of_it_is_bounded() -> None
 def test_a_clock_of_another_host_or_of_another_plant_is_refused_in_words() -> None:
     clock = follower(keeper())
     with pytest.raises(ClockError, match="another host"):
-        clock.hear(msgspec.structs.replace(keeper().message, host_boot_id="other", clock_sequence=1))
+        clock.follow(msgspec.structs.replace(keeper().message, host_boot_id="other", clock_sequence=1))
     with pytest.raises(ClockError, match="another plant"):
-        clock.hear(msgspec.structs.replace(keeper().message, clock_epoch=2, clock_sequence=1))
+        clock.follow(msgspec.structs.replace(keeper().message, clock_epoch=2, clock_sequence=1))
 
 
 def test_a_speed_that_differs_from_the_time_keepers_is_an_error_that_names_both() -> None:
-    VehicleClock(speed=2.5).hear(keeper(2.5).message)
+    VehicleClock(speed=2.5).follow(keeper(2.5).message)
     with pytest.raises(ClockError, match=r"5 here and 2\.5 at the plant"):
-        VehicleClock(speed=5).hear(keeper(2.5).message)
+        VehicleClock(speed=5).follow(keeper(2.5).message)
     told = VehicleClock(speed=2.5)
     k = keeper(2.5)
-    told.hear(k.message)
-    told.hear(at_speed(k, T0_US, 7))  # a change on the way is none
+    told.follow(k.message)
+    told.follow(at_speed(k, T0_US, 7))  # a change on the way is none
 
 
 def keeping_time(clock: VehicleClock, sent: list[object], *expects: str) -> ClockMaster:
@@ -233,13 +241,13 @@ def test_the_clock_starts_when_the_last_expected_node_is_ready() -> None:
     sent: list[object] = []
     clock = VehicleClock()
     keeping = keeping_time(clock, sent, "sensors", "controller")
-    keeping.tend(T0_US)
-    keeping.heard(status("controller"), T0_US, "plant")
-    keeping.tend(T0_US + 1)
+    keeping.run_due(T0_US)
+    keeping.on_status(status("controller"), T0_US, "plant")
+    keeping.run_due(T0_US + 1)
     assert keeping.waiting_for == "sensors"
     assert clock.due_us(START_NS) is None
-    keeping.heard(status("sensors"), T0_US, "plant")
-    keeping.tend(T0_US + 2)
+    keeping.on_status(status("sensors"), T0_US, "plant")
+    keeping.run_due(T0_US + 2)
     assert clock.due_us(START_NS) == T0_US + 2 + LEAD_US
 
 
@@ -247,17 +255,19 @@ def test_a_grid_may_be_behind_by_a_tenth_of_a_second_and_beyond_that_slows_the_c
     sent: list[object] = []
     clock = VehicleClock()
     keeping = keeping_time(clock, sent)
-    keeping.tend(T0_US)
+    keeping.run_due(T0_US)
     now_us = T0_US + 5_000_000
-    keeping.late(now_us, now_us - MOST_CATCH_UP_US, "plant")
+    keeping.on_late_step(now_us, now_us - MAX_CATCH_UP_US, "plant")
     assert len(sent) == 1
-    keeping.late(now_us, now_us - MOST_CATCH_UP_US - 7_000, "plant")
+    keeping.on_late_step(now_us, now_us - MAX_CATCH_UP_US - 7_000, "plant")
     assert len(sent) == 3  # the clock, and an event that counts
-    keeping.late(now_us + 1, now_us - 900_000, "plant")  # the change is on its way already
+    keeping.on_late_step(now_us + 1, now_us - 900_000, "plant")  # the change is on its way already
     assert len(sent) == 3
-    keeping.late(now_us + LEAD_US + 6_999, now_us - 900_000, "plant")  # and has not passed yet
+    keeping.on_late_step(now_us + LEAD_US + 6_999, now_us - 900_000, "plant")  # and has not passed yet
     assert len(sent) == 3
-    keeping.late(now_us + LEAD_US + 7_000, now_us - 900_000, "plant")  # counted, and told again after a second only
+    keeping.on_late_step(
+        now_us + LEAD_US + 7_000, now_us - 900_000, "plant"
+    )  # counted, and told again after a second only
     assert len(sent) == 4
 
 
@@ -266,14 +276,14 @@ def test_who_cannot_keep_up_is_waited_for() -> None:
     sent: list[object] = []
     clock = VehicleClock()
     keeping = keeping_time(clock, sent, "estimator")
-    keeping.heard(status("estimator", min_queue_delay_us=10**9), T0_US, "plant")
-    keeping.tend(T0_US)
+    keeping.on_status(status("estimator", min_queue_delay_us=10**9), T0_US, "plant")
+    keeping.run_due(T0_US)
     begun = len(sent)
     now_us = T0_US + 5_000_000
-    keeping.heard(status("estimator", min_queue_delay_us=MOST_BEHIND_US), now_us, "plant")
+    keeping.on_status(status("estimator", min_queue_delay_us=MAX_BACKLOG_US), now_us, "plant")
     assert len(sent) == begun
     before = clock.at(now_us + 10 * LEAD_US)
-    keeping.heard(status("estimator", min_queue_delay_us=MOST_BEHIND_US + 30_000), now_us, "plant")
+    keeping.on_status(status("estimator", min_queue_delay_us=MAX_BACKLOG_US + 30_000), now_us, "plant")
     assert len(sent) == begun + 2  # the clock, and an event that counts
     after = clock.at(now_us + 10 * LEAD_US)
     assert before is not None

@@ -17,10 +17,10 @@ class Kept:
         self.clock = VehicleClock()
         settings = ClockMasterSettings(start_ns=0, end_ns=10**12, speed=1.0, expects=expects)
         self.keeping = ClockMaster(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
-        self.keeping.tend(0)
+        self.keeping.run_due(0)
 
     def asked(self, now_us: int, *, paused: bool = False, speed: float = 1.0) -> None:
-        self.keeping.asked(ClockCommand(paused=paused, speed=speed), now_us, "plant")
+        self.keeping.on_command(ClockCommand(paused=paused, speed=speed), now_us, "plant")
 
     def newest(self) -> Clock:
         return next(one for one in reversed(self.said) if isinstance(one, Clock))

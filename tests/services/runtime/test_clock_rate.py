@@ -10,8 +10,8 @@ import pytest
 from ltv_mpc.messages import Clock, RunEvent
 from services.runtime.clock import VehicleClock
 from services.runtime.clock_master import ClockMaster, ClockMasterSettings
-from services.runtime.clock_rate import FIRST_WINDOW_US, GROWTH, MOST_GIVEN_UP, WINDOW_US, ClockRate
-from services.runtime.node_status import MOST_BEHIND_US
+from services.runtime.clock_rate import FIRST_WINDOW_US, GROWTH, MAX_SLIP_RATIO, WINDOW_US, ClockRate
+from services.runtime.node_status import MAX_BACKLOG_US
 from tests.services.words import status
 
 ASKED = Fraction(10)
@@ -28,11 +28,11 @@ def found(asked: Fraction) -> ClockRate:
 
 def windows(pace: ClockRate, *given_up_us: int) -> list[float]:
     """The speed after each window."""
-    pace.begin_anew()
+    pace.restart_window()
     pace.window_over(0)
     speeds = []
     for i, us in enumerate(given_up_us, 1):
-        pace.gave_up(us)
+        pace.add_slip(us)
         pace.window_over(i * WINDOW_US)
         speeds.append(float(pace.speed))
     return speeds
@@ -44,7 +44,7 @@ def test_what_was_given_up_says_what_the_machine_can_do() -> None:
 
 
 def test_a_hiccup_changes_nothing_and_quiet_brings_the_speed_back() -> None:
-    few = int(MOST_GIVEN_UP * WINDOW_US)
+    few = int(MAX_SLIP_RATIO * WINDOW_US)
     pace = found(ASKED)
     assert windows(pace, few, few + 1) == [10.0, pytest.approx(9.5, abs=1e-3)]
     speeds = windows(pace, *[0] * 10)
@@ -65,7 +65,7 @@ def test_it_begins_in_real_time_and_doubles_until_it_was_too_much_or_enough() ->
         pace.window_over(now_us)
         for us in given_up_us:
             of.append(float(pace.speed))
-            pace.gave_up(us)
+            pace.add_slip(us)
             now_us += FIRST_WINDOW_US
             pace.window_over(now_us)
         return [*of, float(pace.speed)]
@@ -80,12 +80,12 @@ def test_it_begins_in_real_time_and_doubles_until_it_was_too_much_or_enough() ->
 
 def test_more_speed_is_gone_up_to_likewise_and_less_at_once() -> None:
     pace = found(Fraction(4))
-    pace.ask(Fraction(20))
+    pace.request(Fraction(20))
     assert pace.speed == 4
     pace.window_over(0)
     assert pace.window_over(FIRST_WINDOW_US)
     assert pace.speed == 8
-    pace.ask(Fraction(3))
+    pace.request(Fraction(3))
     assert pace.speed == 3
     assert not pace.window_over(10**9)
     assert not pace.window_over(2 * 10**9)
@@ -94,7 +94,7 @@ def test_more_speed_is_gone_up_to_likewise_and_less_at_once() -> None:
 def test_another_speed_that_is_asked_for_begins_anew() -> None:
     pace = found(ASKED)
     windows(pace, WINDOW_US)
-    pace.ask(Fraction(4))
+    pace.request(Fraction(4))
     assert pace.speed == 4
     assert not pace.window_over(10 * WINDOW_US)  # where the window begins
     assert not pace.window_over(11 * WINDOW_US - 1)
@@ -109,7 +109,7 @@ class Machine:
         self.clock = VehicleClock()
         settings = ClockMasterSettings(start_ns=0, end_ns=10**15, speed=float(ASKED), expects=())
         self.keeping = ClockMaster(settings, self.clock, epoch=1, now_us=0, publish=self.said.append)
-        self.keeping.tend(0)
+        self.keeping.run_due(0)
         self.now_us = 0
         self._done_ns = 0.0
         self.waits_us: list[float] = []
@@ -118,13 +118,13 @@ class Machine:
         """Wall time passes."""
         for _ in range(wall_us // step_us):
             self.now_us += step_us
-            self.keeping.tend(self.now_us)
+            self.keeping.run_due(self.now_us)
             asked_ns = self.clock.read(self.now_us) or 0
             self._done_ns = min(asked_ns, self._done_ns + self._can * step_us * 1000)
             min_queue_delay_us = (asked_ns - self._done_ns) / self._can / 1000
             self.waits_us.append(min_queue_delay_us)
-            if min_queue_delay_us > MOST_BEHIND_US and not self.now_us % 50_000:
-                self.keeping.heard(
+            if min_queue_delay_us > MAX_BACKLOG_US and not self.now_us % 50_000:
+                self.keeping.on_status(
                     status("estimator", min_queue_delay_us=int(min_queue_delay_us)), self.now_us, "plant"
                 )
 
@@ -140,8 +140,8 @@ def test_on_a_machine_that_can_do_three_of_ten_messages_soon_wait_no_more() -> N
     assert begun_ns is not None
     assert ended_ns is not None
     waits = sorted(machine.waits_us)
-    assert waits[len(waits) // 2] < MOST_BEHIND_US
-    assert waits[-len(waits) // 100] < 5 * MOST_BEHIND_US
+    assert waits[len(waits) // 2] < MAX_BACKLOG_US
+    assert waits[-len(waits) // 100] < 5 * MAX_BACKLOG_US
     assert (ended_ns - begun_ns) / 1e3 / (machine.now_us - begun_us) > 0.9 * 3.0
 
 

@@ -11,8 +11,8 @@ import msgspec
 import pytest
 
 from ltv_mpc.messages import Applied, ClockMode, Estimate
-from services.runtime.clock import TimeKeeper, VehicleClock
-from services.runtime.clock_sync import BELIEVED_AT, GRACE_US, WINDOW_US, ClockOffsetEstimator, ClockSync
+from services.runtime.clock import ClockSource, VehicleClock
+from services.runtime.clock_sync import GRACE_US, STEP_DETECTED_AT, WINDOW_US, ClockOffsetEstimator, ClockSync
 
 YEARS_NS = 1_763_740_800_000_000_000  # Unix time of late 2025
 BOOT_NS = -5_000_000_000
@@ -77,9 +77,9 @@ def exchanged(
         stamp, (sent_us, received_ns) = theirs.at(m_us), got[-1]
 
         def come(arrived_us: int) -> None:
-            clock.stamped(stamp, arrived_us)
+            clock.add_stamp(stamp, arrived_us)
             if reports and sent_us >= 0:
-                clock.received(received_ns, sent_us)
+                clock.add_receipt(received_ns, sent_us)
 
         for _ in range(1 + (rng.random() < 0.1)):
             arrives = round(m_us + 1e6 * back(rng))
@@ -118,7 +118,7 @@ def test_with_reports_the_truth_is_always_within_the_stated_error_which_is_half_
         off_ns = m_us * 1000 + reading.offset_ns - theirs.at(m_us)
         assert abs(off_ns) <= reading.error_ns
         two_way.append(reading.error_ns)
-    assert clock.times_set == 0
+    assert clock.clock_steps == 0
     assert len(two_way) > 500
     assert max(two_way[len(two_way) // 4 :]) <= most_s * 1e9
 
@@ -149,42 +149,44 @@ def test_one_way_the_reading_is_behind_by_the_smallest_delay_less_what_was_told_
 
 def test_a_round_trip_that_was_short_once_counts_for_thirty_seconds_and_drift_widens_it():
     clock = ClockOffsetEstimator()
-    clock.stamped(1_000_000, 1000)
-    clock.received(2_000_000, 0)  # m = 0 -> theta <= 2 ms; m = 1 ms -> theta >= 0
+    clock.add_stamp(1_000_000, 1000)
+    clock.add_receipt(2_000_000, 0)  # m = 0 -> theta <= 2 ms; m = 1 ms -> theta >= 0
     assert clock.read(1000) == (ClockMode.TWO_WAY, 1_000_050, 1_000_050)
     for second in range(1, 30):
         m_us = second * 1_000_000
-        clock.stamped((m_us - 400_000) * 1000, m_us)
-        clock.received((m_us + 400_000) * 1000, m_us)
+        clock.add_stamp((m_us - 400_000) * 1000, m_us)
+        clock.add_receipt((m_us + 400_000) * 1000, m_us)
     reading = clock.read(29_000_000)
     assert reading.error_ns == pytest.approx(1_000_000 + 29 * 100_000, abs=1000)
     m_us = WINDOW_US + 1_000
-    clock.stamped((m_us - 400_000) * 1000, m_us)
+    clock.add_stamp((m_us - 400_000) * 1000, m_us)
     assert clock.read(m_us).error_ns > 150_000_000
 
 
 def test_one_stamp_out_of_all_reason_is_not_believed_and_three_in_a_row_set_the_clock():
     clock = ClockOffsetEstimator()
     for k in range(50):
-        assert clock.stamped(YEARS_NS + k * 100_000_000, k * 100_000)
+        assert clock.add_stamp(YEARS_NS + k * 100_000_000, k * 100_000)
     before = clock.read(5_000_000)
     hour_ns = 3_600_000_000_000
-    assert not clock.stamped(YEARS_NS + hour_ns, 5_000_000)
-    assert clock.stamped(YEARS_NS + 5_100_000_000, 5_100_000)
-    assert not clock.stamped(YEARS_NS - hour_ns, 5_200_000)
+    assert not clock.add_stamp(YEARS_NS + hour_ns, 5_000_000)
+    assert clock.add_stamp(YEARS_NS + 5_100_000_000, 5_100_000)
+    assert not clock.add_stamp(YEARS_NS - hour_ns, 5_200_000)
     assert clock.read(5_200_000).offset_ns == pytest.approx(before.offset_ns, abs=100_000)
-    assert clock.stamped(YEARS_NS + 5_300_000_000, 5_300_000)
-    believed = [clock.stamped(YEARS_NS - hour_ns + k * 100_000_000, k * 100_000) for k in range(54, 54 + BELIEVED_AT)]
-    assert believed == [False] * (BELIEVED_AT - 1) + [True]
-    assert clock.times_set == 1
+    assert clock.add_stamp(YEARS_NS + 5_300_000_000, 5_300_000)
+    believed = [
+        clock.add_stamp(YEARS_NS - hour_ns + k * 100_000_000, k * 100_000) for k in range(54, 54 + STEP_DETECTED_AT)
+    ]
+    assert believed == [False] * (STEP_DETECTED_AT - 1) + [True]
+    assert clock.clock_steps == 1
     assert clock.read(5_700_000).offset_ns == pytest.approx(YEARS_NS - hour_ns, abs=100_000)
 
 
 @pytest.mark.parametrize("off_s", [-0.5, 3600.0])
 def test_a_report_of_a_receipt_before_it_can_have_been_or_long_after_it_is_left_out(off_s):
     clock = ClockOffsetEstimator()
-    clock.stamped(YEARS_NS, 0)
-    clock.received(YEARS_NS + round(off_s * 1e9), 0)
+    clock.add_stamp(YEARS_NS, 0)
+    clock.add_receipt(YEARS_NS + round(off_s * 1e9), 0)
     assert clock.read(0).mode is ClockMode.ONE_WAY
 
 
@@ -217,15 +219,15 @@ def begun() -> tuple[VehicleClock, ClockSync, int]:
     time = ClockSync(clock, epoch=EPOCH)
     for m_us in range(0, GRACE_US + 100_001, 100_000):
         assert clock.newest is None or m_us > GRACE_US
-        assert time.heard(estimate(YEARS_NS + (m_us - 20_000) * 1000), m_us) == ""
+        assert time.check_stamp(estimate(YEARS_NS + (m_us - 20_000) * 1000), m_us) == ""
     return clock, time, m_us
 
 
 def test_without_a_clock_for_half_a_second_the_time_is_that_of_the_stamps():
     clock, time, m_us = begun()
-    assert time.in_force
+    assert time.active
     assert clock.read(m_us) == pytest.approx(YEARS_NS + (m_us - 20_000) * 1000, abs=100_000)
-    assert time.reading(m_us)[0] is ClockMode.ONE_WAY
+    assert time.offset(m_us)[0] is ClockMode.ONE_WAY
 
 
 @pytest.mark.parametrize(
@@ -233,11 +235,11 @@ def test_without_a_clock_for_half_a_second_the_time_is_that_of_the_stamps():
 )
 def test_only_the_receipt_of_a_plan_that_this_process_sent_makes_it_two_way(epoch, sequence, mode):
     clock, time, m_us = begun()
-    time.sent(3, m_us)
-    time.heard(
+    time.on_plan_sent(3, m_us)
+    time.check_stamp(
         applied(YEARS_NS + (m_us + 30_000) * 1000, YEARS_NS + (m_us + 20_000) * 1000, sequence, epoch), m_us + 50_000
     )
-    reading = time.reading(m_us + 50_000)
+    reading = time.offset(m_us + 50_000)
     assert reading.mode == mode
     if mode == "two-way":
         assert reading.offset_ns == pytest.approx(YEARS_NS, abs=200_000)
@@ -249,21 +251,21 @@ def test_a_reading_never_steps_back_unless_the_other_side_has_set_its_clock():
     clock, time, m_us = begun()
     before = clock.read(m_us)
     back_ns = YEARS_NS - 3_600_000_000_000
-    said = [time.heard(estimate(back_ns + k * 100_000_000), m_us + k * 100_000) for k in range(BELIEVED_AT)]
-    assert [bool(reason) for reason in said] == [True] * (BELIEVED_AT - 1) + [False]
-    m_us += (BELIEVED_AT - 1) * 100_000
+    said = [time.check_stamp(estimate(back_ns + k * 100_000_000), m_us + k * 100_000) for k in range(STEP_DETECTED_AT)]
+    assert [bool(reason) for reason in said] == [True] * (STEP_DETECTED_AT - 1) + [False]
+    m_us += (STEP_DETECTED_AT - 1) * 100_000
     assert before - clock.read(m_us) > 3_500_000_000_000
-    assert time.times_set == 1
+    assert time.clock_steps == 1
 
 
 def test_where_a_clock_is_published_the_stamps_are_not_held_against_ours_at_whatever_speed():
     clock = VehicleClock()
-    keeper = TimeKeeper(epoch=3, start_ns=0, speed=10.0, now_us=0)
+    keeper = ClockSource(epoch=3, start_ns=0, speed=10.0, now_us=0)
     time = ClockSync(clock, epoch=EPOCH)
-    assert time.heard(estimate(0), 0) == ""
-    clock.hear(keeper.run(0))
+    assert time.check_stamp(estimate(0), 0) == ""
+    clock.follow(keeper.run(0))
     for m_us in range(100_000, 5_000_000, 100_000):
-        assert time.heard(estimate(m_us * 10_000), m_us) == ""
-    assert not time.in_force
-    assert time.reading(m_us) == (ClockMode.SHARED, 0, 0)
+        assert time.check_stamp(estimate(m_us * 10_000), m_us) == ""
+    assert not time.active
+    assert time.offset(m_us) == (ClockMode.SHARED, 0, 0)
     assert clock.read(m_us) == pytest.approx(m_us * 10_000, abs=600_000_000)

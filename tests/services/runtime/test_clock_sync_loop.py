@@ -122,7 +122,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
                 if reports:
                     here.send(_shifted(said, UNIX_NS), m_us)
         for signal, number, at_us in here.come(m_us):
-            assert foreign.heard(signal, at_us) == ""
+            assert foreign.check_stamp(signal, at_us) == ""
             inbox.append(ReceivedMessage(signal, 5, number, clock.read(at_us) or signal.t_ns))
         now_ns = clock.read(m_us)
         if now_ns is not None and now_ns >= (due_ns or now_ns):
@@ -130,8 +130,8 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
             (plan,) = (said for said in step(node, now_ns, inbox) if isinstance(said, Plan))
             timing = CycleTiming(t_ns=now_ns, compute_ns=0, compute_wall_ns=0, estimate_age_ns=0, stage_us={})
             inbox = [ReceivedMessage(timing, EPOCH, 0, now_ns)]
-            foreign.sent(there.send(plan, m_us), m_us)
-            reading = foreign.reading(m_us)
+            foreign.on_plan_sent(there.send(plan, m_us), m_us)
+            reading = foreign.offset(m_us)
             wrong.append((now_ns - UNIX_NS - t_ns) * 1e-9)
             error.append(np.nan if reading.error_ns is None else reading.error_ns * 1e-9)
     times, metres = np.array(off).T
@@ -141,7 +141,7 @@ def fly(delay_s: Callable[[random.Random], float], *, reports: bool = True) -> F
         np.array(error),
         here.turned_away + there.turned_away,
         late,
-        foreign.reading(m_us).mode,
+        foreign.offset(m_us).mode,
     )
 
 

@@ -26,7 +26,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import ReceivedMessage
 from services.bus.message_validation import MessageValidator
-from services.runtime.clock_sync import Reading
+from services.runtime.clock_sync import ClockOffset
 from services.runtime.controller_status import ControllerStatusReporter
 from services.runtime.metrics import Metrics, serving
 from services.runtime.status_line import ERASE, StatusLine
@@ -48,7 +48,7 @@ STATUS = ControllerStatus(
     health=Health.NOMINAL,
     error_m=0.25,
 )
-SHARED = Reading(ClockMode.SHARED, 0, 0)
+SHARED = ClockOffset(ClockMode.SHARED, 0, 0)
 S = 1_000_000
 
 
@@ -78,13 +78,13 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     estimate = msgspec.structs.replace(Estimate.at_rest(north_m=3.0, east_m=4.0), t_ns=7_000_000_000)
     node.receive(ReceivedMessage(estimate, 1, 0, estimate.t_ns))
     node.arbiter.receive_manual((1e6, 0.0, 0.0), 0)
-    report.heard(estimate)
+    report.on_input(estimate)
     for _ in range(5):
-        report.stepped([plan(0.0)], 9_000, 1 * S)  # forgotten by the time it is asked
+        report.on_step([plan(0.0)], 9_000, 1 * S)  # forgotten by the time it is asked
     for k in range(100):
-        report.stepped([plan(0.0)], k + 1, (2 + k // 20) * S)
-    report.stepped([], 10**6, 6 * S)  # no plan: no cycle
-    status = report.status(11 * S + 1, 7_300_000_000, MessageValidator(), Reading(ClockMode.ONE_WAY, 5, None))
+        report.on_step([plan(0.0)], k + 1, (2 + k // 20) * S)
+    report.on_step([], 10**6, 6 * S)  # no plan: no cycle
+    status = report.status(11 * S + 1, 7_300_000_000, MessageValidator(), ClockOffset(ClockMode.ONE_WAY, 5, None))
     assert status.estimate_age_ns == 300_000_000
     assert status.applied_age_ns is None
     assert (status.cycle_median_us, status.cycle_p99_us) == (51.0, 100.0)

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from ltv_mpc.messages import ClockState, GnssFix, NodeStatus, UsblFix
-from services.runtime.clock import Line, VehicleClock
-from services.runtime.node_status import HURRIED_PERIOD_US, LONGEST_WAY_US, MOST_BEHIND_US, NodeStatusReporter
+from services.runtime.clock import ClockSegment, VehicleClock
+from services.runtime.node_status import HURRIED_PERIOD_US, LONGEST_WAY_US, MAX_BACKLOG_US, NodeStatusReporter
 
 MS = 1_000
 SENT, WAY = 10**9, 70 * MS
@@ -19,11 +19,11 @@ SENT, WAY = 10**9, 70 * MS
 def behind(speed: int, *, sent_us: int = SENT, waits_us: int = 5 * MS) -> NodeStatusReporter:
     """Of a message that was 70 ms on its way and then waited."""
     clock = VehicleClock()
-    clock.go_by(Line(0, 0, speed, 1, ClockState.RUNNING))
+    clock.set_segment(ClockSegment(0, 0, speed, 1, ClockState.RUNNING))
     nothing: Any = None
     report = NodeStatusReporter("n", outbox=nothing, counts=nothing, mailbox=nothing, clock=clock, reads=(), say=print)
     report.due_us = 10**18
-    report.waited(sent_us, SENT + WAY, SENT + WAY + waits_us)
+    report.on_delivery(sent_us, SENT + WAY, SENT + WAY + waits_us)
     return report
 
 
@@ -41,16 +41,16 @@ def test_the_way_counts_faster_than_real_time_alone(speed: int, sent_us: int, wa
 
 
 def test_who_is_far_behind_says_so_soon() -> None:
-    assert behind(1, waits_us=MOST_BEHIND_US).due_us == 10**18
-    late_us = MOST_BEHIND_US + 1
+    assert behind(1, waits_us=MAX_BACKLOG_US).due_us == 10**18
+    late_us = MAX_BACKLOG_US + 1
     assert behind(1, waits_us=late_us).due_us == SENT + WAY + late_us + HURRIED_PERIOD_US
 
 
 def test_what_one_long_step_has_kept_waiting_is_no_queue_that_stands() -> None:
     report = behind(1, waits_us=500 * MS)
     assert report.min_queue_delay_us == 500 * MS
-    report.waited(SENT, SENT + WAY, SENT + WAY + 2 * MS)
-    report.waited(SENT, SENT + WAY, SENT + WAY + 300 * MS)
+    report.on_delivery(SENT, SENT + WAY, SENT + WAY + 2 * MS)
+    report.on_delivery(SENT, SENT + WAY, SENT + WAY + 300 * MS)
     assert report.min_queue_delay_us == 2 * MS
 
 
@@ -64,7 +64,7 @@ def test_what_one_long_step_has_kept_waiting_is_no_queue_that_stands() -> None:
 )
 def test_a_node_that_knows_what_it_needs_is_asked(missing: Callable[[], str] | None, says: str) -> None:
     clock = VehicleClock()
-    clock.go_by(Line(0, 0, 1, 1, ClockState.RUNNING))
+    clock.set_segment(ClockSegment(0, 0, 1, 1, ClockState.RUNNING))
     said: list[NodeStatus] = []
     outbox: Any = SimpleNamespace(publish=said.append, published=0)
     counts: Any = SimpleNamespace(received=0, dropped=0, rejected=0)

@@ -163,7 +163,7 @@ def running(bus: BusOptions, *runners: Runner) -> Iterator[None]:
         yield
     finally:
         for runner, thread in zip(runners, threads, strict=True):
-            runner.stop.ask()
+            runner.stop.request()
             thread.join(PATIENCE_S)
         assert not any(thread.is_alive() for thread in threads)
 
@@ -357,7 +357,7 @@ def test_what_was_on_its_way_when_a_process_is_told_to_stop_is_taken(bus: BusOpt
     class ToldToStop(Listener):
         def step(self, t_ns: int, inbox: Inbox) -> list[Message]:
             if not self.heard:  # the request, which wakes, then a message
-                runner.stop.ask()
+                runner.stop.request()
                 out.publish(PressureDepth(t_ns=1, depth_m=1.0))
             return super().step(t_ns, inbox)
 
@@ -463,13 +463,13 @@ def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_b
                 header, plan = plans[-1]
                 out.publish(answer(header, plan, now_ns))
             time.sleep(0.05)
-            mode = None if runner.clock_sync is None else runner.clock_sync.reading(monotonic_us()).mode
+            mode = None if runner.clock_sync is None else runner.clock_sync.offset(monotonic_us()).mode
             return mode == ("two-way" if answers else "one-way") and len(plans) >= 2
 
         until(lambda: said(answers=False))
         until(lambda: said(answers=True))
         assert runner.clock_sync is not None
-        reading = runner.clock_sync.reading(monotonic_us())
+        reading = runner.clock_sync.offset(monotonic_us())
         assert reading.error_ns is not None
         assert abs(reading.offset_ns - offset_ns) <= reading.error_ns
     (rejected,) = (s for _, s, _ in read(frames) if isinstance(s, RejectedFrame))

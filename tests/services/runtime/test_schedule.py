@@ -15,12 +15,12 @@ PERIOD_NS = 300_000_000
 @given(start=st.integers(-(10**12), 10**12), lateness=st.lists(st.integers(0, 10**10), max_size=20))
 def test_a_grid_takes_every_multiple_of_its_period_however_late_each_step_is(start: int, lateness: list[int]) -> None:
     table = StepSchedule(Grid(PERIOD_NS))
-    table.begin(start)
+    table.start(start)
     taken = []
     for late in lateness:
         assert table.next_ns is not None
         taken.append(table.next_ns)
-        table.stepped(table.next_ns + late)
+        table.advance(table.next_ns + late)
     assert all(t % PERIOD_NS == 0 for t in taken)
     assert taken == list(range(taken[0], taken[0] + len(taken) * PERIOD_NS, PERIOD_NS)) if taken else True
     if taken:
@@ -29,40 +29,40 @@ def test_a_grid_takes_every_multiple_of_its_period_however_late_each_step_is(sta
 
 def test_quick_cycles_do_not_drift_when_each_starts_and_ends_a_little_late() -> None:
     table = StepSchedule(Cycle(PERIOD_NS))
-    table.begin(0)
+    table.start(0)
     for k in range(1000):
         assert table.next_ns == k * PERIOD_NS
-        table.stepped(k * PERIOD_NS + 20_000_000)
+        table.advance(k * PERIOD_NS + 20_000_000)
 
 
 def test_after_a_slow_cycle_the_next_one_starts_when_it_ends_and_the_period_counts_from_there() -> None:
     table = StepSchedule(Cycle(PERIOD_NS))
-    table.begin(0)
-    table.stepped(710_000_000)
+    table.start(0)
+    table.advance(710_000_000)
     assert table.next_ns == 710_000_000
-    table.stepped(720_000_000)
+    table.advance(720_000_000)
     assert table.next_ns == 1_010_000_000
 
 
 def test_cycles_wait_for_what_was_measured_at_their_instant_and_a_grid_does_not() -> None:
     table = StepSchedule(Cycle(PERIOD_NS))
-    table.begin(-1, phase_ns=60_000_000)
+    table.start(-1, phase_ns=60_000_000)
     assert table.next_ns == 60_000_000
-    table.stepped(70_000_000)
+    table.advance(70_000_000)
     assert table.next_ns == PERIOD_NS + 60_000_000
     grid = StepSchedule(Grid(PERIOD_NS))
-    grid.begin(-1, phase_ns=60_000_000)
+    grid.start(-1, phase_ns=60_000_000)
     assert grid.next_ns == 0
 
 
 def test_messages_need_no_timetable_and_a_grid_ends_after_its_last_step() -> None:
     on_message = StepSchedule(OnMessage((ImuSample,)))
-    on_message.begin(0)
+    on_message.start(0)
     assert on_message.next_ns is None
     grid = StepSchedule(Grid(10), end_ns=20)
-    grid.begin(0)
+    grid.start(0)
     ends = []
     for t in (0, 10, 20):
         ends.append(grid.finished)
-        grid.stepped(t)
+        grid.advance(t)
     assert [*ends, grid.finished] == [False, False, False, True]

@@ -16,12 +16,12 @@ import pytest
 from services.bus.session import BusOptions
 from services.processes import plant
 from services.supervisor import forkserver, orphan_cleanup
-from services.supervisor.child_processes import Crew
+from services.supervisor.child_processes import ChildProcesses
 from services.supervisor.entry_point import write_config
 from services.supervisor.forkserver import ForkServer
-from services.supervisor.managed_process import Child
-from services.supervisor.parent_death import Guard
-from services.supervisor.process_table import Process
+from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.parent_death import OrphanCleanup
+from services.supervisor.process_table import ProcessRow
 
 PATIENCE_S = 60.0
 
@@ -29,7 +29,7 @@ QUICK = """
 import os, re, signal, sys, time, types
 import msgspec
 from services.supervisor import forkserver
-from services.runtime.heartbeat import HEARTBEAT
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 class Config(msgspec.Struct):
     task: str
@@ -38,8 +38,8 @@ class Config(msgspec.Struct):
 def main(config):
     '''In the place of a node: what its config asks for.'''
     print(config.task, flush=True)
-    HEARTBEAT.state()
-    HEARTBEAT.beat(time.monotonic_ns() // 1000)
+    SUPERVISOR_LINK.state()
+    SUPERVISOR_LINK.beat(time.monotonic_ns() // 1000)
     match config.task:
         case "exits":
             return config.code
@@ -70,14 +70,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def watch() -> Iterator[Guard]:
-    watch = Guard()
+def watch() -> Iterator[OrphanCleanup]:
+    watch = OrphanCleanup()
     yield watch
     watch.close()
 
 
 @pytest.fixture
-def server(tmp_path: Path, watch: Guard) -> Iterator[ForkServer]:
+def server(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ForkServer]:
     server = ForkServer(tmp_path / "scenario.toml", tmp_path / "forkserver.log", watch)
     until(server.is_loaded)
     yield server
@@ -91,10 +91,10 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def forked(server: ForkServer, log: Path, watch: Guard, name: str, task: str, code: int = 0) -> Child:
+def forked(server: ForkServer, log: Path, watch: OrphanCleanup, name: str, task: str, code: int = 0) -> ManagedProcess:
     config = log.with_name(f"{name}.json")
     write_config(config, Quick(task, code))
-    return Child(name, "quick", config, log=log, guard=watch, forks=server)
+    return ManagedProcess(name, "quick", config, log=log, guard=watch, forks=server)
 
 
 def stat(pid: int) -> list[str]:
@@ -104,7 +104,7 @@ def stat(pid: int) -> list[str]:
 
 @pytest.mark.parametrize(("task", "code"), [("exits", 0), ("exits", 7), ("raises", 1)])
 def test_its_exit_code_and_its_words_are_its_own(
-    server: ForkServer, watch: Guard, tmp_path: Path, task: str, code: int
+    server: ForkServer, watch: OrphanCleanup, tmp_path: Path, task: str, code: int
 ) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", task, code)
     assert child.end(PATIENCE_S)
@@ -116,7 +116,7 @@ def test_its_exit_code_and_its_words_are_its_own(
 
 
 def test_it_is_a_child_of_the_supervisor_in_a_session_of_its_own_and_says_so(
-    server: ForkServer, watch: Guard, tmp_path: Path
+    server: ForkServer, watch: OrphanCleanup, tmp_path: Path
 ) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", "sleeps")
     until(lambda: bool(child.last_lines()))
@@ -135,8 +135,8 @@ def refused(tmp_path: Path) -> tuple[str, Path]:
     return plant.__name__, config
 
 
-def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: Guard, tmp_path: Path) -> None:
-    child = Child("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=None)
+def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: OrphanCleanup, tmp_path: Path) -> None:
+    child = ManagedProcess("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=None)
     assert child.end(PATIENCE_S)
     child.close()
     assert child.exit_code() == 2
@@ -145,13 +145,13 @@ def test_where_nobody_forks_it_is_spawned_and_bad_input_is_one_line(watch: Guard
 
 
 def test_one_that_is_forked_too_late_ends_and_another_has_its_place(
-    server: ForkServer, watch: Guard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    server: ForkServer, watch: OrphanCleanup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fork server that is not let: its answer comes when nobody waits for it any more."""
     until(server.is_loaded)
     monkeypatch.setattr(server, "_answers", lambda _within_s: False)
     before = set(own_children())
-    child = Child("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=server)
+    child = ManagedProcess("plant", *refused(tmp_path), log=tmp_path / "log", guard=watch, forks=server)
     assert child.end(PATIENCE_S)
     child.close()
     assert child.exit_code() == 2
@@ -169,7 +169,7 @@ def own_children() -> Iterator[int]:
             yield int(folder.name)
 
 
-def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: Guard, tmp_path: Path) -> None:
+def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: OrphanCleanup, tmp_path: Path) -> None:
     child = forked(server, tmp_path / "log", watch, "plant", "exits")
 
     def ended() -> bool:
@@ -182,7 +182,9 @@ def test_its_pulse_comes_and_its_end_is_seen(server: ForkServer, watch: Guard, t
     child.close()
 
 
-def test_one_after_the_other_is_forked_and_nothing_is_used_up(server: ForkServer, watch: Guard, tmp_path: Path) -> None:
+def test_one_after_the_other_is_forked_and_nothing_is_used_up(
+    server: ForkServer, watch: OrphanCleanup, tmp_path: Path
+) -> None:
     children = [forked(server, tmp_path / f"{k}.log", watch, "plant", "sleeps") for k in range(3)]
     until(lambda: all(child.last_lines() for child in children))
     assert len({child.pid for child in children}) == 3
@@ -192,8 +194,8 @@ def test_one_after_the_other_is_forked_and_nothing_is_used_up(server: ForkServer
 
 
 @pytest.fixture
-def crew(tmp_path: Path, watch: Guard) -> Iterator[Crew]:
-    crew = Crew(tmp_path / "scenario.toml", tmp_path, watch)
+def crew(tmp_path: Path, watch: OrphanCleanup) -> Iterator[ChildProcesses]:
+    crew = ChildProcesses(tmp_path / "scenario.toml", tmp_path, watch)
     crew.load()
     yield crew
     for child in crew.children.values():
@@ -202,12 +204,14 @@ def crew(tmp_path: Path, watch: Guard) -> Iterator[Crew]:
     crew.close()
 
 
-def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(crew: Crew, tmp_path: Path) -> None:
+def test_a_dead_fork_server_takes_nobody_with_it_and_another_takes_its_place(
+    crew: ChildProcesses, tmp_path: Path
+) -> None:
     first = crew.forks
     assert first is not None
     until(first.is_loaded)
     for name in ("plant", "sensors"):
-        crew.start(Process(name, "quick", True, ()), Quick("sleeps"))
+        crew.start(ProcessRow(name, "quick", True, ()), Quick("sleeps"))
     until(lambda: all(child.last_lines() for child in crew.children.values()))
     os.kill(first.pid, signal.SIGKILL)
     until(lambda: first.exit_code() is not None)
@@ -231,10 +235,10 @@ import sys, time
 from pathlib import Path
 import msgspec
 from services.supervisor import forkserver
-from services.supervisor.managed_process import Child
-from services.supervisor.parent_death import Guard
+from services.supervisor.managed_process import ManagedProcess
+from services.supervisor.parent_death import OrphanCleanup
 forkserver.PROGRAM = ("-c", {QUICK!r})
-folder, guard = Path(sys.argv[1]), Guard()
+folder, guard = Path(sys.argv[1]), OrphanCleanup()
 server = forkserver.ForkServer(folder / "scenario.toml", folder / "forkserver.log", guard)
 while not server.is_loaded():
     time.sleep(0.01)
@@ -242,7 +246,7 @@ print(server.pid, flush=True)
 for k, (name, task) in enumerate([("plant", "sleeps"), ("controller", "holds the GIL"), ("recorder", "holds the GIL")]):
     config = folder / f"{{name}}.json"
     config.write_bytes(msgspec.json.encode({{"task": task, "code": 0}}))
-    child = Child(name, "quick", config, log=folder / f"{{k}}.log", guard=guard, forks=server)
+    child = ManagedProcess(name, "quick", config, log=folder / f"{{k}}.log", guard=guard, forks=server)
     while not child.last_lines() or child.heartbeat.last_s is None:
         child.listen()
     print(child.pid, flush=True)

@@ -8,7 +8,7 @@ from ltv_mpc.messages import Kill
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import OPERATOR
-from services.supervisor.bus_monitor import Watch
+from services.supervisor.bus_monitor import BusMonitor
 
 
 def test_whose_process_shall_end_is_heard_once(free_port: int) -> None:
@@ -17,7 +17,7 @@ def test_whose_process_shall_end_is_heard_once(free_port: int) -> None:
         open_session(BusOptions(listen=(endpoint,)), stop=lambda: False, say=print) as here,
         open_session(BusOptions(connect=(endpoint,)), stop=lambda: False, say=print) as there,
     ):
-        watch = Watch(here, ["estimator"])
+        watch = BusMonitor(here, ["estimator"])
         out = Outbox(there, node=OPERATOR, epoch=1, kinds=(Kill,))
         heard: list[str] = []
         until = time.monotonic() + 20.0

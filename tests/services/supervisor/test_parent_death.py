@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from services.supervisor import orphan_cleanup
-from services.supervisor.parent_death import Guard
+from services.supervisor.parent_death import OrphanCleanup
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def sleeper() -> Iterator[subprocess.Popen[bytes]]:
 def test_what_is_left_two_seconds_after_the_end_is_killed_even_if_it_is_stopped(
     sleeper: subprocess.Popen[bytes],
 ) -> None:
-    watch = Guard()
+    watch = OrphanCleanup()
     watch.watch(sleeper.pid)
     sleeper.send_signal(19)  # SIGSTOP
     began = time.monotonic()
@@ -37,7 +37,7 @@ def test_what_is_left_two_seconds_after_the_end_is_killed_even_if_it_is_stopped(
 
 
 def test_a_guard_with_nothing_left_to_watch_ends_at_once(sleeper: subprocess.Popen[bytes]) -> None:
-    watch = Guard()
+    watch = OrphanCleanup()
     watch.watch(sleeper.pid)
     watch.release(sleeper.pid)
     began = time.monotonic()
@@ -53,14 +53,14 @@ def test_a_pid_that_was_given_to_another_process_since_is_left_alone(
     assert ticks is not None
     with monkeypatch.context() as patched:
         patched.setattr(orphan_cleanup, "start_ticks", lambda _: ticks - 1)
-        watch = Guard()
+        watch = OrphanCleanup()
         watch.watch(sleeper.pid)
     watch.close()
     assert sleeper.poll() is None
 
 
 def test_the_guard_is_a_few_megabytes() -> None:
-    watch = Guard()
+    watch = OrphanCleanup()
     try:
         pages = int(Path(f"/proc/{watch.pid}/statm").read_text().split()[1])
         assert pages * 4096 < 16e6
@@ -70,8 +70,8 @@ def test_the_guard_is_a_few_megabytes() -> None:
 
 SUPERVISOR = """
 import subprocess, sys, time
-from services.supervisor.parent_death import Guard
-guard = Guard()
+from services.supervisor.parent_death import OrphanCleanup
+guard = OrphanCleanup()
 begin = "import os, re, sys, time; from services.supervisor.parent_death import die_with_parent, stop_at_end_of_input;"
 tasks = {
     "stopped": "die_with_parent(int(sys.argv[1])); print(flush=True); time.sleep(600)",

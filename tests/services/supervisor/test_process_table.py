@@ -13,16 +13,18 @@ from services.supervisor import process_table
 from services.supervisor.entry_point import read_config, write_config
 
 
-def made(tmp_path: Path, *settings: str) -> tuple[Situation, process_table.RunPlace]:
+def made(tmp_path: Path, *settings: str) -> tuple[Situation, process_table.RunContext]:
     situation = resolve("descent", [Override("test", settings)])
     run = folder.make("test", situation.files, out=tmp_path / "run")
-    place = process_table.RunPlace(folder=run, router="tls/127.0.0.1:7447", namespace="auv/7", certs=tmp_path / "certs")
+    place = process_table.RunContext(
+        folder=run, router="tls/127.0.0.1:7447", namespace="auv/7", certs=tmp_path / "certs"
+    )
     return situation, place
 
 
 @pytest.mark.parametrize("row", process_table.PROCESSES, ids=lambda row: row.name)
 def test_a_config_that_was_written_is_read_as_it_was_by_the_module_of_its_row(
-    row: process_table.Process, tmp_path: Path
+    row: process_table.ProcessRow, tmp_path: Path
 ) -> None:
     situation, place = made(tmp_path, "controller.horizon_s=7.3", "run.compute_delay_s=0.1")
     config = process_table.config_of(row.name, situation, place)

@@ -101,7 +101,7 @@ def recorded(path: Path) -> tuple[Recording, dict[str, int], dict[str, int]]:
         epoch = message.plain["epoch"]
         count[message.key] = count.get(message.key, 0) + 1
         of_epoch[epoch] = of_epoch.get(epoch, 0) + 1
-        losses.saw(message.key, epoch, message.plain["sequence"])
+        losses.add(message.key, epoch, message.plain["sequence"])
         if message.kind is NodeStatus and message.plain["finished"]:
             promised[epoch] = message.plain["node"], message.plain["published"]
     missing = {node: published - of_epoch[epoch] for epoch, (node, published) in promised.items()}

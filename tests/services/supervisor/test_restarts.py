@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from services.supervisor.restarts import MOST, WINDOW_S, Budget, Fault, Recovery, judge
+from services.supervisor.restarts import MAX_RESTARTS, WINDOW_S, ProcessFailure, Recovery, RestartBudget, judge
 
 
-def fault(at_s: float = 10.0, node: str = "estimator") -> Fault:
-    return Fault(node, "was ended by SIGKILL", at_s - 0.1, at_s)
+def fault(at_s: float = 10.0, node: str = "estimator") -> ProcessFailure:
+    return ProcessFailure(node, "was ended by SIGKILL", at_s - 0.1, at_s)
 
 
 def test_five_restarts_within_a_minute_and_no_sixth() -> None:
-    budget = Budget()
+    budget = RestartBudget()
     assert [budget.spend(float(t)) for t in range(7)] == [True] * 5 + [False] * 2
-    assert (MOST, WINDOW_S) == (5, 60.0)
+    assert (MAX_RESTARTS, WINDOW_S) == (5, 60.0)
 
 
 def test_a_restart_is_forgotten_after_a_minute_and_one_that_was_refused_never_counted() -> None:
-    budget = Budget()
+    budget = RestartBudget()
     for t in (0.0, 1.0, 2.0, 3.0, 4.0):
         assert budget.spend(t)
     assert not budget.spend(59.9)
@@ -26,11 +26,11 @@ def test_a_restart_is_forgotten_after_a_minute_and_one_that_was_refused_never_co
 
 
 def test_who_may_be_and_has_worked_is_started_anew() -> None:
-    assert judge(fault(), restartable=True, had_worked=True, budget=Budget()) is None
+    assert judge(fault(), restartable=True, had_worked=True, budget=RestartBudget()) is None
 
 
 def test_the_world_is_not_started_anew_and_costs_no_restart() -> None:
-    budget = Budget(most=1)
+    budget = RestartBudget(most=1)
     refusal = judge(fault(node="plant"), restartable=False, had_worked=True, budget=budget)
     assert refusal is not None
     assert refusal.why == "plant was ended by SIGKILL"
@@ -39,11 +39,11 @@ def test_the_world_is_not_started_anew_and_costs_no_restart() -> None:
 
 
 def test_who_dies_before_it_has_ever_worked_is_not_mended_by_another_start() -> None:
-    assert judge(fault(), restartable=True, had_worked=False, budget=Budget()) is not None
+    assert judge(fault(), restartable=True, had_worked=False, budget=RestartBudget()) is not None
 
 
 def test_without_a_restart_left_the_run_ends_in_order_and_says_why() -> None:
-    budget = Budget(most=1)
+    budget = RestartBudget(most=1)
     assert judge(fault(1.0), restartable=True, had_worked=True, budget=budget) is None
     refusal = judge(fault(2.0), restartable=True, had_worked=True, budget=budget)
     assert refusal is not None

@@ -20,8 +20,8 @@ from ltv_mpc.messages import (
 )
 from services.bus.topics import BY_TYPE, STATES, Topic, topic_at
 from services.bus.wire import Header, decode, encode
-from services.supervisor.bus_monitor import Sign, Watch
-from services.supervisor.restore_state import state_of
+from services.supervisor.bus_monitor import Activity, BusMonitor
+from services.supervisor.restore_state import restore_state
 from tests.services.bus.messages import CONTROLLER_STATE, ESTIMATOR_STATE, EXAMPLES
 
 
@@ -31,7 +31,7 @@ class Ether:
     def __init__(self) -> None:
         self._inlets: dict[str, Callable[[Topic | None, str, bytes], None]] = {}
 
-    def subscribe(self, key: str, _topic: Topic | None, inlet: Watch) -> None:
+    def subscribe(self, key: str, _topic: Topic | None, inlet: BusMonitor) -> None:
         self._inlets[key.removesuffix("/*")] = inlet.offer  # type: ignore[attr-defined]
 
     def put(self, signal: Message, *, epoch: int = 1, sequence: int = 0, node: str = "") -> None:
@@ -45,9 +45,9 @@ STATUS = next(e for e in EXAMPLES if isinstance(e, NodeStatus))
 CLOCK = next(e for e in EXAMPLES if isinstance(e, Clock))
 
 
-def heard() -> tuple[Ether, Watch]:
+def heard() -> tuple[Ether, BusMonitor]:
     ether = Ether()
-    return ether, Watch(ether, ["controller", "estimator", "recorder"])  # type: ignore[arg-type]
+    return ether, BusMonitor(ether, ["controller", "estimator", "recorder"])  # type: ignore[arg-type]
 
 
 def following(sequence: int, epoch: int = 5) -> Applied:
@@ -58,8 +58,8 @@ def plan(cycle_t_ns: int) -> Plan:
     return msgspec.structs.replace(PLAN, cycle_t_ns=cycle_t_ns)
 
 
-def handed(node: str, watch: Watch) -> ControllerState | EstimatorState:
-    return decode(STATES[node], state_of(node, watch))[0]
+def handed(node: str, watch: BusMonitor) -> ControllerState | EstimatorState:
+    return decode(STATES[node], restore_state(node, watch))[0]
 
 
 def test_of_several_plans_the_one_is_in_force_that_the_actuators_say_they_follow() -> None:
@@ -101,35 +101,35 @@ def test_a_controller_is_told_plan_and_checkpoint_an_estimator_its_own_and_both_
 
 def test_who_has_nothing_to_go_on_from_is_told_nothing() -> None:
     _, watch = heard()
-    assert state_of("controller", watch) == state_of("estimator", watch) == b""
-    assert state_of("recorder", watch) == state_of("router", watch) == b""
+    assert restore_state("controller", watch) == restore_state("estimator", watch) == b""
+    assert restore_state("recorder", watch) == restore_state("router", watch) == b""
 
 
 def test_what_shows_that_a_process_works_is_its_work_once_time_goes_on() -> None:
     ether, watch = heard()
     ether.put(STATUS, epoch=3, node="estimator")
-    assert epoch_of(watch.sign_of("estimator")) == 3
-    assert watch.sign_of("controller") is None
+    assert epoch_of(watch.last_activity("estimator")) == 3
+    assert watch.last_activity("controller") is None
     ether.put(msgspec.structs.replace(CLOCK, state=ClockState.RUNNING))
-    assert watch.sign_of("estimator") is None  # a word alone is no estimate
+    assert watch.last_activity("estimator") is None  # a word alone is no estimate
     ether.put(Estimate.at_rest(), epoch=4)
     ether.put(following(0, epoch=9))
-    assert epoch_of(watch.sign_of("estimator")) == 4
-    assert epoch_of(watch.sign_of("controller")) == 9  # a plan that the actuators have taken
+    assert epoch_of(watch.last_activity("estimator")) == 4
+    assert epoch_of(watch.last_activity("controller")) == 9  # a plan that the actuators have taken
     ether.put(STATUS, epoch=8, node="recorder")
-    assert epoch_of(watch.sign_of("recorder")) == 8
+    assert epoch_of(watch.last_activity("recorder")) == 8
 
 
 def test_a_router_works_if_anything_comes_through_it() -> None:
     ether, watch = heard()
-    before = watch.sign_of("router")
+    before = watch.last_activity("router")
     ether.put(STATUS, node="recorder")
-    after = watch.sign_of("router")
+    after = watch.last_activity("router")
     assert before is not None
     assert after is not None
     assert after.arrived_s > before.arrived_s
 
 
-def epoch_of(sign: Sign | None) -> int:
+def epoch_of(sign: Activity | None) -> int:
     assert sign is not None
     return sign.epoch

@@ -16,7 +16,7 @@ from ltv_mpc.messages import AdcpPing, CycleTiming, Estimate, ImuSample, StepRec
 from ltv_mpc.node import ReceivedMessage
 from services.bus import topics, wire
 from services.recording.loss_accounting import LossAccounting
-from services.recording.reader import Recorded, Recording
+from services.recording.reader import RecordedMessage, Recording
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
@@ -92,7 +92,7 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
     here, place, summary = recorded
     losses, times = LossAccounting(), []
     for message in Recording(place.recording):
-        losses.saw(message.key, message.plain["epoch"], message.plain["sequence"])
+        losses.add(message.key, message.plain["epoch"], message.plain["sequence"])
         times.append(message.t_ns)
     assert times == sorted(times)
     assert times[0] == here.scenario.start_ns
@@ -132,7 +132,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
     assert steps["plant"] == steps["sensors"] == 701
 
 
-def inbox(record: StepRecord, frames: dict[tuple[str, int, int], Recorded]) -> Iterator[ReceivedMessage]:
+def inbox(record: StepRecord, frames: dict[tuple[str, int, int], RecordedMessage]) -> Iterator[ReceivedMessage]:
     for entry in record.inbox:
         signal, header = frames[entry.key, entry.epoch, entry.sequence].typed()
         assert wire.crc(wire.encode(signal, header)) == entry.crc

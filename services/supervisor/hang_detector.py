@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-HUNG_S = 0.5
+HANG_TIMEOUT_S = 0.5
 """Ten pulses. A step of a node takes milliseconds."""
 
 QUIET_S = 0.1
@@ -24,10 +24,10 @@ LATE_S = 0.25
 """Between two looks of the supervisor, who looks twenty times a second."""
 
 
-class HeartbeatMonitor:
+class HangDetector:
     """One process's pulse."""
 
-    def __init__(self, patience_s: float = HUNG_S) -> None:
+    def __init__(self, patience_s: float = HANG_TIMEOUT_S) -> None:
         self._patience_s = patience_s
         self._last_s: float | None = None
         self._excused_s = float("-inf")

@@ -19,9 +19,9 @@ from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.deadlines import DeadlineQueue
-from services.runtime.heartbeat import HEARTBEAT
 from services.runtime.node_status import NodeStatusReporter
 from services.runtime.stopping import Say, StopRequest
+from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 NAME = "recorder"
 LAST_WORDS_US = 1_000_000  # at most so long it waits for what the others say they have published
@@ -41,10 +41,10 @@ class RecordingLoop:
         self._stop = stop
         self._say = say
         self.mailbox = Mailbox()
-        stop.wakes(self.mailbox.wake)
+        stop.on_request(self.mailbox.wake)
         self._clock = VehicleClock()
         self._losses = LossAccounting()
-        self._promises = PublishCounts()
+        self._publish_counts = PublishCounts()
         self.received = 0
         self.rejected = 0
         self._out: Outbox
@@ -58,7 +58,7 @@ class RecordingLoop:
     @property
     def missing(self) -> dict[str, int]:
         """By process: what it says it has published, minus what is in the file; only where that is not 0."""
-        return self._promises.missing
+        return self._publish_counts.missing
 
     def serve(self, bus: BusOptions) -> None:
         """Open, subscribe to everything, write, say the last word, close."""
@@ -69,7 +69,7 @@ class RecordingLoop:
             )
             session.subscribe("**", None, self.mailbox)
             deadlines = DeadlineQueue()
-            deadlines.add(lambda: HEARTBEAT.due_us, HEARTBEAT.beat)
+            deadlines.add(lambda: SUPERVISOR_LINK.due_us, SUPERVISOR_LINK.beat)
             deadlines.add(lambda: self._status.due_us, self._status.publish)
             while not self._stop():
                 now_us = monotonic_us()
@@ -77,14 +77,14 @@ class RecordingLoop:
                 self._gather((deadlines.next_us() - now_us) / 1e6)
                 self._writer.flush_if_due()
                 self._settle()
-            HEARTBEAT.last_beat()
+            SUPERVISOR_LINK.last_beat()
             self._finish()
 
     def _finish(self) -> None:
         """Until every process has said how much it has published and all of that is here, or nothing more comes."""
         started_us = heard_us = monotonic_us()
         while self._take(0.0) or (
-            (self._promises.unfinished(self._out.epoch) or self.missing)
+            (self._publish_counts.unfinished(self._out.epoch) or self.missing)
             and monotonic_us() - heard_us < SILENCE_US
             and monotonic_us() - started_us < LAST_WORDS_US
         ):
@@ -103,8 +103,8 @@ class RecordingLoop:
         """What the disk has refused is counted and said."""
         for key, epoch in self._writer.refused():
             self.received -= 1
-            self._losses.lost(key, epoch)
-            self._promises.discount(epoch)
+            self._losses.mark_lost(key, epoch)
+            self._publish_counts.discount(epoch)
         for text in self._writer.news():
             self._say(text)
             self._out.publish(RunEvent(t_ns=self._now_ns, node=NAME, kind="disk", text=text))
@@ -151,16 +151,16 @@ class RecordingLoop:
         self._writer.write_plain(frame.key, kind, message, self._start_ns if t_ns is None else t_ns, crc(frame.payload))
         self.received += 1
         # Who had spoken before this recorder, who was started anew, is counted from its next message on.
-        if not self._promises.saw(header.epoch, late=self._writer.resumes and header.sequence > 0):
-            self._losses.begins(frame.key, header.epoch, header.sequence)
-        if not self._losses.saw(frame.key, header.epoch, header.sequence):
-            self._promises.discount(header.epoch)
-        self._status.waited(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
+        if not self._publish_counts.count(header.epoch, late=self._writer.resumes and header.sequence > 0):
+            self._losses.start_at(frame.key, header.epoch, header.sequence)
+        if not self._losses.add(frame.key, header.epoch, header.sequence):
+            self._publish_counts.discount(header.epoch)
+        self._status.on_delivery(header.sent_monotonic_us, frame.received_monotonic_us, monotonic_us())
         if isinstance(signal, NodeStatus) and signal.finished:
-            self._promises.promise(header.epoch, signal.node, signal.published)
+            self._publish_counts.set_published(header.epoch, signal.node, signal.published)
 
     def _follow(self, clock: Clock) -> None:
         try:
-            self._clock.hear(clock)
+            self._clock.follow(clock)
         except ClockError as error:  # it records what is said, by whomever
             self._say(str(error))

@@ -19,12 +19,12 @@ from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, plain
 from services.recording import segments
-from services.recording.reader import Recorded, Recording
+from services.recording.reader import RecordedMessage, Recording
 from services.recording.segments import SegmentWriter
 from services.recording.writer import RunWriter
 from services.runtime.clock import boot_id, monotonic_us
 from services.runtime.node_status import NodeStatusReporter
-from services.runtime.recording import RecordingLoop
+from services.runtime.recording_loop import RecordingLoop
 from services.runtime.stopping import StopRequest
 from tests.services.words import status
 
@@ -51,7 +51,7 @@ class Listening(SegmentWriter):
             self.heard.set()
 
 
-def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None]) -> list[Recorded]:
+def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]], None]) -> list[RecordedMessage]:
     """What is recorded of what ``say`` publishes, properly and as bytes on the key of depths."""
     endpoint = f"tcp/127.0.0.1:{port}"
     stop = StopRequest()
@@ -72,7 +72,7 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
         say(out, session.publisher(KEY).put)
         out.publish(status(Listening.AFTER))
         assert writer.heard.wait(60)
-        stop.ask()
+        stop.request()
         thread.join(20)
         assert not thread.is_alive()
     return list(Recording(path))

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 
-from services.supervisor.heartbeat import HeartbeatMonitor
+from services.supervisor.hang_detector import HangDetector
 from services.supervisor.managed_process import starved_s
 
 
@@ -16,15 +16,15 @@ def never() -> float:
     return 7.0
 
 
-def beating(until_s: float, patience_s: float = 0.5) -> HeartbeatMonitor:
-    heart = HeartbeatMonitor(patience_s)
+def beating(until_s: float, patience_s: float = 0.5) -> HangDetector:
+    heart = HangDetector(patience_s)
     for k in range(1, round(until_s * 20) + 1):
         heart.beat(k / 20)
     return heart
 
 
 def test_who_has_not_begun_is_not_hung() -> None:
-    assert not HeartbeatMonitor().hung(1e9, never)
+    assert not HangDetector().hung(1e9, never)
 
 
 def test_silence_for_longer_than_the_patience_is_a_hang_and_not_before() -> None:

@@ -15,12 +15,12 @@ import msgspec
 from ltv_mpc.messages import Message
 from services.bus import wire
 from services.bus.topics import key_of
-from services.recording.reader import Stored
+from services.recording.reader import StoredMessage
 from services.replay.epoch import Record
 from services.replay.frames import Header
-from services.replay.verdict import MOST_FIELDS, Difference, FieldDifference, Gap
+from services.replay.verdict import MAX_FIELDS, Difference, FieldDifference, Gap
 
-MOST_RIVALS = 1000
+MAX_RIVALS = 1000
 """Outputs that wait for a copy which is identical; beyond, the oldest has had its time."""
 
 NOT_MADE = "recorded, not made by the replay"
@@ -47,8 +47,10 @@ class Comparison:
         self._different: set[int] = set()  # steps
         self._incomplete: set[int] = set()  # steps of which an output was lost
         self._made: dict[tuple[str, int], _Output] = {}  # and not recorded yet
-        self._rivals: dict[tuple[str, int], tuple[Stored, Header]] = {}  # other than what was made; a copy may follow
-        self._recorded: dict[tuple[str, int], list[tuple[Stored, Header]]] = {}  # and not made yet
+        self._rivals: dict[
+            tuple[str, int], tuple[StoredMessage, Header]
+        ] = {}  # other than what was made; a copy may follow
+        self._recorded: dict[tuple[str, int], list[tuple[StoredMessage, Header]]] = {}  # and not made yet
         self._count: dict[str, int] = {}  # made so far
         self._newest: dict[str, int] = {}  # highest sequence recorded
         self._stopped = False
@@ -75,7 +77,7 @@ class Comparison:
         next_ones = [sequence == self._count.get(key, 0) for key, sequence in first.items()]
         return any(next_ones) and not all(next_ones)
 
-    def stepped(self, record: Record, signals: Sequence[Message]) -> None:
+    def add_replayed(self, record: Record, signals: Sequence[Message]) -> None:
         """A step made these."""
         self.steps += 1
         self._last = record.step, record.t_ns
@@ -91,13 +93,13 @@ class Comparison:
             for stored, header in self._recorded.pop((key, sequence), ()):
                 self._settle(key, sequence, stored, header)
 
-    def raised(self, record: Record, error: Exception) -> None:
+    def step_failed(self, record: Record, error: Exception) -> None:
         """A step that has a record, and so was survived, ended like this."""
         self.steps += 1
         what = f"the replay raised {type(error).__name__}: {error}"
         self._differs(_Output(record.step, record.t_ns, Message()), "", -1, what)
 
-    def heard(self, stored: Stored, header: Header) -> None:
+    def add_recorded(self, stored: StoredMessage, header: Header) -> None:
         """The file holds this output of the epoch."""
         key, sequence = stored.key, header.sequence
         if sequence > self._newest.get(key, -1):
@@ -134,7 +136,7 @@ class Comparison:
         """Whether the file misses an output that something of the same key comes behind."""
         return any(sequence < self._newest.get(key, -1) for key, sequence in self._made)
 
-    def _settle(self, key: str, sequence: int, stored: Stored, header: Header) -> None:
+    def _settle(self, key: str, sequence: int, stored: StoredMessage, header: Header) -> None:
         output = self._made.get((key, sequence))
         if output is None:
             return  # a copy of what was found identical
@@ -145,7 +147,7 @@ class Comparison:
             self.compared += 1
         else:
             self._rivals.setdefault((key, sequence), (stored, header))
-            if len(self._rivals) > MOST_RIVALS:
+            if len(self._rivals) > MAX_RIVALS:
                 self._give_up(next(iter(self._rivals)))
 
     def _give_up(self, name: tuple[str, int]) -> None:
@@ -168,8 +170,8 @@ class Comparison:
             key=key,
             sequence=sequence,
             what=what or ("" if fields else "the same values, otherwise spelled: the CRC-32 of the frame differs"),
-            fields=tuple(fields[:MOST_FIELDS]),
-            more_fields=max(0, len(fields) - MOST_FIELDS),
+            fields=tuple(fields[:MAX_FIELDS]),
+            more_fields=max(0, len(fields) - MAX_FIELDS),
         )
 
 

@@ -8,8 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime import heartbeat, stopwatch
-from services.runtime.heartbeat import FORMAT, LAST, LENGTH, PULSE_US, Heartbeat
+from services.runtime import stage_timer, supervisor_link
+from services.runtime.supervisor_link import (
+    HEARTBEAT_FORMAT,
+    HEARTBEAT_PERIOD_US,
+    LAST_HEARTBEAT,
+    STATE_LENGTH,
+    SupervisorLink,
+)
 
 
 @pytest.fixture
@@ -28,41 +34,41 @@ def stdin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     path = tmp_path / "stdin"
     path.touch()
     number = os.open(path, os.O_RDONLY)
-    monkeypatch.setattr(heartbeat, "STDIN", number)
+    monkeypatch.setattr(supervisor_link, "STDIN", number)
     yield path
     os.close(number)
 
 
 def words(pipe: tuple[int, int]) -> list[int]:
     try:
-        return [word for (word,) in FORMAT.iter_unpack(os.read(pipe[0], 1 << 16))]
+        return [word for (word,) in HEARTBEAT_FORMAT.iter_unpack(os.read(pipe[0], 1 << 16))]
     except BlockingIOError:
         return []
 
 
 def test_a_loop_beats_as_often_as_it_comes_round_but_not_more_often_than_is_looked_for(pipe: tuple[int, int]) -> None:
-    process = Heartbeat()
+    process = SupervisorLink()
     process.by(pipe[1])
     for now_us in range(1_000_000, 1_200_001, 10_000):
         process.beat(now_us)
-    assert words(pipe) == list(range(1_000_000, 1_200_001, PULSE_US))
+    assert words(pipe) == list(range(1_000_000, 1_200_001, HEARTBEAT_PERIOD_US))
     process.last_beat()
     process.beat(9_000_000)
-    assert words(pipe) == [LAST]
+    assert words(pipe) == [LAST_HEARTBEAT]
 
 
 def test_a_cycle_beats_with_each_of_its_stages(pipe: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
-    process = Heartbeat()
+    process = SupervisorLink()
     process.by(pipe[1])
-    monkeypatch.setattr(stopwatch, "HEARTBEAT", process)
-    timer = stopwatch.StageTimer()
+    monkeypatch.setattr(stage_timer, "SUPERVISOR_LINK", process)
+    timer = stage_timer.StageTimer()
     timer.start()
     timer("build")
     assert len(words(pipe)) == 1
 
 
 def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() -> None:
-    process = Heartbeat()
+    process = SupervisorLink()
     process.beat(1)
     process.last_beat()
     assert process.due_us is None
@@ -70,33 +76,33 @@ def test_a_process_that_nobody_supervises_beats_for_nobody_and_begins_at_once() 
 
 
 def test_a_supervisor_that_does_not_listen_holds_nobody_up(pipe: tuple[int, int]) -> None:
-    process = Heartbeat()
+    process = SupervisorLink()
     process.by(pipe[1])
     for k in range(20_000):
-        process.beat(k * PULSE_US)
-    assert 0 < len(words(pipe)) <= (1 << 16) // FORMAT.size
+        process.beat(k * HEARTBEAT_PERIOD_US)
+    assert 0 < len(words(pipe)) <= (1 << 16) // HEARTBEAT_FORMAT.size
 
 
 def test_a_process_in_another_s_place_is_given_the_state_to_go_on_from_once(pipe: tuple[int, int], stdin: Path) -> None:
-    stdin.write_bytes(LENGTH.pack(5) + b"state")
+    stdin.write_bytes(STATE_LENGTH.pack(5) + b"state")
     read: list[None] = []
-    process = Heartbeat()
+    process = SupervisorLink()
     process.by(pipe[1], restored=lambda: read.append(None))
     assert (process.state(), len(read)) == (b"state", 1)
     assert process.state() == b""  # it has had it
 
 
 def test_there_may_be_no_state_to_go_on_from(pipe: tuple[int, int], stdin: Path) -> None:
-    stdin.write_bytes(LENGTH.pack(0))
-    process = Heartbeat()
+    stdin.write_bytes(STATE_LENGTH.pack(0))
+    process = SupervisorLink()
     process.by(pipe[1])
     assert process.state() == b""
 
 
 def test_a_process_whose_supervisor_is_no_more_never_begins(pipe: tuple[int, int], stdin: Path) -> None:
-    stdin.write_bytes(LENGTH.pack(100) + b"half")
+    stdin.write_bytes(STATE_LENGTH.pack(100) + b"half")
     read: list[None] = []
-    process = Heartbeat()
+    process = SupervisorLink()
     process.by(pipe[1], restored=lambda: read.append(None))
     with pytest.raises(SystemExit):
         process.state()

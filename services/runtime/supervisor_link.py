@@ -1,6 +1,6 @@
 """What a process owes its supervisor, and gets from it: a pulse from its own loop, and the state to go on from.
 
-Pulse   the monotonic time, written to a pipe by the loop that does the work, at least every ``PULSE_US``. A process
+Pulse   the monotonic time, written to a pipe by the loop that does the work, every ``HEARTBEAT_PERIOD_US``. A process
         that is stopped, or whose loop does not come round, has none, however well its other threads live; and it does
         not take the way of the messages, whose router may be what has failed.
 State   of a process that is started anew in the place of a dead one; it stands on its standard input from the start.
@@ -14,16 +14,16 @@ import os
 import struct
 from collections.abc import Callable
 
-PULSE_US = 50_000
-FORMAT = struct.Struct("<q")
-LAST = -1
+HEARTBEAT_PERIOD_US = 50_000
+HEARTBEAT_FORMAT = struct.Struct("<q")
+LAST_HEARTBEAT = -1
 """In place of a time: the loop has come to its end, and what follows is waited for by another clock."""
 
-LENGTH = struct.Struct("<I")
+STATE_LENGTH = struct.Struct("<I")
 STDIN = 0
 
 
-class Heartbeat:
+class SupervisorLink:
     """The two lines to a supervisor; without one both are idle."""
 
     def __init__(self) -> None:
@@ -41,14 +41,14 @@ class Heartbeat:
     def beat(self, now_us: int) -> None:
         """The loop has come round."""
         if self.due_us is not None and now_us >= self.due_us:
-            self.due_us = now_us + PULSE_US
+            self.due_us = now_us + HEARTBEAT_PERIOD_US
             self._write(now_us)
 
     def last_beat(self) -> None:
         """The loop has ended as it should."""
         if self.due_us is not None:
             self.due_us = None
-            self._write(LAST)
+            self._write(LAST_HEARTBEAT)
 
     def state(self) -> bytes:
         """Return the state that this process continues from, as it travels; empty where there is none.
@@ -58,7 +58,7 @@ class Heartbeat:
         if not self._has_state:
             return b""
         self._has_state = False
-        (length,) = LENGTH.unpack(_read(LENGTH.size))
+        (length,) = STATE_LENGTH.unpack(_read(STATE_LENGTH.size))
         state = _read(length)
         if self._restored is not None:
             self._restored()
@@ -67,7 +67,7 @@ class Heartbeat:
     def _write(self, word: int) -> None:
         assert self._pulse is not None
         with contextlib.suppress(BlockingIOError, BrokenPipeError):  # a supervisor that is stopped, or no more
-            os.write(self._pulse, FORMAT.pack(word))
+            os.write(self._pulse, HEARTBEAT_FORMAT.pack(word))
 
 
 def _read(size: int) -> bytes:
@@ -80,5 +80,5 @@ def _read(size: int) -> bytes:
     return data
 
 
-HEARTBEAT = Heartbeat()
+SUPERVISOR_LINK = SupervisorLink()
 """This process's own."""

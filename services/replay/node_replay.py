@@ -11,9 +11,9 @@ import msgspec
 from ltv_mpc.messages import NodeStatus, StepRecord
 from ltv_mpc.node import Node
 from services.bus.topics import STATES, key_of
-from services.recording.reader import Recording, Stored
+from services.recording.reader import Recording, StoredMessage
 from services.replay.epoch import REACH, Epoch, Outcome, Record
-from services.replay.frames import HANDED, Frames, Header, unwrapped
+from services.replay.frames import HANDED, Frames, Header, unwrap
 
 SWEEP = 10_000
 """Messages between two looks at what is too old to be asked for."""
@@ -33,7 +33,7 @@ _record = msgspec.json.Decoder(Record).decode
 _status = msgspec.json.Decoder(_Status).decode
 
 
-def _read(decode: Callable[[bytes], T], stored: Stored) -> T | None:
+def _read(decode: Callable[[bytes], T], stored: StoredMessage) -> T | None:
     """None where it is no such message: nobody has acted on it either."""
     try:
         return decode(stored.data)
@@ -64,7 +64,7 @@ class NodeReplay(Generic[Made]):
         """All that it needs of a file."""
         return self.reads | self.writes | {self.record_key, self.status_key}
 
-    def take(self, stored: Stored, header: Header, at: int) -> None:
+    def take(self, stored: StoredMessage, header: Header, at: int) -> None:
         """A message of the file; ``at`` is its place there."""
         if stored.key == self.record_key:
             record = _read(_record, stored)
@@ -82,11 +82,11 @@ class NodeReplay(Generic[Made]):
                     if epoch.waits:
                         epoch.advance(at)
             if stored.key in self.writes and header.epoch in self.epochs:
-                self.epochs[header.epoch].outcome.heard(stored, header)
+                self.epochs[header.epoch].outcome.add_recorded(stored, header)
 
     def sweep(self, at: int) -> None:
         """Forget what nobody asks for any more, and end the epochs that a newer one has followed."""
-        self._frames.forget(at - REACH)
+        self._frames.discard_before(at - REACH)
         for epoch in self._open[:-1]:
             if epoch.last_at < at - REACH:
                 epoch.close()
@@ -125,7 +125,7 @@ def feed(
         if t_ns is None:
             progress(stored.t_ns)
         t_ns = stored.t_ns
-        frame = stored if stored.key != HANDED else unwrapped(stored)
+        frame = stored if stored.key != HANDED else unwrap(stored)
         header = None if frame is None else _read(_header, frame)
         if frame is not None and header is not None:
             for node in readers.get(frame.key, ()):
