@@ -28,7 +28,7 @@ from rich.progress import Progress
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
 from ltv_mpc.messages import ImuSample
@@ -126,7 +126,7 @@ def of_filter(descent: Descent, config: EstimatorConfig) -> tuple[int, float]:
     estimator, rest = descent.aligned(config)
     if estimator.filter is None:
         raise RuntimeError("the filter has been lost on the way")
-    filter_ = Filter(descent.suite, config, estimator.filter.belief)
+    filter_ = ErrorStateFilter(descent.suite, config, estimator.filter.belief)
     from_ns = filter_.belief.t_ns
     samples: list[ImuSample] = []
     aiding: list[Measurement] = []

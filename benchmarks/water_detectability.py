@@ -26,7 +26,7 @@ import numpy as np
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Innovations
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.sensor import Measurement
@@ -158,7 +158,7 @@ class Descent:
                 break
         else:
             raise RuntimeError("the descent has not been long enough to align")
-        estimator.filter.settle()
+        estimator.filter.propagate_covariance()
         belief = estimator.filter.belief
         later = [a.message for _, inbox in rest for a in inbox if isinstance(a.message, ImuSample | Measurement)]
         # a sample moves the filter to its time before anything else is used there
@@ -236,7 +236,7 @@ class Comparison:
         return Seen(*np.array(rows).T)
 
     def _hear(self, messages: Sequence[ImuSample | Measurement]) -> Iterator[_Heard]:
-        filter_, verdicts = Filter(self._descent.suite, _OPEN, self._from.copy()), list[Verdict]()
+        filter_, verdicts = ErrorStateFilter(self._descent.suite, _OPEN, self._from.copy()), list[Innovations]()
         filter_.observers.append(verdicts.append)
         v, x, P = slice(VELOCITY.start, VELOCITY.start + 2), filter_.belief.x, filter_.belief.P
         for message in messages:

@@ -88,7 +88,7 @@ class Run(NamedTuple):
     cells: Array  # (T, 2) of the cells: square, degrees of freedom
     well: Array  # (T,) whether the filter says that all is well
     off: Array  # (T, 2) squares of the horizontal velocity's error and of what the filter says of it (m2/s2)
-    finer_mps: float  # at the end
+    subgrid_mps: float  # at the end
 
 
 class Watch(Probe):
@@ -132,7 +132,7 @@ def descend(job: tuple[Job, float]) -> Run:
         cells=np.array([of.get(t, (0.0, 0)) for t in velocity.t_ns], dtype=np.float64),
         well=np.array([well for well, _, _ in rows]),
         off=np.array([squares for _, *squares in rows]),
-        finer_mps=watch.finer_mps(situation.scenario.end_ns),
+        subgrid_mps=watch.subgrid_mps(situation.scenario.end_ns),
     )
 
 
@@ -153,7 +153,7 @@ def figures(case: Case, runs: Sequence[Run]) -> dict[str, float | None]:
         "silent": float((well & (velocity > BEYOND)).mean()),
         "velocity_nees_per_dof": float(velocity.mean() / VELOCITY_AXES),
         "cells_nees_per_dof": float(cells[0] / cells[1]),
-        "finer_mps": float(np.mean([run.finer_mps for run in runs])),
+        "subgrid_mps": float(np.mean([run.subgrid_mps for run in runs])),
         "off_mps": float(off),
         "said_mps": float(said),
     }
@@ -167,7 +167,7 @@ def table(sensors: str, rows: dict[str, dict[str, float | None]]) -> Iterator[st
         after = "" if row["delay_median_s"] is None else f"{row['delay_median_s']:.0f} to {row['delay_max_s']:.0f}"
         off = f"{100 * (row['off_mps'] or 0.0):.1f}, {100 * (row['said_mps'] or 0.0):.1f}"
         nees = f"{row['velocity_nees_per_dof']:>8.2f}{row['cells_nees_per_dof']:>7.2f}"
-        finer = f"{100 * (row['finer_mps'] or 0.0):>7.2f}"
+        finer = f"{100 * (row['subgrid_mps'] or 0.0):>7.2f}"
         yield f"{name:<36}{row['noticed']:>8.0%}{after:>12}{row['silent']:>8.1%}{nees}{finer}{off:>18}"
 
 

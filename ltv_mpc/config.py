@@ -16,12 +16,12 @@ import msgspec
 import tomli_w
 
 from ltv_mpc import settings_schema
-from ltv_mpc.errors import ConfigError, shown
+from ltv_mpc.errors import ConfigError, format_value
 
 T = TypeVar("T")
 
-LARGEST_FILE = 1 << 20
-DEEPEST = 20
+MAX_FILE_BYTES = 1 << 20
+MAX_NESTING = 20
 """Tables and lists inside one another: no settings file needs more, and the walk below is recursive."""
 
 
@@ -33,7 +33,7 @@ def parse(table: Mapping[str, Any], kind: type[T], *, source: str) -> T:
     """
     for path, value in _scalars(table, (), source):
         if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigError(source, place(path), "must be finite", value=value)
+            raise ConfigError(source, toml_key(path), "must be finite", value=value)
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
@@ -47,12 +47,12 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     try:
         return loads(text)
     except RecursionError:
-        raise ConfigError(source, "", f"tables and lists inside one another: at most {DEEPEST} deep") from None
+        raise ConfigError(source, "", f"tables and lists inside one another: at most {MAX_NESTING} deep") from None
     except ValueError as error:
         raise ConfigError(source, "", f"no valid TOML: {error}") from None
 
 
-_CHAIN = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
+_CHAIN = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_NESTING}}}""")
 """A key of so many parts, a.a.a..., for which tomllib takes a time that grows with the square of their number: 64 kB of
 them half a minute."""
 
@@ -70,9 +70,9 @@ def read_text(path: Path, *, what: str) -> str:
     try:
         status = path.stat()
         regular = stat.S_ISREG(status.st_mode)
-        content = path.read_bytes() if regular and status.st_size <= LARGEST_FILE else b""
+        content = path.read_bytes() if regular and status.st_size <= MAX_FILE_BYTES else b""
     except FileNotFoundError:
-        raise ConfigError(source, "", not_there(path)) from None
+        raise ConfigError(source, "", missing_file_hint(path)) from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
         why = getattr(error, "strerror", None) or str(error)
         raise ConfigError(source, "", f"cannot be read: {why}") from None
@@ -80,8 +80,8 @@ def read_text(path: Path, *, what: str) -> str:
         raise ConfigError(source, "", f"is a folder: give the {what} file itself")
     if not regular:
         raise ConfigError(source, "", "is no regular file")
-    if status.st_size > LARGEST_FILE:
-        raise ConfigError(source, "", f"has {status.st_size} bytes: at most {LARGEST_FILE}; is it the right file?")
+    if status.st_size > MAX_FILE_BYTES:
+        raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}; is it the right file?")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -93,7 +93,7 @@ def read_text(path: Path, *, what: str) -> str:
     return text
 
 
-def not_there(path: Path) -> str:
+def missing_file_hint(path: Path) -> str:
     """That there is no such file, and what is there instead."""
     folder = path.parent
     try:
@@ -120,17 +120,17 @@ def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
     hints = ["no shipped name"]
     if files:
         hints.append(f"shipped: {', '.join(sorted(files))}")
-    if meant := settings_schema.similar(name, files):
-        hints.append(f"did you mean {shown(meant)}?")
+    if meant := settings_schema.closest_name(name, files):
+        hints.append(f"did you mean {format_value(meant)}?")
     here = name not in ("", "..") and Path(name).is_file()
     hints.append(f"for the file here write ./{name}" if here else "a file has a suffix or a slash")
-    raise ConfigError(f"{what} {shown(name)}", "", "; ".join(hints))
+    raise ConfigError(f"{what} {format_value(name)}", "", "; ".join(hints))
 
 
 def load(name: str, kind: type[T], *, what: str, package: str) -> T:
     """Find, read and parse."""
     path = find(name, what=what, package=package)
-    return parse(read_toml(path, what=what), kind, source=source_of(path, what=what, name=name))
+    return parse(read_toml(path, what=what), kind, source=error_source(path, what=what, name=name))
 
 
 def to_toml(settings: msgspec.Struct) -> str:
@@ -138,12 +138,12 @@ def to_toml(settings: msgspec.Struct) -> str:
     return tomli_w.dumps(_without_none(msgspec.to_builtins(settings)))
 
 
-def source_of(path: Path, *, what: str, name: str) -> str:
+def error_source(path: Path, *, what: str, name: str) -> str:
     """How errors call a file: as the user wrote it, and a shipped one by its file name."""
     return f"{what} {path if is_path(name) else path.name}"
 
 
-def place(path: settings_schema.Path) -> str:
+def toml_key(path: settings_schema.Path) -> str:
     """``("thruster", "port", "arm_m")`` as TOML's reader knows it: ``[thruster.port] arm_m``."""
     keys = list(path)
     tables: list[str] = []
@@ -173,8 +173,10 @@ def _shipped(package: str, suffix: str) -> Iterator[Path]:
 
 def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[settings_schema.Path, Any]]:
     """Everything in a tree of tables and lists, with its place."""
-    if len(path) > DEEPEST:
-        raise ConfigError(source, place(path[:1]), f"tables and lists inside one another: at most {DEEPEST} deep")
+    if len(path) > MAX_NESTING:
+        raise ConfigError(
+            source, toml_key(path[:1]), f"tables and lists inside one another: at most {MAX_NESTING} deep"
+        )
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _scalars(inner, (*path, str(key)), source)
@@ -193,21 +195,21 @@ _OF_VALUE = ("Expected ", "Invalid ", "Number out of range", "Integer ")
 def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -> ConfigError:
     """The error in words: with the value, all its bounds, and the name that was meant."""
     problem, path = _split(message)
-    within = settings_schema.at(kind, table, path)
+    within = settings_schema.type_at(kind, table, path)
     where = f" in [{'.'.join(str(x) for x in path)}]" if path else ""
     if unknown := _UNKNOWN.fullmatch(problem):
-        near = settings_schema.nearest(unknown[1], settings_schema.known(within))
-        return ConfigError(source, "", f"unknown key {shown(unknown[1])}{where}{near}")
+        near = settings_schema.suggestion(unknown[1], settings_schema.field_names(within))
+        return ConfigError(source, "", f"unknown key {format_value(unknown[1])}{where}{near}")
     if missing := _MISSING.fullmatch(problem):
-        inner = settings_schema.at(kind, table, (*path, missing[1]))
-        wants = settings_schema.tags(within) or settings_schema.wanted(inner)
-        return ConfigError(source, "", f"key {shown(missing[1])}{where} is missing: must be {wants}")
+        inner = settings_schema.type_at(kind, table, (*path, missing[1]))
+        wants = settings_schema.tag_values(within) or settings_schema.expected(inner)
+        return ConfigError(source, "", f"key {format_value(missing[1])}{where} is missing: must be {wants}")
     value = settings_schema.value_at(table, path)
     if problem.startswith(_OF_VALUE):
-        outer = settings_schema.at(kind, table, path[:-1]) if path else None
-        wants = settings_schema.tags(outer) or settings_schema.wanted(within, value)
-        return ConfigError(source, place(path), f"must be {wants}", value=value)
-    return ConfigError(source, place(path), problem, value=None if isinstance(value, dict) else value)
+        outer = settings_schema.type_at(kind, table, path[:-1]) if path else None
+        wants = settings_schema.tag_values(outer) or settings_schema.expected(within, value)
+        return ConfigError(source, toml_key(path), f"must be {wants}", value=value)
+    return ConfigError(source, toml_key(path), problem, value=None if isinstance(value, dict) else value)
 
 
 def _split(message: str) -> tuple[str, settings_schema.Path]:

@@ -27,11 +27,11 @@ from ltv_mpc.messages import Array, CurrentProfile
 
 COLUMNS = ("depth_m", "v_north_mps", "u_east_mps")
 SD, SD_COMMON = "sd_mps", "sd_common_mps"
-FASTEST_MPS = 5.0
+MAX_CURRENT_MPS = 5.0
 """No ocean current is faster: larger numbers are in other units."""
-LARGEST_SD_MPS = 10.0
+MAX_SD_MPS = 10.0
 """Twice the fastest: whoever knows nothing of a current knows that much."""
-DEEPEST_M = 11_000.0
+MAX_DEPTH_M = 11_000.0
 
 _WORD = re.compile(r"[\w.]+")
 
@@ -154,11 +154,11 @@ def _positions(names: Sequence[str], number: int, source: str, *, of_prior: bool
 
 
 _BOUNDS = {
-    "depth_m": (0.0, DEEPEST_M, f"must be >= 0 and <= {DEEPEST_M:g} m, positive down"),
-    "v_north_mps": (-FASTEST_MPS, FASTEST_MPS, f"must be within +-{FASTEST_MPS:g} m/s"),
-    "u_east_mps": (-FASTEST_MPS, FASTEST_MPS, f"must be within +-{FASTEST_MPS:g} m/s"),
-    SD: (0.0, LARGEST_SD_MPS, f"must be >= 0 and <= {LARGEST_SD_MPS:g} m/s, a standard deviation"),
-    SD_COMMON: (0.0, LARGEST_SD_MPS, f"must be >= 0 and <= {LARGEST_SD_MPS:g} m/s, a standard deviation"),
+    "depth_m": (0.0, MAX_DEPTH_M, f"must be >= 0 and <= {MAX_DEPTH_M:g} m, positive down"),
+    "v_north_mps": (-MAX_CURRENT_MPS, MAX_CURRENT_MPS, f"must be within +-{MAX_CURRENT_MPS:g} m/s"),
+    "u_east_mps": (-MAX_CURRENT_MPS, MAX_CURRENT_MPS, f"must be within +-{MAX_CURRENT_MPS:g} m/s"),
+    SD: (0.0, MAX_SD_MPS, f"must be >= 0 and <= {MAX_SD_MPS:g} m/s, a standard deviation"),
+    SD_COMMON: (0.0, MAX_SD_MPS, f"must be >= 0 and <= {MAX_SD_MPS:g} m/s, a standard deviation"),
 }
 
 

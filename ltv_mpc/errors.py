@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-LONGEST_VALUE = 60
+MAX_VALUE_LENGTH = 60
 
 
 class ConfigError(ValueError):
@@ -19,12 +19,12 @@ class ConfigError(ValueError):
         self.field = field
         self.value = value
         self.problem = problem
-        what = "" if value is None else shown(value)
+        what = "" if value is None else format_value(value)
         where = " = ".join(x for x in (field, what) if x)
         super().__init__(one_line(": ".join(x for x in (source, where, problem) if x)))
 
 
-def shown(value: object) -> str:
+def format_value(value: object) -> str:
     """``value`` as TOML writes it, shortened where it is long."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -37,7 +37,7 @@ def shown(value: object) -> str:
             text = str(value)
         except ValueError:  # an integer with more digits than Python prints
             text = "a number of thousands of digits"
-    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
+    return text if len(text) <= MAX_VALUE_LENGTH else f"{text[: MAX_VALUE_LENGTH - 3]}..."
 
 
 def one_line(text: str) -> str:

@@ -48,7 +48,7 @@ def wrap_angle(angle: float) -> float:
 def rotation(roll: float, pitch: float, heading: float) -> Array:
     """R = Rz(heading) Ry(pitch) Rx(roll), body to world, shape (3, 3)."""
     R = np.empty((3, 3))
-    so3.write(so3.of_angles(roll, pitch, heading), R)
+    so3.write(so3.from_angles(roll, pitch, heading), R)
     return R
 
 

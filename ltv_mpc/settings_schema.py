@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from msgspec import inspect
 
-from ltv_mpc.errors import shown
+from ltv_mpc.errors import format_value
 
 Type: TypeAlias = inspect.Type
 
@@ -16,7 +16,7 @@ Path: TypeAlias = Sequence[str | int]
 """Keys and list positions from the outermost table down: ``("thruster", "port", "arm_m")``."""
 
 
-def at(kind: Any, table: Any, path: Path) -> Type | None:
+def type_at(kind: Any, table: Any, path: Path) -> Type | None:
     """The type that ``kind`` has at ``path``; ``table`` tells which member of a tagged union is meant."""
     found: Type | None = inspect.type_info(kind)
     for step in path:
@@ -25,7 +25,7 @@ def at(kind: Any, table: Any, path: Path) -> Type | None:
     return _member(found, table)
 
 
-def known(kind: Type | None) -> tuple[str, ...]:
+def field_names(kind: Type | None) -> tuple[str, ...]:
     """Names of the fields of a struct type, in their order."""
     if isinstance(kind, inspect.StructType):
         tag = (kind.tag_field,) if kind.tag_field else ()
@@ -33,12 +33,12 @@ def known(kind: Type | None) -> tuple[str, ...]:
     return ()
 
 
-def settings(kind: Any) -> dict[str, Type]:
+def scalar_fields(kind: Any) -> dict[str, Type]:
     """Every scalar field of a struct of structs by its dotted key, ``{"water.sd_mps": FloatType(...), ...}``."""
     return dict(_leaves(inspect.type_info(kind), ""))
 
 
-def similar(name: str, names: Iterable[str]) -> str | None:
+def closest_name(name: str, names: Iterable[str]) -> str | None:
     """The one of ``names`` that was probably meant."""
     names = list(names)
     best = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
@@ -49,15 +49,15 @@ def similar(name: str, names: Iterable[str]) -> str | None:
     return best[0] if best else None
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def suggestion(name: str, names: Iterable[str]) -> str:
     """``; did you mean "arm_m"?``, or the known names where none is near."""
     names = list(names)
-    if meant := similar(name, names):
-        return f"; did you mean {shown(meant)}?"
+    if meant := closest_name(name, names):
+        return f"; did you mean {format_value(meant)}?"
     return f"; known: {', '.join(names)}" if names else ""
 
 
-def wanted(kind: Type | None, value: Any = None) -> str:
+def expected(kind: Type | None, value: Any = None) -> str:
     """What a value must be: ``a number > 0 and <= 5``; of a ``value`` that is a number, its bounds alone."""
     numeric = (int, float) if isinstance(kind, inspect.FloatType) else (int,)
     if isinstance(kind, inspect.FloatType | inspect.IntType) and type(value) in numeric and _bounds(kind):
@@ -72,23 +72,23 @@ def wanted(kind: Type | None, value: Any = None) -> str:
         case inspect.StrType():
             return "a text" + ("" if not kind.min_length else f" of at least {kind.min_length} characters")
         case inspect.LiteralType():
-            return " or ".join(shown(x) for x in kind.values)
+            return " or ".join(format_value(x) for x in kind.values)
         case inspect.EnumType():
-            return " or ".join(shown(x.value) for x in kind.cls)
+            return " or ".join(format_value(x.value) for x in kind.cls)
         case inspect.TupleType():
-            return f"a list of {len(kind.item_types)}, each {wanted(kind.item_types[0])}"
+            return f"a list of {len(kind.item_types)}, each {expected(kind.item_types[0])}"
         case inspect.VarTupleType() | inspect.ListType():
             least = f" of at least {kind.min_length}" if kind.min_length else ""
-            return f"a list{least}, each {wanted(kind.item_type)}"
+            return f"a list{least}, each {expected(kind.item_type)}"
         case inspect.StructType():
-            return f"a table with {', '.join(known(kind))}"
+            return f"a table with {', '.join(field_names(kind))}"
         case inspect.DictType():
             return "a table"
         case inspect.UnionType():
             tags = [x.tag for x in kind.types if isinstance(x, inspect.StructType) and x.tag is not None]
             if tags:
-                return f"a table whose {_tag_field(kind)} is {' or '.join(shown(x) for x in tags)}"
-            return " or ".join(wanted(x) for x in kind.types if not isinstance(x, inspect.NoneType))
+                return f"a table whose {_tag_field(kind)} is {' or '.join(format_value(x) for x in tags)}"
+            return " or ".join(expected(x) for x in kind.types if not isinstance(x, inspect.NoneType))
         case _:
             return "another type"
 
@@ -100,11 +100,11 @@ def is_text(kind: Type) -> bool:
     )
 
 
-def tags(kind: Type | None) -> str:
+def tag_values(kind: Type | None) -> str:
     """What the tag of a union of structs may be: ``"hold" or "line"``; empty for any other type."""
     if not isinstance(kind, inspect.UnionType):
         return ""
-    return " or ".join(shown(x.tag) for x in kind.types if isinstance(x, inspect.StructType))
+    return " or ".join(format_value(x.tag) for x in kind.types if isinstance(x, inspect.StructType))
 
 
 def _bounds(kind: inspect.FloatType | inspect.IntType) -> str:

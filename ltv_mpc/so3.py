@@ -10,7 +10,7 @@ from typing import TypeAlias
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Triple
 
-Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+Matrix3: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
 """A (3, 3), row by row."""
 
 SMALL = 1e-4
@@ -18,13 +18,13 @@ SMALL = 1e-4
 
 
 @jit
-def read(R: Array) -> Nine:
+def read(R: Array) -> Matrix3:
     """An array (3, 3) as numbers."""
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
 
 @jit
-def write(M: Nine, R: Array) -> None:
+def write(M: Matrix3, R: Array) -> None:
     """The numbers into an array (3, 3)."""
     R[0, 0], R[0, 1], R[0, 2] = M[0], M[1], M[2]
     R[1, 0], R[1, 1], R[1, 2] = M[3], M[4], M[5]
@@ -32,13 +32,13 @@ def write(M: Nine, R: Array) -> None:
 
 
 @jit
-def transposed(M: Nine) -> Nine:
+def transpose(M: Matrix3) -> Matrix3:
     """M^T."""
     return M[0], M[3], M[6], M[1], M[4], M[7], M[2], M[5], M[8]
 
 
 @jit
-def times(A: Nine, B: Nine) -> Nine:
+def multiply(A: Matrix3, B: Matrix3) -> Matrix3:
     """A B."""
     return (
         A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
@@ -54,7 +54,7 @@ def times(A: Nine, B: Nine) -> Nine:
 
 
 @jit
-def of_angles(roll: float, pitch: float, heading: float) -> Nine:
+def from_angles(roll: float, pitch: float, heading: float) -> Matrix3:
     """R = Rz(heading) Ry(pitch) Rx(roll), body to world."""
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
@@ -67,7 +67,7 @@ def of_angles(roll: float, pitch: float, heading: float) -> Nine:
 
 
 @jit
-def exp(x: float, y: float, z: float) -> Nine:
+def exp(x: float, y: float, z: float) -> Matrix3:
     """exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ of phi = [x, y, z] with t = |phi|."""
     t2 = x * x + y * y + z * z
     t = math.sqrt(t2)
@@ -86,14 +86,14 @@ def exp(x: float, y: float, z: float) -> Nine:
 
 
 @jit
-def strapdown(R: Nine, W: Triple, w: Triple, dt: float) -> Nine:
+def strapdown(R: Matrix3, W: Triple, w: Triple, dt: float) -> Matrix3:
     """exp(-W dt) R exp(w dt): R after dt at the rate w (body) against the stars, on an Earth that turns at W (NED)."""
     world = exp(-dt * W[0], -dt * W[1], -dt * W[2])
-    return times(times(world, R), exp(dt * w[0], dt * w[1], dt * w[2]))
+    return multiply(multiply(world, R), exp(dt * w[0], dt * w[1], dt * w[2]))
 
 
 @jit
-def log(M: Nine) -> Triple:
+def log(M: Matrix3) -> Triple:
     """The rotation vector phi of M, |phi| <= pi."""
     # (M - M^T) / 2 = sin(t) axis^,  (trace M - 1) / 2 = cos(t)
     x, y, z = 0.5 * (M[7] - M[5]), 0.5 * (M[2] - M[6]), 0.5 * (M[3] - M[1])

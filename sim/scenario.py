@@ -15,7 +15,7 @@ from msgspec import Meta
 from ltv_mpc import config, settings_schema
 from ltv_mpc.control import config as control
 from ltv_mpc.control.config import ControllerConfig
-from ltv_mpc.errors import ConfigError, shown
+from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.localisation.config import EstimatorConfig
 
 MOST_WATER_CELLS = 20_000
@@ -110,7 +110,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
         Relative paths in a file are relative to that file's folder.
         """
         path = config.find(name, what="scenario", package="sim.scenarios")
-        source = config.source_of(path, what="scenario", name=name)
+        source = config.error_source(path, what="scenario", name=name)
         scenario = config.parse(config.read_toml(path, what="scenario"), cls, source=source)
         here = path.parent
         water = scenario.water
@@ -167,15 +167,15 @@ def overridden(scenario: Scenario, assignments: Sequence[str], *, source: str = 
     Values are TOML values; a text needs no quotes. Raises ``ConfigError``, with the nearest known name of a key that
     is not there.
     """
-    kinds = {key: kind for key, kind in settings_schema.settings(Scenario).items() if key != "made_by"}
+    kinds = {key: kind for key, kind in settings_schema.scalar_fields(Scenario).items() if key != "made_by"}
     for assignment in assignments:
         key, equals, text = (part.strip() for part in assignment.partition("="))
         if not equals:
-            raise ConfigError(source, shown(assignment), "must be KEY=VALUE, as in water.sd_mps=0.1")
+            raise ConfigError(source, format_value(assignment), "must be KEY=VALUE, as in water.sd_mps=0.1")
         if key not in kinds:
             inside = [name for name in kinds if name.startswith(f"{key}.")]
             problem = f"is a table: set one of {', '.join(inside)}" if inside else f"unknown key{_near(key, kinds)}"
-            raise ConfigError(source, shown(key), problem)
+            raise ConfigError(source, format_value(key), problem)
         table = msgspec.to_builtins(scenario)
         *outer, last = key.split(".")
         reduce(getitem, outer, table)[last] = _value(text, kinds[key], key, source)
@@ -184,8 +184,8 @@ def overridden(scenario: Scenario, assignments: Sequence[str], *, source: str = 
 
 
 def _near(key: str, known: Iterable[str]) -> str:
-    meant = settings_schema.similar(key, known)
-    return f"; did you mean {shown(meant)}?" if meant else "; the keys are those of a run's scenario.toml"
+    meant = settings_schema.closest_name(key, known)
+    return f"; did you mean {format_value(meant)}?" if meant else "; the keys are those of a run's scenario.toml"
 
 
 def _value(text: str, kind: settings_schema.Type, key: str, source: str) -> Any:
@@ -198,7 +198,9 @@ def _value(text: str, kind: settings_schema.Type, key: str, source: str) -> Any:
     if settings_schema.is_text(kind):
         return value if isinstance(value, str) else text
     if value is None:
-        raise ConfigError(source, config.place(key.split(".")), f"must be {settings_schema.wanted(kind)}", value=text)
+        raise ConfigError(
+            source, config.toml_key(key.split(".")), f"must be {settings_schema.expected(kind)}", value=text
+        )
     return value
 
 

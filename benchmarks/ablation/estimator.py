@@ -14,7 +14,7 @@ from benchmarks.ablation import descent
 from benchmarks.ablation.descent import BEGINS_S, Descent, S, Timed
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
 from ltv_mpc.localisation import imu_dropout, out_of_sequence, supervision
-from ltv_mpc.localisation.adaptive.process_noise import Adaptation, Change
+from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise, NoiseLevel
 from ltv_mpc.localisation.filter import correction, error_state_filter
 from ltv_mpc.localisation.reinitialisation import Reinitialisation
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -205,47 +205,47 @@ def no_slow_fronts() -> AbstractContextManager[None]:
 
 def no_follow() -> AbstractContextManager[None]:
     """Never prolong a walk because the water drifts on, and never tell a tilt from a front by it."""
-    return replaced((Adaptation, "_follow", lambda *_: None))
+    return replaced((AdaptiveProcessNoise, "_follow", lambda *_: None))
 
 
 def no_making_up() -> AbstractContextManager[None]:
     """Treat a front that began before what the filter can go back to as one that began within it."""
-    began = Adaptation.began
+    began = AdaptiveProcessNoise.detect_onset
 
-    def lately(self: Adaptation, *args: Any) -> Any:
+    def lately(self: AdaptiveProcessNoise, *args: Any) -> Any:
         found = began(self, *args)
         return None if found is None else found._replace(old=False)
 
-    return replaced((Adaptation, "began", lately))
+    return replaced((AdaptiveProcessNoise, "detect_onset", lately))
 
 
 def no_adaptation() -> AbstractContextManager[None]:
     """Grant the water nothing."""
     return replaced(
-        (Adaptation, "seen", lambda *_: Change.NONE),
-        (Adaptation, "began", lambda *_: None),
+        (AdaptiveProcessNoise, "required_level", lambda *_: NoiseLevel.NONE),
+        (AdaptiveProcessNoise, "detect_onset", lambda *_: None),
         (error_state_filter, "COLUMNS", 0),
     )
 
 
-def seen_as(change: Callable[[Change], Change]) -> AbstractContextManager[None]:
+def seen_as(change: Callable[[NoiseLevel], NoiseLevel]) -> AbstractContextManager[None]:
     """Grant something else than what is seen."""
-    seen = Adaptation.seen
+    seen = AdaptiveProcessNoise.required_level
 
-    def other(self: Adaptation, *args: Any) -> Change:
+    def other(self: AdaptiveProcessNoise, *args: Any) -> NoiseLevel:
         return change(seen(self, *args))
 
-    return replaced((Adaptation, "seen", other))
+    return replaced((AdaptiveProcessNoise, "required_level", other))
 
 
 def no_unit() -> AbstractContextManager[None]:
     """Never doubt the inertial unit."""
-    return seen_as(lambda change: min(change, Change.FAST))
+    return seen_as(lambda change: min(change, NoiseLevel.FAST))
 
 
 def no_slow_walk() -> AbstractContextManager[None]:
     """Grant nothing after a shear."""
-    return seen_as(lambda change: Change.NONE if change is Change.SLOW else change)
+    return seen_as(lambda change: NoiseLevel.NONE if change is NoiseLevel.SLOW else change)
 
 
 def no_screening(*reasons: str) -> Off:
@@ -300,14 +300,14 @@ def together(*offs: Off) -> Off:
 def uncoupled(*args: Any) -> Any:
     """Correct by few rows as ``correction._correct_few`` does, without the coupling of velocity and heading."""
     x, R, P, E, score, information, rows, gate, limit, *_ = args
-    accepted, nis, S_, definite, error, doubted, W, Y, y = correction._weigh_few(P, E, rows, gate, limit)
+    accepted, nis, S_, definite, error, deweighted, W, Y, y = correction._whiten_few(P, E, rows, gate, limit)
     if W.shape[0]:
         correction.shift(x, R, error)
         zero = np.zeros(len(P))
         correction._subtract(P, W, zero, zero)
         if E.shape[1]:
             correction.corrected(E, score, information, W, Y, y)
-    return accepted, nis, S_, definite, error, doubted
+    return accepted, nis, S_, definite, error, deweighted
 
 
 def of(
@@ -331,7 +331,7 @@ HEADING = ("heading rms deg", "heading nees, end", "heading outside 2 sigma", "h
 SEEN = (*ERRORS, "missed", "delay s", "alarms before")
 SHADOW = (
     "shadow_filter.py",
-    "filter/error_state_filter.py:Filter.twin",
+    "filter/error_state_filter.py:ErrorStateFilter.fork",
     "supervision.py:Supervision._compare",
     "reinitialisation.py:PastBeliefs",
     "reinitialisation.py:Reinitialisation.past_beliefs",
@@ -341,7 +341,7 @@ SLOW_FRONTS = (
     "adaptive/glr_detector.py",
     "adaptive/failure_signatures.py",
     "filter/correction.py:_swing_too",
-    "adaptive/process_noise.py:Adaptation.began",
+    "adaptive/process_noise.py:AdaptiveProcessNoise.detect_onset",
 )
 ADAPTATION = (
     "adaptive/process_noise.py",
@@ -417,7 +417,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         no_follow,
         (SLOW_FRONT, SLOWER_FRONT, GYRO, GYRO_FAST),
         SEEN,
-        ("adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:Adaptation._follow"),
+        ("adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:AdaptiveProcessNoise._follow"),
         ("adaptive/test_front_or_gyro_test.py",),
     ),
     *of(
@@ -425,14 +425,14 @@ MECHANISMS: tuple[Mechanism, ...] = (
         no_making_up,
         (SLOW_FRONT, SLOWER_FRONT),
         SEEN,
-        ("adaptive/glr_detector.py:Found",),
+        ("adaptive/glr_detector.py:OnsetDetection",),
     ),
     *of(
         "slow fronts, all of it",
         together(no_slow_fronts, no_follow),
         (SLOW_FRONT, SLOWER_FRONT, GYRO),
         SEEN,
-        (*SLOW_FRONTS, "adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:Adaptation._follow"),
+        (*SLOW_FRONTS, "adaptive/front_or_gyro_test.py", "adaptive/process_noise.py:AdaptiveProcessNoise._follow"),
         ("adaptive/test_glr_detector.py", "adaptive/test_failure_signatures.py", "adaptive/test_front_or_gyro_test.py"),
     ),
     *of(
@@ -453,10 +453,10 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "means that call for what no water does",
-        lambda: replaced((Adaptation, "beyond", lambda *_: False)),
+        lambda: replaced((AdaptiveProcessNoise, "is_inconsistent", lambda *_: False)),
         (IMU_WRONG, PROFILER_WRONG, IMU_WORSE),
         SEEN,
-        ("adaptive/process_noise.py:Adaptation.beyond",),
+        ("adaptive/process_noise.py:AdaptiveProcessNoise.is_inconsistent",),
     ),
     *of(
         "de-weighted satellite rows",
@@ -470,7 +470,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         lambda: replaced((imu_dropout, "MAX_BRIDGED_NS", 2**62)),
         (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
         ERRORS,
-        ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:Filter._cross"),
+        ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:ErrorStateFilter._cross"),
         ("test_imu_dropout.py",),
     ),
     *of(

@@ -21,7 +21,7 @@ import msgspec
 from msgspec import inspect as struct
 
 from ltv_mpc.messages import Message
-from ltv_mpc.settings_schema import wanted
+from ltv_mpc.settings_schema import expected
 from services.bus import schema
 from services.bus.protocol import unit, words
 
@@ -106,7 +106,7 @@ def _fields(kind: type[msgspec.Struct]) -> tuple[Sequence[str], list[Sequence[st
     said, info = comments(kind), struct.type_info(kind)
     assert isinstance(info, struct.StructType)
     return ("field", "what it must be", "default", ""), [
-        (literal(field.name), escaped(wanted(field.type)), default(field), escaped(said.get(field.name, "")))
+        (literal(field.name), escaped(expected(field.type)), default(field), escaped(said.get(field.name, "")))
         for field in info.fields
     ]
 

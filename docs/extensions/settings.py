@@ -10,7 +10,7 @@ import msgspec
 from docstrings import comments, default
 from msgspec import inspect as struct
 
-from ltv_mpc.settings_schema import wanted
+from ltv_mpc.settings_schema import expected
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -43,7 +43,7 @@ def tables(kind: type[msgspec.Struct], place: tuple[str, ...]) -> Iterator[str]:
     if own:
         yield "| key | must be | default | |\n|---|---|---|---|"
         for field in own:
-            cells = (f"`{field.name}`", markdown(wanted(field.type)), default(field).replace("``", "`"))
+            cells = (f"`{field.name}`", markdown(expected(field.type)), default(field).replace("``", "`"))
             yield f"| {' | '.join((*cells, markdown(said.get(field.name, ''))))} |"
         yield ""
     for name, part in inner.items():

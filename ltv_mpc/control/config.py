@@ -134,10 +134,10 @@ def validate(settings: ControllerConfig, *, source: str, table: tuple[str, ...] 
     """The settings, after what no single field can tell; ``table`` is where they stand. Raises ``ConfigError``."""
     if settings.period_s > settings.horizon_s:
         problem = f"must be <= horizon_s = {settings.horizon_s:g}: a plan lasts until the next one"
-        raise ConfigError(source, config.place((*table, "period_s")), problem, value=settings.period_s)
+        raise ConfigError(source, config.toml_key((*table, "period_s")), problem, value=settings.period_s)
     contradiction = settings.ages.problem()
     if contradiction is not None:
         name, problem = contradiction
-        place = config.place((*table, "ages", name))
+        place = config.toml_key((*table, "ages", name))
         raise ConfigError(source, place, problem, value=getattr(settings.ages, name))
     return settings

@@ -14,14 +14,14 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.water.column import Column, Link
+from ltv_mpc.localisation.water.column import Link, WaterColumn
 from ltv_mpc.localisation.water.current_model import node_prior
-from ltv_mpc.localisation.water.grid_window import given
+from ltv_mpc.localisation.water.grid_window import conditioning_states
 from ltv_mpc.messages import DroppedGridPoint, EstimatorState, to_wire
 
 
@@ -32,9 +32,9 @@ def settings_of(suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior 
     return zlib.crc32(msgspec.json.encode((suite, own, known), enc_hook=to_wire))
 
 
-def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorState:
+def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> EstimatorState:
     """Of this instant."""
-    belief = filter_.settled()
+    belief = filter_.propagated_belief()
     column = belief.column
     return EstimatorState(
         t_ns=belief.t_ns,
@@ -45,7 +45,7 @@ def checkpoint_of(filter_: Filter, settings: int, restarts: int) -> EstimatorSta
         covariance=belief.P[np.tril_indices(belief.layout.size)],
         epoch_t_ns=belief.epoch_t_ns,
         first_grid_point=column.first,
-        measured_grid_points=np.flatnonzero(column.seen),
+        measured_grid_points=np.flatnonzero(column.observed),
         dropped_grid_points=tuple(_flat(node, link) for node, link in column.dropped.items()),
         walk_variance_m2ps2=column.walked,
         restarts=restarts,
@@ -58,7 +58,11 @@ def belief_of(
     """The belief that ``checkpoint`` was made of; None where it is of other settings, or of no filter."""
     layout = Layout.of(suite, config)
     n, cells = layout.size, layout.north.stop - layout.north.start
-    seen, dropped, links = checkpoint.measured_grid_points, checkpoint.dropped_grid_points, len(given(layout, 0))
+    seen, dropped, links = (
+        checkpoint.measured_grid_points,
+        checkpoint.dropped_grid_points,
+        len(conditioning_states(layout, 0)),
+    )
     whole = (
         checkpoint.settings_crc == settings_of(suite, config, prior)
         and len(checkpoint.x) == n
@@ -71,10 +75,10 @@ def belief_of(
     P = np.zeros((n, n))
     P[np.tril_indices(n)] = checkpoint.covariance
     P += np.tril(P, -1).T
-    column = Column(
+    column = WaterColumn(
         prior=node_prior(config, prior),
         first=checkpoint.first_grid_point,
-        seen=np.isin(np.arange(layout.nodes), seen),
+        observed=np.isin(np.arange(layout.nodes), seen),
         dropped={d.grid_point: _link(d) for d in dropped},
         walked=checkpoint.walk_variance_m2ps2,
     )
@@ -85,7 +89,7 @@ def belief_of(
         R=checkpoint.attitude.copy(),
         mounting=checkpoint.mounting.copy(),
         P=P,
-        astray=Signatures.of(layout.size, 0),
+        signatures=FailureSignatures.of(layout.size, 0),
         epoch_t_ns=checkpoint.epoch_t_ns,
         column=column,
     )

@@ -21,8 +21,8 @@ from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.checkpoint import belief_of, checkpoint_of, settings_of
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
-from ltv_mpc.localisation.filter.error_state_filter import Filter
-from ltv_mpc.localisation.filter.preintegration import readings
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
+from ltv_mpc.localisation.filter.preintegration import sample_matrix
 from ltv_mpc.localisation.filter.state import grid
 from ltv_mpc.localisation.publishing import CheckpointSchedule, EstimateSchedule, estimate
 from ltv_mpc.localisation.reinitialisation import is_usable
@@ -75,7 +75,7 @@ class Estimator:
         self._supervision = Supervision(suite, config, prior, self._sequencing, self._account)
 
     @property
-    def filter(self) -> Filter | None:
+    def filter(self) -> ErrorStateFilter | None:
         """The active filter; None until it is aligned."""
         return self._sequencing.filter
 
@@ -152,7 +152,7 @@ class Estimator:
         if not number:
             return []
         samples = samples[:number]
-        measured = readings(samples)
+        measured = sample_matrix(samples)
         if not self._screening.accepts_all(samples, received_ns[:number], measured):
             return []
         number = self._sequencing.apply_consecutive(samples, measured)
@@ -194,7 +194,7 @@ class Estimator:
         self._sequencing.apply(message)
         self._supervision.check()
 
-    def _publish(self, filter_: Filter) -> None:
+    def _publish(self, filter_: ErrorStateFilter) -> None:
         """Publish the estimate of the filter's instant, and the report and the checkpoint that are due with it."""
         belief = filter_.belief
         self._schedule.is_open = False

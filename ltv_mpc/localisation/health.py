@@ -27,7 +27,7 @@ import numpy.typing as npt
 from scipy.special import chdtr, chdtri
 
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.filter.error_state_filter import Verdict
+from ltv_mpc.localisation.filter.error_state_filter import Innovations
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import SENSORS, fitted
@@ -71,7 +71,7 @@ class HealthMonitor:
         self._reported: Mapping[str, int] = {}
         self.broken = False  # a covariance of innovations was not positive definite: the filter's own is not either
 
-    def observe(self, verdict: Verdict) -> None:
+    def observe(self, verdict: Innovations) -> None:
         """What came of one message."""
         window = self._window.get(verdict.sensor)
         if window is None:

@@ -19,8 +19,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, Change
-from ltv_mpc.localisation.filter.error_state_filter import Filter, Snapshot
+from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, NoiseLevel
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Snapshot
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE, fitted
 from ltv_mpc.localisation.sensors.sensor import Availability, Measurement
@@ -73,7 +73,7 @@ def snapshot_spacing_ns(suite: SensorConfig) -> int:
 class MeasurementBuffer:
     """Moves and corrects a filter, and can do so in the past."""
 
-    def __init__(self, filter_: Filter, spacing_ns: int, progress: Progress = no_progress) -> None:
+    def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, progress: Progress = no_progress) -> None:
         """``progress`` is called with every move, of which a way back may take a thousand."""
         self.filter = filter_
         self._progress = progress
@@ -81,7 +81,7 @@ class MeasurementBuffer:
         self._segments = [_Segment(filter_.snapshot(), [])]
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """As ``Filter.advance``."""
+        """As ``ErrorStateFilter.advance``."""
         now_ns = self.filter.belief.t_ns
         segments = self._segments
         # Taken on leaving an instant: it then holds all corrections of it.
@@ -93,19 +93,19 @@ class MeasurementBuffer:
         self.filter.advance(t_ns, sample)
         segments[-1].done.append(Done(t_ns, sample))
 
-    def follows(self, samples: Sequence[ImuSample]) -> int:
-        """As ``Filter.follows``, until a snapshot is to be taken."""
-        return self.filter.follows(samples, self._segments[-1].t_ns + self._spacing_ns)
+    def count_contiguous(self, samples: Sequence[ImuSample]) -> int:
+        """As ``ErrorStateFilter.count_contiguous``, until a snapshot is to be taken."""
+        return self.filter.count_contiguous(samples, self._segments[-1].t_ns + self._spacing_ns)
 
-    def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
-        """As ``Filter.advance_through``."""
+    def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
+        """As ``ErrorStateFilter.advance_batch``."""
         self._progress()
-        done = self.filter.advance_through(samples, measured)
+        done = self.filter.advance_batch(samples, measured)
         self._segments[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
         return done
 
     def correct(self, message: Measurement) -> None:
-        """As ``Filter.correct``: of the filter's own instant."""
+        """As ``ErrorStateFilter.correct``: of the filter's own instant."""
         self.filter.correct(message)
         self._segments[-1].done.append(Done(message.t_ns, message))
 
@@ -149,27 +149,27 @@ class MeasurementBuffer:
         with _uncounted(self.filter):
             self._repeat(again[after:])
 
-    def adapt(self) -> Change:
+    def adapt(self) -> NoiseLevel:
         """Grant the water what the last ping showed that it needs, from ``BACK_NS`` ago, or as far as it reaches; or
         make up for what it has done, from now on: behind this nothing goes back.
         """
         filter_ = self.filter
-        water, belief = filter_.water, filter_.belief
+        water, belief = filter_.process_noise, filter_.belief
         now_ns = belief.t_ns
-        began = water.began(belief)
-        if began is not None and began.old:
-            began.make_up(belief)
-            water.forget(belief)
-            water.grant(Change.FAST, water.hold(Change.FAST, now_ns), now_ns)
+        began = water.detect_onset(belief)
+        if began is not None and began.is_old:
+            began.compensate(belief)
+            water.reset_tests(belief)
+            water.inflate(NoiseLevel.FAST, water.inflation_end_ns(NoiseLevel.FAST, now_ns), now_ns)
             self._segments[:] = [_Segment(filter_.snapshot(), [])]
-            return Change.FAST
-        change = water.seen(now_ns, began)
-        if change is not Change.NONE:
-            until_ns = water.hold(change, now_ns)
+            return NoiseLevel.FAST
+        change = water.required_level(now_ns, began)
+        if change is not NoiseLevel.NONE:
+            until_ns = water.inflation_end_ns(change, now_ns)
             first = max((i for i, s in enumerate(self._segments) if s.t_ns <= now_ns - BACK_NS), default=0)
             again = [done for segment in self._segments[first:] for done in segment.done]
             filter_.restore(self._segments[first].snapshot)
-            filter_.water.grant(change, until_ns, now_ns)
+            filter_.process_noise.inflate(change, until_ns, now_ns)
             self._segments[first:] = [_Segment(filter_.snapshot(), [])]
             with _uncounted(filter_):
                 self._repeat(again)
@@ -184,7 +184,7 @@ class MeasurementBuffer:
 
 
 @contextmanager
-def _uncounted(filter_: Filter) -> Iterator[None]:
+def _uncounted(filter_: ErrorStateFilter) -> Iterator[None]:
     """What the filter does within is neither counted nor observed."""
     account, observers = filter_.account, filter_.observers
     filter_.account, filter_.observers = Counter(), []

@@ -16,7 +16,7 @@ import numpy as np
 
 from ltv_mpc.frames import roll_pitch_heading
 from ltv_mpc.jit import copy_to, jit
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, GYRO_BIAS, Belief
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
@@ -163,11 +163,16 @@ class CheckpointSchedule:
         return depth_m < SURFACED_M if self._submerged else depth_m > SUBMERGED_M
 
 
-def estimate(filter_: Filter, depth_m: Array) -> Estimate:
+def estimate(filter_: ErrorStateFilter, depth_m: Array) -> Estimate:
     """At the time of its belief. ``depth_m`` is the water's grid."""
     belief = filter_.belief
     heading, yaw_rate, covariance = _angles(
-        belief.x, belief.R, filter_.rate, filter_.rotation_of_earth, filter_.core_covariance(), filter_.rate_variance
+        belief.x,
+        belief.R,
+        filter_.angular_rate_radps,
+        filter_.earth_rate_radps,
+        filter_.core_covariance(),
+        filter_.angular_rate_variance,
     )
     north, east, down, v_north, v_east, v_down = belief.x[:6].tolist()
     return Estimate(

@@ -187,7 +187,7 @@ class Reinitialisation:
         belief.P[np.ix_(places, places)] = known.P[np.ix_(places, places)]
         belief.mounting = known.mounting.copy()
         belief.column = known.copy().column
-        current_model.walk(belief, self._config, (belief.t_ns - known.t_ns) * 1e-9)
+        current_model.add_random_walk(belief, self._config, (belief.t_ns - known.t_ns) * 1e-9)
         return True
 
     def _good(self, t_ns: int) -> GoodPosition:

@@ -34,7 +34,7 @@ class SensorConfig(SensorTables, frozen=True, kw_only=True):
         """
         path = config.find(name, what="sensors", package=_PACKAGE)
         table = config.read_toml(path, what="sensors")
-        source = config.source_of(path, what="sensors", name=name)
+        source = config.error_source(path, what="sensors", name=name)
         if "base" in table:
             table = _merged_with_base(table, source)
         return config.parse(table, cls, source=source)

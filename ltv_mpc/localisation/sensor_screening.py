@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.filter.preintegration import readings
+from ltv_mpc.localisation.filter.preintegration import sample_matrix
 from ltv_mpc.localisation.sensors import SENSORS
 from ltv_mpc.messages import Array, ImuSample, Message, Triple
 
@@ -88,7 +88,7 @@ class SensorScreening:
             return False
         if stamps[-1] > min(received_ns) + MAX_CLOCK_LEAD_NS:  # which all are before, if they are in order
             return False
-        last = readings([before]) if self._measured is None else self._measured
+        last = sample_matrix([before]) if self._measured is None else self._measured
         return _follow_one_another(np.array(stamps), last, measured)
 
     def record_last(self, sample: ImuSample, received_ns: int, measured: Array) -> None:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from ltv_mpc.localisation import imu_dropout
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer, snapshot_spacing_ns
 from ltv_mpc.localisation.publishing import EstimateSchedule
 from ltv_mpc.localisation.reinitialisation import is_finite
@@ -54,7 +54,7 @@ class Sequencing:
         suite: SensorConfig,
         schedule: EstimateSchedule,
         account: Counter[str],
-        publish: Callable[[Filter], None],
+        publish: Callable[[ErrorStateFilter], None],
         progress: Progress,
     ) -> None:
         """Create a sequencing without a filter.
@@ -79,7 +79,7 @@ class Sequencing:
         ] = []  # for the inertial sample that covers them; by time, then order of arrival
 
     @property
-    def filter(self) -> Filter | None:
+    def filter(self) -> ErrorStateFilter | None:
         """The active filter; None until one has been set."""
         return None if self._buffer is None else self._buffer.filter
 
@@ -88,7 +88,7 @@ class Sequencing:
         """True if no measurement waits, no estimate is open and no shadow filter runs."""
         return not (self._schedule.is_open or self._waiting or self.shadow is not None)
 
-    def set_filter(self, filter_: Filter) -> None:
+    def set_filter(self, filter_: ErrorStateFilter) -> None:
         """Make ``filter_`` the active filter, with an empty buffer of past measurements.
 
         Parameters
@@ -147,7 +147,7 @@ class Sequencing:
         The number of samples, from the first on; 0 if the filter's belief is not finite.
         """
         buffer = self._required()
-        return buffer.follows(samples) if is_finite(buffer.filter.belief) else 0
+        return buffer.count_contiguous(samples) if is_finite(buffer.filter.belief) else 0
 
     def apply_consecutive(self, samples: Sequence[ImuSample], measured: Array) -> int:
         """Integrate samples that follow one another.
@@ -161,7 +161,7 @@ class Sequencing:
         -------
         The number of samples that were integrated: fewer than K if the belief ceased to be finite.
         """
-        return self._required().advance_through(samples, measured)
+        return self._required().advance_batch(samples, measured)
 
     def reach(self, t_ns: int) -> None:
         """Publish the estimate of ``t_ns`` if it is due and complete.

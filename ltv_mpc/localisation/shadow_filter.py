@@ -21,7 +21,7 @@ from collections import deque
 
 import numpy as np
 
-from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Innovations
 from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.localisation.health import ESSENTIAL
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
@@ -41,9 +41,9 @@ REQUIRED = ("adcp", "pressure")
 class ShadowFilter:
     """Stands at the same time as the filter in use, step by step."""
 
-    def __init__(self, filter_: Filter, spacing_ns: int, past_beliefs: PastBeliefs) -> None:
+    def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, past_beliefs: PastBeliefs) -> None:
         """``filter_`` has begun to be doubted; ``past_beliefs``: of the restarts before it."""
-        twin = filter_.twin()
+        twin = filter_.fork()
         twin.observers.append(self._hear)
         self._buffer = MeasurementBuffer(twin, spacing_ns)
         self.past_beliefs = past_beliefs
@@ -52,7 +52,7 @@ class ShadowFilter:
         self._agreed: dict[str, deque[bool]] = {name: deque(maxlen=MIN_AGREEING) for name in ESSENTIAL}
 
     @property
-    def filter(self) -> Filter:
+    def filter(self) -> ErrorStateFilter:
         """The twin."""
         return self._buffer.filter
 
@@ -67,7 +67,7 @@ class ShadowFilter:
         enough = all(len(self._agreed[name]) == MIN_AGREEING for name in REQUIRED)
         return self._has_refused and enough and all(all(said) for said in self._agreed.values())
 
-    def is_better_than(self, current: Filter) -> bool:
+    def is_better_than(self, current: ErrorStateFilter) -> bool:
         """Than the filter in use, if it agrees."""
         own, others = (np.trace(f.core_covariance()[VELOCITY, VELOCITY]) for f in (self.filter, current))
         return bool(own <= MAX_SD_RATIO**2 * others) and not np.array_equal(self.filter.belief.x, current.belief.x)
@@ -81,7 +81,7 @@ class ShadowFilter:
         if message.t_ns == self.filter.belief.t_ns or self._buffer.is_within_reach(message.t_ns):
             self._buffer.use(message)
 
-    def _hear(self, verdict: Verdict) -> None:
+    def _hear(self, verdict: Innovations) -> None:
         if verdict.sensor in self._agreed and len(verdict.accepted):
             passed = float(verdict.accepted.mean()) if verdict.definite else 0.0
             self._agreed[verdict.sensor].append(passed >= MIN_ACCEPTED)

@@ -15,10 +15,10 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 
 from ltv_mpc.currents import WaterPrior
-from ltv_mpc.localisation.adaptive.process_noise import Change
+from ltv_mpc.localisation.adaptive.process_noise import NoiseLevel
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.alignment import Alignment
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.localisation.health import HealthMonitor, filter_status
 from ltv_mpc.localisation.out_of_sequence import snapshot_spacing_ns
@@ -107,7 +107,7 @@ class Supervision:
         self._report_ns = (belief.t_ns // REPORT_NS + 1) * REPORT_NS
         if warm:
             self._warm_started_ns = belief.t_ns
-        self._set_filter(Filter(self._suite, self._config, belief))
+        self._set_filter(ErrorStateFilter(self._suite, self._config, belief))
 
     def receive(self, message: ImuSample | Measurement) -> None:
         """Store a message for a reinitialisation, and give it to one that is under way.
@@ -168,14 +168,14 @@ class Supervision:
         self._report_ns = (t_ns // REPORT_NS + 1) * REPORT_NS
         sensors = self._monitor.sensors(t_ns, account)
         status, why = filter_status(sensors)
-        if filter_.water.beyond(t_ns) and status is FilterStatus.NOMINAL:
+        if filter_.process_noise.is_inconsistent(t_ns) and status is FilterStatus.NOMINAL:
             status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
         # The status that is reported may depend on what this second begins, but not the other way round.
-        walk = filter_.water.walk_mps_per_rts(t_ns)
+        walk = filter_.process_noise.walk_mps_per_rts(t_ns)
         self._react(filter_, status)
         return self._published(filter_, status, why, walk, sensors)
 
-    def _react(self, filter_: Filter, status: FilterStatus) -> None:
+    def _react(self, filter_: ErrorStateFilter, status: FilterStatus) -> None:
         """Begin a reinitialisation or a shadow filter, or store a good belief."""
         t_ns = filter_.belief.t_ns
         if self._replacement is None and self._reinitialisation.watch(
@@ -187,10 +187,10 @@ class Supervision:
                 ShadowFilter(filter_, snapshot_spacing_ns(self._suite), self._reinitialisation.past_beliefs())
             )
         elif self._reinitialisation.is_belief_due(t_ns) and is_usable(filter_.belief):
-            self._reinitialisation.store(filter_.settled())
+            self._reinitialisation.store(filter_.propagated_belief())
 
     def _published(
-        self, filter_: Filter, status: FilterStatus, why: str, walk: float, sensors: tuple[SensorReport, ...]
+        self, filter_: ErrorStateFilter, status: FilterStatus, why: str, walk: float, sensors: tuple[SensorReport, ...]
     ) -> LocalisationReport:
         """Return the report: a restart goes before the status by the sensors."""
         t_ns = filter_.belief.t_ns
@@ -205,7 +205,7 @@ class Supervision:
                 FilterStatus.UNEXPECTED_CURRENT,
                 f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)",
             )
-            if filter_.water.change(t_ns) is Change.UNIT:
+            if filter_.process_noise.level(t_ns) is NoiseLevel.FAST_AND_IMU:
                 why = "water that changes for longer than a front, or a gyro's fault: both are allowed for"
         return LocalisationReport(
             t_ns=t_ns,
@@ -216,12 +216,12 @@ class Supervision:
             sensors=sensors,
         )
 
-    def _active(self) -> Filter:
+    def _active(self) -> ErrorStateFilter:
         filter_ = self._sequencing.filter
         assert filter_ is not None, "begin comes first"
         return filter_
 
-    def _set_filter(self, filter_: Filter) -> None:
+    def _set_filter(self, filter_: ErrorStateFilter) -> None:
         """Make ``filter_`` the active one, observed by the monitor alone."""
         filter_.observers[:] = [self._monitor.observe]
         self._sequencing.set_filter(filter_)
@@ -229,7 +229,7 @@ class Supervision:
     def _set_shadow(self, shadow: ShadowFilter | None) -> None:
         self._shadow = self._sequencing.shadow = shadow
 
-    def _reinitialise(self, old: Filter, alignment: Alignment) -> None:
+    def _reinitialise(self, old: ErrorStateFilter, alignment: Alignment) -> None:
         """Replace the filter at the time that it has reached; nothing is published on the way."""
         self._replacement = None
         shadow = self._shadow
@@ -239,13 +239,13 @@ class Supervision:
         belief, since = alignment.belief()
         # With the wide prior of unknown water, a first motion of it must not be taken for a front.
         adapts_from_ns = None if self._reinitialisation.restore_water(belief) else belief.t_ns + RESTARTED_NS
-        new = Filter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
+        new = ErrorStateFilter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
         self._set_filter(new)
         self._sequencing.reapply([message for message in since if message.t_ns <= old.belief.t_ns])
         new.account.clear()  # these messages were counted when the old filter used them
         self._set_shadow(shadow)
 
-    def _compare(self, active: Filter, shadow: ShadowFilter) -> None:
+    def _compare(self, active: ErrorStateFilter, shadow: ShadowFilter) -> None:
         """Let the shadow filter take over if it agrees with what it rejected; drop it if it is of no more use."""
         t_ns = active.belief.t_ns
         in_doubt = self._reinitialisation.is_inconsistent or self._reinitialisation.recent(t_ns)
@@ -257,7 +257,7 @@ class Supervision:
             self._account.update(active.account)
             self._monitor.reset()
             shadow.filter.account.clear()  # counted by the filter that it replaces
-            shadow.filter.water.forget(shadow.filter.belief)
+            shadow.filter.process_noise.reset_tests(shadow.filter.belief)
             self._set_filter(shadow.filter)
             self._reinitialisation.restore(shadow.past_beliefs)
             self._returned_ns = t_ns

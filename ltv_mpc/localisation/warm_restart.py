@@ -137,7 +137,7 @@ class WarmRestart:
             belief.P[:, states] *= keep
             places = np.arange(states.start, states.stop)
             belief.P[places, places] += sd**2 * (1.0 - keep * keep)
-        current_model.walk(belief, self._config, seconds)
+        current_model.add_random_walk(belief, self._config, seconds)
 
 
 LEVEL = slice(ATTITUDE.start, ATTITUDE.stop - 1)

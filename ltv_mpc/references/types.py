@@ -75,6 +75,6 @@ def load(name: str) -> Reference:
     if isinstance(reference, Timed) and reference.file:
         path = config.find(name, what="reference", package=PACKAGE)
         return from_csv(
-            reference, path.parent / reference.file, source=config.source_of(path, what="reference", name=name)
+            reference, path.parent / reference.file, source=config.error_source(path, what="reference", name=name)
         )
     return reference

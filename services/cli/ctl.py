@@ -31,14 +31,14 @@ def ctl(
     """
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
-    from ltv_mpc.errors import ConfigError, shown
+    from ltv_mpc.errors import ConfigError, format_value
     from ltv_mpc.messages import Action
-    from ltv_mpc.settings_schema import similar
+    from ltv_mpc.settings_schema import closest_name
 
     known = [one.value for one in Action]
     if action not in known:
-        meant = similar(action, known)
-        near = f"; did you mean {shown(meant)}?" if meant else ""
+        meant = closest_name(action, known)
+        near = f"; did you mean {format_value(meant)}?" if meant else ""
         raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
     wanted = Action(action)
     if (file is not None) != (wanted is Action.FOLLOW):

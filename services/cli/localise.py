@@ -47,8 +47,8 @@ def localise(
     from services.tools.localise import dive_localisation as dive
     from services.tools.localise import text
 
-    with progress_bar(file.name) as told:
-        outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, told=told)
+    with progress_bar(file.name) as progress:
+        outcome = dive.localise(file, fixes=surface_fixes, start_depth_m=start_depth_m, progress=progress)
     written = None if out is None else folder.make("localise", {}, out=out, force=force)
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2).decode()
     typer.echo(plain if as_json else text.text(outcome.result))

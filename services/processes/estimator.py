@@ -9,7 +9,7 @@ import numpy as np
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.correction import update
+from ltv_mpc.localisation.filter.correction import update_covariance
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import fitted
 from ltv_mpc.localisation.sensors.imu import IMU
@@ -58,4 +58,6 @@ def warm_up(suite: SensorConfig, config: EstimatorConfig) -> None:
         estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
     for states in (2, 8):  # many rows of few states, and of many: whichever this ping was not
         place, one = np.arange(8)[:, None] % states, np.ones((8, 1))
-        update(np.eye(8), Rows(state=place, partial=one, residual=np.zeros(8), variance=np.ones(8)), math.inf)
+        update_covariance(
+            np.eye(8), Rows(state=place, partial=one, residual=np.zeros(8), variance=np.ones(8)), math.inf
+        )

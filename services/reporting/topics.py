@@ -6,9 +6,9 @@ import json
 from inspect import cleandoc
 from typing import Any
 
-from ltv_mpc.errors import ConfigError, shown
+from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.messages import Message
-from ltv_mpc.settings_schema import nearest
+from ltv_mpc.settings_schema import suggestion
 from services.bus.protocol import unit, words
 from services.bus.schema import message, schema
 from services.bus.topics import TOPICS, Topic
@@ -40,7 +40,9 @@ def schemas(key: str | None) -> str:
 def _at(key: str) -> Topic:
     found = next((topic for topic in TOPICS if topic.key == key), None)
     if found is None:
-        raise ConfigError(f"topic {shown(key)}", "", f"does not travel{nearest(key, [t.key for t in TOPICS])}")
+        raise ConfigError(
+            f"topic {format_value(key)}", "", f"does not travel{suggestion(key, [t.key for t in TOPICS])}"
+        )
     return found
 
 

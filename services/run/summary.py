@@ -1,4 +1,4 @@
-"""What a run came to, from its grader or from its recording."""
+"""What a run came to, from its metrics or from its recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.run.run_config import Situation
 from services.run.water import Learned
-from sim.evaluation.metrics import Grader, quantiles
+from sim.evaluation.metrics import RunMetrics, quantiles
 from sim.evaluation.summary import Messages, Summary
 from sim.plant import PERIOD_NS
 
@@ -26,11 +26,13 @@ MENDED = topics.key_of(RunEvent, LAUNCHER)
 """The launcher says there whom it has started anew, those too that have no status."""
 
 
-def summarise(situation: Situation, grader: Grader, *, mode: str, messages: Messages, restarts: int = 0) -> Summary:
-    """The summary of a run that ``grader`` has seen."""
+def summarise(
+    situation: Situation, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0
+) -> Summary:
+    """The summary of a run that ``metrics`` has seen."""
     scenario = situation.scenario
     measured = mode == SERVICES
-    tracking, true, localisation, absolute = grader.errors()
+    tracking, true, localisation, absolute = metrics.errors()
     stages = scenario.controller.stages
     nothing = quantiles([])
     return Summary(
@@ -38,23 +40,23 @@ def summarise(situation: Situation, grader: Grader, *, mode: str, messages: Mess
         mode=mode,
         seed=scenario.run.seed,
         speed=scenario.run.speed if measured else None,
-        speed_reached=grader.speed_reached() if measured else None,
-        duration_s=_duration_ns(grader.until_ns, scenario.end_ns) / 1e9,
-        cycles=grader.cycles,
+        speed_reached=metrics.speed_reached() if measured else None,
+        duration_s=_duration_ns(metrics.until_ns, scenario.end_ns) / 1e9,
+        cycles=metrics.cycles,
         tracking_error_m=tracking,
         true_error_m=true,
         localisation_error_m=localisation,
         localisation_error_absolute_m=absolute,
-        thrust=grader.thrust(),
-        compute_delay_s=grader.compute_delay(),
-        compute_delay_wall_s=grader.compute_delay(wall=True) if measured else nothing,
-        end_to_end_delay_s=grader.end_to_end_delay(),
-        end_to_end_delay_wall_s=grader.end_to_end_delay(wall=True) if measured else nothing,
-        stages_us=grader.stages() if measured else {},
-        deadline_misses=grader.deadline_misses,
-        plans_refused=grader.plans_refused,
-        qp_status=dict(sorted(grader.qp_status.items())),
-        plan_origin=dict(sorted(grader.plan_origin.items())),
+        thrust=metrics.thrust(),
+        compute_delay_s=metrics.compute_delay(),
+        compute_delay_wall_s=metrics.compute_delay(wall=True) if measured else nothing,
+        end_to_end_delay_s=metrics.end_to_end_delay(),
+        end_to_end_delay_wall_s=metrics.end_to_end_delay(wall=True) if measured else nothing,
+        stages_us=metrics.stages() if measured else {},
+        deadline_misses=metrics.deadline_misses,
+        plans_refused=metrics.plans_refused,
+        qp_status=dict(sorted(metrics.qp_status.items())),
+        plan_origin=dict(sorted(metrics.plan_origin.items())),
         restarts=restarts,
         messages=messages,
         stages=stages,
@@ -75,7 +77,7 @@ def of_recording(
     ``restarts`` and ``unrecorded`` are what its launcher knows besides: what is not in a file cannot be told from it.
     """
     learned = Learned()
-    grader = Grader(situation.vehicle, speed=situation.scenario.run.speed)
+    metrics = RunMetrics(situation.vehicle, speed=situation.scenario.run.speed)
     losses = LossAccounting()
     rejected = mended = 0
     for message in Recording(path):
@@ -83,17 +85,17 @@ def of_recording(
         losses.add(message.key, epoch, sequence)
         rejected += message.kind is RejectedFrame
         mended += message.key == MENDED and message.plain["kind"] == "fault"
-        if message.kind in grader.hears:
+        if message.kind in metrics.hears:
             try:
                 signal, _ = message.typed()
             except WireError:  # its readers have turned it away too
                 continue
-            grader.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
+            metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
             if isinstance(signal, Estimate):
                 learned.hear(signal)
     summary = summarise(
         situation,
-        grader,
+        metrics,
         mode=SERVICES,
         messages=Messages(published=losses.published, dropped=max(losses.missing, unrecorded), rejected=rejected),
         restarts=max(

@@ -17,7 +17,7 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Situation
 from services.run.summary import LOCKSTEP, summarise
 from services.run.water import Learned
-from sim.evaluation.metrics import Grader
+from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
 from sim.scheduler import EPOCH, LockStep, Step
 
@@ -59,7 +59,7 @@ def _go(
     """Make the run. ``learned`` collects what the estimates say of the water."""
     _leave_alone()
     scenario = situation.scenario
-    log = _Log(Grader(situation.vehicle), writer, learned)
+    log = _Log(RunMetrics(situation.vehicle), writer, learned)
     recorded = writer is not None
     lockstep = LockStep(
         make_nodes(situation, unread=recorded),
@@ -79,7 +79,7 @@ def _go(
             progress(t_ns)
     records = sum(lockstep.steps.values()) if recorded else 0
     messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
-    return summarise(situation, log.grader, mode=LOCKSTEP, messages=messages)
+    return summarise(situation, log.metrics, mode=LOCKSTEP, messages=messages)
 
 
 @cache
@@ -94,8 +94,8 @@ def _leave_alone() -> None:
 class _Log:
     """Observer of the run that passes messages to the recording, if there is one, and to the evaluation."""
 
-    def __init__(self, grader: Grader, writer: RunWriter | None, learned: Learned | None) -> None:
-        self.grader = grader
+    def __init__(self, metrics: RunMetrics, writer: RunWriter | None, learned: Learned | None) -> None:
+        self.metrics = metrics
         self.rejected_count = 0
         self._learned = learned
         self._writer = writer
@@ -103,7 +103,7 @@ class _Log:
     @property
     def heard(self) -> frozenset[type[Message]]:
         """Return the message types whose content is needed when nothing is recorded."""
-        return self.grader.hears | {Estimate, RejectedFrame}
+        return self.metrics.hears | {Estimate, RejectedFrame}
 
     def stepped(self, step: Step) -> None:
         assert self._writer is not None
@@ -120,7 +120,7 @@ class _Log:
 
     def published(self, node: str, message: ReceivedMessage) -> None:
         signal = message.message
-        self.grader.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
+        self.metrics.observe(signal, epoch=EPOCH, sequence=message.sequence, t_ns=message.received_t_ns)
         if type(signal) is RejectedFrame:
             self.rejected_count += 1
         if self._writer is not None:

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 from ltv_mpc.messages import Array
 
 
-class Cells:
+class GridProjection:
     """Of one grid in one column of water."""
 
     def __init__(self, node_m: Array, bend_m: Array) -> None:
@@ -41,7 +41,7 @@ class Cells:
         fitted: Array = self._solve(self._weighted @ water_mps)
         return fitted
 
-    def finer_mps(self, water_mps: Array) -> float:
+    def subgrid_mps(self, water_mps: Array) -> float:
         """What c* does not hold of the water at ``depth_m``: rms over depth of the vector c - c*."""
         rest = water_mps - self._hats @ self.fit(water_mps)
         return float(np.sqrt(self._share @ np.sum(rest**2, axis=1)))

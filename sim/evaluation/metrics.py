@@ -56,7 +56,7 @@ class _Target(NamedTuple):
     moves: bool  # along a path
 
 
-class Grader:
+class RunMetrics:
     """Fed with every message of a run, in order of publication; then asked."""
 
     def __init__(self, vehicle: Vehicle, *, speed: float = 1.0) -> None:

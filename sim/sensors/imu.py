@@ -23,7 +23,7 @@ from ltv_mpc.frames import GRAVITY_MPS2, earth_rate
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
-from ltv_mpc.so3 import Nine
+from ltv_mpc.so3 import Matrix3
 from sim.random_streams import Stream, generator
 from sim.sensors.drift import Drift
 from sim.sensors.vehicle_state import VehicleState
@@ -104,9 +104,9 @@ class InertialUnit:
 
 
 @jit
-def increments(R1: Nine, v1: Array, R2: Nine, v2: Array, W: Array, dt: float) -> tuple[Triple, Triple]:
+def increments(R1: Matrix3, v1: Array, R2: Matrix3, v2: Array, W: Array, dt: float) -> tuple[Triple, Triple]:
     """Error-free mean angular rate and specific force between two instants."""
-    turn = so3.log(so3.times(so3.transposed(R1), so3.times(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
+    turn = so3.log(so3.multiply(so3.transpose(R1), so3.multiply(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
     w = turn[0] / dt, turn[1] / dt, turn[2] / dt
     R_mid = so3.strapdown(R1, (W[0], W[1], W[2]), w, 0.5 * dt)
     x, y, z = 0.5 * (v1[0] + v2[0]), 0.5 * (v1[1] + v2[1]), 0.5 * (v1[2] + v2[2])

@@ -116,9 +116,9 @@ def turned_through(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, 
     here = so3.read(R1)
     so3.write(here, R[0])
     for k in range(K):
-        before, here = here, so3.of_angles(attitude[k, 0], attitude[k, 1], attitude[k, 2])
+        before, here = here, so3.from_angles(attitude[k, 0], attitude[k, 1], attitude[k, 2])
         so3.write(here, R[k + 1])
-        turn = so3.log(so3.times(so3.transposed(before), here))
+        turn = so3.log(so3.multiply(so3.transpose(before), here))
         for i in range(3):
             phi[k, i], w[k, i] = turn[i], turn[i] / h[k]
     return R, phi, w

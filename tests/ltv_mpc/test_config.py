@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ltv_mpc import config
-from ltv_mpc.config import not_there
+from ltv_mpc.config import missing_file_hint
 from ltv_mpc.control.config import ControllerConfig, WeightSettings
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -109,7 +109,7 @@ def test_a_list_of_the_wrong_length_is_refused() -> None:
         (b"a = " + b"[" * 100_000, "deep"),
         (b"a" + b".a" * 5000 + b" = 1", "deep"),
         (b"a = " + b"9" * 5000, "no valid TOML"),
-        (b"#" * (config.LARGEST_FILE + 1), f"at most {config.LARGEST_FILE}; is it the right file?"),
+        (b"#" * (config.MAX_FILE_BYTES + 1), f"at most {config.MAX_FILE_BYTES}; is it the right file?"),
     ],
 )
 def test_a_file_that_is_no_settings_file_is_refused(tmp_path: Path, content: bytes, says: str) -> None:
@@ -230,4 +230,4 @@ def test_a_file_that_is_not_there_names_the_one_that_was_meant_or_the_folder_tha
         ("something_else.toml", "no such file: give one that is there"),
         ("nowhere/hull.toml", f"no such file: there is no folder {tmp_path / 'nowhere'}"),
     ):
-        assert not_there(tmp_path / name) == said
+        assert missing_file_hint(tmp_path / name) == said

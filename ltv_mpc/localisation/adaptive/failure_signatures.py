@@ -2,12 +2,12 @@
 
 Of something that the filter does not know of, of size nu (a slope of all water's velocity, a gyro's bias that begins),
 the mean of the belief's error is E nu, and E, a column a hypothesis, goes with the belief as errors do:
-    moved by the inertial unit       E := Phi E  on the core (``preintegration.carry``)
+    moved by the inertial unit       E := Phi E  on the core (``preintegration.propagate``)
     corrected, W = L^-1 H P          Y = L^-1 H E,   E := E - W^T Y
 and each correction by innovations r that the gate lets through tells of nu, y = L^-1 r ~ N(Y nu, I):
     score  d := d + Y^T y,           information  J := J + Y^T Y
 so that d ~ N(J nu, J) and nu = J^-1 d is the best that there is (linear, no gate).
-One message adds at most ``MOST`` deviations to a score: one bad ping is no evidence.
+One message adds at most ``MAX_SD`` deviations to a score: one bad ping is no evidence.
 Source  Willsky & Jones 1976, A generalized likelihood ratio approach to the detection and estimation of jumps in linear
         systems, IEEE T-AC 21(1).
 """
@@ -23,11 +23,11 @@ from scipy.linalg.blas import dgemm
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
-MOST = 5.0
+MAX_SD = 5.0
 
 
 @dataclass(slots=True)
-class Signatures:
+class FailureSignatures:
     """Of K hypotheses, K = 0 where nothing is asked."""
 
     error: Array  # E (n, K)
@@ -35,13 +35,13 @@ class Signatures:
     information: Array  # J (K, K)
 
     @classmethod
-    def of(cls, states: int, count: int) -> Signatures:
+    def of(cls, states: int, count: int) -> FailureSignatures:
         """None has begun."""
         return cls(np.zeros((states, count)), np.zeros(count), np.zeros((count, count)))
 
-    def copy(self) -> Signatures:
+    def copy(self) -> FailureSignatures:
         """Independent of this one."""
-        return Signatures(self.error.copy(), self.score.copy(), self.information.copy())
+        return FailureSignatures(self.error.copy(), self.score.copy(), self.information.copy())
 
     def clear(self, columns: slice = slice(None)) -> None:
         """Nothing has been heard of these."""
@@ -50,19 +50,19 @@ class Signatures:
         self.information[columns, :] = 0.0
         self.information[:, columns] = 0.0
 
-    def corrected(self, W: Array, Y: Array, y: Array) -> None:
+    def update(self, W: Array, Y: Array, y: Array) -> None:
         """By rows made white: W (m, n), Y (m, K), y (m,), all C-contiguous."""
         # of row-major arrays LAPACK sees the transposes: E^T := E^T - Y^T W, in place
         dgemm(-1.0, Y.T, W.T, beta=1.0, c=self.error.T, trans_b=1, overwrite_c=1)
         J = Y.T @ Y
-        most = MOST * np.sqrt(J.diagonal())
+        most = MAX_SD * np.sqrt(J.diagonal())
         self.score += np.minimum(np.maximum(y @ Y, -most), most)
         self.information += J
 
 
 @jit
-def corrected(error: Array, score: Array, information: Array, W: Array, Y: Array, y: Array) -> None:
-    """``Signatures.corrected`` by few rows."""
+def update_signatures(error: Array, score: Array, information: Array, W: Array, Y: Array, y: Array) -> None:
+    """``FailureSignatures.update`` by few rows."""
     m, n = W.shape
     K = error.shape[1]
     for i in range(n):
@@ -77,5 +77,5 @@ def corrected(error: Array, score: Array, information: Array, W: Array, Y: Array
             own += Y[k, j] * Y[k, j]
             for b in range(K):
                 information[j, b] += Y[k, j] * Y[k, b]
-        most = MOST * math.sqrt(own)
+        most = MAX_SD * math.sqrt(own)
         score[j] += min(max(told, -most), most)

@@ -20,13 +20,13 @@ from ltv_mpc.localisation.filter.state import Belief
 from ltv_mpc.messages import Array
 
 SLOPE_S = 5.0
-TIMES = 2.0
+MIN_SLOPE_SD = 2.0
 _FEWEST = 4
 _SETTLED_S = 4.0
 """A beginning later than this before now is not asked of."""
 
 
-class Drift:
+class FrontOrGyroTest:
     """Of all water, since a walk was granted."""
 
     def __init__(self) -> None:
@@ -34,9 +34,9 @@ class Drift:
         self._moved_mps: list[Array] = []  # D (2,)
         self._turned_s: list[Array] = []  # (2, 2), integral of the body's x and y axes, north and east
 
-    def copy(self) -> Drift:
+    def copy(self) -> FrontOrGyroTest:
         """Independent of this one."""
-        other = Drift()
+        other = FrontOrGyroTest()
         other._t_s, other._moved_mps = list(self._t_s), list(self._moved_mps)
         other._turned_s = list(self._turned_s)
         return other
@@ -54,11 +54,11 @@ class Drift:
         self._turned_s.append(turned_s)
 
     @property
-    def lasts_s(self) -> float:
+    def duration_s(self) -> float:
         """Since the first ping."""
         return self._t_s[-1] - self._t_s[0]
 
-    def goes_on(self, level_sd_rad: float) -> bool:
+    def is_drifting(self, level_sd_rad: float) -> bool:
         """Whether it drifts still, ``level_sd_rad`` being by how much the level may be wrong."""
         t = np.array(self._t_s)
         late = t > t[-1] - SLOPE_S
@@ -66,9 +66,9 @@ class Drift:
         if len(t) < _FEWEST:
             return False
         slope = t @ np.array(self._moved_mps)[late] / (t @ t)
-        return math.hypot(*slope) > TIMES * GRAVITY_MPS2 * level_sd_rad
+        return math.hypot(*slope) > MIN_SLOPE_SD * GRAVITY_MPS2 * level_sd_rad
 
-    def is_a_tilt(self) -> bool:
+    def is_gyro_fault(self) -> bool:
         """Whether a gyro explains it better than water does."""
         t, D, turned = np.array(self._t_s), np.array(self._moved_mps), np.array(self._turned_s)
         dt = np.diff(t, prepend=t[0])

@@ -9,7 +9,8 @@ Hypotheses, each of two numbers nu, by when it began and ended: all water goes f
         columns; a drift that has ended is one that began less one that began later. With d the score, J the
         information and nu ~ N(0, s^2 I) before anything was heard,
             2 ln L = d^T (J + I / s^2)^-1 d,    evidence = L |I + s^2 J|^-1/2
-Found   where 2 ln L of the best of them passes ``LIMIT``, or ``LIMIT_TOO`` where innovations have a mean as well.
+Found   where 2 ln L of the best of them passes ``THRESHOLD``, or ``JOINT_THRESHOLD`` where innovations have a mean as
+        well.
 Old     where those that began longer ago than the filter goes back have nearly all evidence: then estimate and
         covariance become those of the mixture of all, weighed by their evidence; each moves the estimate by its E nu
         and adds E (J + I / s^2)^-1 E^T. What began since is done again with a walk of the water (``process_noise.py``),
@@ -36,9 +37,9 @@ Instants = npt.NDArray[np.int64]
 STEP_NS, STEPS = 3_000_000_000, 14
 COLUMNS = 2 * STEPS
 
-LIMIT = 32.0
+THRESHOLD = 32.0
 """Sixty descents through water as foretold: 23 at most with the paper's sensors, 28 with realistic ones."""
-LIMIT_TOO = 26.0
+JOINT_THRESHOLD = 26.0
 
 _SD_MPS2 = 0.01
 """10 cm/s in 10 s."""
@@ -51,70 +52,70 @@ _LEAST = 1e-4
 """Share of the evidence below which a hypothesis is not mixed in."""
 
 
-class Found(NamedTuple):
+class OnsetDetection(NamedTuple):
     """Of the mixture: by how much the estimate is to be moved, and a root of what that adds to its covariance."""
 
-    twice: float  # the largest 2 ln L
-    old: bool  # very likely
+    statistic: float  # the largest 2 ln L
+    is_old: bool  # very likely
     error: Array  # (n,)
     root: Array  # (n, r)
 
-    def make_up(self, belief: Belief) -> None:
+    def compensate(self, belief: Belief) -> None:
         """Move the estimate."""
-        belief.add(self.error)
+        belief.apply_error(self.error)
         belief.P += self.root @ self.root.T
 
 
-class Onsets:
+class GlrDetector:
     """Which columns of the belief's signatures began when. Part of what a filter goes back to."""
 
     def __init__(self) -> None:
         self._began: Instants = np.full(STEPS, _NONE_NS)
         self._to_grow_s = 0.0
 
-    def copy(self) -> Onsets:
+    def copy(self) -> GlrDetector:
         """Independent of this one."""
-        other = Onsets()
+        other = GlrDetector()
         other._began, other._to_grow_s = self._began.copy(), self._to_grow_s
         return other
 
-    def forget(self, belief: Belief) -> None:
+    def reset(self, belief: Belief) -> None:
         """What has been heard so far."""
-        belief.astray.clear()
+        belief.signatures.clear()
         self._began[:] = _NONE_NS
         self._to_grow_s = 0.0
 
-    def grow(self, dt: float) -> None:
+    def add_elapsed(self, dt: float) -> None:
         """All water has drifted for ``dt`` more (s)."""
         self._to_grow_s += dt
 
-    def settle(self, belief: Belief) -> None:
+    def start_hypothesis(self, belief: Belief) -> None:
         """What has grown, before rows that look at water are used, and where it is time an instant in the place of the
         oldest.
         """
-        astray, t_ns = belief.astray, belief.t_ns
-        if not astray.score.size:
+        signatures, t_ns = belief.signatures, belief.t_ns
+        if not signatures.score.size:
             return
         layout = belief.layout
-        _grow(astray.error, self._to_grow_s, layout.mean.start, layout.north.start, layout.east.start)
+        _grow(signatures.error, self._to_grow_s, layout.mean.start, layout.north.start, layout.east.start)
         self._to_grow_s = 0.0
         slot = t_ns // STEP_NS % STEPS
         if self._began[slot] // STEP_NS != t_ns // STEP_NS:
             self._began[slot] = t_ns
-            astray.clear(slice(2 * slot, 2 * slot + 2))
+            signatures.clear(slice(2 * slot, 2 * slot + 2))
 
-    def found(self, belief: Belief, limit: float, reach_ns: int) -> Found | None:
+    def detect(self, belief: Belief, limit: float, reach_ns: int) -> OnsetDetection | None:
         """None while no 2 ln L is beyond ``limit``; ``reach_ns``: how far the filter goes back."""
-        astray = belief.astray
-        if not astray.score.size:
+        signatures = belief.signatures
+        if not signatures.score.size:
             return None
-        first, last, twice, evidence, nu, covariance = _weighed(astray.score, astray.information, self._began)
+        first, last, twice, evidence, nu, covariance = _weighed(signatures.score, signatures.information, self._began)
         if not twice.max(initial=0.0) > limit:
             return None
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
         some = np.flatnonzero(share > _LEAST)
-        E, moves, roots = astray.error, [], []
+        E, moves, roots = signatures.error, [], []
         for k in some:
             since = E[:, first[k] : first[k] + 2]
             its = since if last[k] < 0 else since - E[:, last[k] : last[k] + 2]
@@ -124,7 +125,7 @@ class Onsets:
         roots += [math.sqrt(share[k]) * (move - error)[:, None] for k, move in zip(some, moves, strict=True)]
         roots.append(_SHAPE * error[:, None])
         old = share[self._began[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
-        return Found(float(twice.max()), bool(old), error, np.concatenate(roots, axis=1))
+        return OnsetDetection(float(twice.max()), bool(old), error, np.concatenate(roots, axis=1))
 
 
 @jit

@@ -5,7 +5,7 @@ d = D^T r of one message, as the mean over its rows, have the variance V = D^T S
     s := lambda s + d,  W := lambda^2 W + V,  lambda = exp(-dt / tau),
 make s^T W^-1 s chi-square of as many degrees of freedom as d has entries, whatever tau is.
 A hundred rows that are all wrong by a tenth of their noise leave their squares as they are and are ten deviations in d.
-One message moves s by at most ``MOST`` deviations: one bad ping alone does not pass ``limit``, two do.
+One message moves s by at most ``MAX_SD`` deviations: one bad ping alone does not pass ``limit``, two do.
 Source  Mehra 1970, IEEE T-AC 15(2) (whiteness); Bar-Shalom, Li & Kirubarajan 2001, section 5.4.
 """
 
@@ -19,18 +19,18 @@ from scipy.special import chdtri
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
-MOST = 5.0
+MAX_SD = 5.0
 
 FALSE_ALARM = 3e-6
 """For each look at one sum. 200 s are some 600 independent looks: one dive in 500 has a false alarm."""
 
 
-def limit(degrees: int, false_alarm: float = FALSE_ALARM) -> float:
+def threshold(degrees: int, false_alarm: float = FALSE_ALARM) -> float:
     """Chi-square that s^T W^-1 s exceeds by chance in ``false_alarm`` of all looks."""
     return float(chdtri(degrees, false_alarm))
 
 
-class Mean:
+class InnovationMeanTest:
     """s (T, G) and W (T, G, G) of one kind of contrasts (G,), one or two, for several time constants (T,) at once."""
 
     def __init__(self, tau_s: tuple[float, ...], size: int) -> None:
@@ -51,9 +51,9 @@ class Mean:
             return np.zeros(len(self.s))
         return _squares(self.s, self.W)
 
-    def copy(self) -> Mean:
+    def copy(self) -> InnovationMeanTest:
         """Independent of this one: s and W are replaced, never written into."""
-        other = Mean.__new__(Mean)
+        other = InnovationMeanTest.__new__(InnovationMeanTest)
         other.__dict__.update(self.__dict__)
         return other
 
@@ -62,7 +62,7 @@ class Mean:
 def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, Array]:
     """s and W with one message more; ``keep`` (T,) is lambda."""
     own = _square(d, V)
-    part = MOST / math.sqrt(own) if own > MOST * MOST else 1.0
+    part = MAX_SD / math.sqrt(own) if own > MAX_SD * MAX_SD else 1.0
     new_s, new_W = np.empty_like(s), np.empty_like(W)
     for t in range(len(keep)):
         for i in range(len(d)):

@@ -44,9 +44,9 @@ import numpy.typing as npt
 
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.adaptive import innovation_tests
-from ltv_mpc.localisation.adaptive.front_or_gyro_test import Drift
-from ltv_mpc.localisation.adaptive.glr_detector import LIMIT, LIMIT_TOO, Found, Onsets
-from ltv_mpc.localisation.adaptive.innovation_tests import Mean
+from ltv_mpc.localisation.adaptive.front_or_gyro_test import FrontOrGyroTest
+from ltv_mpc.localisation.adaptive.glr_detector import JOINT_THRESHOLD, THRESHOLD, GlrDetector, OnsetDetection
+from ltv_mpc.localisation.adaptive.innovation_tests import InnovationMeanTest
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief
 from ltv_mpc.messages import Array
 
@@ -62,8 +62,8 @@ _CUT = 2.0
 _WORST = 100.0
 """Condition of a fit, of columns of one length, up to which beams are held to point in enough directions."""
 
-_LIMIT_1, _LIMIT_2 = innovation_tests.limit(1), innovation_tests.limit(2)
-_LIMIT_FAST = innovation_tests.limit(2, 1e-7)
+_LIMIT_1, _LIMIT_2 = innovation_tests.threshold(1), innovation_tests.threshold(2)
+_LIMIT_FAST = innovation_tests.threshold(2, 1e-7)
 """What is granted as fast is taken from the velocity, for as long as the dive lasts: one false alarm in 5,000 dives, of
 three sums with 600 independent looks each. By ``_LIMIT_2`` it was one in 200, and one of them ended 36 m away.
 """
@@ -77,40 +77,40 @@ _BEFORE_NS = 1_000_000_000
 """So long before a grant ends it is asked whether it is still needed, and then for so long more."""
 
 
-class Change(enum.IntEnum):
+class NoiseLevel(enum.IntEnum):
     """How much the water is granted."""
 
     NONE = 0
     SLOW = 1
     FAST = 2
-    UNIT = 3  # as FAST, and the inertial unit is doubted
+    FAST_AND_IMU = 3  # as FAST, and the inertial unit is doubted
 
 
-WALK_MPS_PER_RTS = {Change.NONE: 0.0, Change.SLOW: 0.003, Change.FAST: 0.05, Change.UNIT: 0.05}
-_HOLD_NS = {Change.SLOW: 60_000_000_000, Change.FAST: 10_000_000_000, Change.UNIT: 10_000_000_000}
+WALK_MPS_PER_RTS = {NoiseLevel.NONE: 0.0, NoiseLevel.SLOW: 0.003, NoiseLevel.FAST: 0.05, NoiseLevel.FAST_AND_IMU: 0.05}
+_HOLD_NS = {NoiseLevel.SLOW: 60_000_000_000, NoiseLevel.FAST: 10_000_000_000, NoiseLevel.FAST_AND_IMU: 10_000_000_000}
 
 _GYRO_SD_RADPS, _TILT_SD_RAD, _VELOCITY_SD_MPS = 5e-4, 0.01, 0.3
 """What is opened once with UNIT: 100 deg/h, what that makes of the tilt in 20 s, and of the velocity in 10 s."""
 
 
-class Adaptation:
+class AdaptiveProcessNoise:
     """Of one filter; part of what it goes back to."""
 
     def __init__(self, cell_m: float, from_ns: int) -> None:
         """Before ``from_ns`` nothing is granted."""
         self._cell_m = cell_m
         self._from_ns = from_ns
-        self._until_ns: dict[Change, int] = {}
-        self._held_ns: dict[Change, int] = {}
+        self._until_ns: dict[NoiseLevel, int] = {}
+        self._held_ns: dict[NoiseLevel, int] = {}
         self._to_open = False  # the inertial unit's doubt, when time goes on
-        self._onsets = Onsets()
-        self._drift: Drift | None = None  # while FAST is granted
+        self._onsets = GlrDetector()
+        self._drift: FrontOrGyroTest | None = None  # while FAST is granted
         self._tilts = False  # it is the unit's
         self._clear()
 
-    def copy(self) -> Adaptation:
+    def copy(self) -> AdaptiveProcessNoise:
         """Independent of this one."""
-        other = Adaptation.__new__(Adaptation)
+        other = AdaptiveProcessNoise.__new__(AdaptiveProcessNoise)
         other.__dict__.update(self.__dict__)
         other._means, other._downward, other._slopes = self._means.copy(), self._downward.copy(), self._slopes.copy()
         other._until_ns, other._held_ns = dict(self._until_ns), dict(self._held_ns)
@@ -118,28 +118,32 @@ class Adaptation:
         other._drift = None if self._drift is None else self._drift.copy()
         return other
 
-    def forget(self, belief: Belief) -> None:
+    def reset_tests(self, belief: Belief) -> None:
         """What pings have shown so far: it was the profiler's, or is accounted for. What is granted stays."""
-        self._onsets.forget(belief)
+        self._onsets.reset(belief)
         self._clear()
 
     def _clear(self) -> None:
-        self._means, self._downward, self._slopes = Mean(_MEANS_S, 2), Mean(_MEANS_S, 1), Mean(_SLOPES_S, 2)
+        self._means, self._downward, self._slopes = (
+            InnovationMeanTest(_MEANS_S, 2),
+            InnovationMeanTest(_MEANS_S, 1),
+            InnovationMeanTest(_SLOPES_S, 2),
+        )
         self._beyond_ns: int | None = None
 
-    def change(self, t_ns: int) -> Change:
+    def level(self, t_ns: int) -> NoiseLevel:
         """Granted at ``t_ns``."""
-        return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=Change.NONE)
+        return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=NoiseLevel.NONE)
 
     def walk_mps_per_rts(self, t_ns: int) -> float:
         """What is granted, q."""
-        return WALK_MPS_PER_RTS[self.change(t_ns)]
+        return WALK_MPS_PER_RTS[self.level(t_ns)]
 
-    def beyond(self, t_ns: int) -> bool:
+    def is_inconsistent(self, t_ns: int) -> bool:
         """Means have just called for what no water does: more than fast, or up and down."""
         return self._beyond_ns is not None and t_ns - self._beyond_ns < _BEYOND_NS
 
-    def hear(self, t_ns: int, u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> None:
+    def add_innovations(self, t_ns: int, u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> None:
         """Innovations r (m,) of one ping with covariance S; u (m, 3) each row's beam in NED."""
         ways, shear = _contrasts(u, cell, r, S)
         if ways.known:
@@ -148,64 +152,66 @@ class Adaptation:
         if shear.known:
             self._slopes.add(t_ns, shear.d, shear.V)
 
-    def before(self, belief: Belief) -> None:
+    def start_ping(self, belief: Belief) -> None:
         """A ping is to be used."""
-        self._onsets.settle(belief)
+        self._onsets.start_hypothesis(belief)
 
-    def began(self, belief: Belief) -> Found | None:
+    def detect_onset(self, belief: Belief) -> OnsetDetection | None:
         """What the sums of the pings so far show of what began lately; None: nothing."""
-        if belief.t_ns < self._from_ns or self.beyond(belief.t_ns):
+        if belief.t_ns < self._from_ns or self.is_inconsistent(belief.t_ns):
             return None
-        found = self._onsets.found(belief, LIMIT_TOO, BACK_NS)
-        if found is None or found.twice > LIMIT:
+        found = self._onsets.detect(belief, JOINT_THRESHOLD, BACK_NS)
+        if found is None or found.statistic > THRESHOLD:
             return found
         means = self._means.chi_square() > _LIMIT_FAST
-        moves = means.any() and not self._lasting(means, belief.t_ns) and self.change(belief.t_ns) < Change.FAST
+        moves = means.any() and not self._lasting(means, belief.t_ns) and self.level(belief.t_ns) < NoiseLevel.FAST
         return found if moves else None
 
-    def seen(self, t_ns: int, began: Found | None = None) -> Change:
+    def required_level(self, t_ns: int, began: OnsetDetection | None = None) -> NoiseLevel:
         """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""
-        granted, lately = self.change(t_ns), self._means.chi_square()
+        granted, lately = self.level(t_ns), self._means.chi_square()
         means = lately > _LIMIT_FAST
-        if (self._downward.chi_square() > _LIMIT_1).any() or (lately[0] > _LIMIT_2 and granted >= Change.FAST):
+        if (self._downward.chi_square() > _LIMIT_1).any() or (lately[0] > _LIMIT_2 and granted >= NoiseLevel.FAST):
             self._beyond_ns = t_ns
-        if self.beyond(t_ns) or t_ns < self._from_ns:
-            return Change.NONE
+        if self.is_inconsistent(t_ns) or t_ns < self._from_ns:
+            return NoiseLevel.NONE
         if self._tilts:
-            return Change.UNIT
-        if means.any() and granted < Change.FAST:
-            return Change.UNIT if self._lasting(means, t_ns) else Change.FAST
-        if began is not None and not began.old and granted < Change.FAST:
-            return Change.FAST
-        if (self._slopes.chi_square() > _LIMIT_2).any() and granted < Change.SLOW:
-            return Change.SLOW
-        return Change.NONE
+            return NoiseLevel.FAST_AND_IMU
+        if means.any() and granted < NoiseLevel.FAST:
+            return NoiseLevel.FAST_AND_IMU if self._lasting(means, t_ns) else NoiseLevel.FAST
+        if began is not None and not began.is_old and granted < NoiseLevel.FAST:
+            return NoiseLevel.FAST
+        if (self._slopes.chi_square() > _LIMIT_2).any() and granted < NoiseLevel.SLOW:
+            return NoiseLevel.SLOW
+        return NoiseLevel.NONE
 
-    def grant(self, change: Change, until_ns: int, now_ns: int) -> None:
+    def inflate(self, change: NoiseLevel, until_ns: int, now_ns: int) -> None:
         """From now on, wherever "now" has gone back to. ``until_ns`` comes from ``hold``."""
         self._held_ns[change] = until_ns - now_ns
         self._until_ns[change] = until_ns
-        self._to_open = change is Change.UNIT
+        self._to_open = change is NoiseLevel.FAST_AND_IMU
         self._tilts = False
 
     def _lasting(self, means: npt.NDArray[np.bool_], t_ns: int) -> bool:
         """It shows over the longest time alone, or again."""
-        return not means[:-1].any() or self._lately(Change.FAST, t_ns) or self._lately(Change.UNIT, t_ns)
+        return (
+            not means[:-1].any() or self._lately(NoiseLevel.FAST, t_ns) or self._lately(NoiseLevel.FAST_AND_IMU, t_ns)
+        )
 
-    def _lately(self, change: Change, t_ns: int) -> bool:
+    def _lately(self, change: NoiseLevel, t_ns: int) -> bool:
         """It was granted, and has ended no longer ago than it was held."""
         return change in self._until_ns and t_ns < self._until_ns[change] + self._held_ns[change]
 
-    def hold(self, change: Change, now_ns: int) -> int:
+    def inflation_end_ns(self, change: NoiseLevel, now_ns: int) -> int:
         """Until when it is granted: twice as long as the last time where that was not long ago."""
         last_ns, hold_ns = self._held_ns.get(change, 0), _HOLD_NS[change]
         if last_ns and now_ns < self._until_ns[change] + 2 * last_ns:
             hold_ns = min(2 * last_ns, _LONGEST_NS)
         return now_ns + hold_ns
 
-    def moved(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array) -> None:
+    def add_correction(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array) -> None:
         """Take note of one ping's corrections (n,). Its cells lie below the nodes ``upper`` of the grid."""
-        if self.change(belief.t_ns) is Change.FAST:
+        if self.level(belief.t_ns) is NoiseLevel.FAST:
             layout, slots = belief.layout, upper - belief.column.first
             self._follow(belief, np.array([error[layout.north][slots].mean(), error[layout.east][slots].mean()]))
         else:
@@ -214,20 +220,20 @@ class Adaptation:
     def _follow(self, belief: Belief, moved_mps: Array) -> None:
         """Where the water goes while FAST is granted: for longer where it goes on."""
         if self._drift is None:
-            self._drift = Drift()
+            self._drift = FrontOrGyroTest()
         self._drift.add(belief, moved_mps)
-        if self._until_ns[Change.FAST] > belief.t_ns + _BEFORE_NS:
+        if self._until_ns[NoiseLevel.FAST] > belief.t_ns + _BEFORE_NS:
             return
         level = np.diagonal(belief.P)[ATTITUDE][:2]
-        if self._drift.goes_on(math.sqrt(level.max())):
-            if self._drift.lasts_s > _LONGEST_FRONT_S or self._drift.is_a_tilt():
+        if self._drift.is_drifting(math.sqrt(level.max())):
+            if self._drift.duration_s > _LONGEST_FRONT_S or self._drift.is_gyro_fault():
                 self._tilts = True
             else:
-                self._until_ns[Change.FAST] = belief.t_ns + _BEFORE_NS
+                self._until_ns[NoiseLevel.FAST] = belief.t_ns + _BEFORE_NS
 
-    def grow(self, belief: Belief, dt: float) -> None:
+    def propagate(self, belief: Belief, dt: float) -> None:
         """What is granted over the last ``dt`` (s), into the covariance."""
-        self._onsets.grow(dt)
+        self._onsets.add_elapsed(dt)
         if not (self._until_ns or self._to_open):
             return
         q = self.walk_mps_per_rts(belief.t_ns)

@@ -6,8 +6,9 @@ Doubted are rows beyond the gate up to a limit, where one is given: of measureme
 state's own error, and so is most of a residual that is too large. They are used with as much noise as makes them just
 pass, S_ii := residual_i^2 / gate, so that none, right or wrong, moves a state by more than one that passes could
 (Huber 1981, Robust statistics; Yang, He & Xu 2001, J. Geodesy 75, adaptively robust filtering).
-``weigh`` says what the rows tell of the error, ``reduce`` what then is left of the covariance, ``update`` does both on
-any P; ``correct`` moves a belief by the error and carries P over to the estimate that has moved
+``whiten`` says what the rows tell of the error, ``reduce_covariance`` what then is left of the covariance,
+``update_covariance`` does both on any P;
+ ``correct`` moves a belief by the error and carries P over to the estimate that has moved
 (``invariant_correction.py``).
 Exact   P stays symmetric to the last bit: of few rows both triangles are reckoned by the same sums, of many one
         triangle is, and the other written from it tile by tile.
@@ -27,17 +28,17 @@ from scipy.linalg.blas import dsyrk, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
 from ltv_mpc.jit import copy_to, jit
-from ltv_mpc.localisation.adaptive.failure_signatures import corrected
-from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing, turned
+from ltv_mpc.localisation.adaptive.failure_signatures import update_signatures
+from ltv_mpc.localisation.filter.invariant_correction import HEADING, coupling_vector, heading_coupling
 from ltv_mpc.localisation.filter.measurement_compression import (
-    entries,
-    innovation,
+    compress,
+    innovation_covariance,
     project,
-    spread,
-    sufficient,
-    touched,
+    sparse_rows,
+    touched_innovation_covariance,
+    touched_states,
 )
-from ltv_mpc.localisation.filter.state import Belief, shift
+from ltv_mpc.localisation.filter.state import Belief, apply_error
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.messages import Array
 
@@ -59,7 +60,7 @@ class Correction(NamedTuple):
     S: Array  # (m, m), of all rows
     definite: bool  # S was positive definite; if not, nothing has been touched, and P must not be trusted
     error: Array  # (n,), of the estimate: what is to be added to it; zero if no row passed
-    doubted: int  # rows that were used though they are not accepted
+    deweighted: int  # rows that were used though they are not accepted
 
 
 @jit
@@ -168,17 +169,17 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 
 @jit
-def _weigh_few(
+def _whiten_few(
     P: Array, E: Array, rows: Rows, gate: float, limit: float
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int, Array, Array, Array]:
     """The fields of a ``Correction``, and W, Y and y, of few rows: without a library's calls."""
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
-    H = entries(rows.state, rows.partial)
+    H = sparse_rows(rows.state, rows.partial)
     HP, HE = project(H, P), project(H, E)
-    S = spread(H, np.ascontiguousarray(HP.T), rows.variance)
+    S = innovation_covariance(H, np.ascontiguousarray(HP.T), rows.variance)
     accepted, nis, passed = _gated(S, z, gate)
-    more, doubted = _doubted(S, z, nis, gate, limit)
-    passed += doubted
+    more, deweighted = _doubted(S, z, nis, gate, limit)
+    passed += deweighted
     W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     Y = np.empty((passed, E.shape[1]))
     if passed == 0:
@@ -199,10 +200,10 @@ def _weigh_few(
     if not _fold(W, Y, of_passed, residual):
         return np.zeros_like(accepted), nis, S, False, np.zeros(n), 0, W[:0], Y[:0], residual[:0]
     error = _tell(W, residual)
-    return accepted, nis, S, True, error, doubted, W, Y, residual
+    return accepted, nis, S, True, error, deweighted, W, Y, residual
 
 
-class White(NamedTuple):
+class WhitenedRows(NamedTuple):
     """Rows that passed, or as many as say the same, made independent, of variance 1; none where S is not definite."""
 
     W: Array  # (m', n), L^-1 H P
@@ -210,28 +211,28 @@ class White(NamedTuple):
     y: Array  # (m',), L^-1 residual
 
 
-def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, White]:
+def whiten(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, WhitenedRows]:
     """What the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom) tell.
 
     ``P`` (n, n), symmetric, and ``E`` (n, K), both C-contiguous, are only read.
     """
     if len(rows.residual) <= _FEW:
-        accepted, nis, S, definite, error, _, W, Y, y = _weigh_few(P, E, rows, gate, gate)
-        return Correction(accepted, nis, S, definite, error, 0), White(W, Y, y)
-    places, local = touched(rows.state, rows.partial, len(P))
-    S = innovation(P, places, local, rows.partial, rows.variance)
+        accepted, nis, S, definite, error, _, W, Y, y = _whiten_few(P, E, rows, gate, gate)
+        return Correction(accepted, nis, S, definite, error, 0), WhitenedRows(W, Y, y)
+    places, local = touched_states(rows.state, rows.partial, len(P))
+    S = touched_innovation_covariance(P, places, local, rows.partial, rows.variance)
     z, n = rows.residual, len(P)
-    nothing = White(np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0))
+    nothing = WhitenedRows(np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0))
     accepted, nis, passed = _gated(S, z, gate)
     if passed == 0:
         return Correction(accepted, nis, S, True, np.zeros(n), 0), nothing
     if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
-        H, HP, of_passed, z = sufficient(P, places, local, rows.partial, accepted / rows.variance, z)
+        H, HP, of_passed, z = compress(P, places, local, rows.partial, accepted / rows.variance, z)
     elif passed == len(z):
-        H, of_passed = entries(rows.state, rows.partial), S
+        H, of_passed = sparse_rows(rows.state, rows.partial), S
         HP = project(H, P)
     else:
-        H, of_passed = entries(rows.state[accepted], rows.partial[accepted]), S[np.ix_(accepted, accepted)]
+        H, of_passed = sparse_rows(rows.state[accepted], rows.partial[accepted]), S[np.ix_(accepted, accepted)]
         HP, z = project(H, P), z[accepted]
     # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
     L, info = dpotrf(of_passed.T, lower=1, clean=0)
@@ -242,12 +243,12 @@ def weigh(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, Whit
     Y = nothing.Y
     if E.shape[1]:
         Y = dtrsm(1.0, L, project(H, E).T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    return Correction(accepted, nis, S, True, _tell(W, y), 0), White(W, Y, y)
+    return Correction(accepted, nis, S, True, _tell(W, y), 0), WhitenedRows(W, Y, y)
 
 
 @jit
 def _turn(P: Array, W: Array, a: Array) -> Array:
-    """b of ``reduce``, (n,), of P - W^T W with P's upper triangle."""
+    """b of ``reduce_covariance``, (n,), of P - W^T W with P's upper triangle."""
     b: Array = P[HEADING].copy()
     for j in range(HEADING):
         b[j] = P[j, HEADING]
@@ -263,7 +264,7 @@ def _turn(P: Array, W: Array, a: Array) -> Array:
 
 @jit
 def _swing_too(E: Array, a: Array) -> None:
-    """E := M E of ``reduce``."""
+    """E := M E of ``reduce_covariance``."""
     for i in range(len(a)):
         for j in range(E.shape[1]):
             E[i, j] += a[i] * E[HEADING, j]
@@ -284,19 +285,19 @@ def _correct_few(
     north: int,
     east: int,
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int]:
-    """``correct`` by few rows but for the mounting: the fields of a ``Correction``. Places as in ``turning.turned``."""
-    accepted, nis, S, definite, error, doubted, W, Y, y = _weigh_few(P, E, rows, gate, limit)
+    """``correct`` by few rows but for the mounting: the fields of a ``Correction``."""
+    accepted, nis, S, definite, error, deweighted, W, Y, y = _whiten_few(P, E, rows, gate, limit)
     if W.shape[0]:
-        shift(x, R, error)
-        a = turned(error, mean, north, east)
+        apply_error(x, R, error)
+        a = coupling_vector(error, mean, north, east)
         _subtract(P, W, a, _turn(P, W, a))
         if E.shape[1]:
-            corrected(E, score, information, W, Y, y)
+            update_signatures(E, score, information, W, Y, y)
             _swing_too(E, a)
-    return accepted, nis, S, definite, error, doubted
+    return accepted, nis, S, definite, error, deweighted
 
 
-def reduce(P: Array, W: Array, a: Array | None = None) -> None:
+def reduce_covariance(P: Array, W: Array, a: Array | None = None) -> None:
     """P := M (P - W^T W) M^T in place, M = I + a e_s^T with s the heading's place; M = I without ``a`` (n,), a[s] = 0.
 
     M P M^T = P + a b^T + b a^T with b = P_.s + a P_ss / 2.
@@ -315,11 +316,11 @@ def reduce(P: Array, W: Array, a: Array | None = None) -> None:
         _subtract(P, W, a, b)
 
 
-def update(P: Array, rows: Rows, gate: float) -> Correction:
+def update_covariance(P: Array, rows: Rows, gate: float) -> Correction:
     """Of any covariance (n, n), symmetric, C-contiguous, in place; the caller adds ``error`` to its estimate."""
-    correction, white = weigh(P, np.empty((len(P), 0)), rows, gate)
+    correction, white = whiten(P, np.empty((len(P), 0)), rows, gate)
     if len(white.W):
-        reduce(P, white.W)
+        reduce_covariance(P, white.W)
     return correction
 
 
@@ -328,21 +329,21 @@ def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Corr
 
     Those between it and ``limit``, of a message of few rows, are doubted.
     """
-    layout, astray = belief.layout, belief.astray
-    E, score, information = astray.error, astray.score, astray.information
+    layout, signatures = belief.layout, belief.signatures
+    E, score, information = signatures.error, signatures.score, signatures.information
     if len(rows.residual) <= _FEW:
         water = layout.mean.start, layout.north.start, layout.east.start
         correction = Correction(
             *_correct_few(belief.x, belief.R, belief.P, E, score, information, rows, gate, limit, *water)
         )
-        belief.turn_mounting(correction.error)
+        belief.apply_mounting_error(correction.error)
         return correction
-    correction, white = weigh(belief.P, E, rows, gate)
+    correction, white = whiten(belief.P, E, rows, gate)
     if len(white.W):
-        belief.add(correction.error)
-        a = swing(correction.error, layout)
-        reduce(belief.P, white.W, a)
+        belief.apply_error(correction.error)
+        a = heading_coupling(correction.error, layout)
+        reduce_covariance(belief.P, white.W, a)
         if E.shape[1]:
-            astray.corrected(*white)
+            signatures.update(*white)
             _swing_too(E, a)
     return correction

@@ -1,7 +1,7 @@
 """The error-state Kalman filter: one belief of vehicle and water, moved by the inertial unit, corrected by the rest.
 
 Between two corrections the estimate is integrated sample by sample and only the core's transition is gathered
-(``preintegration.py``); ``settle`` then moves the large covariance once:
+(``preintegration.py``); ``propagate_covariance`` then moves the large covariance once:
     P_cc := Phi P_cc Phi^T + Q,  P_cr := Phi P_cr      c: the fifteen core states, r: all others
 Biases and water cells behind the core are constants, first-order Gauss-Markov or random walks.
 The vehicle's dynamic model is not fused: what the thrusters do is no evidence here.
@@ -21,12 +21,12 @@ from scipy.special import chdtri
 
 from ltv_mpc.frames import earth_rate
 from ltv_mpc.localisation import imu_dropout
-from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS
-from ltv_mpc.localisation.adaptive.process_noise import Adaptation
+from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.correction import Correction, correct
-from ltv_mpc.localisation.filter.preintegration import carry, core_of, integrate, noise_of, readings
+from ltv_mpc.localisation.filter.preintegration import imu_noise, integrate, propagate, propagated_core, sample_matrix
 from ltv_mpc.localisation.filter.state import CORE, GYRO_BIAS, Belief, reach_m
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
@@ -34,7 +34,7 @@ from ltv_mpc.localisation.sensors.adcp import LinearisedPing
 from ltv_mpc.localisation.sensors.rows import Indices, Linearised
 from ltv_mpc.localisation.sensors.sensor import AnySensor, Availability, Context, Measurement
 from ltv_mpc.localisation.water import current_model
-from ltv_mpc.localisation.water.grid_window import follow
+from ltv_mpc.localisation.water.grid_window import move_window
 from ltv_mpc.messages import AdcpPing, Array, ImuSample
 
 _MAX_DEWEIGHTED = 36.0
@@ -43,7 +43,7 @@ rejected: six deviations. Half a wave of carrier phase, 95 mm, is more, even if 
 alone (15 mm)."""
 
 
-class Verdict(NamedTuple):
+class Innovations(NamedTuple):
     """What came of one message: the innovations as they stood before the gate, and which of them passed it."""
 
     sensor: str
@@ -59,38 +59,44 @@ class Snapshot(NamedTuple):
     """All of a filter that changes with time, copied; its account and who observes it do not belong to it."""
 
     belief: Belief
-    rate: tuple[float, float, float]
+    angular_rate_radps: tuple[float, float, float]
     Phi: Array
     Q: Array
     pending_ns: int
     at_epoch: bool
     coasted_ns: int
-    water: Adaptation
+    process_noise: AdaptiveProcessNoise
 
 
-class Filter:
-    """``belief`` stands at ``belief.t_ns``; its covariance only after ``settle``."""
+class ErrorStateFilter:
+    """``belief`` stands at ``belief.t_ns``; its covariance only after ``propagate_covariance``."""
 
     def __init__(
         self, suite: SensorConfig, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
     ) -> None:
         """``adapts_from_ns``: from then on water may change in unforeseen ways; None: from the beginning."""
         self.belief = belief
-        self.rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # measured last (rad/s, body, bias included)
+        self.angular_rate_radps: tuple[float, float, float] = (
+            0.0,
+            0.0,
+            0.0,
+        )  # measured last (rad/s, body, bias included)
         self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<what came of them>"
-        self.observers: list[Callable[[Verdict], None]] = []  # told of every message, once
+        self.observers: list[Callable[[Innovations], None]] = []  # told of every message, once
         self._suite = suite
         self._config = config
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
         self._reach_m = reach_m(suite.adcp)
-        self._noise = noise_of(suite.imu)
+        self._noise = imu_noise(suite.imu)
         self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
         self._Phi = np.eye(CORE)
         self._Q = np.zeros((CORE, CORE))
         self._pending_ns = 0
-        self.water = Adaptation(config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns)
+        self.process_noise = AdaptiveProcessNoise(
+            config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns
+        )
         if config.adapts_to_water:
-            belief.astray = Signatures.of(belief.layout.size, COLUMNS)
+            belief.signatures = FailureSignatures.of(belief.layout.size, COLUMNS)
         self._coasted_ns = 0  # over the gap that it is in
         self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
 
@@ -99,20 +105,20 @@ class Filter:
         belief = self.belief
         if self._at_epoch:
             self._at_epoch = False
-            self.settle()
+            self.propagate_covariance()
             belief.clone_position(self._suite.gnss.lever_arm_m)
         gap_ns = imu_dropout.gap_before_ns(sample, belief.t_ns)
         if self._coasted_ns and gap_ns <= imu_dropout.MAX_BRIDGED_NS:
             if self._coasted_ns >= imu_dropout.MIN_LEVELLED_NS:
-                self.settle()
+                self.propagate_covariance()
                 correct(belief, imu_dropout.level(belief, sample.specific_force_mps2), math.inf)
             self._coasted_ns = 0
         if gap_ns:
             self._cross(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
         if belief.t_ns < t_ns:
-            self._integrate([t_ns], [sample], readings([sample]))
+            self._integrate([t_ns], [sample], sample_matrix([sample]))
 
-    def follows(self, samples: Sequence[ImuSample], until_ns: int) -> int:
+    def count_contiguous(self, samples: Sequence[ImuSample], until_ns: int) -> int:
         """How many of these samples, from the first on, only integration follows: each goes on where the last ended,
         and starts before ``until_ns``.
         """
@@ -129,7 +135,7 @@ class Filter:
             now_ns = t_ns
         return len(samples)
 
-    def advance_through(self, samples: Sequence[ImuSample], measured: Array) -> int:
+    def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
         """``advance`` to the time of each of samples that follow, ``measured`` (K, 6), and none beyond one after which
         the belief is not finite; how many.
         """
@@ -141,7 +147,7 @@ class Filter:
         stamps_ns = np.array([belief.t_ns, *until_ns])
         seconds = 1e-9 * (stamps_ns[1:] - stamps_ns[:-1])
         done = integrate(belief.x, belief.R, self._Phi, self._Q, measured, seconds, self._noise, self._earth)
-        self.rate = samples[done - 1].angular_rate_radps
+        self.angular_rate_radps = samples[done - 1].angular_rate_radps
         self._pending_ns += until_ns[done - 1] - belief.t_ns
         belief.t_ns = until_ns[done - 1]
         return done
@@ -151,12 +157,13 @@ class Filter:
         belief = self.belief
         seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
         if gap_ns <= imu_dropout.MAX_BRIDGED_NS:
-            self._integrate([t_ns], [sample], readings([sample]))
+            self._integrate([t_ns], [sample], sample_matrix([sample]))
             imu_dropout.inflate(self._Q, seconds, gap_s)
             return
         down = belief.R[2]
         turns = [
-            float(down @ (np.array(rate) - belief.x[GYRO_BIAS])) for rate in (self.rate, sample.angular_rate_radps)
+            float(down @ (np.array(rate) - belief.x[GYRO_BIAS]))
+            for rate in (self.angular_rate_radps, sample.angular_rate_radps)
         ]
         imu_dropout.coast(belief.x, belief.R, self._Phi, self._Q, seconds, gap_s, 0.5 * sum(turns), self._suite.imu)
         self._pending_ns += t_ns - belief.t_ns
@@ -168,23 +175,25 @@ class Filter:
         belief = self.belief.copy()
         Phi, Q = self._Phi.copy(), self._Q.copy()
         pending_ns, coasted_ns = self._pending_ns, self._coasted_ns
-        return Snapshot(belief, self.rate, Phi, Q, pending_ns, self._at_epoch, coasted_ns, self.water.copy())
+        return Snapshot(
+            belief, self.angular_rate_radps, Phi, Q, pending_ns, self._at_epoch, coasted_ns, self.process_noise.copy()
+        )
 
     def restore(self, then: Snapshot) -> None:
         """Back to where it stood, bit for bit; ``then`` can be restored again."""
         self.belief = then.belief.copy()
-        self.rate = then.rate
+        self.angular_rate_radps = then.angular_rate_radps
         self._Phi, self._Q = then.Phi.copy(), then.Q.copy()
         self._pending_ns, self._coasted_ns, self._at_epoch = then.pending_ns, then.coasted_ns, then.at_epoch
-        self.water = then.water.copy()
+        self.process_noise = then.process_noise.copy()
 
-    def settle(self) -> None:
+    def propagate_covariance(self) -> None:
         """Bring the whole covariance to the belief's time."""
         if self._pending_ns == 0:
             return
         belief, dt = self.belief, self._pending_ns * 1e-9
-        P, E = belief.P, belief.astray.error
-        carry(P, E, self._Phi, self._Q)
+        P, E = belief.P, belief.signatures.error
+        propagate(P, E, self._Phi, self._Q)
         bias = belief.layout.compass_bias
         if bias.stop > bias.start:
             keep = math.exp(-dt / self._suite.compass.bias_tau_s)
@@ -193,36 +202,36 @@ class Filter:
             P[bias, :] *= keep
             P[:, bias] *= keep
             P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
-        current_model.walk(belief, self._config, dt)
-        self.water.grow(belief, dt)
+        current_model.add_random_walk(belief, self._config, dt)
+        self.process_noise.propagate(belief, dt)
         self._pending_ns = 0
 
-    def settled(self) -> Belief:
+    def propagated_belief(self) -> Belief:
         """A copy of the belief with its whole covariance at its time; the filter itself stays as it is, bit for bit."""
-        other = self.twin()
-        other.settle()
+        other = self.fork()
+        other.propagate_covariance()
         return other.belief
 
-    def twin(self) -> Filter:
+    def fork(self) -> ErrorStateFilter:
         """Another that stands where this one does; its account is empty and nobody observes it."""
         other = copy.copy(self)
-        other.belief, other.water = self.belief.copy(), self.water.copy()
+        other.belief, other.process_noise = self.belief.copy(), self.process_noise.copy()
         other._Phi, other._Q = self._Phi.copy(), self._Q.copy()
         other.account, other.observers = Counter(), []
         return other
 
     def core_covariance(self) -> Array:
         """Of the core at the belief's time, (15, 15), without moving the rest."""
-        return core_of(self.belief.P, self._Phi, self._Q)
+        return propagated_core(self.belief.P, self._Phi, self._Q)
 
     @property
-    def rate_variance(self) -> float:
+    def angular_rate_variance(self) -> float:
         """Of one axis of ``rate`` less its bias (rad2/s2): the angle random walk over one sample."""
         imu = self._suite.imu
         return imu.angle_random_walk_rad_per_rts**2 / (imu.period_ns * 1e-9)
 
     @property
-    def rotation_of_earth(self) -> Array:
+    def earth_rate_radps(self) -> Array:
         """That the gyros sense (rad/s), NED, (3,)."""
         return self._earth
 
@@ -233,16 +242,16 @@ class Filter:
         ----------
         message : measurement of any sensor of the registry; it is counted only, if the vehicle lacks the sensor.
         """
-        self.settle()
+        self.propagate_covariance()
         belief, sensor = self.belief, BY_MESSAGE[type(message)]
-        follow(belief, *self._reach_m, self._config.cell_m)
+        move_window(belief, *self._reach_m, self._config.cell_m)
         settings = getattr(self._suite, sensor.name)
         if settings is None or sensor.linearise is None:
             self.account[f"{sensor.name}.not_fitted"] += sensor.scalars
             return
         if isinstance(message, AdcpPing):
-            self.water.before(belief)
-        context = Context(self._suite, self._config.cell_m, self.rate)
+            self.process_noise.start_ping(belief)
+        context = Context(self._suite, self._config.cell_m, self.angular_rate_radps)
         linearised = sensor.linearise(belief, message, settings, context)
         correction = self._use(sensor, linearised)
         if correction is not None and isinstance(linearised, LinearisedPing) and isinstance(message, AdcpPing):
@@ -251,11 +260,11 @@ class Filter:
 
     def _observe_water(self, ping: LinearisedPing, correction: Correction, cells: int) -> None:
         """Mark the grid points that a ping has measured, and give its innovations to the adaptation."""
-        self.belief.column.see(ping.grid_points[correction.accepted])
+        self.belief.column.mark_observed(ping.grid_points[correction.accepted])
         if self._config.adapts_to_water and correction.definite and ping.indices is not None:
             r, S = ping.rows.residual, correction.S
-            self.water.hear(self.belief.t_ns, ping.beams, ping.indices % cells, r, S)
-            self.water.moved(self.belief, ping.grid_points, correction.error)
+            self.process_noise.add_innovations(self.belief.t_ns, ping.beams, ping.indices % cells, r, S)
+            self.process_noise.add_correction(self.belief, ping.grid_points, correction.error)
 
     def _use(self, sensor: AnySensor, linearised: Linearised) -> Correction | None:
         """Correct by the rows of one message and count them; return None if there are none."""
@@ -266,15 +275,15 @@ class Filter:
             return None
         deweighted = _MAX_DEWEIGHTED if sensor.availability is Availability.SURFACE else 0.0
         correction = correct(self.belief, rows, self._gate, deweighted)
-        used = int(np.count_nonzero(correction.accepted)) + correction.doubted
+        used = int(np.count_nonzero(correction.accepted)) + correction.deweighted
         self.account[f"{name}.used"] += used
         refused = "gate" if correction.definite else "not_definite"
-        if correction.doubted:
-            self.account[f"{name}.deweighted"] += correction.doubted
+        if correction.deweighted:
+            self.account[f"{name}.deweighted"] += correction.deweighted
         self.account[f"{name}.{refused}"] += len(rows.residual) - used
         if self.observers:
             indices = linearised.indices
-            verdict = Verdict(
+            verdict = Innovations(
                 sensor=name,
                 t_ns=self.belief.t_ns,
                 indices=np.arange(len(rows.residual)) if indices is None else indices,

@@ -27,7 +27,7 @@ _VELOCITY = VELOCITY.start
 
 
 @jit
-def turned(correction: Array, mean: int, north: int, east: int) -> Array:
+def coupling_vector(correction: Array, mean: int, north: int, east: int) -> Array:
     """a, (n,), of the estimate that ``correction`` (n,) has just moved; a[HEADING] = 0.
 
     ``mean`` is the place of m, ``north`` and ``east`` those of the water's first node.
@@ -41,6 +41,6 @@ def turned(correction: Array, mean: int, north: int, east: int) -> Array:
     return a
 
 
-def swing(correction: Array, layout: Layout) -> Array:
-    """``turned`` by the places of ``layout``."""
-    return turned(correction, layout.mean.start, layout.north.start, layout.east.start)
+def heading_coupling(correction: Array, layout: Layout) -> Array:
+    """``coupling_vector`` by the places of ``layout``."""
+    return coupling_vector(correction, layout.mean.start, layout.north.start, layout.east.start)

@@ -30,7 +30,7 @@ _COMMON = 8
 
 
 @jit
-def touched(
+def touched_states(
     state: npt.NDArray[np.int64], partial: Array, n: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """The states of n that rows (m, w) touch, (s,), in the head's order; of each entry its place among them, (m, w).
@@ -80,7 +80,7 @@ def _combine(out: Array, of: npt.NDArray[np.int64], by: Array, count: int, rows:
         a += 1
 
 
-class Entries(NamedTuple):
+class SparseRows(NamedTuple):
     """Of rows (m, w), those that are not zero: in which columns, how large, and how many in each row."""
 
     of: npt.NDArray[np.int64]  # (m, w)
@@ -89,7 +89,7 @@ class Entries(NamedTuple):
 
 
 @jit
-def entries(column: npt.NDArray[np.int64], value: Array) -> Entries:
+def sparse_rows(column: npt.NDArray[np.int64], value: Array) -> SparseRows:
     """Of ``value`` (m, w) in the columns ``column`` (m, w)."""
     m, w = value.shape
     of, by, counts = np.empty((m, w), dtype=np.int64), np.empty((m, w)), np.zeros(m, dtype=np.int64)
@@ -98,11 +98,11 @@ def entries(column: npt.NDArray[np.int64], value: Array) -> Entries:
             if value[i, a] != 0.0:
                 of[i, counts[i]], by[i, counts[i]] = column[i, a], value[i, a]
                 counts[i] += 1
-    return Entries(of, by, counts)
+    return SparseRows(of, by, counts)
 
 
 @jit
-def project(H: Entries, P: Array) -> Array:
+def project(H: SparseRows, P: Array) -> Array:
     """H P, (m, n), of rows that name rows of P (k, n)."""
     HP = np.zeros((len(H.counts), P.shape[1]))
     for i in range(len(HP)):
@@ -111,7 +111,7 @@ def project(H: Entries, P: Array) -> Array:
 
 
 @jit
-def spread(H: Entries, PH: Array, variance: Array) -> Array:
+def innovation_covariance(H: SparseRows, PH: Array, variance: Array) -> Array:
     """S = H P H^T + R, (m, m), symmetric to the last bit, of P H^T (k, m)."""
     m = len(variance)
     S = np.zeros((m, m))
@@ -124,17 +124,17 @@ def spread(H: Entries, PH: Array, variance: Array) -> Array:
 
 
 @jit
-def innovation(
+def touched_innovation_covariance(
     P: Array, places: npt.NDArray[np.int64], local: npt.NDArray[np.int64], partial: Array, variance: Array
 ) -> Array:
-    """S of rows as in ``touched``: of the states that they touch alone."""
+    """S of rows as in ``touched_states``: of the states that they touch alone."""
     s = len(places)
     own = np.empty((s, s))
     for i in range(s):
         for j in range(s):
             own[i, j] = P[places[i], places[j]]
-    H = entries(local, partial)
-    return spread(H, np.ascontiguousarray(project(H, own).T), variance)
+    H = sparse_rows(local, partial)
+    return innovation_covariance(H, np.ascontiguousarray(project(H, own).T), variance)
 
 
 @jit
@@ -181,14 +181,14 @@ def _root(local: npt.NDArray[np.int64], partial: Array, weight: Array, z: Array,
 
 
 @jit
-def sufficient(
+def compress(
     P: Array,
     places: npt.NDArray[np.int64],
     local: npt.NDArray[np.int64],
     partial: Array,
     weight: Array,
     z: Array,
-) -> tuple[Entries, Array, Array, Array]:
+) -> tuple[SparseRows, Array, Array, Array]:
     """Of the rows that say the same as (m, w) with ``weight`` = 1 / R: H, H P, (s, n), S, (s, s), and residuals, (s,).
 
     A row of weight zero does not count.
@@ -199,10 +199,10 @@ def sufficient(
     for i in range(s):
         for k in range(s):
             own[i, k], whole[i, k] = k, places[k]
-    H = entries(whole, CT)
+    H = sparse_rows(whole, CT)
     HP = project(H, P)
     PH = np.empty((s, s))
     for k in range(s):
         for i in range(s):
             PH[k, i] = HP[i, places[k]]
-    return H, HP, spread(entries(own, CT), PH, np.ones(s)), told
+    return H, HP, innovation_covariance(sparse_rows(own, CT), PH, np.ones(s)), told

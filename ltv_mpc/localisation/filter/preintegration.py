@@ -23,10 +23,10 @@ from ltv_mpc.frames import GRAVITY_MPS2
 from ltv_mpc.jit import jit
 from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
-from ltv_mpc.so3 import Nine
+from ltv_mpc.so3 import Matrix3
 
 
-def noise_of(imu: Imu) -> Array:
+def imu_noise(imu: Imu) -> Array:
     """What ``integrate`` reads of the unit: random walks and biases, (6,) in SI."""
     return np.array(
         [
@@ -40,13 +40,13 @@ def noise_of(imu: Imu) -> Array:
     )
 
 
-def readings(samples: Sequence[ImuSample]) -> Array:
+def sample_matrix(samples: Sequence[ImuSample]) -> Array:
     """(K, 6): angular rate (rad/s) and specific force (m/s2) of each."""
     return np.array([(*sample.angular_rate_radps, *sample.specific_force_mps2) for sample in samples])
 
 
 @jit
-def _transition(A: Array, C: Nine, a: Triple, W: Triple, dt: float, keep_g: float, keep_a: float) -> None:
+def _transition(A: Array, C: Matrix3, a: Triple, W: Triple, dt: float, keep_g: float, keep_a: float) -> None:
     """A := Phi_k A for one sample, A is (15, m). C = R_mid, a = R_mid f, keep = exp(-dt/tau) of each bias."""
     h = 0.5 * dt
     for j in range(A.shape[1]):
@@ -143,8 +143,8 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
 
 
 @jit
-def core_of(P: Array, Phi: Array, Q: Array) -> Array:
-    """What ``carry`` would make of the core's covariance: Phi P_cc Phi^T + Q, (15, 15), symmetric to the last bit."""
+def propagated_core(P: Array, Phi: Array, Q: Array) -> Array:
+    """What ``propagate`` makes of the core's covariance: Phi P_cc Phi^T + Q, (15, 15), symmetric to the last bit."""
     c = Phi.shape[0]
     return _core(_forward(P, Phi, c), Phi, Q)
 
@@ -165,7 +165,7 @@ def _forward(P: Array, Phi: Array, n: int) -> Array:
 
 @jit
 def _core(moved: Array, Phi: Array, Q: Array) -> Array:
-    """``core_of`` by ``moved`` = Phi P_c."""
+    """``propagated_core`` by ``moved`` = Phi P_c."""
     c = Phi.shape[0]
     out = np.empty((c, c))
     for i in range(c):
@@ -179,7 +179,7 @@ def _core(moved: Array, Phi: Array, Q: Array) -> Array:
 
 
 @jit
-def carry(P: Array, E: Array, Phi: Array, Q: Array) -> None:
+def propagate(P: Array, E: Array, Phi: Array, Q: Array) -> None:
     """The large covariance (n, n) over all that was gathered, in place: P_cr := Phi P_cr, P_cc := Phi P_cc Phi^T + Q.
 
     Likewise mean errors E (n, K), E_c := Phi E_c (``failure_signatures.py``). c: the fifteen core states, r: all

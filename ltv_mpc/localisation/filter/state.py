@@ -22,9 +22,9 @@ import numpy as np
 from ltv_mpc import so3
 from ltv_mpc.frames import rotation_exp, skew
 from ltv_mpc.jit import jit
-from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.water.column import Column
+from ltv_mpc.localisation.water.column import WaterColumn
 from ltv_mpc.messages import Array, Triple
 
 if TYPE_CHECKING:  # the sensors import this file
@@ -117,12 +117,12 @@ def reach_m(adcp: Adcp) -> tuple[float, float]:
 
 
 @jit
-def shift(x: Array, R: Array, error: Array) -> None:
+def apply_error(x: Array, R: Array, error: Array) -> None:
     """x := x + error, (n,), and R := exp(phi^) R, (3, 3), with phi the attitude's part of it, in place."""
     for k in range(len(x)):
         x[k] += error[k]
     phi = error[_ATTITUDE : _ATTITUDE + 3]
-    so3.write(so3.times(so3.exp(phi[0], phi[1], phi[2]), so3.read(R)), R)
+    so3.write(so3.multiply(so3.exp(phi[0], phi[1], phi[2]), so3.read(R)), R)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -139,9 +139,9 @@ class Belief:
     R: Array
     mounting: Array
     P: Array
-    astray: Signatures  # what hypotheses that the filter knows nothing of would do to it
+    signatures: FailureSignatures  # what hypotheses that the filter knows nothing of would do to it
     epoch_t_ns: int  # of the clone
-    column: Column  # what belongs to the water beside its states
+    column: WaterColumn  # what belongs to the water beside its states
 
     @classmethod
     def blank(cls, layout: Layout, t_ns: int) -> Belief:
@@ -154,9 +154,9 @@ class Belief:
             R=np.eye(3),
             mounting=np.eye(3),
             P=np.zeros((n, n)),
-            astray=Signatures.of(n, 0),
+            signatures=FailureSignatures.of(n, 0),
             epoch_t_ns=t_ns,
-            column=Column.certain(layout.nodes),
+            column=WaterColumn.certain(layout.nodes),
         )
 
     def copy(self) -> Belief:
@@ -167,16 +167,16 @@ class Belief:
             R=self.R.copy(),
             mounting=self.mounting.copy(),
             P=self.P.copy(),
-            astray=self.astray.copy(),
+            signatures=self.signatures.copy(),
             column=self.column.copy(),
         )
 
-    def add(self, error: Array) -> None:
+    def apply_error(self, error: Array) -> None:
         """Estimate + error, (n,), in the sense of the file's head. The covariance is not touched."""
-        shift(self.x, self.R, error)
-        self.turn_mounting(error)
+        apply_error(self.x, self.R, error)
+        self.apply_mounting_error(error)
 
-    def turn_mounting(self, error: Array) -> None:
+    def apply_mounting_error(self, error: Array) -> None:
         """The part of ``add`` that is the mounting's."""
         mounting = self.layout.mounting
         if mounting.stop > mounting.start:
@@ -197,6 +197,6 @@ class Belief:
         self.P[e, :] = rows
         self.P[:, e] = rows.T
         self.P[e, e] = 0.5 * (own + own.T)
-        E = self.astray.error
+        E = self.signatures.error
         E[e] = E[p] + J @ E[ATTITUDE]
         self.epoch_t_ns = self.t_ns

@@ -19,15 +19,15 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ltv_mpc.config import not_there
+from ltv_mpc.config import missing_file_hint
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.pd0 import records
-from ltv_mpc.localisation.pd0.records import HEADER, Bytes, Damaged, Ensemble
+from ltv_mpc.localisation.pd0.records import HEADER, Bytes, DamagedEnsemble, Ensemble
 
 MARK = b"\x7f\x7f"
-LARGEST_FILE = 1 << 26
+MAX_FILE_BYTES = 1 << 26
 """Three days of a glider's dives: ten minutes are 150 kB."""
-MOST_LOSSES = 1000
+MAX_LISTED_LOSSES = 1000
 """That are listed; all are counted."""
 _STRIDE = 1 << 20
 
@@ -49,7 +49,7 @@ class Recording(NamedTuple):
     source: str  # how errors call it
     size: int
     ensembles: tuple[Ensemble, ...]
-    losses: tuple[Loss, ...]  # the first of them: at most MOST_LOSSES
+    losses: tuple[Loss, ...]  # the first of them: at most MAX_LISTED_LOSSES
     lost_places: int  # all of them
     lost_bytes: int
 
@@ -61,11 +61,11 @@ def read(path: str | Path) -> Recording:
         status = Path(path).stat()
         if not stat.S_ISREG(status.st_mode):
             raise ConfigError(source, "", "is no regular file")
-        if status.st_size > LARGEST_FILE:
-            raise ConfigError(source, "", f"has {status.st_size} bytes: at most {LARGEST_FILE}")
+        if status.st_size > MAX_FILE_BYTES:
+            raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}")
         data = Path(path).read_bytes()
     except FileNotFoundError:
-        raise ConfigError(source, "", not_there(Path(path))) from None
+        raise ConfigError(source, "", missing_file_hint(Path(path))) from None
     except OSError as error:
         raise ConfigError(source, "", f"cannot be read: {error.strerror or error}") from None
     return parse(data, source=source)
@@ -81,7 +81,7 @@ def parse(data: bytes, *, source: str) -> Recording:
     def lose(start: int, stop: int, why: str | None = None) -> None:
         nonlocal places, lost
         places, lost = places + 1, lost + stop - start
-        if len(losses) < MOST_LOSSES:
+        if len(losses) < MAX_LISTED_LOSSES:
             losses.append(Loss(start, stop - start, why or _diagnosis(data, total, start, stop)))
 
     for start, length in _frames(np.frombuffer(data, dtype=np.uint8), total):
@@ -93,8 +93,8 @@ def parse(data: bytes, *, source: str) -> Recording:
         try:
             ensemble = records.decode(memoryview(data)[start : start + length], start)
             if ensembles and ensemble.t_ns <= ensembles[-1].t_ns:
-                raise Damaged("its clock does not go forward")
-        except Damaged as problem:
+                raise DamagedEnsemble("its clock does not go forward")
+        except DamagedEnsemble as problem:
             lose(start, end, str(problem))
         else:
             ensembles.append(ensemble)

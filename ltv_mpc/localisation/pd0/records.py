@@ -29,7 +29,7 @@ from ltv_mpc.messages import Array
 MISSING = -32768
 BEAMS = 4
 HEADER = 6
-DEEPEST_M = 12_000.0
+MAX_DEPTH_M = 12_000.0
 """A depth or pressure beyond it is no reading."""
 SEA_WATER_KGPM3 = 1025.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -66,7 +66,7 @@ class Settings(NamedTuple):
     heading_alignment_rad: float
     heading_bias_rad: float
 
-    def alike(self, other: Settings) -> bool:
+    def same_setup(self, other: Settings) -> bool:
         """The same but for where the first cell lies: instruments move it by centimetres with the speed of sound."""
         near = abs(self.first_cell_m - other.first_cell_m) <= 0.1 * self.cell_m
         return near and self._replace(first_cell_m=other.first_cell_m) == other
@@ -99,18 +99,18 @@ class Ensemble(NamedTuple):
     bottom: BottomTrack | None
 
 
-class Damaged(ValueError):
+class DamagedEnsemble(ValueError):
     """A frame whose checksum is right and whose content is not."""
 
 
 def decode(frame: memoryview, offset: int) -> Ensemble:
-    """``frame`` runs from 7F 7F to before the checksum. Raises ``Damaged`` with the reason."""
+    """``frame`` runs from 7F 7F to before the checksum. Raises ``DamagedEnsemble`` with the reason."""
     records = _records(frame)
     settings = _settings(_needed(records, 0x0000, 42, "fixed leader"))
     leader = _needed(records, 0x0080, 28, "variable leader")
     heading, pitch, roll = (math.radians(x / 100) for x in struct.unpack_from("<Hhh", leader, 18))
     if not (heading <= 2 * math.pi and abs(pitch) < math.pi / 2 and abs(roll) <= math.pi):
-        raise Damaged("heading, pitch or roll is no angle of an instrument")
+        raise DamagedEnsemble("heading, pitch or roll is no angle of an instrument")
     velocity = _needed(records, 0x0100, 2 + 2 * BEAMS * settings.cells, "velocity")
     return Ensemble(
         offset=offset,
@@ -135,13 +135,13 @@ def _records(frame: memoryview) -> dict[int, memoryview]:
     count = frame[5]
     first = HEADER + 2 * count
     if first > len(frame):
-        raise Damaged(f"{count} data types do not fit into {len(frame)} bytes")
+        raise DamagedEnsemble(f"{count} data types do not fit into {len(frame)} bytes")
     places = struct.unpack_from(f"<{count}H", frame, HEADER)
     ends = dict(itertools.pairwise([*sorted(set(places)), len(frame)]))
     found: dict[int, memoryview] = {}
     for place in places:
         if not first <= place <= len(frame) - 2:
-            raise Damaged(f"a data type at {place} of {len(frame)} bytes")
+            raise DamagedEnsemble(f"a data type at {place} of {len(frame)} bytes")
         found.setdefault(struct.unpack_from("<H", frame, place)[0], frame[place : ends[place]])
     return found
 
@@ -149,9 +149,9 @@ def _records(frame: memoryview) -> dict[int, memoryview]:
 def _needed(records: dict[int, memoryview], identity: int, least: int, name: str) -> memoryview:
     record = records.get(identity)
     if record is None:
-        raise Damaged(f"no {name}")
+        raise DamagedEnsemble(f"no {name}")
     if len(record) < least:
-        raise Damaged(f"{name} cut off after {len(record)} of {least} bytes")
+        raise DamagedEnsemble(f"{name} cut off after {len(record)} of {least} bytes")
     return record
 
 
@@ -165,13 +165,13 @@ def _settings(leader: memoryview) -> Settings:
     if angle_deg is None:  # "other": newer leaders name it
         angle_deg = leader[58] if len(leader) > 58 else 0
     if beams != BEAMS:
-        raise Damaged(f"{beams} beams: only instruments with {BEAMS} are read")
+        raise DamagedEnsemble(f"{beams} beams: only instruments with {BEAMS} are read")
     if low & 0b111 not in _KILOHERTZ:
-        raise Damaged(f"unknown frequency code {low & 0b111}")
+        raise DamagedEnsemble(f"unknown frequency code {low & 0b111}")
     if not 5 <= angle_deg <= 45:
-        raise Damaged(f"a beam angle of {angle_deg} deg")
+        raise DamagedEnsemble(f"a beam angle of {angle_deg} deg")
     if not (cells and pings and cell_cm and first_cm):
-        raise Damaged("no cells, pings, cell length or first cell in the fixed leader")
+        raise DamagedEnsemble("no cells, pings, cell length or first cell in the fixed leader")
     return Settings(
         frequency_kHz=_KILOHERTZ[low & 0b111],
         upward=bool(low & 0x80),
@@ -195,7 +195,7 @@ def _time(leader: memoryview) -> int:
     try:
         moment = datetime(1900 + year if year >= 80 else 2000 + year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
-        raise Damaged("its clock shows no date") from None
+        raise DamagedEnsemble("its clock shows no date") from None
     whole = (moment - _EPOCH) // timedelta(seconds=1)
     return whole * 1_000_000_000 + hundredth * 10_000_000
 
@@ -205,7 +205,7 @@ def _depth(leader: memoryview) -> float:
     if len(leader) >= 52:
         # p = rho g z, in units of 10 Pa
         depth_m: float = 10.0 * struct.unpack_from("<I", leader, 48)[0] / (SEA_WATER_KGPM3 * GRAVITY_MPS2)
-        if 0.0 < depth_m <= DEEPEST_M:
+        if 0.0 < depth_m <= MAX_DEPTH_M:
             return depth_m
     return float(struct.unpack_from("<H", leader, 16)[0]) / 10
 

@@ -22,7 +22,7 @@ from ltv_mpc.localisation.recorded_dive.screening import usable
 from ltv_mpc.localisation.recorded_dive.update import Mask, beams, correct, over_ground
 from ltv_mpc.messages import Array
 
-MOST_NODES = 200
+MAX_GRID_POINTS = 200
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,13 +57,13 @@ class Instrument:
     @classmethod
     def of(cls, ensembles: Sequence[BeamEnsemble], settings: Settings, parameters: DiveParameters) -> Instrument:
         """The noise from the recording's own spare beam."""
-        return cls(settings=settings, beam_sd_mps=beam_sd(ensembles, settings, parameters.least_good))
+        return cls(settings=settings, beam_sd_mps=beam_sd(ensembles, settings, parameters.min_good_share))
 
 
 def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: DiveParameters, *, fixes: int) -> Track:
     """The track from the first of ``ensembles`` on, of whose first ``fixes`` bottom track is used where there is."""
     settings = instrument.settings
-    masks = [usable(x, settings, parameters.least_good) for x in ensembles]
+    masks = [usable(x, settings, parameters.min_good_share) for x in ensembles]
     model = Model.of(parameters, _nodes(ensembles, masks, settings), _ranges(masks, ensembles[0]))
     gate = float(chi2.ppf(parameters.gate_probability, 1))
     x, P = model.prior()
@@ -107,7 +107,7 @@ def _nodes(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask], settings: S
     depths = np.concatenate([*seen, [e.depth_m for e in ensembles]])
     top = max(float(depths.min()) - settings.cell_m, 0.0)
     bottom = float(depths.max()) + settings.cell_m
-    count = int(np.clip(np.ceil((bottom - top) / settings.cell_m), 1, MOST_NODES - 1)) + 1
+    count = int(np.clip(np.ceil((bottom - top) / settings.cell_m), 1, MAX_GRID_POINTS - 1)) + 1
     nodes: Array = np.linspace(top, bottom, count)
     return nodes
 

@@ -25,9 +25,9 @@ from ltv_mpc.messages import Array
 
 POSITION = slice(0, 2)
 VELOCITY = slice(2, 4)
-FALL = 4
+HEAVE = 4
 BIAS = 5
-FALL_SD_MPS = 1.0
+HEAVE_SD_MPS = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +81,7 @@ class Model:
         p = self.parameters
         P = np.zeros((self.size, self.size))
         P[VELOCITY, VELOCITY] = p.velocity_sd_mps**2 * np.eye(2)
-        P[FALL, FALL] = FALL_SD_MPS**2
+        P[HEAVE, HEAVE] = HEAVE_SD_MPS**2
         for beam in range(BEAMS):
             P[self.bias_of(beam), self.bias_of(beam)] = self.bias
         for axis in (self.north, self.east):
@@ -101,10 +101,10 @@ class Model:
             P[a, a + 2] += q2 * dt**2 / 2
             P[a + 2, a] += q2 * dt**2 / 2
             P[a + 2, a + 2] += q2 * dt
-        x[FALL] = 0.0
-        P[FALL, :] = 0.0
-        P[:, FALL] = 0.0
-        P[FALL, FALL] = FALL_SD_MPS**2
+        x[HEAVE] = 0.0
+        P[HEAVE, :] = 0.0
+        P[:, HEAVE] = 0.0
+        P[HEAVE, HEAVE] = HEAVE_SD_MPS**2
         f = math.exp(-dt / p.bias_tau_s)
         all_beams = slice(BIAS, self.north.start)
         x[all_beams] *= f

@@ -21,8 +21,8 @@ from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.pd0.records import Settings
 from ltv_mpc.messages import Array
 
-LEAST_SAMPLES = 30
-AT_SEA = 2.0
+MIN_SAMPLES = 30
+NOISE_AT_SEA = 2.0
 """Of the data sheet's noise, where nothing better is known: a vehicle moves while it pings."""
 _OPPOSED = np.array([1.0, 1.0, -1.0, -1.0])
 
@@ -32,15 +32,15 @@ def data_sheet_sd(settings: Settings) -> float:
     return 0.0194 * (1200 / settings.frequency_kHz) / settings.cell_m / float(np.sqrt(settings.pings))
 
 
-def beam_sd(ensembles: Sequence[BeamEnsemble], settings: Settings, least_good: float) -> Array:
+def beam_sd(ensembles: Sequence[BeamEnsemble], settings: Settings, min_good_share: float) -> Array:
     """sigma of one beam (m/s) by cell, (cells,)."""
     sheet = data_sheet_sd(settings)
     spare = np.array([_OPPOSED @ x.velocity_mps for x in ensembles])
-    spare[np.array([x.good[0] < least_good for x in ensembles])] = np.nan
+    spare[np.array([x.good[0] < min_good_share for x in ensembles])] = np.nan
     cells = [column[np.isfinite(column)] for column in spare.T]
     centred = [e - np.median(e) for e in cells if len(e)]
     everywhere = _sd(np.concatenate(centred)) if centred else None
-    before = AT_SEA * sheet if everywhere is None else everywhere
+    before = NOISE_AT_SEA * sheet if everywhere is None else everywhere
     sd = np.empty(settings.cells)
     for j, e in enumerate(cells):
         found = _sd(e)
@@ -51,6 +51,6 @@ def beam_sd(ensembles: Sequence[BeamEnsemble], settings: Settings, least_good: f
 
 def _sd(e: Array) -> float | None:
     """sigma of one beam from samples of e; None where there are too few."""
-    if len(e) < LEAST_SAMPLES:
+    if len(e) < MIN_SAMPLES:
         return None
     return float(np.quantile(np.abs(e - np.median(e)), 0.9)) / 1.645 / 2

@@ -49,7 +49,7 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     bottom_sd_mps: Positive = 0.01
 
     # What is used at all: the usual half of the pings, and the gate of the whole project.
-    least_good: Annotated[float, Meta(gt=0, le=1)] = 0.5
+    min_good_share: Annotated[float, Meta(gt=0, le=1)] = 0.5
     gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
     # A dive ends at a longer gap: the vehicle is at the surface, or the clock was set.
     longest_gap_s: Positive = 120.0

@@ -26,9 +26,9 @@ FIRST = 3
 """Nearer cells may ring."""
 
 
-def usable(ensemble: BeamEnsemble, settings: Settings, least_good: float) -> npt.NDArray[np.bool_]:
+def usable(ensemble: BeamEnsemble, settings: Settings, min_good_share: float) -> npt.NDArray[np.bool_]:
     """(4, cells)."""
-    there = np.isfinite(ensemble.velocity_mps) & (ensemble.good >= least_good)
+    there = np.isfinite(ensemble.velocity_mps) & (ensemble.good >= min_good_share)
     in_water = ensemble.depth_m + ensemble.below_m > 0
     reach = np.abs(ensemble.below_m) < reach_m(ensemble, settings)
     result: npt.NDArray[np.bool_] = there & in_water & reach

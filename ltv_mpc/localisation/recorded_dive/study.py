@@ -17,12 +17,12 @@ import numpy as np
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.truth import Ground
+from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath
 from ltv_mpc.messages import Array
 
-AFTER_S = 300.0
-SHALLOWEST_M, DEEPEST_M = 2.0, 14.0
-EVERY = 2
+WINDOW_S = 300.0
+MIN_START_DEPTH_M, MAX_START_DEPTH_M = 2.0, 14.0
+START_STRIDE = 2
 
 
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,9 +38,9 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     constant_velocity_error_m: float | None  # None without a fix
 
 
-def trial(
+def run_trial(
     ensembles: Sequence[BeamEnsemble],
-    ground: Ground,
+    ground: BottomTrackPath,
     instrument: Instrument,
     parameters: DiveParameters,
     *,
@@ -52,11 +52,11 @@ def trial(
     if end is None or ground.displacement(start, end) is None:
         return None
     track = run(ensembles[start : end + 1], instrument, parameters, fixes=fixes)
-    return graded(ensembles, ground, track, start=start, end=end, fixes=fixes)
+    return evaluate_track(ensembles, ground, track, start=start, end=end, fixes=fixes)
 
 
-def graded(
-    ensembles: Sequence[BeamEnsemble], ground: Ground, track: Track, *, start: int, end: int, fixes: int
+def evaluate_track(
+    ensembles: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, *, start: int, end: int, fixes: int
 ) -> Trial | None:
     """``track``, which begins at ensemble ``start``, at ensemble ``end``. None without truth."""
     true = ground.displacement(start, end)
@@ -84,12 +84,12 @@ def constant_velocity(fixed: Sequence[BeamEnsemble]) -> Array | None:
     return np.mean(there, axis=0) if there else None
 
 
-def window_end(ground: Ground, start: int) -> int | None:
-    """The first ensemble ``AFTER_S`` or more after ``start``."""
-    end = int(np.searchsorted(ground.t_s, ground.t_s[start] + AFTER_S))
+def window_end(ground: BottomTrackPath, start: int) -> int | None:
+    """The first ensemble ``WINDOW_S`` or more after ``start``."""
+    end = int(np.searchsorted(ground.t_s, ground.t_s[start] + WINDOW_S))
     return end if end < len(ground.t_s) else None
 
 
 def starts(ensembles: Sequence[BeamEnsemble]) -> list[int]:
     """Every second ensemble between 2 and 14 m."""
-    return [k for k, e in enumerate(ensembles) if SHALLOWEST_M <= e.depth_m <= DEEPEST_M][::EVERY]
+    return [k for k, e in enumerate(ensembles) if MIN_START_DEPTH_M <= e.depth_m <= MAX_START_DEPTH_M][::START_STRIDE]

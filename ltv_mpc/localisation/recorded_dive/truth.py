@@ -21,7 +21,7 @@ LONGEST_GAP_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class BottomTrackPath:
     """Dead reckoning of all ensembles of a dive."""
 
     t_s: Array  # (N,), since the first ensemble
@@ -35,7 +35,7 @@ class Ground:
         return self._position_m[end] - self._position_m[start] if known else None
 
 
-def dead_reckoned(ensembles: Sequence[BeamEnsemble]) -> Ground:
+def dead_reckon(ensembles: Sequence[BeamEnsemble]) -> BottomTrackPath:
     """Of ensembles in their order."""
     t = 1e-9 * np.array([e.t_ns - ensembles[0].t_ns for e in ensembles], dtype=np.float64)
     measured = np.array([e.bottom_mps[:2] for e in ensembles])
@@ -55,4 +55,4 @@ def dead_reckoned(ensembles: Sequence[BeamEnsemble]) -> Ground:
             v[start + 1 : end] = np.nan
     steps = 0.5 * (v[1:] + v[:-1]) * np.diff(t)[:, None]
     position = np.vstack([np.zeros((1, 2)), np.cumsum(np.nan_to_num(steps), axis=0)])
-    return Ground(t, v, position, broken)
+    return BottomTrackPath(t, v, position, broken)

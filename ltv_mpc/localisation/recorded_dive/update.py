@@ -21,7 +21,7 @@ import numpy.typing as npt
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
-from ltv_mpc.localisation.recorded_dive.model import BIAS, FALL, VELOCITY, Model
+from ltv_mpc.localisation.recorded_dive.model import BIAS, HEAVE, VELOCITY, Model
 from ltv_mpc.messages import Array
 
 OVERLAP = 1.3
@@ -51,7 +51,7 @@ def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array, cell_
     each = np.arange(m)
     H = np.zeros((m, model.size))
     H[:, VELOCITY] = -u[:, :2]
-    H[:, FALL] = -u[:, 2]
+    H[:, HEAVE] = -u[:, 2]
     H[each, BIAS + beam * model.cells + cell] = 1.0
     h, last = model.spacing_m, len(model.depth_m) - 2
     depth = ensemble.depth_m + ensemble.below_m[beam, cell]

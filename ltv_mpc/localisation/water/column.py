@@ -28,7 +28,7 @@ class Link(NamedTuple):
     C: Array  # (2, 2), m2/s2
     B: Array  # (2, 2), cov(r, p), north and east
     S: Array  # (2, 2), cov(p | g) of that time
-    walked: float  # ``Column.walked`` of that time
+    walked: float  # ``WaterColumn.walked`` of that time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,25 +70,25 @@ class NodePrior:
 
 
 @dataclass(slots=True, kw_only=True)
-class Column:
+class WaterColumn:
     """Of one belief; arrays over the whole grid."""
 
     prior: NodePrior
     first: int  # node of the first state
-    seen: npt.NDArray[np.bool_]  # (G,), the profiler has measured between this node and a neighbour
+    observed: npt.NDArray[np.bool_]  # (G,), the profiler has measured between this node and a neighbour
     dropped: dict[int, Link]  # nodes that were states, to either side of the window
     walked: float  # variance that each node has gained since the prior by walking in time (m2/s2)
 
     @classmethod
-    def certain(cls, nodes: int) -> Column:
+    def certain(cls, nodes: int) -> WaterColumn:
         """Still water, no doubt of it, the window at the surface."""
         seen = np.zeros(nodes, dtype=bool)
-        return cls(prior=NodePrior.certain(nodes), first=0, seen=seen, dropped={}, walked=0.0)
+        return cls(prior=NodePrior.certain(nodes), first=0, observed=seen, dropped={}, walked=0.0)
 
-    def see(self, upper: npt.NDArray[np.int64]) -> None:
+    def mark_observed(self, upper: npt.NDArray[np.int64]) -> None:
         """Something has been measured between each of these nodes and the next below."""
-        self.seen[upper] = self.seen[upper + 1] = True
+        self.observed[upper] = self.observed[upper + 1] = True
 
-    def copy(self) -> Column:
+    def copy(self) -> WaterColumn:
         """Independent of this one."""
-        return replace(self, seen=self.seen.copy(), dropped=self.dropped.copy())
+        return replace(self, observed=self.observed.copy(), dropped=self.dropped.copy())

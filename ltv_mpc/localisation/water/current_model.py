@@ -81,7 +81,7 @@ def write_prior(belief: Belief, config: EstimatorConfig, saved: WaterPrior | Non
         belief.P[m, m] = belief.P[m, nodes] = belief.P[nodes, m] = prior.common_sd_mps**2
 
 
-def walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
+def add_random_walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
     """The nodes' random walk over ``dt`` (s)."""
     variance = config.current_change_mps_per_rts**2 * dt
     if variance > 0:

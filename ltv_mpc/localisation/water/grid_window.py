@@ -36,7 +36,7 @@ _SMALLEST = 1e-9
 """Added to the correlations of g, whose diagonal is 1: what g leaves open is not reckoned closer than to 3e-5 of sd."""
 
 
-def follow(belief: Belief, above_m: float, below_m: float, cell_m: float) -> None:
+def move_window(belief: Belief, above_m: float, below_m: float, cell_m: float) -> None:
     """Move the window until it holds ``above_m`` over the vehicle to ``below_m`` under it, as far as the grid does.
 
     The covariance must stand at the belief's time.
@@ -54,14 +54,14 @@ def follow(belief: Belief, above_m: float, below_m: float, cell_m: float) -> Non
         _shift(belief, down=False)
 
 
-def grown(link: Link, water: npt.NDArray[np.bool_], walked: float) -> Array:
+def link_covariance(link: Link, water: npt.NDArray[np.bool_], walked: float) -> Array:
     """Its C, (2, 2), after the water has walked on to ``walked``; ``water`` (q,) says which of g walk."""
     A = link.A[:, water]
     C: Array = link.C + (walked - link.walked) * (np.eye(2) + A @ A.T)
     return C
 
 
-def given(layout: Layout, slot: int) -> Places:
+def conditioning_states(layout: Layout, slot: int) -> Places:
     """Places of g for the node at ``slot`` of the window."""
     places = np.arange(layout.size)
     water = places >= layout.north.start
@@ -83,7 +83,7 @@ def _shift(belief: Belief, *, down: bool) -> None:
         order[axis] = np.clip(np.arange(axis.start, axis.stop) + step, axis.start, axis.stop - 1)
     belief.x[:] = belief.x[order]
     P[:] = P[np.ix_(order, order)]
-    E = belief.astray.error
+    E = belief.signatures.error
     E[:] = E[order]
     column.first += step
 
@@ -95,8 +95,8 @@ def _shift(belief: Belief, *, down: bool) -> None:
         g = np.array([*_places(layout, bottom - step), layout.mean.start, layout.mean.start + 1])
         C = link.C
     else:
-        g = given(layout, bottom)
-        C = grown(link, g >= layout.north.start, column.walked)
+        g = conditioning_states(layout, bottom)
+        C = link_covariance(link, g >= layout.north.start, column.walked)
         rho_B = _kept(link.S, _regression(P, _HORIZONTAL, g)[1]) * link.B
     k = _places(layout, bottom)
     belief.x[k] = link.c + link.A @ (belief.x[g] - link.then)
@@ -110,7 +110,7 @@ def _shift(belief: Belief, *, down: bool) -> None:
 
 def _link(belief: Belief, slot: int) -> Link:
     """Of the node at ``slot`` of the window, as it is known now."""
-    k, g = _places(belief.layout, slot), given(belief.layout, slot)
+    k, g = _places(belief.layout, slot), conditioning_states(belief.layout, slot)
     A, C = _regression(belief.P, np.concatenate([k, _HORIZONTAL]), g)
     return Link(
         c=belief.x[k],

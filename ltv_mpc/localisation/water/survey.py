@@ -17,22 +17,22 @@ import numpy.typing as npt
 
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.filter.state import Belief
-from ltv_mpc.localisation.water.grid_window import given, grown
+from ltv_mpc.localisation.water.grid_window import conditioning_states, link_covariance
 from ltv_mpc.messages import Array
 
 
-def learned(belief: Belief, depth_m: Array) -> WaterPrior | None:
+def prior_from(belief: Belief, depth_m: Array) -> WaterPrior | None:
     """From the uppermost to the lowest seen node of the grid ``depth_m`` (G,); None if none has been seen.
 
     The covariance must stand at the belief's time. Depths between, unseen themselves, have their larger deviation.
     """
-    seen = np.flatnonzero(belief.column.seen)
+    seen = np.flatnonzero(belief.column.observed)
     if len(seen) == 0:
         return None
     nodes, c, P = _joint(belief)
     k = np.flatnonzero((nodes >= seen[0]) & (nodes <= seen[-1]))
     k = k[np.argsort(nodes[k])]
-    measured = k[belief.column.seen[nodes[k]]]
+    measured = k[belief.column.observed[nodes[k]]]
     variance = np.array([np.diagonal(P[axis])[k] for axis in range(2)])
     shared = np.mean([_off_diagonal(P[axis][np.ix_(measured, measured)]) for axis in range(2)])
     common = min(max(float(shared), 0.0), float(variance.min()))
@@ -55,7 +55,7 @@ def _joint(belief: Belief) -> tuple[npt.NDArray[np.int64], Array, tuple[Array, A
     below = [node for node in range(first + cells, layout.nodes) if node in column.dropped]
     nodes = np.array([*range(first, first + cells), *above, *below])
 
-    others = given(layout, 0)
+    others = conditioning_states(layout, 0)
     others = others[others < layout.north.start]
     place = np.empty(layout.nodes, dtype=np.int64)  # of a node's north; east is the next
     place[nodes] = len(others) + 2 * np.arange(len(nodes))
@@ -70,7 +70,7 @@ def _joint(belief: Belief) -> tuple[npt.NDArray[np.int64], Array, tuple[Array, A
         slot = 0 if node < first else cells - 1
         near = node - slot + slots[slots != slot]
         g = np.concatenate([np.arange(len(others)), place[near], place[near] + 1])  # in the order of ``given``
-        C = grown(link, g >= len(others), column.walked)
+        C = link_covariance(link, g >= len(others), column.walked)
         k = slice(place[node], place[node] + 2)
         x[k] = link.c + link.A @ (x[g] - link.then)
         P[k, :] = link.A @ P[g, :]

@@ -129,7 +129,9 @@ def load(path: Path) -> Campaign:
 def figures() -> dict[str, settings_schema.Type]:
     """Return the computed figures of summary.json by dotted key; measured times are left out."""
     return {
-        key: kind for key, kind in settings_schema.settings(Summary).items() if key.partition(".")[0] not in NO_FIGURES
+        key: kind
+        for key, kind in settings_schema.scalar_fields(Summary).items()
+        if key.partition(".")[0] not in NO_FIGURES
     }
 
 
@@ -158,7 +160,7 @@ def _check(campaign: Campaign, source: str) -> None:
         factors = campaign.scale if table != "set" else {}
         for key in keys:
             if kind_of(key) is None and key not in factors:
-                problem = f"unknown key{settings_schema.nearest(key, [*known(), *factors])}"
+                problem = f"unknown key{settings_schema.suggestion(key, [*known(), *factors])}"
                 raise ConfigError(source, f"[{table}] {key}", problem)
     for table, keys, other in (
         ("vary", campaign.vary, campaign.settings),
@@ -177,7 +179,7 @@ def _check(campaign: Campaign, source: str) -> None:
     for name, powers in campaign.scale.items():
         _check_factor(campaign, name, powers, source)
     if campaign.minimise not in figures():
-        problem = f"must be a figure of summary.json{settings_schema.nearest(campaign.minimise, figures())}"
+        problem = f"must be a figure of summary.json{settings_schema.suggestion(campaign.minimise, figures())}"
         raise ConfigError(source, "minimise", problem, value=campaign.minimise)
     sizes = [len(over) for over in campaign.cross.values()]
     if campaign.design.kind == "grid":
@@ -204,7 +206,7 @@ def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], so
         if not isinstance(kind_of(key), msgspec.inspect.FloatType):
             names = [one for one in known() if isinstance(kind_of(one), msgspec.inspect.FloatType)]
             raise ConfigError(
-                source, f"{where} {key}", f"must be a field with a number{settings_schema.nearest(key, names)}"
+                source, f"{where} {key}", f"must be a field with a number{settings_schema.suggestion(key, names)}"
             )
 
 

@@ -70,7 +70,7 @@ def with_values(struct: Any, kind: Any, values: Mapping[str, Value], owner: str)
 
 def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, settings_schema.Type]]:
     """Generate the scalar fields, also those of tables that may be left out."""
-    for key, found in settings_schema.settings(kind).items():
+    for key, found in settings_schema.scalar_fields(kind).items():
         inner = getattr(found, "types", ())
         tables = [x for x in inner if isinstance(x, msgspec.inspect.StructType)]
         if tables:
@@ -82,7 +82,7 @@ def _optional_too(kind: Any, prefix: str) -> Iterator[tuple[str, settings_schema
 _KINDS: dict[str, settings_schema.Type] = {
     **{
         key: kind
-        for key, kind in settings_schema.settings(Scenario).items()
+        for key, kind in settings_schema.scalar_fields(Scenario).items()
         if key not in ("made_by", "title", "run.seed")
     },
     **dict(_optional_too(Vehicle, f"{VEHICLE}.")),

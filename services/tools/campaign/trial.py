@@ -22,7 +22,7 @@ import msgspec
 
 import services
 from ltv_mpc.control import solvers
-from ltv_mpc.errors import ConfigError, one_line, shown
+from ltv_mpc.errors import ConfigError, format_value, one_line
 from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
@@ -133,7 +133,9 @@ def flat(summary: Summary) -> Row:
 
 
 def _toml(value: Value) -> str:
-    return shown(value) if isinstance(value, bool) else str(value) if not isinstance(value, float) else repr(value)
+    return (
+        format_value(value) if isinstance(value, bool) else str(value) if not isinstance(value, float) else repr(value)
+    )
 
 
 @lru_cache(maxsize=4)

@@ -21,7 +21,7 @@ from services.tools.batch.results_store import ResultsStore, decode
 from services.tools.localisation_check.probe import Record, Squares, descend
 from sim.evaluation.consistency import Consistency, band, consistency
 
-WORST_RATIO = 1.2
+MAX_RATIO = 1.2
 MIN_SPEED_RATIO = 0.9
 CELLS = (0.9, 1.1)
 """What is asked for: drift over bound, instants inside the band, mean NEES of the water's cells."""
@@ -53,8 +53,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     nis_per_dof: dict[str, float]
     nis_standard_error: dict[str, float]
     drawn_per_dof: dict[str, float]  # of the true biases themselves: how far from 1 these seeds are
-    least_eigenvalue: float
-    largest_asymmetry: float
+    min_eigenvalue: float
+    max_asymmetry: float
     instants_missed: int
     wall_s: float
 
@@ -157,8 +157,8 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
             name: sum(record.drawn[name][0] for record in records) / sum(record.drawn[name][1] for record in records)
             for name in records[0].drawn
         },
-        least_eigenvalue=min(record.least_eigenvalue for record in records),
-        largest_asymmetry=max(record.asymmetry for record in records),
+        min_eigenvalue=min(record.min_eigenvalue for record in records),
+        max_asymmetry=max(record.asymmetry for record in records),
         instants_missed=sum(record.missed for record in records),
         wall_s=wall_s,
     )
@@ -167,8 +167,8 @@ def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> 
 def failed(of: Result) -> list[str]:
     """List the requirements that are not met."""
     problems = []
-    if of.ratio > WORST_RATIO:
-        problems.append(f"drift over bound {of.ratio:.2f} > {WORST_RATIO}")
+    if of.ratio > MAX_RATIO:
+        problems.append(f"drift over bound {of.ratio:.2f} > {MAX_RATIO}")
     for kind, shares in (("NEES", of.nees_in_band), ("NIS", of.nis_in_band)):
         problems += [
             f"{kind} of {name} in its band at {100 * share:.0f} % of instants < {100 * MIN_SPEED_RATIO:.0f} %"
@@ -178,7 +178,7 @@ def failed(of: Result) -> list[str]:
     low, high = CELLS
     if not low <= of.cells_nees_per_dof <= high:
         problems.append(f"NEES of cells per degree of freedom {of.cells_nees_per_dof:.2f}, not {low} to {high}")
-    if not of.least_eigenvalue > 0 or of.largest_asymmetry > 0:
+    if not of.min_eigenvalue > 0 or of.max_asymmetry > 0:
         problems.append("a covariance lost symmetry or definiteness")
     return problems
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter, Verdict
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Innovations
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Due, Node, ReceivedMessage
@@ -24,7 +24,7 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Situation
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
-from sim.evaluation.cells import Cells
+from sim.evaluation.cells import GridProjection
 from sim.evaluation.consistency import TrueState, drawn, nees, nodes_around, squared
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.scheduler import LockStep
@@ -70,7 +70,7 @@ class Record(NamedTuple):
     drawn: dict[str, tuple[float, int]]  # normalised square of the true biases themselves, and its degrees of freedom
     nees: dict[str, Squares]
     nis: dict[str, Squares]
-    least_eigenvalue: float
+    min_eigenvalue: float
     asymmetry: float  # largest |P - P^T|
     missed: int  # instants at which the filter stood elsewhere
 
@@ -140,11 +140,11 @@ class Probe:
         }
         config = situation.scenario.estimator
         self._grid, self._cell_m = grid(config), config.cell_m
-        self._cells = Cells(self._grid, situation.water.depth_m)
+        self._cells = GridProjection(self._grid, situation.water.depth_m)
         self.seen = np.zeros(len(self._grid), dtype=bool)  # nodes of the grid that a beam has measured so far
         self._beams = beams(situation.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
         self._lever = np.array(situation.suite.adcp.lever_arm_m)
-        self._watched: Filter | None = None
+        self._watched: ErrorStateFilter | None = None
         self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
         self._biases: dict[int, _Biases] = {}
         self.truth: Truth | None = None  # the last
@@ -184,7 +184,7 @@ class Probe:
                 filter_.observers.append(self._judge)
         published = t_ns % LOOK_NS == 0 and any(isinstance(signal, Estimate) for signal in said)
         if published and filter_ is not None and filter_.belief.t_ns == t_ns >= 0:
-            self._beliefs[t_ns] = filter_.settled()
+            self._beliefs[t_ns] = filter_.propagated_belief()
 
     def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type says who)
         """Take a published message."""
@@ -223,7 +223,7 @@ class Probe:
             drawn=self._drawn,
             nees=self.nees,
             nis={name: _squares(rows) for name, rows in self._nis.items()},
-            least_eigenvalue=float(self._least),
+            min_eigenvalue=float(self._least),
             asymmetry=self._asymmetry,
             missed=self._missed,
         )
@@ -233,9 +233,9 @@ class Probe:
         """Return the NEES of each quantity so far."""
         return {name: _squares(rows) for name, rows in self._nees.items()}
 
-    def finer_mps(self, t_ns: int) -> float:
+    def subgrid_mps(self, t_ns: int) -> float:
         """Return the part of the current (m/s) that the filter's depth grid cannot represent."""
-        return self._cells.finer_mps(self._situation.water.over(self._cells.depth_m, t_ns))
+        return self._cells.subgrid_mps(self._situation.water.over(self._cells.depth_m, t_ns))
 
     def _true_error(self) -> float:
         track = np.array([truth.position_m[:2] for truth in self._track if truth.t_ns >= 0])
@@ -250,7 +250,7 @@ class Probe:
         back = np.isfinite(ping.beam_velocity_mps)
         self.seen |= nodes_around(self.truth.position_m[2] + along[back], self._cell_m, len(self.seen))
 
-    def _judge(self, verdict: Verdict) -> None:
+    def _judge(self, verdict: Innovations) -> None:
         """Record the NIS of one message before the gate; simulated outliers are left out."""
         good = np.ones(len(verdict.residual), dtype=bool)
         outlier_masks = self._injected.get(verdict.sensor)

@@ -23,11 +23,11 @@ from ltv_mpc.localisation.pd0.records import Ensemble, Settings
 from ltv_mpc.localisation.recorded_dive import study
 from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
-from ltv_mpc.localisation.recorded_dive.truth import Ground, dead_reckoned
+from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath, dead_reckon
 from ltv_mpc.messages import Array
-from services.tools.localise.dive_result import InstrumentRow, Localised, LostBytes, StudyRow, TrackRow
+from services.tools.localise.dive_result import InstrumentRow, LocalisationResult, LostBytes, StudyRow, TrackRow
 
-MOST_STARTS = 60
+MAX_STARTS = 60
 COLUMNS = (
     *("t_ns", "t_s", "depth_m", "north_m", "east_m", "sigma_m", "velocity_north_mps", "velocity_east_mps"),
     *("bottom_north_m", "bottom_east_m"),
@@ -39,7 +39,7 @@ COLUMNS = (
 class Outcome:
     """Result of the localisation with the data of its plots and tables."""
 
-    result: Localised
+    result: LocalisationResult
     ensembles: Sequence[BeamEnsemble]  # of the track
     track: Track
     truth_m: Array  # (N, 2), bottom track's, NaN where it is not known
@@ -52,22 +52,22 @@ def localise(
     fixes: int = 10,
     start_depth_m: float | None = None,
     parameters: DiveParameters | None = None,
-    told: Callable[[float], None] = lambda _share: None,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> Outcome:
-    """Read the file, run the filter, compare with bottom track. ``told``: share done, as a callback. Raises
+    """Read the file, run the filter, compare with bottom track. ``progress``: share done, as a callback. Raises
     ConfigError.
     """
     parameters = parameters or DiveParameters()
     recording = reader.read(path)
     first = _first(recording.ensembles, start_depth_m, recording.source)
-    end, why = stretch(recording.ensembles, first, parameters.longest_gap_s)
+    end, why = dive_end(recording.ensembles, first, parameters.longest_gap_s)
     settings = recording.ensembles[first].settings
     seen = [to_beams(e) for e in recording.ensembles]
     dive = seen[first:end]
     instrument = Instrument.of(dive, settings, parameters)
     track = run(dive, instrument, parameters, fixes=fixes)
-    ground = dead_reckoned(dive)
-    result = Localised(
+    ground = dead_reckon(dive)
+    result = LocalisationResult(
         file=str(path),
         bytes=recording.size,
         ensembles=len(recording.ensembles),
@@ -78,7 +78,7 @@ def localise(
         instrument=_instrument(settings, instrument),
         track=_track(track, dive, recording.ensembles[first].number),
         error=_error(dive, ground, track, fixes),
-        study=_study(recording.ensembles, seen, parameters, fixes, told),
+        study=_study(recording.ensembles, seen, parameters, fixes, progress),
         notes=tuple(_notes(settings, dive, track, why)),
         parameters=parameters,
     )
@@ -86,13 +86,13 @@ def localise(
     return Outcome(result, dive, track, _truth(ground), held)
 
 
-def stretch(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
+def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
     """Return the end (exclusive) of the dive that contains ``first``, and why it ends there; "" at the file's end."""
     for k in range(first + 1, len(ensembles)):
         gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
         if gap > longest_gap_s:
             return k, f"the dive ends at ensemble {ensembles[k - 1].number}: a gap of {gap:.0f} s follows"
-        if not ensembles[k].settings.alike(ensembles[first].settings):
+        if not ensembles[k].settings.same_setup(ensembles[first].settings):
             return k, f"the dive ends at ensemble {ensembles[k - 1].number}: the instrument's settings change there"
     return len(ensembles), ""
 
@@ -155,9 +155,9 @@ def _track(track: Track, dive: Sequence[BeamEnsemble], number: int) -> TrackRow:
     )
 
 
-def _error(dive: Sequence[BeamEnsemble], ground: Ground, track: Track, fixes: int) -> study.Trial | None:
+def _error(dive: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, fixes: int) -> study.Trial | None:
     end = study.window_end(ground, 0)
-    return None if end is None else study.graded(dive, ground, track, start=0, end=end, fixes=fixes)
+    return None if end is None else study.evaluate_track(dive, ground, track, start=0, end=end, fixes=fixes)
 
 
 def _study(
@@ -165,17 +165,17 @@ def _study(
     seen: Sequence[BeamEnsemble],
     parameters: DiveParameters,
     fixes: int,
-    told: Callable[[float], None],
+    progress: Callable[[float], None],
 ) -> StudyRow | None:
-    end, _ = stretch(ensembles, 0, parameters.longest_gap_s)
+    end, _ = dive_end(ensembles, 0, parameters.longest_gap_s)
     dive = seen[:end]
-    ground = dead_reckoned(dive)
+    ground = dead_reckon(dive)
     instrument = Instrument.of(dive, ensembles[0].settings, parameters)
     rows = []
-    starts = study.starts(dive)[:MOST_STARTS]
+    starts = study.starts(dive)[:MAX_STARTS]
     for done, start in enumerate(starts):
-        told(done / len(starts))
-        trial = study.trial(dive, ground, instrument, parameters, start=start, fixes=fixes)
+        progress(done / len(starts))
+        trial = study.run_trial(dive, ground, instrument, parameters, start=start, fixes=fixes)
         if trial is not None:
             rows.append(trial)
     if not rows:
@@ -208,7 +208,7 @@ def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: 
     return notes
 
 
-def _truth(ground: Ground) -> Array:
+def _truth(ground: BottomTrackPath) -> Array:
     """Return bottom track's position at every ensemble, relative to the first."""
     nowhere = np.full(2, np.nan)
     shown = [ground.displacement(0, k) for k in range(len(ground.t_s))]

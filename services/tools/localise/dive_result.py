@@ -59,7 +59,7 @@ class StudyRow(msgspec.Struct, frozen=True, kw_only=True):
     each: tuple[study.Trial, ...]
 
 
-class Localised(msgspec.Struct, frozen=True, kw_only=True):
+class LocalisationResult(msgspec.Struct, frozen=True, kw_only=True):
     """Result of the command. ``error`` and ``study`` are None if the file holds no truth for them."""
 
     file: str

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from ltv_mpc.localisation.recorded_dive.study import Trial
-from services.tools.localise.dive_result import Localised, StudyRow
+from services.tools.localise.dive_result import LocalisationResult, StudyRow
 
 
-def text(result: Localised) -> str:
+def text(result: LocalisationResult) -> str:
     """For people."""
     i, t = result.instrument, result.track
     lost = f"{result.lost_bytes} bytes lost in {result.lost_places} places" if result.lost_places else "no byte lost"

@@ -97,13 +97,13 @@ def bound(
         if i + 1 < len(events):
             ahead = events[i + 1].t_s
             if "gnss" in kinds and t < 0.0:  # the last one, at t = 0, is kept as the start
-                information.forget(EPOCH)
+                information.marginalise(EPOCH)
                 keep: slice | None = EPOCH
                 seen_epoch = True
             else:
                 keep = START if t == 0.0 else None
             Phi, Q = model.growth(now, at(trajectory, ahead), ahead - t)
-            information.move(Phi, Q, ahead - t, keep)
+            information.propagate(Phi, Q, ahead - t, keep)
     return Bound(np.array(sorted(at_s)), np.array(cores), np.array(drifts))
 
 
@@ -152,7 +152,7 @@ class _Information:
             rows[:, START] += rows[:, POSITION]  # p = d + p_0
         self._J += rows.T @ rows
 
-    def forget(self, states: slice) -> None:
+    def marginalise(self, states: slice) -> None:
         """Marginalise what is not needed any more."""
         gone = np.zeros_like(self._present)
         gone[states] = self._present[states]
@@ -164,7 +164,7 @@ class _Information:
         self._J[states] = 0.0
         self._J[:, states] = 0.0
 
-    def move(self, Phi: Array, Q: Array, dt: float, keep: slice | None) -> None:
+    def propagate(self, Phi: Array, Q: Array, dt: float, keep: slice | None) -> None:
         """To the next instant; the position of this one stays as ``keep``, as ``START`` for d to count from."""
         n = len(self._J)
         x = np.flatnonzero(self._present & self._moving)

@@ -12,7 +12,7 @@ import pytest
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import write_prior
@@ -212,7 +212,7 @@ def dive(suite: SensorConfig, seed: int, *, surface_s: float = 1.0, duration_s: 
 class Yoyo:
     """Filters that have gone up and down, what the water was, (G, 2), and position and velocity at the end."""
 
-    filters: list[Filter]
+    filters: list[ErrorStateFilter]
     water: Array
     position: Array
     velocity: Array
@@ -257,7 +257,7 @@ def yoyo(
         variance[layout.compass_bias] = suite.compass.bias_sd_rad**2
         belief.P = np.diag(variance)
         write_prior(belief, config, saved)
-        filters.append(Filter(suite, config, belief))
+        filters.append(ErrorStateFilter(suite, config, belief))
 
     s, c = math.sin(adcp.beam_angle_rad), math.cos(adcp.beam_angle_rad)
     beams = np.array([[s, 0, c], [-s, 0, c], [0, s, c], [0, -s, c]]) @ R.T
@@ -305,7 +305,7 @@ def yoyo(
                     heard(filter_)
                     filter_.correct(message)
     for filter_ in filters:
-        filter_.settle()
+        filter_.propagate_covariance()
     return Yoyo(filters, water, position, velocity)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
@@ -124,7 +124,7 @@ def test_what_the_sensors_file_does_not_have_is_counted_and_changes_nothing(fitt
     suite = SUITE if fitted else REALISTIC
     belief = Belief.blank(Layout.of(suite, CONFIG), 0)
     belief.P += 1e-2 * np.eye(len(belief.P))
-    filter_ = Filter(suite, CONFIG, belief)
+    filter_ = ErrorStateFilter(suite, CONFIG, belief)
     before = belief.copy()
     filter_.correct(LblRange(t_ns=0, transponder=3, travel_time_s=0.1))
     if not fitted:
@@ -153,7 +153,7 @@ def first_fixes(transponders, drift_m, *, calls, seeds=100):
         belief.P[:3, :3] = np.diag([drift_m**2, drift_m**2, 1e-4])
         belief.x[2] = 40.0
         truth = belief.x[:3] + np.array([drift_m, drift_m, 0.01]) * rng.standard_normal(3)
-        filter_ = Filter(suite, CONFIG, belief)
+        filter_ = ErrorStateFilter(suite, CONFIG, belief)
         for _ in range(calls):
             for j, place in enumerate(transponders):
                 r = math.dist(truth, place) + rng.standard_normal()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.preintegration import readings
+from ltv_mpc.localisation.filter.preintegration import sample_matrix
 from ltv_mpc.localisation.sensor_screening import MAX_CLOCK_LEAD_NS, SensorScreening
 from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationReport, Message, PressureDepth
 from ltv_mpc.node import Due, ReceivedMessage
@@ -204,20 +204,20 @@ def test_what_the_quick_look_lets_through_the_door_does() -> None:
         for sample, received_ns in zip(samples[:3], came_ns[:3], strict=True):
             assert door.rejection(sample.t_ns, sample, received_ns) == other.rejection(sample.t_ns, sample, received_ns)
         verdicts = [door.rejection(s.t_ns, s, r) for s, r in zip(samples[3:], came_ns[3:], strict=True)]
-        if other.accepts_all(samples[3:], came_ns[3:], readings(samples[3:])):
+        if other.accepts_all(samples[3:], came_ns[3:], sample_matrix(samples[3:])):
             let += 1
             assert verdicts == [None] * 9
-            other.record_last(samples[-1], came_ns[-1], readings(samples[-1:]))
+            other.record_last(samples[-1], came_ns[-1], sample_matrix(samples[-1:]))
             later = msgspec.structs.replace(samples[-1], t_ns=samples[-1].t_ns + 10_000_000)
-            assert not other.accepts_all([later], [came_ns[-1] + 10_000_000], readings([later]))  # stuck
+            assert not other.accepts_all([later], [came_ns[-1] + 10_000_000], sample_matrix([later]))  # stuck
             turned = msgspec.structs.replace(later, angular_rate_radps=(0.0, 0.0, 0.11))
-            assert other.accepts_all([turned], [came_ns[-1] + 10_000_000], readings([turned]))
+            assert other.accepts_all([turned], [came_ns[-1] + 10_000_000], sample_matrix([turned]))
             assert door.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
             assert other.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
             # A sample that came by itself is what the next are held against, not the last of many before it.
             assert other.rejection(turned.t_ns, turned, came_ns[-1] + 10_000_000) is None
             again = msgspec.structs.replace(turned, t_ns=turned.t_ns + 10_000_000)
-            assert not other.accepts_all([again], [came_ns[-1] + 20_000_000], readings([again]))
+            assert not other.accepts_all([again], [came_ns[-1] + 20_000_000], sample_matrix([again]))
         else:
             refused += any(verdict is not None for verdict in verdicts)
     assert let > 50

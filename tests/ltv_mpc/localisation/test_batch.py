@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, POSITION, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.out_of_sequence import MeasurementBuffer
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -133,7 +133,7 @@ def test_all_measurements_of_a_trajectory_are_weighted_as_least_squares_does(see
     belief.P[:9, :9] = np.diag([*SD[:6], 0.0, 0.0, 0.0]) ** 2
     belief.P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] = np.diag(SD[6:]) ** 2
     belief.clone_position(SUITE.gnss.lever_arm_m)
-    filter_ = Filter(SUITE, OPEN, belief)
+    filter_ = ErrorStateFilter(SUITE, OPEN, belief)
     buffer = MeasurementBuffer(filter_, 250_000_000)
     inserted = 0
     for k in range(1, STEPS + 1 + 50):  # the last of them without news: all that is late has come
@@ -155,7 +155,7 @@ def test_all_measurements_of_a_trajectory_are_weighted_as_least_squares_does(see
     assert not [
         name for name, count in filter_.account.items() if count and name.split(".")[1] not in ("used", "no_return")
     ]
-    filter_.settle()
+    filter_.propagate_covariance()
     at = [*range(POSITION.start, VELOCITY.stop), *range(ACCELEROMETER_BIAS.start, ACCELEROMETER_BIAS.stop)]
     solution, covariance = problem.solution()
     x, P = filter_.belief.x, filter_.belief.P

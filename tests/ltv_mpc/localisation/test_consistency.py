@@ -34,7 +34,7 @@ class Sailed:
 
     def _grade(self, suite, seen):
         filter_, dive = self.estimator.filter, self.dive
-        filter_.settle()
+        filter_.propagate_covariance()
         belief, k = filter_.belief, dive.at(filter_.belief.t_ns)
         layout, x, P = belief.layout, belief.x, belief.P
         np.testing.assert_array_equal(P, P.T)

@@ -14,10 +14,10 @@ from ltv_mpc.localisation.pd0.beams import BeamEnsemble, to_beams
 from ltv_mpc.localisation.pd0.records import Settings
 from ltv_mpc.localisation.recorded_dive import noise, study
 from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
-from ltv_mpc.localisation.recorded_dive.model import BIAS, FALL, FALL_SD_MPS, VELOCITY, Model
+from ltv_mpc.localisation.recorded_dive.model import BIAS, HEAVE, HEAVE_SD_MPS, VELOCITY, Model
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import reach_m, usable
-from ltv_mpc.localisation.recorded_dive.truth import LONGEST_GAP_S, dead_reckoned
+from ltv_mpc.localisation.recorded_dive.truth import LONGEST_GAP_S, dead_reckon
 from ltv_mpc.localisation.recorded_dive.update import Batch, beams, correct, over_ground
 from tests.recorded.glider import Dive, World, dive
 
@@ -65,7 +65,7 @@ def change(model: Model, dt: float) -> tuple[np.ndarray, np.ndarray]:
     for a in range(2):
         at = np.ix_([a, a + 2], [a, a + 2])
         Q[at] = p.velocity_change_mps_per_rts**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    F[FALL, FALL], Q[FALL, FALL] = 0.0, FALL_SD_MPS**2
+    F[HEAVE, HEAVE], Q[HEAVE, HEAVE] = 0.0, HEAVE_SD_MPS**2
     f = math.exp(-dt / p.bias_tau_s)
     B = np.empty((cells, cells))
     r = (2.0, 4.0, 6.0)
@@ -216,7 +216,7 @@ def test_a_row_is_the_beam_through_water_that_is_linear_in_depth() -> None:
                 u = ensemble.direction[i]
                 c = offset + slope * (20.0 + ensemble.below_m[i, j])
                 bias = x[model.bias_of(i)][j]
-                expected.append(u[:2] @ (c - x[VELOCITY]) - u[2] * x[FALL] + bias)
+                expected.append(u[:2] @ (c - x[VELOCITY]) - u[2] * x[HEAVE] + bias)
                 variance.append(1.3 * np.linspace(0.01, 0.02, 5)[j] ** 2 / 0.5)
     np.testing.assert_allclose(batch.H @ x, expected, atol=1e-12)
     np.testing.assert_allclose(batch.variance, variance)
@@ -317,7 +317,7 @@ def grounded(t_s: list[float], velocity: list[tuple[float, float] | None]) -> li
 def test_truth_is_bottom_track_added_up_and_gaps_are_bridged_linearly() -> None:
     # v = 0.1 t north, at rest east: t^2 / 20; the fix at 6 s is missing
     t = [0.0, 2.0, 6.0, 10.0]
-    ground = dead_reckoned(grounded(t, [(0.1 * x, 0.0) if x != 6.0 else None for x in t]))
+    ground = dead_reckon(grounded(t, [(0.1 * x, 0.0) if x != 6.0 else None for x in t]))
     np.testing.assert_allclose(ground.displacement(0, 3), [5.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(ground.displacement(1, 2), [(36 - 4) / 20, 0.0], atol=1e-12)
 
@@ -325,14 +325,14 @@ def test_truth_is_bottom_track_added_up_and_gaps_are_bridged_linearly() -> None:
 def test_there_is_no_truth_outside_bottom_track_nor_across_a_long_gap() -> None:
     long = LONGEST_GAP_S + 1
     t = [0.0, 5.0, 10.0, 15.0, 10 + long, 15 + long, 20 + long]
-    ground = dead_reckoned(grounded(t, [None, (1, 0), (1, 0), None, (1, 0), (1, 0), None]))
+    ground = dead_reckon(grounded(t, [None, (1, 0), (1, 0), None, (1, 0), (1, 0), None]))
     assert ground.displacement(0, 1) is None
     assert ground.displacement(1, 3) is None
     assert ground.displacement(2, 4) is None
     assert ground.displacement(5, 6) is None
     np.testing.assert_allclose(ground.displacement(1, 2), [5.0, 0.0])
     np.testing.assert_allclose(ground.displacement(4, 5), [5.0, 0.0])
-    assert dead_reckoned(grounded([0.0, 5.0], [None, None])).displacement(0, 1) is None
+    assert dead_reckon(grounded([0.0, 5.0], [None, None])).displacement(0, 1) is None
 
 
 def test_starts_are_every_second_ensemble_between_two_and_fourteen_metres() -> None:
@@ -348,7 +348,7 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_and_against_the_mean_of_its
     """Truth: 0.1 m/s north for 310 s; the fixes say 0.1 and 0.3. The filter is ``metres`` too far east, sigma 2 m."""
     t = [10.0 * k for k in range(40)]
     made = grounded(t, [(0.3 if k == 6 else 0.1, 0.0) for k in range(40)])
-    ground = dead_reckoned(made)
+    ground = dead_reckon(made)
     assert study.window_end(ground, 5) == 35
     assert study.window_end(ground, 10) is None
     true = ground.displacement(5, 35)
@@ -367,13 +367,13 @@ def test_a_trial_is_graded_at_its_end_by_three_sigma_and_against_the_mean_of_its
         nis=1.0,
         water=WaterPrior(depth_m=t, north_mps=t, east_mps=t, sd_mps=t, sd_common_mps=0.0),
     )
-    trial = study.graded(made, ground, track, start=5, end=35, fixes=2)
+    trial = study.evaluate_track(made, ground, track, start=5, end=35, fixes=2)
     assert trial.error_m == pytest.approx(metres)
     assert trial.sigma_m == pytest.approx(2.0)
     assert trial.inside_3_sigma == inside
     assert trial.after_s == pytest.approx(300.0)
     assert trial.constant_velocity_error_m == pytest.approx(0.2 * 300 - 32)
-    assert study.graded(made, ground, track, start=5, end=35, fixes=0).constant_velocity_error_m is None
+    assert study.evaluate_track(made, ground, track, start=5, end=35, fixes=0).constant_velocity_error_m is None
 
 
 def assert_same(one: Track, other: Track) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.publishing import estimate
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -234,7 +234,7 @@ def test_the_published_covariance_is_the_beliefs_seen_through_the_published_quan
     belief.x = rng.standard_normal(layout.size)
     belief.R = np.linalg.qr(np.eye(3) + 0.1 * rng.standard_normal((3, 3)))[0]
     belief.R *= np.sign(np.linalg.det(belief.R))
-    filter_ = Filter(SUITE, CONFIG, belief)
+    filter_ = ErrorStateFilter(SUITE, CONFIG, belief)
     noise = estimate(filter_, grid(CONFIG)).covariance
 
     def numbers(k, h):
@@ -242,7 +242,7 @@ def test_the_published_covariance_is_the_beliefs_seen_through_the_published_quan
         error = np.zeros(layout.size)
         error[k] = h
         other.add(error)
-        e = estimate(Filter(SUITE, CONFIG, other), grid(CONFIG))
+        e = estimate(ErrorStateFilter(SUITE, CONFIG, other), grid(CONFIG))
         return np.array(
             [e.north_m, e.east_m, e.velocity_north_mps, e.velocity_east_mps, e.heading_rad, e.yaw_rate_radps]
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ltv_mpc.localisation.filter.error_state_filter import Verdict
+from ltv_mpc.localisation.filter.error_state_filter import Innovations
 from ltv_mpc.localisation.health import FALSE_ALARM, HealthMonitor, _judged, band, filter_status
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import FilterStatus, SensorReport, SensorStatus
@@ -24,7 +24,7 @@ def hear(monitor, rng, seconds, sensor, scale=1.0, outliers=0.0, start_s=0.0):
         S = np.diag(rng.uniform(0.5, 2.0, m))
         r = scale * np.sqrt(np.diagonal(S)) * rng.standard_normal(m)
         r[rng.random(m) < outliers] += 50.0
-        monitor.observe(Verdict(sensor, int(t), np.arange(m), r, S, r**2 / np.diagonal(S) <= limit))
+        monitor.observe(Innovations(sensor, int(t), np.arange(m), r, S, r**2 / np.diagonal(S) <= limit))
 
 
 def reports(monitor, t_s, account=()):
@@ -144,7 +144,7 @@ def test_rows_that_share_an_error_count_as_the_fewer_that_they_are_worth():
         for k in range(30):
             r = L @ rng.standard_normal(m)
             t_ns = (k + 1) * 333_333_333
-            monitor.observe(Verdict("adcp", t_ns, np.arange(m), r, S, np.abs(r) <= np.sqrt(chi2.ppf(GATE, 1))))
+            monitor.observe(Innovations("adcp", t_ns, np.arange(m), r, S, np.abs(r) <= np.sqrt(chi2.ppf(GATE, 1))))
         said = reports(monitor, 10.0)["adcp"]
         assert said.status is SensorStatus.OK
         nis.append(said.nis)

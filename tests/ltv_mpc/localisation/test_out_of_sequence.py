@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.out_of_sequence import REACH_NS
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE
@@ -249,8 +249,8 @@ def test_snapshots_are_few_and_rarer_where_nothing_is_meant_to_be_late(
     messages, inbox_of, monkeypatch, suite, a_second
 ):
     taken = []
-    snapshot = Filter.snapshot
-    monkeypatch.setattr(Filter, "snapshot", lambda self: taken.append(self.belief.t_ns) or snapshot(self))
+    snapshot = ErrorStateFilter.snapshot
+    monkeypatch.setattr(ErrorStateFilter, "snapshot", lambda self: taken.append(self.belief.t_ns) or snapshot(self))
     estimator = Estimator(suite, CONFIG)
     for message in messages:
         step(estimator, message.t_ns, inbox_of(message))

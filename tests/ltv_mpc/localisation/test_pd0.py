@@ -377,7 +377,7 @@ def test_marks_and_lengths_without_end_cost_time_in_proportion_to_the_file() -> 
 
 
 def test_losses_without_end_are_counted_and_not_all_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "MOST_LOSSES", 3)
+    monkeypatch.setattr(reader, "MAX_LISTED_LOSSES", 3)
     recording = parse(FRAMES[0] + b"".join(b"x" + frame for frame in FRAMES[1:]) + b"yz")
     assert numbers(recording) == [0, 1, 2, 3, 4]
     assert (len(recording.losses), recording.lost_places, recording.lost_bytes) == (3, 5, 6)
@@ -391,7 +391,7 @@ def test_files_that_cannot_be_read_are_refused_by_name(tmp_path: Path, monkeypat
         assert str(given_path) in str(error.value)
     path.write_bytes(FILE)
     assert numbers(reader.read(path)) == [0, 1, 2, 3, 4]
-    monkeypatch.setattr(reader, "LARGEST_FILE", len(FILE) - 1)
+    monkeypatch.setattr(reader, "MAX_FILE_BYTES", len(FILE) - 1)
     with pytest.raises(ConfigError, match=f"has {len(FILE)} bytes: at most"):
         reader.read(path)
 

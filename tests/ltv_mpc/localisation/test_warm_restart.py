@@ -101,14 +101,14 @@ def test_the_belief_that_a_checkpoint_gives_back_is_the_filters_to_the_last_bit_
 
     travelled, _ = decode(EstimatorState, encode(checkpoint, Header(epoch=1, sequence=0)))
     belief = belief_of(travelled, SUITE, CONFIG, None)
-    filter_.settle()
+    filter_.propagate_covariance()
     own = filter_.belief
     filter_.restore(before)
     for name in ("x", "R", "mounting", "P"):
         assert getattr(belief, name).tobytes() == getattr(own, name).tobytes(), name
     assert (belief.t_ns, belief.epoch_t_ns, belief.layout) == (own.t_ns, own.epoch_t_ns, own.layout)
     assert (belief.column.first, belief.column.walked) == (own.column.first, own.column.walked)
-    assert (belief.column.seen == own.column.seen).all()
+    assert (belief.column.observed == own.column.observed).all()
     assert list(belief.column.dropped) == list(own.column.dropped)
     assert len(own.column.dropped) > 0  # else this shows nothing
     for node, link in own.column.dropped.items():

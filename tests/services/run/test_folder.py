@@ -14,7 +14,7 @@ from ltv_mpc.errors import ConfigError
 from services.run import folder
 from services.run.run_config import resolve
 from services.run.summary import LOCKSTEP, summarise
-from sim.evaluation.metrics import Grader
+from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages
 
 FILES = {"scenario.toml": 'title = "abc"\n', "config/vehicle.toml": 'name = "Ä"\n'}
@@ -82,7 +82,7 @@ def test_a_root_that_cannot_be_made_is_refused_in_words() -> None:
 def test_the_summary_is_json_with_nulls_the_water_a_prior_and_neither_leaves_a_draft() -> None:
     situation = resolve("descent")
     nothing = Messages(published=0, dropped=0, rejected=0)
-    summary = summarise(situation, Grader(situation.vehicle), mode=LOCKSTEP, messages=nothing)
+    summary = summarise(situation, RunMetrics(situation.vehicle), mode=LOCKSTEP, messages=nothing)
     made = folder.make("descent", FILES, out=Path("here"))
     made.write_result(summary, None)
     read = json.loads(made.summary.read_text())

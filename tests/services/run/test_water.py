@@ -59,7 +59,7 @@ def visit(here: Situation) -> Visit:
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None
     assert estimator.filter is not None
-    estimator.filter.settle()
+    estimator.filter.propagate_covariance()
     return Visit(saved, said[Estimate], said[Truth], estimator.filter.belief)
 
 

@@ -19,7 +19,7 @@ from ltv_mpc.messages import (
     Truth,
 )
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.evaluation.metrics import Grader
+from sim.evaluation.metrics import RunMetrics
 
 S = 1_000_000_000
 MS = 1_000_000
@@ -32,8 +32,8 @@ def vehicle() -> Vehicle:
 
 
 @pytest.fixture
-def grader(vehicle: Vehicle) -> Grader:
-    return Grader(vehicle)
+def metrics(vehicle: Vehicle) -> RunMetrics:
+    return RunMetrics(vehicle)
 
 
 def truth(t_ns: int, north_m: float, east_m: float) -> Truth:
@@ -107,81 +107,81 @@ def timing(t_ns: int, compute_ns: int, wall_ns: int = 0, age_ns: int = 0, **stag
     )
 
 
-def feed(grader: Grader, *signals: object, epoch: int = 1, sequence: int = 0, t_ns: int = 0) -> None:
+def feed(metrics: RunMetrics, *signals: object, epoch: int = 1, sequence: int = 0, t_ns: int = 0) -> None:
     for signal in signals:
-        grader.observe(signal, epoch=epoch, sequence=sequence, t_ns=t_ns)  # type: ignore[arg-type]
+        metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=t_ns)  # type: ignore[arg-type]
 
 
-def test_errors_are_drift_since_the_descent_began_and_the_absolute_one_is_not(grader: Grader) -> None:
+def test_errors_are_drift_since_the_descent_began_and_the_absolute_one_is_not(metrics: RunMetrics) -> None:
     """The fix at the surface is (10, -4) off. Then the truth drifts by (0, 4), the estimate by (3, 4)."""
-    feed(grader, truth(0, 100.0, 200.0), estimate(0, 110.0, 196.0), plan(0, reference_m=(110.0, 196.0)))
-    feed(grader, truth(S, 100.0, 204.0), estimate(S, 113.0, 200.0))
-    tracking, true, localisation, absolute = grader.errors()
+    feed(metrics, truth(0, 100.0, 200.0), estimate(0, 110.0, 196.0), plan(0, reference_m=(110.0, 196.0)))
+    feed(metrics, truth(S, 100.0, 204.0), estimate(S, 113.0, 200.0))
+    tracking, true, localisation, absolute = metrics.errors()
     assert tracking.final == pytest.approx(5.0)  # the estimate is (3, 4) off the line
     assert true.final == pytest.approx(4.0)  # the truth has left its own start by (0, 4)
     assert localisation.final == pytest.approx(3.0)  # the estimate has drifted from the truth by (3, 0)
     assert absolute.final == pytest.approx(np.hypot(13.0, -4.0))
 
 
-def test_mean_maximum_and_final_are_over_the_estimates_after_zero(grader: Grader) -> None:
-    feed(grader, plan(0, reference_m=(0.0, 0.0)))
+def test_mean_maximum_and_final_are_over_the_estimates_after_zero(metrics: RunMetrics) -> None:
+    feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s, north_m in ((-1, 50.0), (0, 0.0), (1, 1.0), (2, 6.0), (3, 2.0)):
-        feed(grader, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, north_m, 0.0))
-    tracking, _, _, _ = grader.errors()
+        feed(metrics, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, north_m, 0.0))
+    tracking, _, _, _ = metrics.errors()
     assert (tracking.mean, tracking.max, tracking.final) == pytest.approx((3.0, 6.0, 2.0))
 
 
-def test_depth_is_in_no_error(grader: Grader) -> None:
-    feed(grader, plan(0, reference_m=(0.0, 0.0)))
+def test_depth_is_in_no_error(metrics: RunMetrics) -> None:
+    feed(metrics, plan(0, reference_m=(0.0, 0.0)))
     for t_s in (0, 1):
         deep = msgspec.structs.replace(truth(t_s * S, 0.0, 0.0), position_m=(0.0, 0.0, 20.0 * t_s))
-        feed(grader, deep, estimate(t_s * S, 0.0, 0.0))
-    assert [error.max for error in grader.errors()] == [0.0, 0.0, 0.0, 0.0]
+        feed(metrics, deep, estimate(t_s * S, 0.0, 0.0))
+    assert [error.max for error in metrics.errors()] == [0.0, 0.0, 0.0, 0.0]
 
 
-def test_the_truth_at_an_estimates_time_is_interpolated(grader: Grader) -> None:
-    feed(grader, truth(0, 0.0, 0.0), truth(2 * S, 8.0, 0.0), estimate(0, 0.0, 0.0), estimate(S, 0.0, 0.0))
-    assert grader.errors()[2].final == pytest.approx(4.0)
+def test_the_truth_at_an_estimates_time_is_interpolated(metrics: RunMetrics) -> None:
+    feed(metrics, truth(0, 0.0, 0.0), truth(2 * S, 8.0, 0.0), estimate(0, 0.0, 0.0), estimate(S, 0.0, 0.0))
+    assert metrics.errors()[2].final == pytest.approx(4.0)
 
 
-def test_the_reference_is_that_of_the_newest_plan_and_before_the_first_that_one(grader: Grader) -> None:
-    feed(grader, plan(-S, reference_m=None), plan(2 * S, reference_m=(1.0, 0.0)), plan(4 * S, reference_m=(5.0, 0.0)))
+def test_the_reference_is_that_of_the_newest_plan_and_before_the_first_that_one(metrics: RunMetrics) -> None:
+    feed(metrics, plan(-S, reference_m=None), plan(2 * S, reference_m=(1.0, 0.0)), plan(4 * S, reference_m=(5.0, 0.0)))
     for t_s in range(6):
-        feed(grader, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 0.0, 0.0))
-    tracking = grader.errors()[0]
+        feed(metrics, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 0.0, 0.0))
+    tracking = metrics.errors()[0]
     assert tracking.mean == pytest.approx((1 + 1 + 1 + 5 + 5) / 5)
 
 
-def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knots(grader: Grader) -> None:
+def test_the_target_of_a_path_moves_evenly_from_plan_to_plan_at_their_first_knots(metrics: RunMetrics) -> None:
     for t_s, north in ((0, 0.0), (2, 4.0), (4, 8.0)):
         path = plan(t_s * S, start_ns=t_s * S + S, reference_m=(north, 0.0))
-        feed(grader, msgspec.structs.replace(path, progress=north / 10.0))
-    feed(grader, truth(0, 0.0, 0.0), estimate(0, 0.0, 0.0))
+        feed(metrics, msgspec.structs.replace(path, progress=north / 10.0))
+    feed(metrics, truth(0, 0.0, 0.0), estimate(0, 0.0, 0.0))
     for t_s, north in ((2, 2.0), (3, 4.0), (4, 6.5)):
-        feed(grader, truth(t_s * S, north, 0.0), estimate(t_s * S, north, 0.0))
-    tracking = grader.errors()[0]
+        feed(metrics, truth(t_s * S, north, 0.0), estimate(t_s * S, north, 0.0))
+    tracking = metrics.errors()[0]
     assert tracking.max == pytest.approx(0.5)
     assert tracking.mean == pytest.approx(0.5 / 3)
 
 
-def test_without_any_reference_the_line_passes_through_the_estimate_at_zero(grader: Grader) -> None:
+def test_without_any_reference_the_line_passes_through_the_estimate_at_zero(metrics: RunMetrics) -> None:
     for t_s in range(3):
-        feed(grader, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 7.0 + t_s, 0.0))
-    assert grader.errors()[0].final == pytest.approx(2.0)
+        feed(metrics, truth(t_s * S, 0.0, 0.0), estimate(t_s * S, 7.0 + t_s, 0.0))
+    assert metrics.errors()[0].final == pytest.approx(2.0)
 
 
-def test_a_run_that_never_left_the_surface_has_no_figures(grader: Grader) -> None:
-    feed(grader, truth(-S, 0.0, 0.0), estimate(-S, 0.0, 0.0), applied(-S, 3.0))
-    assert {error.mean for error in grader.errors()} == {None}
-    assert grader.thrust().mean_abs_N is None
-    assert grader.end_to_end_delay().median is None
-    assert grader.stages() == {}
-    assert grader.until_ns == -S
+def test_a_run_that_never_left_the_surface_has_no_figures(metrics: RunMetrics) -> None:
+    feed(metrics, truth(-S, 0.0, 0.0), estimate(-S, 0.0, 0.0), applied(-S, 3.0))
+    assert {error.mean for error in metrics.errors()} == {None}
+    assert metrics.thrust().mean_abs_N is None
+    assert metrics.end_to_end_delay().median is None
+    assert metrics.stages() == {}
+    assert metrics.until_ns == -S
 
 
-def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(grader: Grader) -> None:
+def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(metrics: RunMetrics) -> None:
     feed(
-        grader,
+        metrics,
         applied(-1 * S, 62.5, 62.5, slew=(999.0, 999.0, 0.0)),
         applied(0 * S, 0.0, 0.0, slew=(999.0, 999.0, 0.0)),
         applied(1 * S, 10.0, -20.0, slew=(40.0, 30.0, 999.0)),
@@ -189,7 +189,7 @@ def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(grade
         applied(4 * S, 62.5 - 0.9e-6, 20.0, slew=(0.0, 82.5, 999.0)),
         applied(5 * S, 0.0, 0.0, slew=(62.5, 20.0, 999.0)),
     )
-    thrust = grader.thrust()
+    thrust = metrics.thrust()
     assert thrust.saturated_fraction == pytest.approx(2 / 5)
     assert thrust.max_abs_N == 62.5
     port_Ns = 5.0 + 36.25 + 125.0 + 31.25
@@ -200,64 +200,64 @@ def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(grade
 
 
 def test_a_command_just_inside_the_box_or_on_its_way_from_one_bound_to_the_other_is_not_saturated(
-    grader: Grader,
+    metrics: RunMetrics,
 ) -> None:
     inside_N = 62.5 - 2e-6
-    feed(grader, applied(0, inside_N, 62.5), applied(S, inside_N, -62.5), applied(2 * S, -inside_N, -inside_N))
-    feed(grader, applied(3 * S, -inside_N, -inside_N))
-    assert grader.thrust().saturated_fraction == 0.0
+    feed(metrics, applied(0, inside_N, 62.5), applied(S, inside_N, -62.5), applied(2 * S, -inside_N, -inside_N))
+    feed(metrics, applied(3 * S, -inside_N, -inside_N))
+    assert metrics.thrust().saturated_fraction == 0.0
 
 
 def test_each_thruster_is_held_against_its_own_box(vehicle: Vehicle) -> None:
     thruster = vehicle.thruster
     weak = msgspec.structs.replace(thruster.starboard, max_N=20.0, min_N=-10.0)
     lame = msgspec.structs.replace(vehicle, thruster=msgspec.structs.replace(thruster, starboard=weak))
-    grader = Grader(lame)
-    feed(grader, applied(0, 20.0, 0.0), applied(S, 20.0, 20.0), applied(2 * S, 0.0, 20.0))
-    feed(grader, applied(3 * S, -10.0, -10.0), applied(4 * S, -10.0, -10.0))
-    assert grader.thrust().saturated_fraction == 0.5
+    metrics = RunMetrics(lame)
+    feed(metrics, applied(0, 20.0, 0.0), applied(S, 20.0, 20.0), applied(2 * S, 0.0, 20.0))
+    feed(metrics, applied(3 * S, -10.0, -10.0), applied(4 * S, -10.0, -10.0))
+    assert metrics.thrust().saturated_fraction == 0.5
 
 
 def test_end_to_end_is_from_the_estimates_time_to_the_plans_start_or_its_arrival_if_that_is_later(
-    grader: Grader,
+    metrics: RunMetrics,
 ) -> None:
-    feed(grader, plan(1000 * MS, start_ns=1400 * MS, estimate_t_ns=900 * MS), epoch=7, sequence=0)
-    feed(grader, plan(2000 * MS, start_ns=2400 * MS, estimate_t_ns=1900 * MS), epoch=7, sequence=1)
-    feed(grader, applied(1390 * MS, taken=(7, 0, 1350 * MS)))  # in time: takes effect at its start
-    feed(grader, applied(1490 * MS, taken=(7, 0, 1350 * MS)))  # the same plan again is no other plan
-    feed(grader, applied(2690 * MS, taken=(7, 1, 2600 * MS)))  # late: takes effect when it arrives
-    delay = grader.end_to_end_delay()
+    feed(metrics, plan(1000 * MS, start_ns=1400 * MS, estimate_t_ns=900 * MS), epoch=7, sequence=0)
+    feed(metrics, plan(2000 * MS, start_ns=2400 * MS, estimate_t_ns=1900 * MS), epoch=7, sequence=1)
+    feed(metrics, applied(1390 * MS, taken=(7, 0, 1350 * MS)))  # in time: takes effect at its start
+    feed(metrics, applied(1490 * MS, taken=(7, 0, 1350 * MS)))  # the same plan again is no other plan
+    feed(metrics, applied(2690 * MS, taken=(7, 1, 2600 * MS)))  # late: takes effect when it arrives
+    delay = metrics.end_to_end_delay()
     assert (delay.median, delay.max) == pytest.approx(((0.5 + 0.7) / 2, 0.7))
 
 
-def test_a_plan_of_another_epoch_with_the_same_number_is_another_plan(grader: Grader) -> None:
-    feed(grader, plan(0, start_ns=S, estimate_t_ns=0), epoch=7, sequence=0)
-    feed(grader, applied(S, taken=(8, 0, 0)))
-    assert grader.end_to_end_delay().max is None
+def test_a_plan_of_another_epoch_with_the_same_number_is_another_plan(metrics: RunMetrics) -> None:
+    feed(metrics, plan(0, start_ns=S, estimate_t_ns=0), epoch=7, sequence=0)
+    feed(metrics, applied(S, taken=(8, 0, 0)))
+    assert metrics.end_to_end_delay().max is None
 
 
 def test_wall_delays_are_vehicle_delays_divided_by_the_speed_of_the_clock_at_the_time(vehicle: Vehicle) -> None:
-    grader = Grader(vehicle, speed=10.0)
-    feed(grader, plan(0, start_ns=S, estimate_t_ns=0), sequence=0)
-    feed(grader, applied(S, taken=(1, 0, 0)))
-    assert grader.end_to_end_delay(wall=True).max == pytest.approx(0.1)
+    metrics = RunMetrics(vehicle, speed=10.0)
+    feed(metrics, plan(0, start_ns=S, estimate_t_ns=0), sequence=0)
+    feed(metrics, applied(S, taken=(1, 0, 0)))
+    assert metrics.end_to_end_delay(wall=True).max == pytest.approx(0.1)
     slower = clock(at_us=0, vehicle_ns=0, state=ClockState.RUNNING)
-    feed(grader, slower, plan(2 * S, start_ns=3 * S, estimate_t_ns=S), sequence=1)
-    feed(grader, applied(3 * S, taken=(1, 1, 0)))
-    assert grader.end_to_end_delay(wall=True).max == pytest.approx(2.0 / 2.5)
-    assert grader.end_to_end_delay().max == pytest.approx(2.0)
+    feed(metrics, slower, plan(2 * S, start_ns=3 * S, estimate_t_ns=S), sequence=1)
+    feed(metrics, applied(3 * S, taken=(1, 1, 0)))
+    assert metrics.end_to_end_delay(wall=True).max == pytest.approx(2.0 / 2.5)
+    assert metrics.end_to_end_delay().max == pytest.approx(2.0)
 
 
 def test_the_speed_reached_is_that_from_the_start_to_the_last_change_of_the_clock(vehicle: Vehicle) -> None:
-    grader = Grader(vehicle, speed=10.0)
-    assert grader.speed_reached() is None
+    metrics = RunMetrics(vehicle, speed=10.0)
+    assert metrics.speed_reached() is None
     waiting = clock(at_us=0, vehicle_ns=-S, state=ClockState.WAITING)
-    feed(grader, waiting)
-    assert grader.speed_reached() is None
-    feed(grader, clock(at_us=3_000_000, vehicle_ns=-S, state=ClockState.RUNNING))
-    feed(grader, clock(at_us=4_000_000, vehicle_ns=4 * S, state=ClockState.RUNNING))
-    feed(grader, clock(at_us=5_000_000, vehicle_ns=5 * S, state=ClockState.PAUSED))
-    assert grader.speed_reached() == pytest.approx(3.0)
+    feed(metrics, waiting)
+    assert metrics.speed_reached() is None
+    feed(metrics, clock(at_us=3_000_000, vehicle_ns=-S, state=ClockState.RUNNING))
+    feed(metrics, clock(at_us=4_000_000, vehicle_ns=4 * S, state=ClockState.RUNNING))
+    feed(metrics, clock(at_us=5_000_000, vehicle_ns=5 * S, state=ClockState.PAUSED))
+    assert metrics.speed_reached() == pytest.approx(3.0)
 
 
 def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
@@ -275,21 +275,21 @@ def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
     )
 
 
-def test_compute_delay_has_median_99th_percentile_and_maximum_in_vehicle_and_wall_seconds(grader: Grader) -> None:
+def test_compute_delay_has_median_99th_percentile_and_maximum_in_vehicle_and_wall_seconds(metrics: RunMetrics) -> None:
     for ms in range(1, 101):
-        feed(grader, timing(0, compute_ns=10 * ms * MS, wall_ns=ms * MS))
-    vehicle, wall = grader.compute_delay(), grader.compute_delay(wall=True)
+        feed(metrics, timing(0, compute_ns=10 * ms * MS, wall_ns=ms * MS))
+    vehicle, wall = metrics.compute_delay(), metrics.compute_delay(wall=True)
     assert (vehicle.median, vehicle.max) == pytest.approx((0.505, 1.0))
     assert vehicle.p99 == pytest.approx(0.9901)  # linear between the 99th and the 100th of 100
     assert (wall.median, wall.max) == pytest.approx((0.0505, 0.1))
 
 
 def test_stages_reach_from_the_estimates_age_to_the_plans_taking_effect_in_wall_microseconds(vehicle: Vehicle) -> None:
-    grader = Grader(vehicle, speed=2.0)
-    feed(grader, timing(0, 0, age_ns=80 * MS, predict=11.0, solve=100.0), timing(0, 0, age_ns=80 * MS, solve=300.0))
-    feed(grader, plan(0, start_ns=50 * MS), sequence=3, t_ns=20 * MS)
-    feed(grader, applied(60 * MS, taken=(1, 3, 30 * MS)))
-    stages = grader.stages()
+    metrics = RunMetrics(vehicle, speed=2.0)
+    feed(metrics, timing(0, 0, age_ns=80 * MS, predict=11.0, solve=100.0), timing(0, 0, age_ns=80 * MS, solve=300.0))
+    feed(metrics, plan(0, start_ns=50 * MS), sequence=3, t_ns=20 * MS)
+    feed(metrics, applied(60 * MS, taken=(1, 3, 30 * MS)))
+    stages = metrics.stages()
     assert list(stages) == ["age", "predict", "solve", "transport", "apply"]
     assert {name: stage.median for name, stage in stages.items()} == pytest.approx(
         {"age": 40_000.0, "predict": 11.0, "solve": 200.0, "transport": 5_000.0, "apply": 10_000.0}
@@ -297,16 +297,16 @@ def test_stages_reach_from_the_estimates_age_to_the_plans_taking_effect_in_wall_
     assert stages["solve"].max == 300.0
 
 
-def test_cycles_are_counted_by_solver_status_and_by_origin_of_the_plan(grader: Grader) -> None:
-    feed(grader, plan(-S, status=SolveStatus.NOT_RUN, origin=PlanOrigin.ZERO), sequence=0)
-    feed(grader, plan(0), sequence=1)
-    feed(grader, plan(S), sequence=2)
-    feed(grader, plan(2 * S, status=SolveStatus.ITERATION_LIMIT, origin=PlanOrigin.SHIFTED), sequence=3)
-    assert grader.cycles == 4
-    assert grader.qp_status == {"not_run": 1, "solved": 2, "iteration_limit": 1}
-    assert grader.plan_origin == {"zero": 1, "solved": 2, "shifted": 1}
+def test_cycles_are_counted_by_solver_status_and_by_origin_of_the_plan(metrics: RunMetrics) -> None:
+    feed(metrics, plan(-S, status=SolveStatus.NOT_RUN, origin=PlanOrigin.ZERO), sequence=0)
+    feed(metrics, plan(0), sequence=1)
+    feed(metrics, plan(S), sequence=2)
+    feed(metrics, plan(2 * S, status=SolveStatus.ITERATION_LIMIT, origin=PlanOrigin.SHIFTED), sequence=3)
+    assert metrics.cycles == 4
+    assert metrics.qp_status == {"not_run": 1, "solved": 2, "iteration_limit": 1}
+    assert metrics.plan_origin == {"zero": 1, "solved": 2, "shifted": 1}
 
 
-def test_misses_and_refusals_are_the_plants_last_word(grader: Grader) -> None:
-    feed(grader, applied(0, late=1), applied(S, late=3, refused=2))
-    assert (grader.deadline_misses, grader.plans_refused) == (3, 2)
+def test_misses_and_refusals_are_the_plants_last_word(metrics: RunMetrics) -> None:
+    feed(metrics, applied(0, late=1), applied(S, late=3, refused=2))
+    assert (metrics.deadline_misses, metrics.plans_refused) == (3, 2)

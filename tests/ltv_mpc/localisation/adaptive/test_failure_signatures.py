@@ -4,13 +4,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.adaptive.failure_signatures import MOST, Signatures
+from ltv_mpc.localisation.adaptive.failure_signatures import MAX_SD, FailureSignatures
 from ltv_mpc.localisation.adaptive.glr_detector import STEP_NS, STEPS
-from ltv_mpc.localisation.adaptive.process_noise import Adaptation, Change
+from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise, NoiseLevel
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.correction import correct
-from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing
+from ltv_mpc.localisation.filter.invariant_correction import HEADING, heading_coupling
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
@@ -31,9 +31,9 @@ def belief():
     belief = Belief.blank(LAYOUT, 0)
     root = rng.standard_normal((N, N)) / 10
     belief.P = root @ root.T
-    belief.astray = Signatures.of(N, K)
-    belief.astray.error[:] = 0.1 * rng.standard_normal((N, K))
-    belief.astray.score[:] = rng.standard_normal(K)
+    belief.signatures = FailureSignatures.of(N, K)
+    belief.signatures.error[:] = 0.1 * rng.standard_normal((N, K))
+    belief.signatures.score[:] = rng.standard_normal(K)
     return belief
 
 
@@ -52,35 +52,35 @@ def test_a_correction_moves_them_by_the_textbooks_gain_and_hears_their_scores(be
         rows.residual[1], gate = 1e3, 1e3
     counts = np.arange(m) != 1
     H, S = rows.dense(N)[counts], np.diag(rows.variance[counts])
-    E, before = belief.astray.error.copy(), belief.astray.score.copy()
+    E, before = belief.signatures.error.copy(), belief.signatures.score.copy()
     S = H @ belief.P @ H.T + S
     gain = np.linalg.solve(S, H @ belief.P).T
     assert list(correct(belief, rows, gate).accepted) == list(counts)
     M = np.eye(N)
-    M[:, HEADING] += swing(belief.x, LAYOUT)
-    np.testing.assert_allclose(belief.astray.error, M @ (E - gain @ H @ E), atol=1e-10)
+    M[:, HEADING] += heading_coupling(belief.x, LAYOUT)
+    np.testing.assert_allclose(belief.signatures.error, M @ (E - gain @ H @ E), atol=1e-10)
     seen = np.linalg.solve(S, H @ E)
-    np.testing.assert_allclose(belief.astray.information, (H @ E).T @ seen, atol=1e-10)
-    np.testing.assert_allclose(belief.astray.score - before, seen.T @ rows.residual[counts], atol=1e-10)
+    np.testing.assert_allclose(belief.signatures.information, (H @ E).T @ seen, atol=1e-10)
+    np.testing.assert_allclose(belief.signatures.score - before, seen.T @ rows.residual[counts], atol=1e-10)
 
 
 @pytest.mark.parametrize("m", [1, 30])
 def test_one_message_adds_at_most_five_deviations(belief, m):
     rows = rows_touching(N, m)
     rows.residual[:] = 1e3
-    before = belief.astray.score.copy()
+    before = belief.signatures.score.copy()
     correct(belief, rows, 1e9)
-    added = belief.astray.score - before
-    most = MOST * np.sqrt(np.diagonal(belief.astray.information))
+    added = belief.signatures.score - before
+    most = MAX_SD * np.sqrt(np.diagonal(belief.signatures.information))
     assert (np.abs(added) <= most * (1 + 1e-12)).all()
     assert np.abs(added / most).max() > 0.99
 
 
 def test_the_antennas_clone_is_wrong_by_what_position_and_attitude_are(belief):
     """As the covariance has it: with P = E E^T before, so after."""
-    belief.P = belief.astray.error @ belief.astray.error.T
+    belief.P = belief.signatures.error @ belief.signatures.error.T
     belief.clone_position((0.3, -0.2, 0.5))
-    np.testing.assert_allclose(belief.P, belief.astray.error @ belief.astray.error.T, atol=1e-14)
+    np.testing.assert_allclose(belief.P, belief.signatures.error @ belief.signatures.error.T, atol=1e-14)
 
 
 def drifting(dive, slope_mps2, from_s, until_s):
@@ -101,8 +101,8 @@ def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive
     """Moved, corrected by all sensors, its window gone on: by 2 % of it. It goes on from one instant of the grid to
     another; nothing is gated or granted.
     """
-    monkeypatch.setattr(Adaptation, "began", lambda *_: None)
-    monkeypatch.setattr(Adaptation, "seen", lambda *_: Change.NONE)
+    monkeypatch.setattr(AdaptiveProcessNoise, "detect_onset", lambda *_: None)
+    monkeypatch.setattr(AdaptiveProcessNoise, "required_level", lambda *_: NoiseLevel.NONE)
     config = msgspec.structs.replace(CONFIG, gate_probability=1.0, kept_m=0.0, deepest_m=100.0)
     dive = make_dive(PAPER, 43, duration_s=40.0)
 
@@ -110,7 +110,7 @@ def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive
         estimator = Estimator(PAPER, config)
         for message in messages:
             step(estimator, message.t_ns, inbox_of(message))
-        return estimator.filter.settled()
+        return estimator.filter.propagated_belief()
 
     def instant(t_s):
         """The first ping's of the grid's step that begins then."""
@@ -123,9 +123,9 @@ def test_a_filter_that_hears_a_drift_is_off_by_what_its_signature_says(make_dive
     a, b = (2 * (t_ns // STEP_NS % STEPS) for t_ns in (began_ns, ended_ns))
     D = np.zeros((2 * STEPS, 2))
     D[[a, a + 1], [0, 1]], D[[b, b + 1], [0, 1]] = 1.0, -1.0
-    signature = without.astray.error @ D @ np.full(2, nu)
+    signature = without.signatures.error @ D @ np.full(2, nu)
     moved = with_drift.x[VELOCITY][:2] - without.x[VELOCITY][:2]
     assert (np.abs(moved) > 0.03).all()
     np.testing.assert_allclose(moved, -signature[VELOCITY][:2], rtol=0.02)
-    heard = D.T @ (with_drift.astray.score - without.astray.score)
-    np.testing.assert_allclose(heard, D.T @ without.astray.information @ D @ np.full(2, nu), rtol=0.05)
+    heard = D.T @ (with_drift.signatures.score - without.signatures.score)
+    np.testing.assert_allclose(heard, D.T @ without.signatures.information @ D @ np.full(2, nu), rtol=0.05)

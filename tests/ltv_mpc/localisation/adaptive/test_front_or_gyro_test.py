@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.frames import rotation
-from ltv_mpc.localisation.adaptive.front_or_gyro_test import Drift
+from ltv_mpc.localisation.adaptive.front_or_gyro_test import FrontOrGyroTest
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -18,11 +18,11 @@ def followed(path, *, turning_radps=0.05, seconds=20.0):
     rng = np.random.default_rng(3)
     t = np.arange(0.0, seconds, 1 / 3)
     D = path(t, turning_radps) + 2e-3 * rng.standard_normal((len(t), 2))
-    drift, belief = Drift(), Belief.blank(LAYOUT, 0)
+    drift, belief = FrontOrGyroTest(), Belief.blank(LAYOUT, 0)
     for k in range(len(t)):
         belief.t_ns, belief.R = round(t[k] * 1e9), rotation(0.0, 0.0, turning_radps * t[k])
         drift.add(belief, D[k] - D[k - 1] if k else D[k])
-    assert drift.lasts_s == pytest.approx(t[-1])
+    assert drift.duration_s == pytest.approx(t[-1])
     return drift
 
 
@@ -42,16 +42,16 @@ def gyro(t, turning):
 @pytest.mark.parametrize("turning", [0.0, 0.05, -0.2])
 def test_a_front_goes_on_as_water_and_a_gyro_as_a_tilt(turning):
     water, unit = followed(front, turning_radps=turning), followed(gyro, turning_radps=turning)
-    assert water.goes_on(LEVEL)
-    assert not water.is_a_tilt()
-    assert unit.goes_on(LEVEL)
-    assert unit.is_a_tilt()
+    assert water.is_drifting(LEVEL)
+    assert not water.is_gyro_fault()
+    assert unit.is_drifting(LEVEL)
+    assert unit.is_gyro_fault()
 
 
 def test_a_front_that_has_passed_does_not_go_on_and_what_the_level_explains_neither():
-    assert not followed(lambda t, turning: front(t, turning, ends_s=14.0)).goes_on(LEVEL)
-    assert not followed(front).goes_on(5 * LEVEL)
-    assert not followed(front, seconds=0.9).goes_on(0.0)
+    assert not followed(lambda t, turning: front(t, turning, ends_s=14.0)).is_drifting(LEVEL)
+    assert not followed(front).is_drifting(5 * LEVEL)
+    assert not followed(front, seconds=0.9).is_drifting(0.0)
 
 
 def test_a_copy_goes_its_own_way():
@@ -61,5 +61,5 @@ def test_a_copy_goes_its_own_way():
     for k in range(30):
         belief.t_ns += k * 10**8
         other.add(belief, np.zeros(2))
-    assert one.goes_on(LEVEL)
-    assert not other.goes_on(LEVEL)
+    assert one.is_drifting(LEVEL)
+    assert not other.is_drifting(LEVEL)

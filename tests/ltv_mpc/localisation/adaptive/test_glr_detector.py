@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
-from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS, LIMIT, STEP_NS, STEPS, Onsets
+from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
+from ltv_mpc.localisation.adaptive.glr_detector import COLUMNS, STEP_NS, STEPS, THRESHOLD, GlrDetector
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
@@ -18,14 +18,14 @@ SD = 0.01
 def has_started(steps):
     """A belief after so many steps of the grid, and its onsets: the errors of each at random."""
     rng = np.random.default_rng(0)
-    belief, onsets = Belief.blank(LAYOUT, 0), Onsets()
-    belief.astray = Signatures.of(N, COLUMNS)
+    belief, onsets = Belief.blank(LAYOUT, 0), GlrDetector()
+    belief.signatures = FailureSignatures.of(N, COLUMNS)
     for k in range(steps):
         belief.t_ns = k * STEP_NS
-        onsets.settle(belief)
+        onsets.start_hypothesis(belief)
     root = rng.standard_normal((COLUMNS, COLUMNS))
-    belief.astray.information[:] = 1e5 * (root @ root.T + 3 * np.eye(COLUMNS))
-    belief.astray.error[:] = rng.standard_normal((N, COLUMNS))
+    belief.signatures.information[:] = 1e5 * (root @ root.T + 3 * np.eye(COLUMNS))
+    belief.signatures.error[:] = rng.standard_normal((N, COLUMNS))
     return belief, onsets
 
 
@@ -43,22 +43,22 @@ def hypothesis(began, ended=None):
 
 
 def test_all_water_drifts_from_when_it_began_and_the_oldest_instant_gives_its_place():
-    belief, onsets = Belief.blank(LAYOUT, 0), Onsets()
-    belief.astray = Signatures.of(N, COLUMNS)
+    belief, onsets = Belief.blank(LAYOUT, 0), GlrDetector()
+    belief.signatures = FailureSignatures.of(N, COLUMNS)
     for k in range(STEPS + 3):
         belief.t_ns = k * STEP_NS
-        onsets.settle(belief)
-        onsets.grow(1.0)
-        onsets.grow(2.0)
+        onsets.start_hypothesis(belief)
+        onsets.add_elapsed(1.0)
+        onsets.add_elapsed(2.0)
     belief.t_ns += STEP_NS // 2
-    onsets.settle(belief)
-    E = belief.astray.error
+    onsets.start_hypothesis(belief)
+    E = belief.signatures.error
     for k in range(3, STEPS + 3):
         north, east = slots(k)
-        lasts_s = 3.0 * (STEPS + 3 - k)
+        duration_s = 3.0 * (STEPS + 3 - k)
         for column, axis, nodes in ((north, 0, LAYOUT.north), (east, 1, LAYOUT.east)):
             expected = np.zeros(N)
-            expected[nodes] = expected[LAYOUT.mean.start + axis] = lasts_s
+            expected[nodes] = expected[LAYOUT.mean.start + axis] = duration_s
             np.testing.assert_allclose(E[:, column], expected)
 
 
@@ -66,13 +66,13 @@ def test_all_water_drifts_from_when_it_began_and_the_oldest_instant_gives_its_pl
 def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
     """By a sum over all hypotheses, each by the textbook. Twelve instants; the filter goes back by three of them."""
     belief, onsets = has_started(12)
-    J, E = belief.astray.information, belief.astray.error
-    belief.astray.score[:] = J @ hypothesis(*truth) @ np.array([0.012, -0.02])
+    J, E = belief.signatures.information, belief.signatures.error
+    belief.signatures.score[:] = J @ hypothesis(*truth) @ np.array([0.012, -0.02])
     mean, second, total, best = np.zeros(N), np.zeros((N, N)), 0.0, 0.0
     every = [hypothesis(i, k) for i in range(12) for k in (None, *range(i + 1, 12))]
     found = []
     for D in every:
-        d, own = D.T @ belief.astray.score, D.T @ J @ D
+        d, own = D.T @ belief.signatures.score, D.T @ J @ D
         covariance = np.linalg.inv(own + np.eye(2) / SD**2)
         twice = d @ covariance @ d
         evidence = 0.5 * twice - 0.5 * np.log(np.linalg.det(np.eye(2) + SD**2 * own))
@@ -86,26 +86,26 @@ def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
         second += share * (spread + np.outer(move, move))
     mean /= total
     P = second / total - np.outer(mean, mean) + 0.15**2 * np.outer(mean, mean)
-    assert best > LIMIT
-    result = onsets.found(belief, LIMIT, REACH_NS)
+    assert best > THRESHOLD
+    result = onsets.detect(belief, THRESHOLD, REACH_NS)
     np.testing.assert_allclose(result.error, mean, atol=2e-3 * np.abs(mean).max())
     np.testing.assert_allclose(result.root @ result.root.T, P, atol=2e-2 * np.abs(P).max())
     assert result.old == old
     before = belief.P.copy()
-    result.make_up(belief)
+    result.compensate(belief)
     np.testing.assert_allclose(belief.x[VELOCITY], result.error[VELOCITY])
     np.testing.assert_allclose(belief.P - before, result.root @ result.root.T)
-    assert onsets.found(belief, best + 1.0, REACH_NS) is None
+    assert onsets.detect(belief, best + 1.0, REACH_NS) is None
 
 
 def test_nothing_is_found_in_what_is_forgotten_or_where_nothing_is_asked():
     belief, onsets = has_started(12)
-    belief.astray.score[:] = belief.astray.information @ hypothesis(3) @ np.full(2, 0.05)
+    belief.signatures.score[:] = belief.signatures.information @ hypothesis(3) @ np.full(2, 0.05)
     copy = onsets.copy()
-    assert copy.found(belief, LIMIT, REACH_NS) is not None
-    onsets.forget(belief)
-    assert onsets.found(belief, 0.0, REACH_NS) is None
-    assert copy.found(belief, LIMIT, REACH_NS) is None  # of the belief nothing is left
+    assert copy.detect(belief, THRESHOLD, REACH_NS) is not None
+    onsets.reset(belief)
+    assert onsets.detect(belief, 0.0, REACH_NS) is None
+    assert copy.detect(belief, THRESHOLD, REACH_NS) is None  # of the belief nothing is left
     blank = Belief.blank(LAYOUT, 0)
-    onsets.settle(blank)
-    assert onsets.found(blank, 0.0, REACH_NS) is None
+    onsets.start_hypothesis(blank)
+    assert onsets.detect(blank, 0.0, REACH_NS) is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from ltv_mpc.localisation.adaptive.innovation_tests import FALSE_ALARM, MOST, Mean, limit
+from ltv_mpc.localisation.adaptive.innovation_tests import FALSE_ALARM, MAX_SD, InnovationMeanTest, threshold
 
 SECOND = 1_000_000_000
 TAU_S = (1.0, 3.0, 10.0)
@@ -12,8 +12,8 @@ V = np.array([[2e-4, 5e-5], [5e-5, 1e-4]])
 
 
 def heard(rng, messages=60, mean=(0.0, 0.0), V_of=lambda _: V):
-    """One Mean that has heard contrasts of that mean, three a second."""
-    sums = Mean(TAU_S, 2)
+    """One InnovationMeanTest that has heard contrasts of that mean, three a second."""
+    sums = InnovationMeanTest(TAU_S, 2)
     for k in range(messages):
         d = np.array(mean) + np.linalg.cholesky(V_of(k)) @ rng.standard_normal(2)
         sums.add(k * SECOND // 3, d, V_of(k))
@@ -32,22 +32,22 @@ def test_a_tenth_of_the_noise_of_a_hundred_rows_shows_within_seconds_and_nothing
     """A mean of as much as one message's deviation: after 9 messages 9 times it in a sum of 3 times it."""
     rng = np.random.default_rng(1)
     for _ in range(20):
-        assert (heard(rng, mean=np.sqrt(np.diagonal(V)) * 1.5, messages=30).chi_square() > limit(2)).any()
-        assert (heard(rng).chi_square() < limit(2)).all()
+        assert (heard(rng, mean=np.sqrt(np.diagonal(V)) * 1.5, messages=30).chi_square() > threshold(2)).any()
+        assert (heard(rng).chi_square() < threshold(2)).all()
 
 
 def test_one_message_however_wrong_does_not_pass_the_limit_and_two_do():
-    sums = Mean(TAU_S, 2)
+    sums = InnovationMeanTest(TAU_S, 2)
     sums.add(0, np.array([1e3, -1e3]), V)
-    assert sums.chi_square() == pytest.approx([MOST**2] * 3)
-    assert limit(2) > MOST**2
+    assert sums.chi_square() == pytest.approx([MAX_SD**2] * 3)
+    assert threshold(2) > MAX_SD**2
     sums.add(SECOND // 3, np.array([1e3, -1e3]), V)
-    assert (sums.chi_square() > limit(2)).all()
+    assert (sums.chi_square() > threshold(2)).all()
 
 
 def test_the_limit_is_passed_by_chance_as_rarely_as_it_says():
-    assert chi2.sf(limit(2), 2) == pytest.approx(FALSE_ALARM)
-    assert chi2.sf(limit(1), 1) == pytest.approx(FALSE_ALARM)
+    assert chi2.sf(threshold(2), 2) == pytest.approx(FALSE_ALARM)
+    assert chi2.sf(threshold(1), 1) == pytest.approx(FALSE_ALARM)
 
 
 def test_a_copy_goes_its_own_way():
@@ -59,12 +59,12 @@ def test_a_copy_goes_its_own_way():
 
 
 def test_before_the_first_message_there_is_nothing():
-    np.testing.assert_array_equal(Mean(TAU_S, 2).chi_square(), np.zeros(3))
+    np.testing.assert_array_equal(InnovationMeanTest(TAU_S, 2).chi_square(), np.zeros(3))
 
 
 def test_what_is_no_number_is_none_and_raises_nothing() -> None:
     for size in (1, 2):
-        sums = Mean(TAU_S, size)
+        sums = InnovationMeanTest(TAU_S, size)
         sums.add(0, np.full(size, np.nan), np.eye(size))
         assert np.isnan(sums.chi_square()).all()
 
@@ -72,7 +72,7 @@ def test_what_is_no_number_is_none_and_raises_nothing() -> None:
 @pytest.mark.parametrize("size", [1, 2])
 def test_the_squares_are_those_of_the_inverse(size: int) -> None:
     rng = np.random.default_rng(3)
-    sums = Mean(TAU_S, size)
+    sums = InnovationMeanTest(TAU_S, size)
     for k in range(5):
         half = rng.normal(size=(size, size))
         sums.add(k * 10**9, 0.1 * rng.normal(size=size), half @ half.T + np.eye(size))

@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.adaptive.glr_detector import Found
-from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, Adaptation, Change
+from ltv_mpc.localisation.adaptive.glr_detector import OnsetDetection
+from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, AdaptiveProcessNoise, NoiseLevel
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.adcp import beam_directions
@@ -26,9 +26,9 @@ END_S = 45.0
 CELLS = 20
 
 
-def ramp(size_mps, from_s, lasts_s):
+def ramp(size_mps, from_s, duration_s):
     """All water comes to move by so much more, to the north-east, at all depths."""
-    return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / lasts_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
+    return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / duration_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
 
 
 front = ramp(0.14, 20.0, 10.0)
@@ -65,14 +65,14 @@ def run(inbox_of):
         estimator = estimator or Estimator(PAPER, config)
         for message in messages:
             step(estimator, message.t_ns, inbox_of(message))
-        estimator.filter.settle()
+        estimator.filter.propagate_covariance()
         return estimator.filter
 
     return run
 
 
 class Granted(NamedTuple):
-    change: Change
+    change: NoiseLevel
     at_ns: int
     from_ns: int
     until_ns: int
@@ -82,7 +82,7 @@ class Granted(NamedTuple):
 def granted(monkeypatch):
     """What has been granted while a filter ran."""
     log = []
-    grant, restore = Adaptation.grant, Filter.restore
+    grant, restore = AdaptiveProcessNoise.inflate, ErrorStateFilter.restore
     back_ns = []
 
     def spy_restore(self, then):
@@ -93,8 +93,8 @@ def granted(monkeypatch):
         log.append(Granted(change, now_ns, back_ns[-1] if back_ns else now_ns, until_ns))
         return grant(self, change, until_ns, now_ns)
 
-    monkeypatch.setattr(Filter, "restore", spy_restore)
-    monkeypatch.setattr(Adaptation, "grant", spy_grant)
+    monkeypatch.setattr(ErrorStateFilter, "restore", spy_restore)
+    monkeypatch.setattr(AdaptiveProcessNoise, "inflate", spy_grant)
     return log
 
 
@@ -122,7 +122,7 @@ def test_a_front_is_seen_within_seconds_and_the_velocity_then_is_as_good_as_the_
         messages = with_water(dive, front)
         assert off_by(run(messages, BLIND), dive) > 100
         off += off_by(run(messages), dive)
-        assert granted[0].change is Change.FAST
+        assert granted[0].change is NoiseLevel.FAST
         assert 20 * SECOND < granted[0].at_ns < 26 * SECOND
     assert off < 9.5
 
@@ -130,9 +130,9 @@ def test_a_front_is_seen_within_seconds_and_the_velocity_then_is_as_good_as_the_
 @pytest.fixture
 def made_up(monkeypatch):
     """When something was, while a filter ran (s)."""
-    log, make_up = [], Found.make_up
+    log, compensate = [], OnsetDetection.compensate
     monkeypatch.setattr(
-        Found, "make_up", lambda found, belief: (log.append(belief.t_ns * 1e-9), make_up(found, belief))
+        OnsetDetection, "compensate", lambda found, belief: (log.append(belief.t_ns * 1e-9), compensate(found, belief))
     )
     return log
 
@@ -142,26 +142,26 @@ def test_a_front_that_takes_long_is_granted_for_as_long_as_the_water_drifts(make
     dive = make_dive(PAPER, 40, duration_s=END_S)
     messages = with_water(dive, ramp(0.24, 20.0, 16.0))
     filter_ = run(messages)
-    assert [one.change for one in granted] == [Change.FAST]
+    assert [one.change for one in granted] == [NoiseLevel.FAST]
     held_ns = granted[0].until_ns
     assert held_ns < 35 * SECOND  # ten seconds would have ended before it
-    assert filter_.water.change(held_ns + 2 * SECOND) is Change.FAST
-    assert filter_.water.change(41 * SECOND) is Change.NONE
+    assert filter_.process_noise.level(held_ns + 2 * SECOND) is NoiseLevel.FAST
+    assert filter_.process_noise.level(41 * SECOND) is NoiseLevel.NONE
     assert off_by(filter_, dive) < 9.2
 
 
-@pytest.mark.parametrize(("size", "lasts_s", "seeds"), [(0.08, 12.0, (41, 42)), (0.2, 25.0, (40, 43))])
-def test_a_front_that_no_mean_shows_is_made_up_for(make_dive, run, granted, made_up, size, lasts_s, seeds):
+@pytest.mark.parametrize(("size", "duration_s", "seeds"), [(0.08, 12.0, (41, 42)), (0.2, 25.0, (40, 43))])
+def test_a_front_that_no_mean_shows_is_made_up_for(make_dive, run, granted, made_up, size, duration_s, seeds):
     """It began longer ago than the filter goes back. 99 % of chi-square of twice 2 degrees is 13.3."""
     off = 0.0
     for seed in seeds:
         made_up.clear()
         dive = make_dive(PAPER, seed, duration_s=60.0)
-        messages = with_water(dive, ramp(size, 20.0 if lasts_s < 20 else 15.0, lasts_s))
+        messages = with_water(dive, ramp(size, 20.0 if duration_s < 20 else 15.0, duration_s))
         assert off_by(run(messages, BLIND), dive) > 100
         off += off_by(run(messages), dive)
         assert len(made_up) == 1
-        assert granted[-1].change is Change.FAST
+        assert granted[-1].change is NoiseLevel.FAST
     assert off < 13.3
 
 
@@ -176,7 +176,7 @@ def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives,
         k = belief.layout.north.start + nodes - belief.column.first
         e = belief.x[k] - truth
         square[config.adapts_to_water] = e @ np.linalg.solve(belief.P[np.ix_(k, k)], e) / len(nodes)
-    assert Change.SLOW in {one.change for one in granted}
+    assert NoiseLevel.SLOW in {one.change for one in granted}
     assert square[False] > 5
     assert square[True] < 2.5
 
@@ -191,7 +191,7 @@ def test_a_gyro_that_fails_is_not_taken_for_a_front_again_and_again(dives, run, 
             message = msgspec.structs.replace(message, angular_rate_radps=(p + fault, q, r))
         messages.append(message)
     filter_ = run(messages)
-    assert [one.change for one in granted] == [Change.FAST, Change.UNIT]
+    assert [one.change for one in granted] == [NoiseLevel.FAST, NoiseLevel.FAST_AND_IMU]
     assert off_by(filter_, dive) < 9.2  # 99 % of chi-square of 2 degrees; of FAST alone, some eighty
     sd = np.sqrt(filter_.belief.P[GYRO_BIAS.start, GYRO_BIAS.start])
     assert abs(filter_.belief.x[GYRO_BIAS.start] - fault) < 3 * sd < 3 * fault
@@ -208,27 +208,29 @@ def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_the
 
     told = Estimator(PAPER, CONFIG)
     run([m for m in messages if m.t_ns <= from_ns], estimator=told)
-    told.filter.water.grant(Change.FAST, until_ns, at_ns)
+    told.filter.process_noise.inflate(NoiseLevel.FAST, until_ns, at_ns)
     assert same(adapted, run([m for m in messages if from_ns < m.t_ns <= 26 * SECOND], estimator=told))
 
 
 def test_a_second_grant_that_goes_back_beyond_the_first_keeps_it(dives, run, monkeypatch):
-    calls = {60: Change.SLOW, 61: Change.FAST}
-    monkeypatch.setattr(Adaptation, "seen", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, Change.NONE))
+    calls = {60: NoiseLevel.SLOW, 61: NoiseLevel.FAST}
+    monkeypatch.setattr(
+        AdaptiveProcessNoise, "required_level", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, NoiseLevel.NONE)
+    )
     water = run([m for m in dives[0].messages if m.t_ns <= 35 * SECOND]).water
     assert calls == {}
-    assert water.change(35 * SECOND) is Change.SLOW
+    assert water.level(35 * SECOND) is NoiseLevel.SLOW
 
 
 def test_after_a_while_nothing_is_granted_any_more_and_longer_the_next_time():
-    water = Adaptation(1.0, 0)
-    assert water.hold(Change.FAST, 50 * SECOND) == 60 * SECOND
-    water.grant(Change.FAST, 60 * SECOND, 50 * SECOND)
-    assert water.change(60 * SECOND - 1) is Change.FAST
-    assert water.change(60 * SECOND) is Change.NONE
+    water = AdaptiveProcessNoise(1.0, 0)
+    assert water.inflation_end_ns(NoiseLevel.FAST, 50 * SECOND) == 60 * SECOND
+    water.inflate(NoiseLevel.FAST, 60 * SECOND, 50 * SECOND)
+    assert water.level(60 * SECOND - 1) is NoiseLevel.FAST
+    assert water.level(60 * SECOND) is NoiseLevel.NONE
     assert water.walk_mps_per_rts(60 * SECOND) == 0.0
-    assert water.hold(Change.FAST, 65 * SECOND) == 85 * SECOND
-    assert water.hold(Change.FAST, 90 * SECOND) == 100 * SECOND
+    assert water.inflation_end_ns(NoiseLevel.FAST, 65 * SECOND) == 85 * SECOND
+    assert water.inflation_end_ns(NoiseLevel.FAST, 90 * SECOND) == 100 * SECOND
 
 
 U = np.repeat(beam_directions(PAPER.adcp.beam_angle_rad), 10, axis=0)
@@ -239,73 +241,73 @@ S = 1e-4 * np.eye(40)
 def hear(water, rng, pings, r, first=0):
     """Pings of white noise about ``r``; what the last one calls for."""
     for k in range(first, first + pings):
-        water.hear(k * SECOND // 3, U, CELL, r + 0.01 * rng.standard_normal(40), S)
-    return water.seen((first + pings - 1) * SECOND // 3)
+        water.add_innovations(k * SECOND // 3, U, CELL, r + 0.01 * rng.standard_normal(40), S)
+    return water.required_level((first + pings - 1) * SECOND // 3)
 
 
 @pytest.mark.parametrize(
     ("r", "change", "beyond"),
     [
-        (0.0 * CELL, Change.NONE, False),
-        (U @ [0.02, -0.01, 0.0], Change.FAST, False),
-        (U @ [0.007, 0.0, 0.0], Change.UNIT, False),
-        ((CELL - 4.5) * (U @ [0.003, 0.0, 0.0]), Change.SLOW, False),
-        (U @ [0.0, 0.0, 0.01], Change.NONE, True),
-        (U @ [0.02, -0.01, 0.01], Change.NONE, True),
+        (0.0 * CELL, NoiseLevel.NONE, False),
+        (U @ [0.02, -0.01, 0.0], NoiseLevel.FAST, False),
+        (U @ [0.007, 0.0, 0.0], NoiseLevel.FAST_AND_IMU, False),
+        ((CELL - 4.5) * (U @ [0.003, 0.0, 0.0]), NoiseLevel.SLOW, False),
+        (U @ [0.0, 0.0, 0.01], NoiseLevel.NONE, True),
+        (U @ [0.02, -0.01, 0.01], NoiseLevel.NONE, True),
     ],
     ids=["noise", "velocity", "a velocity of one ping's deviation", "shear", "upward", "velocity and upward"],
 )
 def test_a_velocity_calls_for_much_a_shear_for_little_and_what_moves_up_for_nothing(r, change, beyond):
     """Water does not move up and down: that is the unit or the profiler, and is said."""
-    water = Adaptation(1.0, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
     assert hear(water, np.random.default_rng(3), 40, r) is change
-    assert water.beyond(13 * SECOND) is beyond
+    assert water.is_inconsistent(13 * SECOND) is beyond
 
 
 def test_outliers_on_every_tenth_row_call_for_nothing():
     """All of one sign along two beams that look opposite ways: as a velocity they would be 15 cm/s."""
-    water = Adaptation(1.0, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
     r = np.where((CELL == 3) & (np.arange(40) < 20), np.sign(U[:, 0]) * 0.5, 0.0)
-    assert hear(water, np.random.default_rng(8), 12, r) is Change.NONE
+    assert hear(water, np.random.default_rng(8), 12, r) is NoiseLevel.NONE
 
 
-@pytest.mark.parametrize("change", [Change.FAST, Change.UNIT])
+@pytest.mark.parametrize("change", [NoiseLevel.FAST, NoiseLevel.FAST_AND_IMU])
 def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water(change):
-    water = Adaptation(1.0, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
     rng, r = np.random.default_rng(4), U @ [0.02, -0.01, 0.0]
-    assert hear(water, rng, 40, r) is Change.FAST
-    assert not water.beyond(13 * SECOND)
-    water.grant(change, 30 * SECOND, 13 * SECOND)
-    assert hear(water, rng, 1, r, first=40) is Change.NONE
-    assert water.beyond(14 * SECOND)
-    assert not water.beyond(16 * SECOND)
+    assert hear(water, rng, 40, r) is NoiseLevel.FAST
+    assert not water.is_inconsistent(13 * SECOND)
+    water.inflate(change, 30 * SECOND, 13 * SECOND)
+    assert hear(water, rng, 1, r, first=40) is NoiseLevel.NONE
+    assert water.is_inconsistent(14 * SECOND)
+    assert not water.is_inconsistent(16 * SECOND)
 
 
 def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and_long_after_is_a_front():
-    for again_s, change in ((15, Change.UNIT), (19.5, Change.UNIT), (21, Change.FAST)):
-        water = Adaptation(1.0, 0)
-        water.grant(Change.FAST, 10 * SECOND, 0)
+    for again_s, change in ((15, NoiseLevel.FAST_AND_IMU), (19.5, NoiseLevel.FAST_AND_IMU), (21, NoiseLevel.FAST)):
+        water = AdaptiveProcessNoise(1.0, 0)
+        water.inflate(NoiseLevel.FAST, 10 * SECOND, 0)
         r, first = U @ [0.04, -0.01, 0.0], round(3 * again_s)
-        assert hear(water, np.random.default_rng(11), 1, 0.0 * CELL, first=first - 1) is Change.NONE
+        assert hear(water, np.random.default_rng(11), 1, 0.0 * CELL, first=first - 1) is NoiseLevel.NONE
         assert hear(water, np.random.default_rng(12), 2, r, first=first) is change
 
 
 def test_what_shows_over_ten_seconds_alone_may_be_the_unit():
     """Of 30 pings, 0.3 of one's deviation each; of 9 in 3 s it is not seen."""
-    water = Adaptation(1.0, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
     calls = [hear(water, np.random.default_rng(k), 1, U @ [0.0038, 0.0, 0.0], first=k) for k in range(120)]
-    assert next(call for call in calls if call is not Change.NONE) is Change.UNIT
+    assert next(call for call in calls if call is not NoiseLevel.NONE) is NoiseLevel.FAST_AND_IMU
 
 
 def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
     belief = belief_of_water()
-    water = Adaptation(1.0, 0)
-    water.grant(Change.UNIT, 20 * SECOND, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
+    water.inflate(NoiseLevel.FAST_AND_IMU, 20 * SECOND, 0)
     before = belief.P.copy()
-    water.grow(belief, 1.0)
+    water.propagate(belief, 1.0)
     first = belief.P - before
     before = belief.P.copy()
-    water.grow(belief, 1.0)
+    water.propagate(belief, 1.0)
     walk = belief.P - before
 
     opened, layout = first - walk, belief.layout
@@ -325,16 +327,16 @@ def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
 
 def test_a_filter_that_has_just_begun_anew_takes_nothing_for_a_front():
     rng, r = np.random.default_rng(5), U @ [0.02, -0.01, 0.0]
-    assert hear(Adaptation(1.0, 20 * SECOND), rng, 40, r) is Change.NONE
-    assert hear(Adaptation(1.0, 13 * SECOND), rng, 40, r) is Change.FAST
+    assert hear(AdaptiveProcessNoise(1.0, 20 * SECOND), rng, 40, r) is NoiseLevel.NONE
+    assert hear(AdaptiveProcessNoise(1.0, 13 * SECOND), rng, 40, r) is NoiseLevel.FAST
 
 
 def test_beams_of_one_plane_alone_are_not_asked():
-    water = Adaptation(1.0, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
     two = slice(0, 20)
     for k in range(40):
-        water.hear(k * SECOND // 3, U[two], CELL[two], np.full(20, 0.1), S[two, two])
-    assert water.seen(13 * SECOND) is Change.NONE
+        water.add_innovations(k * SECOND // 3, U[two], CELL[two], np.full(20, 0.1), S[two, two])
+    assert water.required_level(13 * SECOND) is NoiseLevel.NONE
 
 
 def belief_of_water():
@@ -349,17 +351,17 @@ def test_a_step_between_two_cells_is_noticed(dives, run, granted):
         return 0.3 * np.clip(depth_m - 24.5, 0.0, 1.0)
 
     run(with_water(dives[0], step))
-    assert Change.SLOW in {one.change for one in granted}
+    assert NoiseLevel.SLOW in {one.change for one in granted}
 
 
 def test_what_is_granted_to_all_is_smooth_over_depth_and_leaves_the_covariance_definite():
     belief = belief_of_water()
-    water = Adaptation(1.0, 0)
+    water = AdaptiveProcessNoise(1.0, 0)
     before = belief.P.copy()
-    water.grow(belief, 4.0)
+    water.propagate(belief, 4.0)
     np.testing.assert_array_equal(belief.P, before)
-    water.grant(Change.FAST, SECOND, 0)
-    water.grow(belief, 4.0)
+    water.inflate(NoiseLevel.FAST, SECOND, 0)
+    water.propagate(belief, 4.0)
     grown, z = belief.P - before, np.arange(CELLS)
     expected = 4.0 * 0.05**2 * np.exp(-np.abs(z[:, None] - z) / 30.0)
     for axis in (belief.layout.north, belief.layout.east):

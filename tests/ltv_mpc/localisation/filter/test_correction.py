@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.correction import correct, reduce, update
-from ltv_mpc.localisation.filter.invariant_correction import HEADING, swing
+from ltv_mpc.localisation.filter.correction import correct, reduce_covariance, update_covariance
+from ltv_mpc.localisation.filter.invariant_correction import HEADING, heading_coupling
 from ltv_mpc.localisation.filter.state import ATTITUDE, Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.rows import Rows
@@ -43,7 +43,7 @@ def test_an_update_is_the_textbooks(belief, m):
     np.testing.assert_allclose(belief.x, K @ rows.residual, atol=1e-11)
     expected = I_KH @ P @ I_KH.T + K @ R @ K.T
     M = np.eye(LAYOUT.size)
-    M[:, HEADING] += swing(belief.x, LAYOUT)
+    M[:, HEADING] += heading_coupling(belief.x, LAYOUT)
     expected = M @ expected @ M.T
     np.testing.assert_allclose(belief.P, expected, atol=1e-11)
     np.testing.assert_array_equal(belief.P, belief.P.T)
@@ -93,7 +93,7 @@ def test_a_doubted_row_is_used_with_as_much_noise_as_makes_it_just_pass(belief, 
     more[0] += (4.5**2 / gate - 1.0) * S[0]
     correction = correct(belief, rows, gate, 36.0)
     correct(other, Rows(rows.state, rows.partial, rows.residual, more), OPEN)
-    assert (correction.accepted.tolist(), correction.doubted) == ([False] + [True] * (m - 1), 1)
+    assert (correction.accepted.tolist(), correction.deweighted) == ([False] + [True] * (m - 1), 1)
     np.testing.assert_allclose(belief.x, other.x, rtol=1e-9, atol=1e-13)
     np.testing.assert_allclose(belief.P, other.P, atol=1e-12)
 
@@ -135,7 +135,7 @@ def test_any_covariance_can_be_updated_without_a_belief(n, m):
     rows = Rows(state, rng.standard_normal((m, 3)), rng.standard_normal(m), rng.uniform(0.5, 2, m))
     H, R = rows.dense(n), np.diag(rows.variance)
     K = np.linalg.solve(H @ before @ H.T + R, H @ before).T
-    correction = update(P, rows, OPEN)
+    correction = update_covariance(P, rows, OPEN)
     np.testing.assert_allclose(correction.error, K @ rows.residual, atol=1e-10)
     np.testing.assert_allclose(P, before - K @ H @ before, atol=1e-9)
     np.testing.assert_array_equal(P, P.T)
@@ -148,7 +148,7 @@ def test_a_covariance_without_a_heading_is_not_read_beyond_its_end(m):
     P[:] = np.eye(3)
     rng = np.random.default_rng(m)
     rows = Rows(np.arange(m)[:, None] % 3, np.ones((m, 1)), rng.standard_normal(m), np.ones(m))
-    update(P, rows, OPEN)
+    update_covariance(P, rows, OPEN)
     measured = np.bincount(np.arange(m) % 3, minlength=3)
     np.testing.assert_allclose(P, np.diag(1.0 / (1.0 + measured)), atol=1e-12)
 
@@ -156,7 +156,7 @@ def test_a_covariance_without_a_heading_is_not_read_beyond_its_end(m):
 def test_rows_beyond_the_gate_say_that_nothing_is_to_be_added():
     P = np.eye(4)
     rows = Rows(np.array([[0]]), np.ones((1, 1)), np.array([1e3]), np.ones(1))
-    correction = update(P, rows, 10.8)
+    correction = update_covariance(P, rows, 10.8)
     assert not correction.accepted.any()
     np.testing.assert_array_equal(correction.error, np.zeros(4))
     np.testing.assert_array_equal(P, np.eye(4))
@@ -174,6 +174,6 @@ def test_what_is_left_is_symmetric_to_the_last_bit(m):
     M = np.eye(n)
     M[:, HEADING] += a
     expected = M @ (P - W.T @ W) @ M.T
-    reduce(P, W, a)
+    reduce_covariance(P, W, a)
     np.testing.assert_allclose(P, expected, rtol=1e-10, atol=1e-9)
     np.testing.assert_array_equal(P, P.T)

@@ -8,7 +8,7 @@ import pytest
 from scipy.special import chdtri
 
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import ACCELEROMETER_BIAS, Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import prior_covariance
@@ -54,7 +54,7 @@ def test_inertial_and_satellite_measurements_are_weighted_as_least_squares_does(
     for i, sd in enumerate(sd0):
         belief.P[3 * i if i < 2 else 12, 3 * i if i < 2 else 12] = sd**2
     belief.clone_position()
-    filter_ = Filter(suite, CONFIG, belief)
+    filter_ = ErrorStateFilter(suite, CONFIG, belief)
 
     a = math.exp(-DT / 0.4)
     unknowns = 3 + 2 * steps
@@ -132,7 +132,7 @@ def test_profiles_of_water_are_weighted_as_least_squares_does():
     prior = prior_covariance(config)
     for axis in (layout.north, layout.east):
         belief.P[axis, axis] = prior
-    filter_ = Filter(suite, config, belief)
+    filter_ = ErrorStateFilter(suite, config, belief)
 
     rng = np.random.default_rng(1)
     pings, between = 8, 25
@@ -192,14 +192,14 @@ def test_moving_the_large_covariance_once_is_the_same_as_moving_it_at_every_samp
     suite = SensorConfig.load("realistic")
     config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=0.01)
     rng = np.random.default_rng(4)
-    once, always = (Filter(suite, config, full_belief(suite, config)) for _ in range(2))
+    once, always = (ErrorStateFilter(suite, config, full_belief(suite, config)) for _ in range(2))
     for k in range(1, 34):
         imu = sample(k, tuple((np.array([0.1, 0.2, -9.7]) + rng.standard_normal(3)).tolist()), (0.1, -0.2, 0.3))
         once.advance(k * DT_NS, imu)
         always.advance(k * DT_NS, imu)
-        always.settle()
+        always.propagate_covariance()
     np.testing.assert_allclose(once.core_covariance(), always.belief.P[:15, :15], rtol=1e-10, atol=1e-16)
-    once.settle()
+    once.propagate_covariance()
     np.testing.assert_allclose(once.belief.P, always.belief.P, rtol=1e-9, atol=1e-15)
     np.testing.assert_allclose(once.belief.x, always.belief.x, rtol=1e-13)
     np.testing.assert_array_equal(once.belief.P, once.belief.P.T)
@@ -212,9 +212,9 @@ def test_a_compass_bias_keeps_its_deviation_and_forgets_its_value():
     belief.P[bias, bias] = suite.compass.bias_sd_rad**2
     constant = belief.layout.beam_bias.start
     cross = belief.P[constant, bias]
-    filter_ = Filter(suite, CONFIG, belief)
+    filter_ = ErrorStateFilter(suite, CONFIG, belief)
     filter_.advance(1_000 * DT_NS, sample(1_000))
-    filter_.settle()
+    filter_.propagate_covariance()
     keep = math.exp(-10.0 / suite.compass.bias_tau_s)
     assert belief.P[bias, bias] == pytest.approx(suite.compass.bias_sd_rad**2, rel=1e-12)
     assert belief.x[bias] == pytest.approx(0.02 * keep, rel=1e-12)
@@ -226,7 +226,7 @@ def test_every_scalar_measurement_is_accounted_for_by_what_came_of_it():
     belief = Belief.blank(Layout.of(suite, EstimatorConfig()), 0)
     belief.P += 1e-4 * np.eye(belief.layout.size)
     belief.x[2] = 65.0
-    filter_ = Filter(suite, EstimatorConfig(), belief)
+    filter_ = ErrorStateFilter(suite, EstimatorConfig(), belief)
     z = np.zeros((4, 8))
     z[0, 0] = 5.0
     z[1, 1] = np.nan
@@ -246,7 +246,7 @@ def test_a_satellite_fix_that_is_a_little_too_far_away_is_doubted_and_a_pressure
     """Four deviations of innovation, which the gate of 3.3 holds back; and seven."""
     belief = Belief.blank(Layout.of(PAPER, EstimatorConfig()), 0)
     belief.P += 1e-4 * np.eye(belief.layout.size)
-    filter_ = Filter(PAPER, EstimatorConfig(), belief)
+    filter_ = ErrorStateFilter(PAPER, EstimatorConfig(), belief)
     sd = math.hypot(PAPER.tdcp.displacement_sd_m, math.sqrt(2e-4))  # of position and of its clone
     filter_.correct(TdcpFix(t_ns=0, from_t_ns=0, north_m=4.0 * sd, east_m=7.0 * sd))
     assert (filter_.account["tdcp.used"], filter_.account["tdcp.deweighted"], filter_.account["tdcp.gate"]) == (1, 1, 1)

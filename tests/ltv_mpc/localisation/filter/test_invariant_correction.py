@@ -7,9 +7,9 @@ import pytest
 
 from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.config import EstimatorConfig
-from ltv_mpc.localisation.filter.correction import reduce
-from ltv_mpc.localisation.filter.error_state_filter import Filter
-from ltv_mpc.localisation.filter.invariant_correction import swing
+from ltv_mpc.localisation.filter.correction import reduce_covariance
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
+from ltv_mpc.localisation.filter.invariant_correction import heading_coupling
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import write_prior
@@ -35,7 +35,7 @@ def test_the_direction_of_a_common_turn_moves_with_the_estimate():
     rng = np.random.default_rng(0)
     x, dx = rng.standard_normal((2, LAYOUT.size))
     P = np.outer(turn(x), turn(x))
-    reduce(P, NOTHING, swing(dx, LAYOUT))
+    reduce_covariance(P, NOTHING, heading_coupling(dx, LAYOUT))
     np.testing.assert_allclose(P, np.outer(turn(x + dx), turn(x + dx)), atol=1e-12)
 
 
@@ -47,7 +47,7 @@ def test_it_is_a_congruence_and_keeps_symmetry():
     M = np.eye(LAYOUT.size)
     M[:, 8] += turn(dx) - turn(np.zeros(LAYOUT.size))
     expected = M @ P @ M.T
-    reduce(P, NOTHING, swing(dx, LAYOUT))
+    reduce_covariance(P, NOTHING, heading_coupling(dx, LAYOUT))
     np.testing.assert_allclose(P, expected, rtol=1e-10, atol=1e-10)
     np.testing.assert_array_equal(P, P.T)
 
@@ -63,7 +63,7 @@ def test_pings_and_inertial_samples_leave_an_unknown_heading_unknown():
     belief.P[6, 6] = belief.P[7, 7] = 1e-3**2
     write_prior(belief, CONFIG)
     belief.P += sd**2 * np.outer(turn(belief.x), turn(belief.x))
-    filter_ = Filter(suite, CONFIG, belief)
+    filter_ = ErrorStateFilter(suite, CONFIG, belief)
     ranges = np.arange(1.0, 21.0)
     s = math.sin(suite.adcp.beam_angle_rad)
     for k in range(1, 2001):

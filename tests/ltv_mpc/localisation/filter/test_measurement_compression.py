@@ -5,8 +5,15 @@ import pytest
 
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter import correction
-from ltv_mpc.localisation.filter.correction import correct, update
-from ltv_mpc.localisation.filter.measurement_compression import _root, entries, innovation, project, sufficient, touched
+from ltv_mpc.localisation.filter.correction import correct, update_covariance
+from ltv_mpc.localisation.filter.measurement_compression import (
+    _root,
+    compress,
+    project,
+    sparse_rows,
+    touched_innovation_covariance,
+    touched_states,
+)
 from ltv_mpc.localisation.filter.state import Belief, Layout
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import adcp
@@ -58,7 +65,7 @@ def belief():
 
 def test_what_is_touched_is_named_once_and_what_all_touch_comes_last():
     rows = differences(120)
-    places, local = touched(rows.state, rows.partial, N)
+    places, local = touched_states(rows.state, rows.partial, N)
     assert sorted(places) == sorted(set(rows.state[rows.partial != 0.0]))
     assert list(places[-2:]) == [3, 40]
     np.testing.assert_array_equal(places[local[:, :4]], rows.state[:, :4])
@@ -67,19 +74,19 @@ def test_what_is_touched_is_named_once_and_what_all_touch_comes_last():
 
 def test_innovations_and_projection_are_the_textbooks(P):
     rows = differences(60)
-    places, local = touched(rows.state, rows.partial, N)
+    places, local = touched_states(rows.state, rows.partial, N)
     H = rows.dense(N)
-    S = innovation(P, places, local, rows.partial, rows.variance)
+    S = touched_innovation_covariance(P, places, local, rows.partial, rows.variance)
     np.testing.assert_allclose(S, H @ P @ H.T + np.diag(rows.variance), rtol=1e-12, atol=1e-13)
     np.testing.assert_array_equal(S, S.T)
-    np.testing.assert_allclose(project(entries(rows.state, rows.partial), P), H @ P, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(project(sparse_rows(rows.state, rows.partial), P), H @ P, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("m", [60, 61, 200])
 def test_fewer_rows_have_the_information_of_all_also_where_it_is_singular(P, m):
     """H'^T H' = H^T R^-1 H and H'^T z' = H^T R^-1 z, without the rows of weight zero."""
     rows = differences(m)
-    places, local = touched(rows.state, rows.partial, N)
+    places, local = touched_states(rows.state, rows.partial, N)
     weight = 1.0 / rows.variance
     weight[::7] = 0.0
     CT, told = _root(local, rows.partial, weight, rows.residual, len(places))
@@ -88,7 +95,7 @@ def test_fewer_rows_have_the_information_of_all_also_where_it_is_singular(P, m):
     assert np.linalg.matrix_rank(J) < len(places)
     np.testing.assert_allclose(CT.T @ CT, J, atol=1e-10 * J.max())
     np.testing.assert_allclose(CT.T @ told, H.T @ (weight * rows.residual), atol=1e-9)
-    _, HP, S, z = sufficient(P, places, local, rows.partial, weight, rows.residual)
+    _, HP, S, z = compress(P, places, local, rows.partial, weight, rows.residual)
     full = np.zeros((len(places), N))
     full[:, places] = CT
     np.testing.assert_allclose(HP, full @ P, atol=1e-9)
@@ -101,7 +108,7 @@ def test_an_update_by_fewer_rows_is_the_textbooks(P):
     rows, before = differences(120), P.copy()
     H, R = rows.dense(N), np.diag(rows.variance)
     K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
-    correction = update(P, rows, 1e9)
+    correction = update_covariance(P, rows, 1e9)
     np.testing.assert_allclose(correction.error, K @ rows.residual, atol=1e-10)
     np.testing.assert_allclose(P, before - K @ H @ before, atol=1e-10)
 
@@ -110,9 +117,9 @@ def test_a_row_beyond_the_gate_is_in_none_of_the_fewer(P):
     rows, without = differences(120), P.copy()
     rows.residual[[7, 50]] = 1e3
     keep = ~np.isin(np.arange(120), [7, 50])
-    one = update(P, rows, 10.8)
+    one = update_covariance(P, rows, 10.8)
     np.testing.assert_array_equal(one.accepted, keep)
-    other = update(without, Rows(*(column[keep] for column in rows)), 1e9)
+    other = update_covariance(without, Rows(*(column[keep] for column in rows)), 1e9)
     np.testing.assert_allclose(one.error, other.error, atol=1e-12)
     np.testing.assert_allclose(P, without, atol=1e-12)
 
@@ -122,7 +129,7 @@ def test_a_ping_is_used_alike_by_fewer_rows_and_by_all(belief, monkeypatch, turn
     belief.R[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     rows, by_all = ping(belief), belief.copy()
     fewer = []
-    monkeypatch.setattr(correction, "sufficient", lambda *a: fewer.append(1) or sufficient(*a))
+    monkeypatch.setattr(correction, "sufficient", lambda *a: fewer.append(1) or compress(*a))
     correct(belief, rows, 10.8)
     assert fewer
     monkeypatch.setattr(correction, "_MUCH_LESS", 0.0)
@@ -136,7 +143,7 @@ def test_a_ping_is_used_alike_by_fewer_rows_and_by_all(belief, monkeypatch, turn
 def test_a_ping_leaves_few_entries_in_the_root(belief):
     """A node is coupled to its neighbours, and to what all rows touch: what is to be done does not grow with cells."""
     rows = ping(belief)
-    places, local = touched(rows.state, rows.partial, len(belief.P))
+    places, local = touched_states(rows.state, rows.partial, len(belief.P))
     CT, _ = _root(local, rows.partial, 1.0 / rows.variance, rows.residual, len(places))
     assert np.count_nonzero(CT, axis=1).max() <= 14
     assert len(places) <= 70

@@ -5,11 +5,11 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 
 from ltv_mpc.frames import earth_rate, rotation, rotation_exp, rotation_log
-from ltv_mpc.localisation.filter.preintegration import carry, integrate, noise_of
+from ltv_mpc.localisation.filter.preintegration import imu_noise, integrate, propagate
 from ltv_mpc.localisation.sensor_config import SensorConfig
 
 IMU = SensorConfig.load("realistic").imu
-NOISE = noise_of(IMU)
+NOISE = imu_noise(IMU)
 DT = 0.01
 FAST_EARTH = 100 * earth_rate(-0.6) + np.array([0, 3e-3, 0])  # every term counts, none drowns in the others
 RATE = np.array([0.3, -0.2, 0.5])
@@ -190,7 +190,7 @@ def test_the_large_covariance_is_moved_as_its_fifteen_first_states_are():
     expected = T @ P @ T.T + Q
     E = rng.standard_normal((40, 3))
     moved = T @ E
-    carry(P, E, Phi, Q[:15, :15].copy())
+    propagate(P, E, Phi, Q[:15, :15].copy())
     np.testing.assert_allclose(E, moved, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-10)
     np.testing.assert_array_equal(P, P.T)

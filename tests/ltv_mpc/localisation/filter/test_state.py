@@ -45,7 +45,7 @@ def test_attitude_errors_turn_the_body_in_the_world_and_the_instrument_in_the_bo
     error = np.zeros(layout.size)
     error[ATTITUDE] = [1e-3, 2e-3, -3e-3]
     error[layout.mounting] = [4e-3, -5e-3, 6e-3]
-    belief.add(error)
+    belief.apply_error(error)
     np.testing.assert_allclose(rotation_log(belief.R @ before.R.T), error[ATTITUDE], atol=1e-12)
     np.testing.assert_allclose(rotation_log(belief.mounting @ before.mounting.T), error[layout.mounting], atol=1e-12)
 
@@ -107,8 +107,8 @@ def test_a_window_holds_what_is_kept_and_what_can_be_reached_on_either_side():
 def test_a_copy_has_a_column_of_its_own():
     belief = Belief.blank(Layout.of(SensorConfig.load("paper"), EstimatorConfig()), 0)
     copy = belief.copy()
-    copy.column.seen[3] = True
+    copy.column.observed[3] = True
     copy.column.first = 2
     copy.column.dropped[0] = copy.column.prior.link(0, 1, 0.0)
-    assert not belief.column.seen.any()
+    assert not belief.column.observed.any()
     assert (belief.column.first, belief.column.dropped) == (0, {})

@@ -46,7 +46,7 @@ def test_north_and_east_are_alike_and_independent():
 def test_water_that_changes_walks_node_by_node():
     config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=0.001)
     belief, before = prior(), prior().P
-    current_model.walk(belief, config, 9.0)
+    current_model.add_random_walk(belief, config, 9.0)
     grown = belief.P - before
     np.testing.assert_allclose(np.diag(grown)[LAYOUT.north], 9e-6, rtol=1e-9)
     np.testing.assert_allclose(np.diag(grown)[LAYOUT.east], 9e-6, rtol=1e-9)

@@ -7,15 +7,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from ltv_mpc.localisation.adaptive.failure_signatures import Signatures
+from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.estimator import Estimator
-from ltv_mpc.localisation.filter.error_state_filter import Filter
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid, reach_m
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.localisation.water.current_model import node_prior, walk, write_prior
-from ltv_mpc.localisation.water.grid_window import follow, given, grown
-from ltv_mpc.localisation.water.survey import learned
+from ltv_mpc.localisation.water.current_model import add_random_walk, node_prior, write_prior
+from ltv_mpc.localisation.water.grid_window import conditioning_states, link_covariance, move_window
+from ltv_mpc.localisation.water.survey import prior_from
 from ltv_mpc.messages import AdcpPing, Estimate
 from tests.stepping import step
 
@@ -44,7 +44,7 @@ CELLS = LAYOUT.north.stop - LAYOUT.north.start
 def sink(belief, depth_m):
     """As the filter does before it uses a message."""
     belief.x[2] = depth_m
-    follow(belief, *reach_m(SUITE.adcp), WINDOW.cell_m)
+    move_window(belief, *reach_m(SUITE.adcp), WINDOW.cell_m)
 
 
 def states_of(belief, nodes):
@@ -59,14 +59,14 @@ def test_what_hypotheses_would_do_to_the_belief_goes_with_its_window():
     belief = Belief.blank(LAYOUT, 0)
     write_prior(belief, WINDOW)
     other = belief.copy()
-    belief.astray = Signatures.of(LAYOUT.size, 1)
-    belief.astray.error[:, 0] = rng.standard_normal(LAYOUT.size)
-    belief.astray.error[2] = 0.0  # at one depth
-    other.x += belief.astray.error[:, 0]
+    belief.signatures = FailureSignatures.of(LAYOUT.size, 1)
+    belief.signatures.error[:, 0] = rng.standard_normal(LAYOUT.size)
+    belief.signatures.error[2] = 0.0  # at one depth
+    other.x += belief.signatures.error[:, 0]
     for depth_m in (9.0, 20.0, 31.0):
         sink(belief, depth_m)
         sink(other, depth_m)
-        np.testing.assert_allclose(belief.astray.error[:, 0], other.x - belief.x, atol=1e-12)
+        np.testing.assert_allclose(belief.signatures.error[:, 0], other.x - belief.x, atol=1e-12)
     assert belief.column.first > 0
 
 
@@ -95,7 +95,7 @@ def test_a_filter_that_forgets_depths_behind_it_knows_the_rest_as_one_that_keeps
     assert window.column.first > 1, "or nothing was forgotten"
     assert window.layout.size < whole.layout.size / 2
     np.testing.assert_array_equal(window.P, window.P.T)
-    np.testing.assert_array_equal(window.column.seen, whole.column.seen)
+    np.testing.assert_array_equal(window.column.observed, whole.column.observed)
 
 
 def test_nothing_of_70_m_is_left_behind_with_the_shipped_settings():
@@ -191,7 +191,7 @@ def test_what_was_measured_of_depths_left_behind_is_as_if_they_had_been_kept(une
             gain[:, 0] *= by_position
             for belief in (window, whole):
                 measured(belief, node, gain, 0.1, z)
-                belief.column.see(np.array([node - 1]))
+                belief.column.mark_observed(np.array([node - 1]))
 
     measure(range(1, CELLS, 2), by_position=1.0)
     for depth in (45.0, 0.0, 52.0, 0.0, 20.0):
@@ -208,7 +208,7 @@ def test_what_was_measured_of_depths_left_behind_is_as_if_they_had_been_kept(une
         np.testing.assert_allclose(window.P[np.ix_(a, a)], P[np.ix_(b, b)], atol=1e-6)
         np.testing.assert_array_equal(window.P, window.P.T)
         measure(rng.choice(nodes[1:], 6, replace=False), by_position=0.0)
-        a, b = learned(window, grid(WHOLE)), learned(whole, grid(WHOLE))
+        a, b = prior_from(window, grid(WHOLE)), prior_from(whole, grid(WHOLE))
         for field in ("depth_m", "north_mps", "east_mps", "sd_mps", "sd_common_mps"):
             np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=1e-6)
     assert len(window.column.dropped) > CELLS
@@ -236,16 +236,16 @@ def test_a_depth_is_seen_once_an_accepted_beam_has_measured_beside_it():
     belief.x[2] = 10.2
     belief.P[:15, :15] = 1e-6 * np.eye(15)
     write_prior(belief, config)
-    filter_ = Filter(msgspec.structs.replace(SUITE, adcp=LEVEL), config, belief)
-    assert not belief.column.seen.any()
+    filter_ = ErrorStateFilter(msgspec.structs.replace(SUITE, adcp=LEVEL), config, belief)
+    assert not belief.column.observed.any()
     z = np.zeros((4, 5))
     z[:, 2] = 5.0
     z[1:, 4] = np.nan
     filter_.correct(AdcpPing(t_ns=0, range_m=np.arange(1.0, 6.0), beam_velocity_mps=z))
     assert filter_.account["adcp.gate"] == 4
     at = 10.2 + np.array([1.0, 2.0, 4.0, 5.0]) * np.cos(LEVEL.beam_angle_rad)
-    assert set(np.flatnonzero(belief.column.seen)) == {*np.floor(at).astype(int), *np.floor(at).astype(int) + 1}
-    assert belief.copy().column.seen is not belief.column.seen
+    assert set(np.flatnonzero(belief.column.observed)) == {*np.floor(at).astype(int), *np.floor(at).astype(int) + 1}
+    assert belief.copy().column.observed is not belief.column.observed
 
 
 def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
@@ -254,16 +254,16 @@ def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
     gained = []
     for before_s, after_s in ((50.0, 0.0), (50.0, 100.0)):
         belief = started(node_prior(WHOLE))
-        walk(belief, config, before_s)
+        add_random_walk(belief, config, before_s)
         for node in range(CELLS):
             measured(belief, node, np.zeros((2, 3)), 1e-4, np.zeros(2))
         sink(belief, 12.0)
         link = belief.column.dropped[0]
         belief.column.walked += after_s * 1e-6
-        water = given(LAYOUT, 0) >= LAYOUT.north.start
+        water = conditioning_states(LAYOUT, 0) >= LAYOUT.north.start
         assert np.abs(link.A[:, water]).max() > 0.1
         np.testing.assert_allclose(
-            grown(link, water, belief.column.walked) - link.C,
+            link_covariance(link, water, belief.column.walked) - link.C,
             after_s * 1e-6 * (np.eye(2) + link.A[:, water] @ link.A[:, water].T),
             atol=1e-12,
         )
@@ -286,7 +286,7 @@ def test_coming_back_the_filter_is_as_good_as_it_says(make_yoyo):
         remembers, forgets = (f.belief for f in run.filters)
         north = remembers.layout.north
         window = remembers.column.first + np.arange(north.stop - north.start)
-        nodes = window[remembers.column.seen[window]]
+        nodes = window[remembers.column.observed[window]]
         states = states_of(remembers, nodes)
         e = np.concatenate(run.water[nodes].T) - remembers.x[states]
         water.append(e @ np.linalg.solve(remembers.P[np.ix_(states, states)], e) / len(e))

@@ -8,7 +8,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 from ltv_mpc.localisation.filter.state import Belief, Layout, grid
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.current_model import node_prior, write_prior
-from ltv_mpc.localisation.water.survey import learned
+from ltv_mpc.localisation.water.survey import prior_from
 
 REALISTIC = SensorConfig.load("realistic")
 QUIET = {
@@ -30,7 +30,7 @@ UNCHANGED = msgspec.structs.replace(WHOLE, water_prior_change_sd_mps=0.0)
 
 def of(run, which=0):
     """The saved profile and its error (2, K)."""
-    profile = learned(run.filters[which].belief, grid(WHOLE))
+    profile = prior_from(run.filters[which].belief, grid(WHOLE))
     nodes = np.round(profile.depth_m).astype(int)
     return profile, run.water[nodes].T - [profile.north_mps, profile.east_mps]
 
@@ -94,8 +94,8 @@ def test_the_variance_of_each_depth_and_of_their_average_are_those_of_the_belief
     own = rng.uniform(0.5, 1.0, cells) * 1e-4
     for axis, common in ((north, 2e-4), (east, 1e-4)):
         belief.P[axis, axis] = common + np.diag(own)
-    belief.column.seen[:] = True
-    profile = learned(belief, grid(WHOLE))
+    belief.column.observed[:] = True
+    profile = prior_from(belief, grid(WHOLE))
     np.testing.assert_allclose(profile.sd_mps**2, own + 2e-4)  # the larger of the two
     assert profile.sd_common_mps == pytest.approx(np.sqrt(min(1.5e-4, own.min() + 1e-4)))
 
@@ -103,11 +103,11 @@ def test_the_variance_of_each_depth_and_of_their_average_are_those_of_the_belief
 def test_only_depths_between_the_uppermost_and_the_lowest_seen_are_saved():
     belief = Belief.blank(Layout.of(SUITE, WHOLE), 0)
     write_prior(belief, WHOLE)
-    assert learned(belief, grid(WHOLE)) is None
-    belief.column.see(np.array([4, 9]))
-    np.testing.assert_array_equal(learned(belief, grid(WHOLE)).depth_m, np.arange(4.0, 11.0))
+    assert prior_from(belief, grid(WHOLE)) is None
+    belief.column.mark_observed(np.array([4, 9]))
+    np.testing.assert_array_equal(prior_from(belief, grid(WHOLE)).depth_m, np.arange(4.0, 11.0))
     belief = Belief.blank(Layout.of(SUITE, WHOLE), 0)
     write_prior(belief, WHOLE)
-    belief.column.seen[7] = True
-    alone = learned(belief, grid(WHOLE))
+    belief.column.observed[7] = True
+    alone = prior_from(belief, grid(WHOLE))
     assert (len(alone.depth_m), alone.sd_common_mps) == (1, 0.0)

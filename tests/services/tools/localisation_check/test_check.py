@@ -40,7 +40,7 @@ def record(drift: tuple[float, float], velocity: tuple[float, float]) -> Record:
         drawn={"gyro_bias": (6.0, 3)},
         nees={"position": squares([0, 1], [3.0, 3.0], [3, 3]), "cells": squares([1], [10.0], [10])},
         nis={"gnss": squares([0], [4.0], [4])},
-        least_eigenvalue=1e-12,
+        min_eigenvalue=1e-12,
         asymmetry=0.0,
         missed=0,
     )
@@ -70,7 +70,7 @@ def test_what_is_not_held_is_named() -> None:
     work = check.jobs("descent", (), first_seed=0, runs=2)
     bad = record((2.0, 2.0), (5e-3, 5e-3))._replace(
         nees={"heading": squares([0, 1], [40.0, 1.0], [1, 1]), "cells": squares([0, 1], [24.0, 24.0], [20, 20])},
-        least_eigenvalue=-1e-9,
+        min_eigenvalue=-1e-9,
     )
     problems = check.failed(check.result([bad, bad], work, wall_s=1.0))
     assert [problem.split(" ")[:3] for problem in problems] == [
@@ -115,7 +115,7 @@ def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scena
     summary = lockstep_run.run(job.situation())
     assert summary.localisation_error_m.final == pytest.approx(float(np.hypot(*watched.drift_m)), rel=1e-12)
     assert watched.missed == 0
-    assert watched.least_eigenvalue > 0
+    assert watched.min_eigenvalue > 0
     assert watched.asymmetry == 0
     # two codes that share nothing but the sensors file
     np.testing.assert_allclose(watched.velocity_reported_m2ps2, watched.bound_velocity_m2ps2, rtol=0.1)
@@ -156,7 +156,7 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
     assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
     filter_ = probe.estimator.filter
     assert filter_ is not None
-    own = filter_.belief.column.seen
+    own = filter_.belief.column.observed
     assert np.count_nonzero(own) >= 14
     assert np.count_nonzero(own != probe.seen) <= 1  # a cell's edge may lie a centimetre either side of a node
 
