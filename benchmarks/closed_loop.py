@@ -81,7 +81,7 @@ class Converged:
 def cost(of: Situation, flown: Outcome) -> float:
     """J of a flight."""
     weights = resolve_weights(of.scenario.controller, of.vehicle).weights
-    scale = HorizonLimits.of(of.vehicle, of.scenario.controller.period_s).scale
+    scale = HorizonLimits.from_vehicle(of.vehicle, of.scenario.controller.period_s).scale
     every = of.scenario.controller.period_ns // STEP_NS
     distance, f = flown.distance_m[every - 1 :: every], flown.commands_N[every - 1 :: every] / scale
     change = np.diff(f, axis=0, prepend=0.0)

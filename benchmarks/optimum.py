@@ -30,7 +30,7 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import roll_out
-from ltv_mpc.control.problem_data import objective, pack_objective
+from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES, lag_weights, substeps
@@ -60,7 +60,7 @@ class Optimum:
 
     def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
         self._p, self._weights = vehicle.coefficients(), resolve_weights(config, vehicle).weights
-        self._limits = HorizonLimits.of(vehicle, STAGE_S)
+        self._limits = HorizonLimits.from_vehicle(vehicle, STAGE_S)
         self._packed = pack_objective(config.knots, self._limits, self._weights)
         self._N = N = config.stages
         self._knots, self._g = config.knots, np.diff(config.knots)
@@ -94,7 +94,7 @@ class Optimum:
 
     def cost(self, X0: Array, U: Array, C: Array, target: Array) -> float:
         """Of commands U (N+1, 2) along the exact flow."""
-        return cost(self.roll(X0, U, C), U, C, target, objective(self._packed))
+        return cost(self.roll(X0, U, C), U, C, target, unpack_objective(self._packed))
 
     def roll(self, X0: Array, U: Array, C: Array) -> Array:
         """Compute the exact flow (N+1, 8) under commands U (N+1, 2)."""
@@ -114,7 +114,7 @@ class Optimum:
             ubg=np.concatenate([np.zeros(N * STATES), change]),
         )
         commands = np.array(answer["x"]).ravel()[N * STATES :].reshape(N, 2)
-        enforced: Array = limits.enforced(np.concatenate([U[:1], commands]), self._knots)
+        enforced: Array = limits.clip(np.concatenate([U[:1], commands]), self._knots)
         return enforced, bool(self._solve.stats()["success"])
 
 

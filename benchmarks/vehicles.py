@@ -28,7 +28,7 @@ from benchmarks.loop import Loop, situation
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.scaling import scales_of
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.thruster import revolutions
@@ -107,7 +107,7 @@ def place(vehicle: Vehicle, share: float, seed: int, settings: tuple[str, ...] =
     """Return a target, a current of ``share`` of the vehicle's top speed, and a start 2 m off."""
     rng = np.random.default_rng(seed)
     off, heading, towards = rng.uniform(-np.pi, np.pi, 3)
-    scales = scales_of(vehicle)
+    scales = characteristic_scales(vehicle)
     base = situation(
         f"plant.north_m={START_M * np.cos(off)}",
         f"plant.east_m={START_M * np.sin(off)}",
@@ -138,7 +138,7 @@ def hold(vehicle: Vehicle, share: float, seed: int, config: ControllerConfig | N
 def graded(distance: Array, plans: list[Plan], vehicle: Vehicle) -> Held:
     """Compute the figures of a run, sampled each 10 ms."""
     last = distance[-round(GRADED_S * 100) :]
-    near = max(0.2, 0.05 * scales_of(vehicle).length_m)
+    near = max(0.2, 0.05 * characteristic_scales(vehicle).length_m)
     outside = np.flatnonzero(distance > near)
     full = np.array([t.max_N for t in vehicle.thrusters[:2]])
     thrust = np.array([plan.thrust_N[0, :2] for plan in plans]) / full
@@ -178,7 +178,7 @@ def main() -> None:
         by_share = {share: [hold(vehicle, share, seed, config) for seed in range(options.seeds)] for share in SHARES}
         every = [run for runs in by_share.values() for run in runs]
         off = "".join(f"{max(run.off_m for run in runs):8.3f}" for runs in by_share.values())
-        scales = scales_of(vehicle)
+        scales = characteristic_scales(vehicle)
         print(
             f"{vehicle.name:<14}{vehicle.dry_mass_kg:6.0f}{scales.speed_mps:7.2f}{scales.time_s:6.1f}{horizon_s:7.1f}"
             f"   {off}"

@@ -78,12 +78,12 @@ def cache_folder() -> tuple[Path, bool]:
     return Path(tempfile.mkdtemp(prefix="ltv-mpc-")) / name, False
 
 
-CACHE, CACHE_IS_KEPT = cache_folder()
+CACHE, CACHE_IS_PERSISTENT = cache_folder()
 os.environ["NUMBA_CACHE_DIR"] = str(CACHE)
 
 import numba  # noqa: E402  (the variable above must be set first)
 
-DECORATED: list[str] = []
+JIT_FUNCTIONS: list[str] = []
 """Names of the functions that this process may come to compile, as far as they are imported."""
 
 
@@ -93,7 +93,7 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     What it calls becomes a part of it. Between functions numba counts, with a locked instruction each, who holds every
     array that is handed on, and looks at every return for an error: a third of what a cycle's kernels took.
     """
-    DECORATED.append(f"{function.__module__}.{function.__qualname__}")
+    JIT_FUNCTIONS.append(f"{function.__module__}.{function.__qualname__}")
     compiled = numba.njit(cache=True, fastmath=False, error_model="numpy", forceinline=True)
     return cast("Callable[P, R]", compiled(function))
 

@@ -110,9 +110,9 @@ def solver(*, guesses: bool = True, scaled: int = variants.OWN, turns: bool = Tr
     changes: list[tuple[object, str, object]] = [(osqp, "prepare", prepare), (osqp, "rescale", rescale)]
     if scaled == variants.NONE:
         own = {"scaling": 10, "adaptive_rho": 1, "rho": 0.1, "rho_is_vec": 1, "sigma": 1e-6}
-        changes += [(osqp, "PLAIN", {**osqp_workspace.PLAIN, **own}), (osqp, "TURN", 4000)]
+        changes += [(osqp, "BASE_SETTINGS", {**osqp_workspace.BASE_SETTINGS, **own}), (osqp, "BATCH", 4000)]
     if not turns:
-        changes.append((osqp, "TURN", 4000))
+        changes.append((osqp, "BATCH", 4000))
     return without(*changes)
 
 
@@ -348,7 +348,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     row(
         "weights from the vehicle",
         DRAWN,
-        without((scaling, "weights_of", paper_weights)),
+        without((scaling, "default_weights", paper_weights)),
         (*HELD, "sway, rms (m)", "change of thrust, rms", "iterations, largest", "cycles not solved"),
     ),
     row("shifted plan", FAILS_SQUARE, without((Controller, "_shifted", nothing)), EXCURSION),

@@ -9,28 +9,46 @@ from __future__ import annotations
 import numpy as np
 
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.horizon_limits import LIMITED, bring_in
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, clip_to_limits
 from ltv_mpc.control.initial_guess import steering_guess
 from ltv_mpc.control.line_search import STEPS
-from ltv_mpc.control.linearisation import linearise_ahead, roll, transposed_times, velocity_over_ground, views
-from ltv_mpc.control.nominal_trajectory import AHEAD, ASTERN, CARRIED, _carry_in, _set_out
-from ltv_mpc.control.problem_data import constants, length, limited_states, objective, state_scale
-from ltv_mpc.control.qp.sparse import WIDTH, Places, fill, map_of
+from ltv_mpc.control.linearisation import (
+    linearise_rollout,
+    multiply_A_transposed,
+    propagate,
+    velocity_over_ground,
+    views,
+)
+from ltv_mpc.control.nominal_trajectory import (
+    PREVIOUS_PLAN,
+    STEERED_AHEAD,
+    STEERED_ASTERN,
+    _set_initial_knot,
+    _shift_into_limits,
+)
+from ltv_mpc.control.problem_data import (
+    limited_state_count,
+    stage_length,
+    state_scale,
+    unpack_constants,
+    unpack_objective,
+)
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, Indices, fill, unpack_map
 from ltv_mpc.control.solvers.osqp import (
     ACTIVE,
     EQUALITY_ROW,
     EXCESS_ROW,
-    LARGEST_LIMIT_ROW,
     LIMIT_ROW,
+    MAX_LIMIT_ROW,
     MOTION_ACTIVE,
     MOTION_ROW,
     NOT_ACTIVE,
-    _close,
+    _forward_states,
     _guess_commands,
     _guess_excesses,
     _shift_limits,
-    growth,
-    room,
+    dual_scale,
+    unpack_arrays,
 )
 from ltv_mpc.control.terminal_check import TerminalCheck, check_terminal
 from ltv_mpc.jit import copy_to, jit
@@ -46,27 +64,27 @@ def begin(
     numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, steers: bool, looks: bool
 ) -> int:
     """``nominal_trajectory.choose_nominal``; ``steers``: with steered guesses, ``looks``: with the terminal check."""
-    c, lin = constants(numbers), views(flat, len(target) - 1)
+    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
-    _set_out(start, X, U)
-    kind, least = AHEAD, np.inf
+    _set_initial_knot(start, X, U)
+    kind, least = STEERED_AHEAD, np.inf
     end = TerminalCheck(False, 0.0)
     if not np.isnan(stages):
-        _carry_in(old, stages, o, U)
-        linearise_ahead(lin, o.t, c.stage_s, c.p)
-        kind, least = CARRIED, cost(X, U, lin.C, target, o)
+        _shift_into_limits(old, stages, o, U)
+        linearise_rollout(lin, o.t, c.stage_s, c.p)
+        kind, least = PREVIOUS_PLAN, cost(X, U, lin.C, target, o)
         if looks:
             end = check_terminal(X, lin.C, target, c)
     if not steers:
-        if kind != CARRIED:
+        if kind != PREVIOUS_PLAN:
             for k in range(1, U.shape[0]):
                 U[k, 0] = U[k, 1] = 0.0
-            bring_in(U, o.t, o.low, o.high, o.change)
-            linearise_ahead(lin, o.t, c.stage_s, c.p)
+            clip_to_limits(U, o.t, o.low, o.high, o.max_change)
+            linearise_rollout(lin, o.t, c.stage_s, c.p)
         return kind
     other_X, other_U = np.empty_like(X), np.empty_like(U)
-    _set_out(start, other_X, other_U)
+    _set_initial_knot(start, other_X, other_U)
     for astern in (False, True):
         other = steering_guess(other_X, other_U, lin.C, target, astern, np.inf if end.stuck else least, c)
         if np.isinf(other) and not np.isinf(least):
@@ -75,12 +93,12 @@ def begin(
         if looks:
             other_end = check_terminal(other_X, lin.C, target, c)
         counts = 1.0 if end.stuck or other_end.stuck else 0.0
-        if other + counts * other_end.beyond < least + counts * end.beyond or np.isinf(least):
+        if other + counts * other_end.tail_cost < least + counts * end.tail_cost or np.isinf(least):
             copy_to(X, other_X)
             copy_to(U, other_U)
-            kind, least, end = ASTERN if astern else AHEAD, other, other_end
-    if kind != CARRIED:
-        linearise_ahead(lin, o.t, c.stage_s, c.p)
+            kind, least, end = STEERED_ASTERN if astern else STEERED_AHEAD, other, other_end
+    if kind != PREVIOUS_PLAN:
+        linearise_rollout(lin, o.t, c.stage_s, c.p)
     return kind
 
 
@@ -89,7 +107,7 @@ def step(
     numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
     """``line_search``; ``searches``: with the line search, else the whole step; ``looks``: with the terminal check."""
-    c, lin = constants(numbers), views(flat, len(target) - 1)
+    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])
@@ -97,8 +115,8 @@ def step(
         for k in range(U.shape[0]):
             for i in range(2):
                 U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
-        bring_in(U, o.t, o.low, o.high, o.change)
-        roll(X, U, lin.C, o.t, c.stage_s, c.p)
+        clip_to_limits(U, o.t, o.low, o.high, o.max_change)
+        propagate(X, U, lin.C, o.t, c.stage_s, c.p)
         if not searches:
             return part
         if cost(X, U, lin.C, target, o) <= before:
@@ -119,7 +137,7 @@ def prepare(
     numbers: Array,
     flat: Array,
     target: Array,
-    places: Places,
+    places: Indices,
     factor: Array,
     shift: float,
     solve: Array,
@@ -127,10 +145,10 @@ def prepare(
     scales: int,
 ) -> float:
     """``sparse_osqp.prepare``; ``guesses``: with the Riccati sweeps, ``scales``: how rows are scaled."""
-    N, states = len(target) - 1, limited_states(objective(numbers))
-    at = room(solve, N, states)
+    N, states = len(target) - 1, limited_state_count(unpack_objective(numbers))
+    at = unpack_arrays(solve, N, states)
     fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
-    c, lin = objective(numbers), views(flat, N)
+    c, lin = unpack_objective(numbers), views(flat, N)
     E = N * STATES + 2
     x, y, q = at.x, at.y, at.q
     _shift_limits(y, E, c.t, shift)
@@ -138,48 +156,48 @@ def prepare(
     dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
     if guesses and not kept[4 * N :].any():
         _guess_commands(c, lin, target, dU, y[E:])
-    if not _close(c, lin, dU, x):
+    if not _forward_states(c, lin, dU, x):
         dU[:, :] = 0.0
         y[E:] = kept
-        _close(c, lin, dU, x)
+        _forward_states(c, lin, dU, x)
     _guess_excesses(c, lin, q, np.isnan(shift), x, y)
     costate = np.zeros(STATES)
     for i in range(2):
         w = velocity[i] - target[N, i]
         for j in range(3):
-            w += V[i, j] * x[(N - 1) * WIDTH + 2 + j] * c.state_scale[2 + j]
-        x[N * WIDTH + i] = w
+            w += V[i, j] * x[(N - 1) * STAGE_VARIABLES + 2 + j] * c.state_scale[2 + j]
+        x[N * STAGE_VARIABLES + i] = w
         y[N * STATES + i] = c.terminal_velocity * w
         for j in range(3):
             costate[2 + j] += V[i, j] * c.terminal_velocity * w
     before = np.zeros(STATES)
     for k in range(N - 1, -1, -1):
-        weight = c.position * length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
+        weight = c.position * stage_length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             scale = c.state_scale[i]
-            costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
-        row = E + 4 * N + 3 * k * limited_states(c)
+            costate[i] += q[k * STAGE_VARIABLES + i] / scale + weight * x[k * STAGE_VARIABLES + i] * scale
+        row = E + 4 * N + 3 * k * limited_state_count(c)
         for j in range(2):
-            if np.isfinite(c.most[j]):
-                costate[LIMITED[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED[j]]
+            if np.isfinite(c.max_state[j]):
+                costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED_STATES[j]]
                 row += 3
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * state_scale(i, c)
-        transposed_times(lin.A, k, costate, before)
+        multiply_A_transposed(lin.A, k, costate, before)
         copy_to(costate, before)
     if rescale(places, solve, N, states, scales) < 0:
         return -1.0
-    return growth(at.q, N)
+    return dual_scale(at.q, N)
 
 
 @jit
-def rescale(places: Places, solve: Array, N: int, limited: int, scales: int) -> int:
+def rescale(places: Indices, solve: Array, N: int, limited: int, scales: int) -> int:
     """``sparse_osqp.rescale``; ``scales`` as in ``prepare``."""
-    at = room(solve, N, limited)
-    row_of = map_of(places, len(at.A)).row_of
+    at = unpack_arrays(solve, N, limited)
+    row_of = unpack_map(places, len(at.A)).row_of
     E = N * STATES + 2
-    size = growth(at.q, N)
-    free = min(LIMIT_ROW * size, LARGEST_LIMIT_ROW)
+    size = dual_scale(at.q, N)
+    free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
     changed, total = 0, size
     for i in range(len(at.rows)):
         active = scales == OWN and abs(at.y[i]) > NOT_ACTIVE

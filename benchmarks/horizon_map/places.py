@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.scaling import scales_of
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array
 from services.tools.campaign.campaign import reopened
 from services.tools.campaign.trial import situation
@@ -64,7 +64,7 @@ def places(folder: Path) -> list[Place]:
             continue
         point = made.points[first]
         here = situation(base, made.settings(point), made.factors(point), campaign.seeds.first)
-        scales = scales_of(here.vehicle)
+        scales = characteristic_scales(here.vehicle)
         water, V, T = here.scenario.water, scales.speed_mps, scales.time_s
         rate = here.reference.descent_rate_mps
         groups = np.array(

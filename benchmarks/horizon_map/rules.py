@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from benchmarks.horizon_map.places import Place, in_own_time
-from ltv_mpc.control.horizon_selection import ENOUGH
+from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
 from ltv_mpc.messages import Array
 
 FOLDS = 8
@@ -68,7 +68,7 @@ def _by_groups(a: Array) -> Rule:
 
 RULES: Mapping[str, Callable[[Sequence[Place]], Rule]] = {
     "H / T enough at nine of ten": lambda of: _so_many_times(float(np.quantile(in_own_time(of), 0.9))),
-    "vehicle check": lambda _: _so_many_times(ENOUGH),
+    "vehicle check": lambda _: _so_many_times(MIN_TIME_SCALES),
     "best H / T": lambda of: _so_many_times(best_ratio(of)),
     "best H": lambda of: _always(best_H_s(of)),
     "four groups": lambda of: _by_groups(fitted(of)),

@@ -32,7 +32,7 @@ from ltv_mpc.control.disturbance import CurrentBias
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.prediction import Prediction, Start, current_at_depth, fill_currents, profile_of
-from ltv_mpc.control.problem_data import pack
+from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.control.scaling import resolve_weights
@@ -104,7 +104,7 @@ class Controller:
         """``stopwatch`` is called with a stage's name when that stage of a cycle ends. Raises ``ConfigError``."""
         self.config = config = resolve_weights(config or ControllerConfig(), vehicle)
         self.vehicle = vehicle
-        self._numbers = pack(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
+        self._numbers = pack_constants(vehicle, config.weights, config.knots, STAGE_S, config.limits.max_abs)
         self._lap = stopwatch
         self._new_solver: Callable[[], Solver] = lambda: make(vehicle, config)
         self._solver = self._new_solver()
@@ -373,7 +373,7 @@ class Controller:
         """The lateral thrusters go to goal (N+1, 3), zero where there is none, at the slew limit."""
         X, U = self._room()
         lateral = self._nothing if goal is None else np.ascontiguousarray(goal[:, :2])
-        nominal_trajectory.ramp_to_zero(self._numbers, start.lateral, lateral, self._lin.C, X, U)
+        nominal_trajectory.ramp_to(self._numbers, start.lateral, lateral, self._lin.C, X, U)
         origin = PlanOrigin.MANUAL if goal is not None and goal.any() else PlanOrigin.ZERO
         return _Lateral(np.nan_to_num(X, posinf=0.0, neginf=0.0), U, origin, NOT_RUN, why)
 
@@ -421,7 +421,7 @@ class Controller:
     @cached_property
     def _form(self) -> SparseQp:
         """The QP's layout, for a problem that was not solved."""
-        limits = HorizonLimits.of(self.vehicle, STAGE_S, self.config.limits.max_abs)
+        limits = HorizonLimits.from_vehicle(self.vehicle, STAGE_S, self.config.limits.max_abs)
         return SparseQp(self._knots, limits, self.config.weights)
 
     def _keep(self, solve: Solve) -> None:
@@ -454,7 +454,7 @@ class Controller:
         kind = nominal_trajectory.choose_nominal(
             self._numbers, start.lateral, self._target, commands, stages, self._lin.flat
         )
-        if kind == nominal_trajectory.CARRIED:
+        if kind == nominal_trajectory.PREVIOUS_PLAN:
             self._solver.shift_warm_start(stages)
         else:
             self._solver.reset_warm_start()
@@ -479,7 +479,7 @@ class Controller:
         nominal_trajectory.shifted_trajectory(self._numbers, start.lateral, commands, stages, self._lin.C, X, U)
         goal = U.copy()
         goal[start.t_ns + self._ahead_ns > self._solved_until_ns] = 0.0
-        nominal_trajectory.ramp_to_zero(self._numbers, start.lateral, goal, self._lin.C, X, U)
+        nominal_trajectory.ramp_to(self._numbers, start.lateral, goal, self._lin.C, X, U)
         if not (np.isfinite(X).all() and np.isfinite(U).all()):
             return None
         return _Lateral(X, U, PlanOrigin.SHIFTED, solve, solve.why)

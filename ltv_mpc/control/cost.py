@@ -9,9 +9,9 @@ trajectories can leave one as soon as it costs more than another.
 
 from __future__ import annotations
 
-from ltv_mpc.control.horizon_limits import LIMITED, PENALTY
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY
 from ltv_mpc.control.linearisation import velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, length
+from ltv_mpc.control.problem_data import Objective, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
@@ -30,15 +30,15 @@ def cost(X: Array, U: Array, C: Array, target: Array, o: Objective) -> float:
 @jit
 def stage_cost(X: Array, U: Array, target: Array, k: int, o: Objective) -> float:
     """What knot k = 1 .. N adds."""
-    g = length(o, k)
+    g = stage_length(o, k)
     dn, de = X[k, 0] - target[k - 1, 0], X[k, 1] - target[k - 1, 1]
     total = o.position * g * (dn * dn + de * de)
     for i in range(2):
         here, before = U[k, i] / o.scale[i], U[k - 1, i] / o.scale[i]
         total += o.thrust * g * here * here + o.thrust_change / g * (here - before) * (here - before)
-        beyond = abs(X[k, LIMITED[i]]) - o.most[i]
+        beyond = abs(X[k, LIMITED_STATES[i]]) - o.max_state[i]
         if beyond > 0.0:
-            total += PENALTY * g * beyond / o.state_scale[LIMITED[i]]
+            total += PENALTY * g * beyond / o.state_scale[LIMITED_STATES[i]]
     return float(total)
 
 

@@ -21,7 +21,7 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
-LIMITED = (2, 5)
+LIMITED_STATES = (2, 5)
 """States that can be limited: surge u through the water (m/s), yaw rate r (rad/s)."""
 
 PENALTY = 100.0
@@ -29,8 +29,8 @@ PENALTY = 100.0
 
 
 def unlimited() -> Array:
-    """(2,), of ``LIMITED``."""
-    return np.full(len(LIMITED), np.inf)
+    """(2,), of ``LIMITED_STATES``."""
+    return np.full(len(LIMITED_STATES), np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,28 +41,28 @@ class HorizonLimits:
 
     low: Array
     high: Array
-    change: Array
+    max_change: Array
     state_scale: Array
     """(6,) a state of 1 in the QP: n, e (m), u, v (m/s), psi (rad), r (rad/s)."""
-    most: Array = field(default_factory=unlimited)
-    """(2,) of |x| for ``LIMITED``; infinite where there is no limit."""
+    max_state: Array = field(default_factory=unlimited)
+    """(2,) of |x| for ``LIMITED_STATES``; infinite where there is no limit."""
 
     @classmethod
-    def of(cls, vehicle: Vehicle, stage_s: float, most: Array | None = None) -> HorizonLimits:
-        """A vehicle's where the first stage lasts ``stage_s``; ``most`` of its motion is asked besides."""
+    def from_vehicle(cls, vehicle: Vehicle, stage_s: float, max_state: Array | None = None) -> HorizonLimits:
+        """A vehicle's where the first stage lasts ``stage_s``; ``max_state`` of its motion is asked besides."""
         lateral = vehicle.thrusters[:2]
         return cls(
             np.array([t.min_N for t in lateral]),
             np.array([t.max_N for t in lateral]),
             np.array([t.slew_N_per_s for t in lateral]) * stage_s,
             state_scale(vehicle),
-            unlimited() if most is None else most,
+            unlimited() if max_state is None else max_state,
         )
 
     @property
     def limited(self) -> tuple[int, ...]:
         """States that have a limit."""
-        return tuple(i for i, most in zip(LIMITED, self.most, strict=True) if np.isfinite(most))
+        return tuple(i for i, most in zip(LIMITED_STATES, self.max_state, strict=True) if np.isfinite(most))
 
     @property
     def scale(self) -> Array:
@@ -71,20 +71,20 @@ class HorizonLimits:
 
     def box(self, start: Array, knots: Array) -> tuple[Array, Array]:
         """Lower and upper bound (N, 2) of U[1] .. U[N] from U[0] = ``start`` (2,): ``bounds`` at every knot (N+1,)."""
-        reach = knots[1:, None] * self.change
+        reach = knots[1:, None] * self.max_change
         return np.minimum(self.low, start + reach), np.maximum(self.high, start - reach)
 
-    def enforced(self, commands: Array, knots: Array) -> Array:
+    def clip(self, commands: Array, knots: Array) -> Array:
         """``commands`` (N+1, 2) at ``knots`` (N+1,) moved, knot by knot from the first, to the nearest that obey box
         and slew exactly.
         """
         out = commands.copy()
-        bring_in(out, knots, self.low, self.high, self.change)
+        clip_to_limits(out, knots, self.low, self.high, self.max_change)
         return out
 
 
 @jit
-def bounds(start: float, reach: float, low: float, high: float) -> tuple[float, float]:
+def command_bounds(start: float, reach: float, low: float, high: float) -> tuple[float, float]:
     """Lower and upper bound of one thruster's command at a knot to which it can change by ``reach`` from ``start``.
 
     A start outside the box (a limit that was just lowered) is brought in at the slew limit, so that the QP always has a
@@ -95,11 +95,11 @@ def bounds(start: float, reach: float, low: float, high: float) -> tuple[float, 
 
 
 @jit
-def bring_in(U: Array, t: Array, low: Array, high: Array, change: Array) -> None:
+def clip_to_limits(U: Array, t: Array, low: Array, high: Array, change: Array) -> None:
     """U (N+1, 2) at knots t (N+1,) in place: at each knot the slew from the knot before, then the box."""
     for k in range(1, U.shape[0]):
         for i in range(2):
             most_change = (t[k] - t[k - 1]) * change[i]
-            least, most = bounds(U[0, i], t[k] * change[i], low[i], high[i])
+            least, most = command_bounds(U[0, i], t[k] * change[i], low[i], high[i])
             U[k, i] = min(max(U[k, i], U[k - 1, i] - most_change), U[k - 1, i] + most_change)
             U[k, i] = min(max(U[k, i], least), most)

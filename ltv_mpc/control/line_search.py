@@ -6,9 +6,9 @@ The QP knows the motion to first order only. Where that is wrong a full step can
 from __future__ import annotations
 
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.horizon_limits import bring_in
-from ltv_mpc.control.linearisation import roll, views
-from ltv_mpc.control.problem_data import constants
+from ltv_mpc.control.horizon_limits import clip_to_limits
+from ltv_mpc.control.linearisation import propagate, views
+from ltv_mpc.control.problem_data import unpack_constants
 from ltv_mpc.control.terminal_check import check_terminal
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array
@@ -36,7 +36,7 @@ def line_search(numbers: Array, flat: Array, target: Array, commands: Array, X: 
     -------
     The fraction of the step taken; 0 if no step qualifies, and X and U are then the nominal trajectory.
     """
-    c, lin = constants(numbers), views(flat, len(target) - 1)
+    c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
     copy_to(X[0], lin.X[0])
@@ -44,8 +44,8 @@ def line_search(numbers: Array, flat: Array, target: Array, commands: Array, X: 
         for k in range(U.shape[0]):
             for i in range(2):
                 U[k, i] = lin.U[k, i] + part * (commands[k, i] - lin.U[k, i])
-        bring_in(U, o.t, o.low, o.high, o.change)
-        roll(X, U, lin.C, o.t, c.stage_s, c.p)
+        clip_to_limits(U, o.t, o.low, o.high, o.max_change)
+        propagate(X, U, lin.C, o.t, c.stage_s, c.p)
         if cost(X, U, lin.C, target, o) <= before:
             if check_terminal(X, lin.C, target, c).stuck and not check_terminal(lin.X, lin.C, target, c).stuck:
                 break  # within the horizon it is cheaper not to turn

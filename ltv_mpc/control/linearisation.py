@@ -41,7 +41,7 @@ class Linearisation(NamedTuple):
         return linearisation
 
     @classmethod
-    def of(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
+    def from_arrays(cls, X: Array, U: Array, C: Array, Phi: Array, A: Array, B0: Array, B1: Array) -> Linearisation:
         """One made of these arrays, which are copied."""
         made = cls.empty(len(Phi))
         for part, given in zip(made[:-1], (X, U, C, Phi, A, B0, B1), strict=True):
@@ -77,7 +77,7 @@ def views(flat: Array, N: int) -> Linearisation:
 
 
 @jit
-def roll(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coefficients) -> None:
+def propagate(X: Array, U: Array, C: Array, t: Array, stage_s: float, p: Coefficients) -> None:
     """X[1:] (N, 8) from X[0] under commands U (N+1, 2) in a current C (N+1, 2), at knots t (N+1,) in stages of
     ``stage_s``.
     """
@@ -94,7 +94,7 @@ def roll_out(X0: Array, U: Array, C: Array, h: Array, p: Coefficients) -> Array:
     """States (N+1, 8) from X0 (8,) under U (N+1, 2) in C (N+1, 2); stage k lasts h[k] seconds."""
     X = np.empty((len(U), STATES))
     X[0] = X0
-    roll(X, U, C, np.concatenate([[0.0], np.cumsum(h)]), 1.0, p)
+    propagate(X, U, C, np.concatenate([[0.0], np.cumsum(h)]), 1.0, p)
     return X
 
 
@@ -105,7 +105,7 @@ def linearise_along(lin: Linearisation, t: Array, stage_s: float, p: Coefficient
 
 
 @jit
-def linearise_ahead(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
+def linearise_rollout(lin: Linearisation, t: Array, stage_s: float, p: Coefficients) -> None:
     """The same along the exact flow from X[0], which is written into X[1:]: one pass over the motion instead of two."""
     _linearise(lin, t, stage_s, p, True)
 
@@ -151,7 +151,7 @@ def velocity_over_ground(x: Array, c: Array) -> tuple[Array, Array]:
 
 
 @jit
-def times(A: Array, k: int, x: Array, out: Array) -> None:
+def multiply_A(A: Array, k: int, x: Array, out: Array) -> None:
     """out = A_k x: A (N, 8, 8), x and out (8,)."""
     x2, x3, x4, x5, x6, x7 = x[2], x[3], x[4], x[5], x[6], x[7]
     for i in range(6):
@@ -167,7 +167,7 @@ def times(A: Array, k: int, x: Array, out: Array) -> None:
 
 
 @jit
-def transposed_times(A: Array, k: int, x: Array, out: Array) -> None:
+def multiply_A_transposed(A: Array, k: int, x: Array, out: Array) -> None:
     """out = A_k' x: A (N, 8, 8), x and out (8,)."""
     x0, x1, x2, x3, x4, x5 = x[0], x[1], x[2], x[3], x[4], x[5]
     out[0], out[1] = x0, x1
@@ -181,7 +181,7 @@ def transposed_times(A: Array, k: int, x: Array, out: Array) -> None:
     out[7] += A[k, 7, 7] * x[7]
 
 
-def not_finite(lin: Linearisation, target: Array) -> str:
+def describe_non_finite(lin: Linearisation, target: Array) -> str:
     """In words: which of the inputs is not finite, and from which knot or stage on."""
     names = (*Linearisation._fields[:-1], "target")
     for name, values in zip(names, (*lin[:-1], target), strict=True):

@@ -13,7 +13,7 @@ import numpy as np
 
 from ltv_mpc.control.config import Weights
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.scaling import slowness
+from ltv_mpc.control.scaling import time_ratio
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.dynamics import coefficients
@@ -30,10 +30,10 @@ class Objective(NamedTuple):
     thrust_change: float
     low: Array  # (2,) N
     high: Array
-    change: Array  # N over the first stage
+    max_change: Array  # N over the first stage
     scale: Array  # N: a thrust of 1 in the cost
     state_scale: Array  # (6,) a state of 1 in the QP
-    most: Array  # (2,) of ``limits.LIMITED``
+    max_state: Array  # (2,) of ``limits.LIMITED_STATES``
     t: Array  # (N+1,) knots in first stages: shooting_grid.py
 
 
@@ -44,7 +44,7 @@ class Constants(NamedTuple):
     p: Coefficients
     vertical: Array  # (3,) least and most thrust (N) and slew (N/s) of the vertical thruster
     stage_s: float  # of the first stage
-    slowness: float  # the vehicle's time by that of the paper's: scaling.py
+    time_ratio: float  # the vehicle's time by that of the paper's: scaling.py
 
 
 def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Array:
@@ -56,22 +56,24 @@ def pack_objective(knots: Array, limits: HorizonLimits, weights: Weights) -> Arr
         weights.thrust,
         weights.thrust_change,
     )
-    bounds = (limits.low, limits.high, limits.change, limits.scale)
-    return np.concatenate([cost, *bounds, limits.state_scale, limits.most, [len(knots)], knots])
+    bounds = (limits.low, limits.high, limits.max_change, limits.scale)
+    return np.concatenate([cost, *bounds, limits.state_scale, limits.max_state, [len(knots)], knots])
 
 
-def pack(vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, most: Array | None = None) -> Array:
+def pack_constants(
+    vehicle: Vehicle, weights: Weights, knots: Array, stage_s: float, max_state: Array | None = None
+) -> Array:
     """The flat array that ``constants`` takes apart: a packed objective comes first. The first stage lasts stage_s;
-    ``most`` (2,) of ``limits.LIMITED``.
+    ``max_state`` (2,) of ``limits.LIMITED_STATES``.
     """
     vertical = vehicle.thrusters[2]
-    rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, slowness(vehicle))
-    ours = pack_objective(knots, HorizonLimits.of(vehicle, stage_s, most), weights)
+    rest = (vertical.min_N, vertical.max_N, vertical.slew_N_per_s, stage_s, time_ratio(vehicle))
+    ours = pack_objective(knots, HorizonLimits.from_vehicle(vehicle, stage_s, max_state), weights)
     return np.concatenate([ours, vehicle.coefficients(), rest])
 
 
 @jit
-def objective(flat: Array) -> Objective:
+def unpack_objective(flat: Array) -> Objective:
     """The inverse of ``pack_objective``; the beginning of what ``pack`` makes serves as well."""
     end = 22 + int(flat[21])
     return Objective(
@@ -81,15 +83,15 @@ def objective(flat: Array) -> Objective:
 
 
 @jit
-def length(o: Objective, k: int) -> float:
+def stage_length(o: Objective, k: int) -> float:
     """Of the stage that ends at knot k = 1 .. N, in first stages."""
     return float(o.t[k] - o.t[k - 1])
 
 
 @jit
-def limited_states(o: Objective) -> int:
+def limited_state_count(o: Objective) -> int:
     """How many states have a limit."""
-    return int(np.isfinite(o.most).sum())
+    return int(np.isfinite(o.max_state).sum())
 
 
 @jit
@@ -99,7 +101,7 @@ def state_scale(i: int, o: Objective) -> float:
 
 
 @jit
-def constants(flat: Array) -> Constants:
+def unpack_constants(flat: Array) -> Constants:
     """The inverse of ``pack``."""
     rest = flat[22 + int(flat[21]) :]
-    return Constants(objective(flat), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])
+    return Constants(unpack_objective(flat), coefficients(rest[:19]), rest[19:22], rest[22], rest[23])

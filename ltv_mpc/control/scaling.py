@@ -47,11 +47,11 @@ class Scales(NamedTuple):
         return self.speed_mps * self.time_s
 
 
-PAPER = Scales(speed_mps=0.5, time_s=7.22042)
-"""Of the vehicle that the weights were found for: ``scales_of`` gives it, and a test holds that."""
+PAPER_SCALES = Scales(speed_mps=0.5, time_s=7.22042)
+"""Of the vehicle that the weights were found for: ``characteristic_scales`` gives it, and a test holds that."""
 
 
-def scales_of(vehicle: Vehicle) -> Scales:
+def characteristic_scales(vehicle: Vehicle) -> Scales:
     """V and T of a vehicle: this file's head."""
     p = vehicle.coefficients()
     port, starboard = vehicle.thrusters[:2]
@@ -63,9 +63,9 @@ def scales_of(vehicle: Vehicle) -> Scales:
     return Scales(speed, p.mass_surge * speed / push + turn + max(p.lag_port, p.lag_starboard))
 
 
-def slowness(vehicle: Vehicle) -> float:
+def time_ratio(vehicle: Vehicle) -> float:
     """T by that of the paper's vehicle."""
-    return _rounded(scales_of(vehicle).time_s / PAPER.time_s)
+    return _rounded(characteristic_scales(vehicle).time_s / PAPER_SCALES.time_s)
 
 
 def state_scale(vehicle: Vehicle) -> Array:
@@ -73,9 +73,9 @@ def state_scale(vehicle: Vehicle) -> Array:
 
     1 m, 0.3 m/s, 1 rad and 0.3 rad/s for the paper's vehicle; lengths go with L, velocities with V, rates with 1 / T.
     """
-    of = scales_of(vehicle)
-    length, speed = of.length_m / PAPER.length_m, of.speed_mps / PAPER.speed_mps
-    scale = (length, length, 0.3 * speed, 0.3 * speed, 1.0, 0.3 * PAPER.time_s / of.time_s)
+    of = characteristic_scales(vehicle)
+    length, speed = of.length_m / PAPER_SCALES.length_m, of.speed_mps / PAPER_SCALES.speed_mps
+    scale = (length, length, 0.3 * speed, 0.3 * speed, 1.0, 0.3 * PAPER_SCALES.time_s / of.time_s)
     return np.array([_rounded(s) for s in scale])
 
 
@@ -90,10 +90,10 @@ def weaker_couple(vehicle: Vehicle, p: Coefficients) -> float:
     return max(min(to_starboard, to_port), 0.05 * max(to_starboard, to_port))
 
 
-def weights_of(vehicle: Vehicle) -> Weights:
+def default_weights(vehicle: Vehicle) -> Weights:
     """The weights of a vehicle: those of the paper's, scaled; to three digits: more would pretend."""
-    found, of = Weights(), scales_of(vehicle)
-    length, time = of.length_m / PAPER.length_m, of.time_s / PAPER.time_s
+    found, of = Weights(), characteristic_scales(vehicle)
+    length, time = of.length_m / PAPER_SCALES.length_m, of.time_s / PAPER_SCALES.time_s
     # h is the same for all: T / h goes as T
     return Weights(
         position_per_m2=_rounded(found.position_per_m2 / length**2),
@@ -109,7 +109,7 @@ def resolve_weights(config: ControllerConfig, vehicle: Vehicle) -> ResolvedConfi
     if isinstance(config, ResolvedConfig):
         return config
     given = {name: value for name, value in msgspec.structs.asdict(config.weights).items() if value is not None}
-    weights = msgspec.structs.replace(weights_of(vehicle), **given)
+    weights = msgspec.structs.replace(default_weights(vehicle), **given)
     rest = {field: getattr(config, field) for field in config.__struct_fields__ if field != "weights"}
     return ResolvedConfig(**rest, weights=weights)
 

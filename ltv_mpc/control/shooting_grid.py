@@ -40,14 +40,14 @@ def shift(values: Array, t: Array, stages: float) -> None:
     if N == 1:
         return
     for k in range(N):
-        low, part = position(t[1:], t[k + 1] + stages, low)
+        low, part = locate(t[1:], t[k + 1] + stages, low)
         high = min(low + 1, N - 1)
         for i in range(values.shape[1]):
             values[k, i] = (1.0 - part) * old[low, i] + part * old[high, i]
 
 
 @jit
-def position(t: Array, at: float, near: int) -> tuple[int, float]:
+def locate(t: Array, at: float, near: int) -> tuple[int, float]:
     """Stage k and part of it in which ``at`` lies, held within t (N+1,); ``near`` is a stage at or before it."""
     last = len(t) - 2
     k = near

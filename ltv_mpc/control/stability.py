@@ -22,41 +22,41 @@ import numpy as np
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import linearise, velocity_over_ground
-from ltv_mpc.control.scaling import scales_of, weights_of
+from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 
-SHARES = (0.1, 0.2, 0.35, 0.5)
+CURRENT_RATIOS = (0.1, 0.2, 0.35, 0.5)
 """Currents, over top speed."""
 
-ROUNDING = 1e-6
+POLE_TOLERANCE = 1e-6
 """Of a pole at 1."""
 
-ALL = STATES + 2
+AUGMENTED_STATES = STATES + 2
 
 
 def is_stable(vehicle: Vehicle, horizon_s: float) -> bool:
-    """In all of ``SHARES``, with the weights that follow from the vehicle."""
-    return all(largest_pole(vehicle, horizon_s, share) <= 1.0 + ROUNDING for share in SHARES)
+    """In all of ``CURRENT_RATIOS``, with the weights that follow from the vehicle."""
+    return all(spectral_radius(vehicle, horizon_s, share) <= 1.0 + POLE_TOLERANCE for share in CURRENT_RATIOS)
 
 
-def largest_pole(vehicle: Vehicle, horizon_s: float, share: float) -> float:
+def spectral_radius(vehicle: Vehicle, horizon_s: float, share: float) -> float:
     """Size of the largest pole, per cycle, in a current of this share of top speed."""
-    A, B, K = loop(vehicle, horizon_s, share)
+    A, B, K = closed_loop(vehicle, horizon_s, share)
     return float(np.abs(np.linalg.eigvals(A - B @ K)).max())
 
 
-def loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array, Array, Array]:
+def closed_loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array, Array, Array]:
     """A_1 (10, 10), B_1 (10, 2) and K (2, 10), heading north into a current to the south."""
-    p, weights = vehicle.coefficients(), weights_of(vehicle)
-    X, C = held(vehicle, share)
+    p, weights = vehicle.coefficients(), default_weights(vehicle)
+    X, C = steady_state(vehicle, share)
     stage_s = STAGE_NS * 1e-9
-    scale = HorizonLimits.of(vehicle, stage_s).scale
+    scale = HorizonLimits.from_vehicle(vehicle, stage_s).scale
     thrust, change = np.diag(weights.thrust / scale**2), np.diag(weights.thrust_change / scale**2)
-    position = np.diag([1.0, 1.0, *np.zeros(ALL - 2)])
+    position = np.diag([1.0, 1.0, *np.zeros(AUGMENTED_STATES - 2)])
     commands = np.hstack([np.zeros((2, STATES)), np.eye(2)])  # of z
-    velocity = np.zeros((2, ALL))
+    velocity = np.zeros((2, AUGMENTED_STATES))
     velocity[:, 2:5] = velocity_over_ground(X, C)[1]
 
     P = weights.terminal_position_per_m2 * position + weights.terminal_velocity_s2_per_m2 * velocity.T @ velocity
@@ -72,9 +72,9 @@ def loop(vehicle: Vehicle, horizon_s: float, share: float) -> tuple[Array, Array
     return A, B, K
 
 
-def held(vehicle: Vehicle, share: float) -> tuple[Array, Array]:
+def steady_state(vehicle: Vehicle, share: float) -> tuple[Array, Array]:
     """X (8,) of the place and C (2,): heading north into a current of this share of top speed."""
-    p, speed = vehicle.coefficients(), share * scales_of(vehicle).speed_mps
+    p, speed = vehicle.coefficients(), share * characteristic_scales(vehicle).speed_mps
     push = (p.linear_surge + p.quadratic_surge * speed) * speed
     port, starboard = p.arm_starboard, p.arm_port  # no moment
     X = np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0, port, starboard])
@@ -85,6 +85,6 @@ def held(vehicle: Vehicle, share: float) -> tuple[Array, Array]:
 def _stage(X: Array, C: Array, h: float, p: Coefficients) -> tuple[Array, Array]:
     """A (10, 10) and B (10, 2) of a stage of h seconds."""
     lin = linearise(np.tile(X, (2, 1)), np.tile(X[6:], (2, 1)), np.tile(C, (2, 1)), h, p)
-    A = np.zeros((ALL, ALL))
+    A = np.zeros((AUGMENTED_STATES, AUGMENTED_STATES))
     A[:STATES, :STATES], A[:STATES, STATES:] = lin.A[0], lin.B0[0]
     return A, np.vstack([lin.B1[0], np.eye(2)])

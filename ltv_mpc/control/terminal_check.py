@@ -6,9 +6,9 @@ d = |ref - p|, e = (ref - p) / d and b = ref' - c, the velocity through the wate
 
     s = the largest with |e s + b| <= V          speed at which it can still close in; V - |b| where there is none
     V = top speed ahead, or astern where the stern points along e s + b
-    stuck: d > NEAR L and s < SLOW of the top speed ahead
+    stuck: d > NEAR_LENGTHS L and s < SLOW_RATIO of the top speed ahead
 
-    beyond = w / h integral of (d - s t)^2 dt until it is there, over FAR T at most
+    beyond = w / h integral of (d - s t)^2 dt until it is there, over MAX_TAIL_TIMES T at most
 
 L, T and V as in ``scaling.py``. That is added to the costs of two guesses where one of them ends stuck, and the line
 search takes no step from where it is not to where it would be (``nominal_trajectory.py``). Else it counts for
@@ -22,25 +22,25 @@ import math
 from typing import NamedTuple
 
 from ltv_mpc.control.problem_data import Constants
-from ltv_mpc.control.scaling import PAPER
+from ltv_mpc.control.scaling import PAPER_SCALES
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.resistance import steady
 
-NEAR, SLOW = 0.1, 0.1
-FAR = 200.0
+NEAR_LENGTHS, SLOW_RATIO = 0.1, 0.1
+MAX_TAIL_TIMES = 200.0
 """24 minutes of the paper's vehicle: who holds a place holds it for long, and a steered guess turns in a wider circle
 than the plan that comes of it.
 """
 
-TIME_S = PAPER.time_s
+TIME_S = PAPER_SCALES.time_s
 
 
 class TerminalCheck(NamedTuple):
     """Of the end of one trajectory."""
 
     stuck: bool
-    beyond: float  # cost
+    tail_cost: float  # cost
 
 
 @jit
@@ -57,8 +57,8 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     N, o, p = len(target) - 1, c.objective, c.p
     dn, de = target[N - 1, 0] - X[N, 0], target[N - 1, 1] - X[N, 1]
     d = math.sqrt(dn * dn + de * de)
-    T, ahead = TIME_S * c.slowness, steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
-    if d <= NEAR * ahead * T:
+    T, ahead = TIME_S * c.time_ratio, steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
+    if d <= NEAR_LENGTHS * ahead * T:
         return TerminalCheck(False, 0.0)
     en, ee = dn / d, de / d
     bn, be = target[N, 0] - C[N, 0], target[N, 1] - C[N, 1]
@@ -66,7 +66,7 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     if math.cos(X[N, 4]) * (en * s + bn) + math.sin(X[N, 4]) * (ee * s + be) < 0.0:
         astern = steady(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge)
         s = closing_speed(en, ee, bn, be, astern)
-    t = FAR * T
+    t = MAX_TAIL_TIMES * T
     if s * t > d:
         t = d / s
-    return TerminalCheck(s < SLOW * ahead, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))
+    return TerminalCheck(s < SLOW_RATIO * ahead, o.position / c.stage_s * t * (d * d - d * s * t + s * s * t * t / 3.0))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ltv_mpc.control.prediction import Start
-from ltv_mpc.control.problem_data import constants
+from ltv_mpc.control.problem_data import unpack_constants
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.flow import advance_heave
@@ -40,7 +40,7 @@ def follow(
     From depth z, sinking speed w, delivered thrust F and the command in force at the first knot; ``numbers`` are packed
     constants, z_ref and w_ref (N+1,).
     """
-    c = constants(numbers)
+    c = unpack_constants(numbers)
     p, t = c.p, c.objective.t
     low, high, slew = c.vertical[0], c.vertical[1], c.vertical[2]
     N = len(z_ref) - 1

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ltv_mpc.control.qp.failed_qp import FailedQp, worst
+from ltv_mpc.control.qp.failed_qp import FailedQp, worst_violation
 from ltv_mpc.control.qp.problem import Solution
 from ltv_mpc.control.qp.residuals import residuals
 
@@ -39,7 +39,7 @@ def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]
             "objective": float(0.5 * solution.x @ (qp.P @ solution.x) + qp.q @ solution.x) if finite else None,
             "stationarity": None if kkt is None else kkt.stationarity,
             "primal": None if kkt is None else kkt.primal,
-            "violated": worst(qp, solution.x, failed.rows) if finite else "",
+            "violated": worst_violation(qp, solution.x, failed.rows) if finite else "",
             "active": active(failed, solution.x) if finite else [],
         },
     }
@@ -54,7 +54,7 @@ def active(failed: FailedQp, x: NDArray[np.float64]) -> list[str]:
     qp = failed.qp
     Ax = qp.A @ x
     at = (qp.l != qp.u) & (np.minimum(np.abs(Ax - qp.l), np.abs(Ax - qp.u)) <= ACTIVE)
-    return [failed.rows[i].of for i in np.flatnonzero(at)]
+    return [failed.rows[i].name for i in np.flatnonzero(at)]
 
 
 def text(plain: dict[str, Any]) -> str:

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from ltv_mpc.jit import CACHE, DECORATED
+from ltv_mpc.jit import CACHE, JIT_FUNCTIONS
 from services.supervisor.parent_death import die_with_parent
 
 MARK = "rehearsed"
@@ -117,7 +117,7 @@ def main() -> int:
         from services.processes import sensors  # noqa: F401
 
         # About a seventh of what is decorated belongs to other forms and references than a run's own.
-        (CACHE / EXPECTED).write_text(str(len(DECORATED)))
+        (CACHE / EXPECTED).write_text(str(len(JIT_FUNCTIONS)))
         while any(child.poll() is None for child in children):
             time.sleep(LOOK_S)
     finally:

@@ -17,7 +17,7 @@ from scipy.sparse import csc_matrix, triu
 
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.controller import Controller
-from ltv_mpc.control.qp.sparse import WIDTH
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.control.solvers.osqp import ACTIVE, EQUALITY_ROW, LIMIT_ROW, OsqpSolver
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Estimate
@@ -102,7 +102,7 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolver, Arra
 def export(folder: Path, solver: OsqpSolver, before: Array, config: ControllerConfig) -> Exported:
     """Write the code into ``folder``, over what is there; ``solver`` and ``before`` as ``solved`` gives them."""
     answer = solver.solve()
-    qp, settings = solver.scaled()
+    qp, settings = solver.scaled_problem()
     generator = osqp.OSQP(algebra="builtin")
     P, A = csc_matrix(triu(qp.P, format="csc")), csc_matrix(qp.A)
     generator.setup(
@@ -113,7 +113,7 @@ def export(folder: Path, solver: OsqpSolver, before: Array, config: ControllerCo
     scale = form.limits.scale
     (folder / "mpc_layout.h").write_text(
         LAYOUT.format(
-            width=WIDTH,
+            width=STAGE_VARIABLES,
             scales=", ".join(f"{s:g}" for s in (*form.state_scale, *scale)),
             states=STATES,
             stages=form.stages,

@@ -249,10 +249,10 @@ def solver() -> Finding:
 
 def compiled() -> Finding:
     """Check the cache of compiled code."""
-    from ltv_mpc.jit import CACHE, CACHE_IS_KEPT
+    from ltv_mpc.jit import CACHE, CACHE_IS_PERSISTENT
     from services.supervisor.jit_cache import is_warm
 
-    if not CACHE_IS_KEPT:
+    if not CACHE_IS_PERSISTENT:
         mend = "make ~/.cache writable, or set XDG_CACHE_HOME to a folder that is: each run compiles anew until then"
         return warning("compiled code", f"no folder can keep it; for now {CACHE}", mend)
     if not is_warm():

@@ -7,8 +7,8 @@ import math
 import msgspec
 
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.horizon_selection import horizon_of
-from ltv_mpc.control.scaling import scales_of, weights_of
+from ltv_mpc.control.horizon_selection import select_horizon_s
+from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
 from ltv_mpc.vehicle.plausibility import doubts
@@ -30,7 +30,7 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
 
 def check(vehicle: Vehicle) -> Check:
     """Compute performance, scales and warnings of a vehicle."""
-    can, scales = performance(vehicle), scales_of(vehicle)
+    can, scales = performance(vehicle), characteristic_scales(vehicle)
     return Check(
         name=vehicle.name,
         description=vehicle.description,
@@ -38,8 +38,8 @@ def check(vehicle: Vehicle) -> Check:
         performance=can,
         speed_scale_mps=scales.speed_mps,
         time_scale_s=scales.time_s,
-        horizon_s=horizon_of(vehicle, can),
-        weights=weights_of(vehicle),
+        horizon_s=select_horizon_s(vehicle, can),
+        weights=default_weights(vehicle),
         warnings=doubts(vehicle, can),
     )
 

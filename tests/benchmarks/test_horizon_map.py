@@ -12,8 +12,8 @@ import pytest
 from benchmarks.horizon_map import rules
 from benchmarks.horizon_map.places import Place, places
 from benchmarks.horizon_map.summary import RULES, summary, tables
-from ltv_mpc.control.horizon_selection import ENOUGH
-from ltv_mpc.control.scaling import scales_of
+from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
 from services.tools.page_tables import between
@@ -66,7 +66,7 @@ def test_a_campaign_s_places_are_those_that_were_flown_whole(tmp_path: Path) -> 
     assert run(["campaign", str(file), "--out", str(out), "--workers", "1", "--json"]) == 0
     first, second = places(out)
     assert first.horizons_s.tolist() == [0.9, 1.8]
-    assert first.time_s != second.time_s != scales_of(Vehicle.load("paper")).time_s
+    assert first.time_s != second.time_s != characteristic_scales(Vehicle.load("paper")).time_s
     assert first.groups[1] == pytest.approx(8.0 / (0.2 * first.time_s))
     assert 0.1 <= first.groups[3] * first.time_s <= 0.2
     rows = (out / "results.jsonl").read_text().splitlines(keepends=True)
@@ -93,4 +93,4 @@ def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:
 def test_the_rule_that_vehicle_check_proposes_is_what_the_map_says() -> None:
     """With the state known, at nine of ten places: to the first digit after the point."""
     kept = json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8"))
-    assert round(kept["state known"]["enough_over_T"]["0.9"], 1) == ENOUGH
+    assert round(kept["state known"]["enough_over_T"]["0.9"], 1) == MIN_TIME_SCALES

@@ -28,7 +28,7 @@ H = STAGE_NS * 1e-9
 N = 8
 VEHICLE = Vehicle.load("paper")
 CONFIG = ResolvedConfig(horizon_s=N * H)
-LIMITS = HorizonLimits.of(VEHICLE, H)
+LIMITS = HorizonLimits.from_vehicle(VEHICLE, H)
 NO_SLEW = HorizonLimits(LIMITS.low, LIMITS.high, np.full(2, 1e3), LIMITS.state_scale)
 P = VEHICLE.coefficients()
 
@@ -49,7 +49,7 @@ def trajectory(seed: int, gap: float) -> tuple[Linearisation, Array]:
     """Along commands drawn at random, inside box and slew, in a current that turns; ``gap``: off the exact flow."""
     draw = np.random.default_rng(seed)
     C = 0.03 * np.stack([np.cos(np.linspace(0, 1, N + 1)), np.sin(np.linspace(0, 1, N + 1))], axis=1)
-    U = LIMITS.enforced(np.cumsum(draw.normal(0.0, 3.0, (N + 1, 2)), axis=0), CONFIG.knots)
+    U = LIMITS.clip(np.cumsum(draw.normal(0.0, 3.0, (N + 1, 2)), axis=0), CONFIG.knots)
     ahead = 1.0 if seed % 2 else -1.0  # to be stopped, or to be backed: both limits of each kind are met
     X = roll_out(np.array([0.15 * ahead, 0.1, 0.2 * ahead, 0.01, 0.2, 0.02, *U[0]]), U, C, np.full(N, H), P)
     X[1:] += gap * draw.normal(size=(N, 8))

@@ -29,7 +29,7 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.control.qp.failed_qp import FailedQp
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
+from ltv_mpc.control.qp.rows import ConstraintRow
 from ltv_mpc.currents import read_prior, read_profile
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -442,7 +442,9 @@ def failed_qp() -> Target:
     """A QP that was kept: numpy's npz."""
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
-    failed = FailedQp(qp, (Row("slew", 1.0, "N"), Row("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE))
+    failed = FailedQp(
+        qp, (ConstraintRow("slew", 1.0, "N"), ConstraintRow("box", 2.0, "N")), Solve(status=SolveStatus.INFEASIBLE)
+    )
     place = Path(WORKSHOP.name) / "seed.npz"
     failed.save(place)
     seed = place.read_bytes()

@@ -42,7 +42,7 @@ def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(
         "import numpy as np\n"
         "from ltv_mpc import jit\n"
         "from ltv_mpc.vehicle.thruster import thrust\n"
-        "assert not jit.CACHE_IS_KEPT\n"
+        "assert not jit.CACHE_IS_PERSISTENT\n"
         "print(jit.CACHE, thrust(2.0, 0.0, 1025.0, 0.25))"
     )
     done = subprocess.run(

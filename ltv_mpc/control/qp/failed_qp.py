@@ -15,7 +15,7 @@ from numpy.lib import format as npy
 from scipy.sparse import csc_array
 
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
+from ltv_mpc.control.qp.rows import ConstraintRow
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, Solve
 
@@ -28,7 +28,7 @@ class FailedQp:
     """The problem that was not solved, what its rows are, and the solver's account."""
 
     qp: QP
-    rows: tuple[Row, ...]
+    rows: tuple[ConstraintRow, ...]
     solve: Solve
 
     def save(self, path: Path) -> None:
@@ -38,7 +38,7 @@ class FailedQp:
         for name, matrix in (("P", qp.P), ("A", qp.A)):
             parts |= {f"{name}_data": matrix.data, f"{name}_indices": matrix.indices, f"{name}_indptr": matrix.indptr}
         parts |= {
-            "row_of": np.array([row.of for row in self.rows]),
+            "row_of": np.array([row.name for row in self.rows]),
             "row_scale": np.array([row.scale for row in self.rows]),
             "row_unit": np.array([row.unit for row in self.rows]),
             "solve": msgspec.json.encode(self.solve).decode(),
@@ -79,7 +79,7 @@ class FailedQp:
             return made
 
         rows = tuple(
-            Row(str(of), float(scale), str(unit))
+            ConstraintRow(str(of), float(scale), str(unit))
             for of, scale, unit in zip(parts["row_of"], parts["row_scale"], parts["row_unit"], strict=True)
         )
         if not len(rows) == len(parts["u"]) == m:
@@ -96,11 +96,11 @@ class FailedQp:
             if bad:
                 found.append(f"{name}: {bad} of {len(values)} numbers are not finite")
         for name, bound in (("l", qp.l), ("u", qp.u)):
-            found += [f"{name} of {self.rows[i].of} is not a number" for i in np.flatnonzero(np.isnan(bound))]
+            found += [f"{name} of {self.rows[i].name} is not a number" for i in np.flatnonzero(np.isnan(bound))]
         for i in np.flatnonzero(qp.l > qp.u):
             row = self.rows[i]
             found.append(
-                f"{row.of}: lower bound above the upper one by {(qp.l[i] - qp.u[i]) * row.scale:.3g} {row.unit}"
+                f"{row.name}: lower bound above the upper one by {(qp.l[i] - qp.u[i]) * row.scale:.3g} {row.unit}"
             )
         return found
 
@@ -139,7 +139,7 @@ def _checked(parts: dict[str, Any], name: str, kinds: str) -> None:
         raise ValueError(f"{name}: {part.dtype} {part.shape}")
 
 
-def worst(qp: QP, x: Array, rows: tuple[Row, ...]) -> str:
+def worst_violation(qp: QP, x: Array, rows: tuple[ConstraintRow, ...]) -> str:
     """Which row a point x (n,) violates most, by how much, in words; empty where it violates none.
 
     Violations are compared as the QP has them, where rows are of order one.
@@ -149,4 +149,4 @@ def worst(qp: QP, x: Array, rows: tuple[Row, ...]) -> str:
     if not np.isfinite(over).all() or over.max() <= 0.0:
         return ""
     i = int(np.argmax(over))
-    return f"{rows[i].of} violated by {over[i] * rows[i].scale:.3g} {rows[i].unit}"
+    return f"{rows[i].name} violated by {over[i] * rows[i].scale:.3g} {rows[i].unit}"

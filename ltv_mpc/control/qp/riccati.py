@@ -3,7 +3,7 @@
     minimise   the QP's cost (``sparse.py``)  +  sum over k = 1..N, i of   1/2 w g^2 + l g,   g = [z_k, z_k - z_(k-1)]
     subject to the dynamics,   z_k = dU_k / F (2,)
 
-``weight`` w and ``tilt`` l (N, 4) are what a method that deals with box and slew (``solvers/riccati_solver.py``)
+``weight`` w and ``linear`` l (N, 4) are what a method that deals with box and slew (``solvers/riccati_solver.py``)
 makes of
 them; g are the rows of both, in the order [box of port, of starboard, slew of port, of starboard].
 
@@ -22,13 +22,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ltv_mpc.control.horizon_limits import bounds
+from ltv_mpc.control.horizon_limits import command_bounds
 from ltv_mpc.control.linearisation import Linearisation, velocity_over_ground
-from ltv_mpc.control.problem_data import Objective, length
+from ltv_mpc.control.problem_data import Objective, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
-ROWS = 4
+LIMIT_ROWS = 4
 """g of a stage."""
 
 WIDE = 10
@@ -49,39 +49,39 @@ LAW = 2 * WIDE + 2
 """Numbers of a stage's law: K (2, 10), kappa (2,)."""
 
 
-class Work(NamedTuple):
+class SweepWorkspace(NamedTuple):
     """What the sweeps of one problem share, and what each of them is told and says."""
 
     models: Array  # (N, 10, 12) what every s_(k+1) depends on
     low: Array  # (N, 4) between what g must stay
     high: Array
     weight: Array  # (N, 4) w and l: to be filled in before a sweep
-    tilt: Array
+    linear: Array
     g: Array  # (N, 4) that the last sweep came to
     laws: Array  # (N, LAW) its laws
     Z: Array  # (SCRATCH,)
 
 
 @jit
-def work_on(lin: Linearisation, o: Objective) -> Work:
+def sweep_workspace(lin: Linearisation, o: Objective) -> SweepWorkspace:
     """For as many sweeps as it takes."""
     N = lin.U.shape[0] - 1
-    low, high = np.empty((N, ROWS)), np.empty((N, ROWS))
+    low, high = np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS))
     for k in range(N):
-        reach = length(o, k + 1)
+        reach = stage_length(o, k + 1)
         for i in range(2):
-            F, change = o.scale[i], reach * o.change[i]
+            F, change = o.scale[i], reach * o.max_change[i]
             here, step = lin.U[k + 1, i], lin.U[k + 1, i] - lin.U[k, i]
-            least, most = bounds(lin.U[0, i], o.t[k + 1] * o.change[i], o.low[i], o.high[i])
+            least, most = command_bounds(lin.U[0, i], o.t[k + 1] * o.max_change[i], o.low[i], o.high[i])
             low[k, i], high[k, i] = (least - here) / F, (most - here) / F
             low[k, 2 + i], high[k, 2 + i] = (-change - step) / F, (change - step) / F
-    weight, tilt, g = np.empty((N, ROWS)), np.empty((N, ROWS)), np.empty((N, ROWS))
-    return Work(_models(lin), low, high, weight, tilt, g, np.empty((N, LAW)), np.empty(SCRATCH))
+    weight, linear, g = np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS)), np.empty((N, LIMIT_ROWS))
+    return SweepWorkspace(_models(lin), low, high, weight, linear, g, np.empty((N, LAW)), np.empty(SCRATCH))
 
 
 @jit
 def _models(lin: Linearisation) -> Array:
-    """Of every stage, as ``Work`` has them."""
+    """Of every stage, as ``SweepWorkspace`` has them."""
     N = lin.U.shape[0] - 1
     models = np.zeros((N, WIDE, ROW))
     for k in range(N):
@@ -99,7 +99,7 @@ def _models(lin: Linearisation) -> Array:
 
 
 @jit
-def sweep(lin: Linearisation, target: Array, o: Objective, work: Work, dU: Array) -> bool:
+def sweep(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, dU: Array) -> bool:
     """dU (N+1, 2): deviations of the commands (N) that cost least, and ``work.g`` of them. False where there are none
     such, or not finite. ``target`` as in ``Solver``.
     """
@@ -115,9 +115,9 @@ def sweep(lin: Linearisation, target: Array, o: Objective, work: Work, dU: Array
 
 
 @jit
-def _backward(lin: Linearisation, target: Array, o: Objective, work: Work) -> bool:
+def _backward(lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace) -> bool:
     """The law of every stage, from the last one on."""
-    weight, tilt, laws, Z = work.weight, work.tilt, work.laws, work.Z
+    weight, linear, laws, Z = work.weight, work.linear, work.laws, work.Z
     N = laws.shape[0]
     p = np.zeros(WIDE)
     Z[:] = 0.0
@@ -132,13 +132,13 @@ def _backward(lin: Linearisation, target: Array, o: Objective, work: Work) -> bo
         for i in range(2):
             # s / g |(U_(k+1) - U_k) / F|^2, and the rows of box and slew
             F = o.scale[i]
-            change = o.thrust_change / (length(o, k + 1) * F * F)
+            change = o.thrust_change / (stage_length(o, k + 1) * F * F)
             both = change + weight[k, 2 + i] / (F * F)
-            slope = change * (lin.U[k + 1, i] - lin.U[k, i]) + tilt[k, 2 + i] / F
+            slope = change * (lin.U[k + 1, i] - lin.U[k, i]) + linear[k, 2 + i] / F
             Z[Q + (ROW + 1) * (8 + i)] += both + weight[k, i] / (F * F)
             Z[Q + (ROW + 1) * (6 + i)] += both
             Z[Q + ROW * (8 + i) + 6 + i] -= both
-            Z[SLOPE + 8 + i] += slope + tilt[k, i] / F
+            Z[SLOPE + 8 + i] += slope + linear[k, i] / F
             Z[SLOPE + 6 + i] -= slope
         if not _law(Z, laws[k]):
             return False
@@ -162,7 +162,7 @@ def _add_end(lin: Linearisation, target: Array, o: Objective, Z: Array, p: Array
 @jit
 def _add_knot(lin: Linearisation, target: Array, o: Objective, k: int, Z: Array, p: Array) -> None:
     """What position and thrust at knot k cost, to P and p."""
-    g = length(o, k)
+    g = stage_length(o, k)
     position = o.position * g + (o.terminal_position if k == lin.U.shape[0] - 1 else 0.0)
     for i in range(2):
         thrust = o.thrust * g / (o.scale[i] * o.scale[i])

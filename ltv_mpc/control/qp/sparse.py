@@ -31,21 +31,21 @@ import numpy.typing as npt
 from scipy.sparse import coo_array, csc_array
 
 from ltv_mpc.control.config import STAGE_NS, Weights
-from ltv_mpc.control.horizon_limits import LIMITED, PENALTY, HorizonLimits, bounds
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits, command_bounds
 from ltv_mpc.control.linearisation import Linearisation, linearise, size, velocity_over_ground, views
-from ltv_mpc.control.problem_data import length, objective, pack_objective, state_scale
+from ltv_mpc.control.problem_data import pack_objective, stage_length, state_scale, unpack_objective
 from ltv_mpc.control.qp import rows
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.rows import Row
-from ltv_mpc.control.scaling import weights_of
+from ltv_mpc.control.qp.rows import ConstraintRow
+from ltv_mpc.control.scaling import default_weights
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Pair
 from ltv_mpc.vehicle.flow import STATES
 from ltv_mpc.vehicle.parameters import Vehicle
 
-Places = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.int64]
 
-WIDTH = STATES + 2
+STAGE_VARIABLES = STATES + 2
 """Variables a stage: the state at its end and both commands there."""
 
 STATE_PATTERN = np.ones((STATES, STATES), dtype=bool)
@@ -59,24 +59,24 @@ THRUST_PATTERN = np.ones((STATES, 2), dtype=bool)
 THRUST_PATTERN[6, 1] = THRUST_PATTERN[7, 0] = False
 
 
-FAR = 1e3
+NO_BOUND = 1e3
 """A bound that is none, in units of the QP: hundreds of m/s. Finite: not every solver takes an infinite one well."""
 
 
-class Map(NamedTuple):
+class EntryMap(NamedTuple):
     """Where numbers go: A_data[place] = flat[source] * scale, and the slope of the velocity at the end."""
 
-    place: Places
-    source: Places
-    velocity: Places  # (6,)
-    row_of: Places  # (nnz,) the row of each stored entry of A
+    place: Indices
+    source: Indices
+    velocity: Indices  # (6,)
+    row_of: Indices  # (nnz,) the row of each stored entry of A
 
 
 @jit
-def map_of(flat: Places, entries: int) -> Map:
+def unpack_map(flat: Indices, entries: int) -> EntryMap:
     """The parts of a flat array, as ``SparseQp.map`` holds them."""
     taken = (len(flat) - 6 - entries) // 2
-    return Map(flat[:taken], flat[taken : 2 * taken], flat[2 * taken : 2 * taken + 6], flat[2 * taken + 6 :])
+    return EntryMap(flat[:taken], flat[taken : 2 * taken], flat[2 * taken : 2 * taken + 6], flat[2 * taken + 6 :])
 
 
 class SparseQp:
@@ -98,7 +98,7 @@ class SparseQp:
         position = weights.position_per_m2 * self._lengths
         position[-1] += weights.terminal_position_per_m2
         self.limited = limits.limited
-        self.variables = stages * WIDTH + 2 + stages * len(self.limited)
+        self.variables = stages * STAGE_VARIABLES + 2 + stages * len(self.limited)
         self.equalities = stages * STATES + 2
         self.rows = self.equalities + 4 * stages + 3 * stages * len(self.limited)
         self._position = position
@@ -112,17 +112,17 @@ class SparseQp:
     def _cost(self) -> csc_array:
         N, r = self.stages, self.weights.thrust * self._lengths[:, None]
         s = self.weights.thrust_change / self._lengths[:, None]
-        diagonal = np.zeros((N, WIDTH))
+        diagonal = np.zeros((N, STAGE_VARIABLES))
         diagonal[:, :2] = self._position[:, None] * self.limits.state_scale[:2] ** 2
         # r_k |U_k|^2 + s_k |U_k - U_(k-1)|^2 + s_(k+1) |U_(k+1) - U_k|^2, the last one without a successor
         diagonal[:, STATES:] = r + s
         diagonal[:-1, STATES:] += s[1:]
-        between = np.zeros((N - 1, WIDTH))
+        between = np.zeros((N - 1, STAGE_VARIABLES))
         between[:, STATES:] = -s[1:]
-        at = np.arange(N * WIDTH, dtype=np.int32)
-        last = N * WIDTH + np.arange(2, dtype=np.int32)
-        rows = np.concatenate([at, at[:-WIDTH], at[WIDTH:], last])
-        columns = np.concatenate([at, at[WIDTH:], at[:-WIDTH], last])
+        at = np.arange(N * STAGE_VARIABLES, dtype=np.int32)
+        last = N * STAGE_VARIABLES + np.arange(2, dtype=np.int32)
+        rows = np.concatenate([at, at[:-STAGE_VARIABLES], at[STAGE_VARIABLES:], last])
+        columns = np.concatenate([at, at[STAGE_VARIABLES:], at[:-STAGE_VARIABLES], last])
         end = np.full(2, self.weights.terminal_velocity_s2_per_m2)
         values = np.concatenate([diagonal.ravel(), between.ravel(), between.ravel(), end])
         there = values != 0.0
@@ -140,7 +140,7 @@ class SparseQp:
         fixed: list[tuple[int, int, float]] = []  # row, column, number
         taken: list[tuple[int, int, float, float]] = []  # row, column, where from, scale
         for k in range(N):
-            before, here = (k - 1) * WIDTH, k * WIDTH
+            before, here = (k - 1) * STAGE_VARIABLES, k * STAGE_VARIABLES
             for i in range(STATES):
                 row = k * STATES + i
                 fixed.append((row, here + i, -1.0))
@@ -159,15 +159,19 @@ class SparseQp:
                 fixed += [(slew, here + STATES + j, 1.0), (box, here + STATES + j, 1.0)]
                 if k > 0:
                     fixed.append((slew, before + STATES + j, -1.0))
-        excess, row = N * WIDTH + 2, E + 4 * N
+        excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
         for k in range(N):
             for i in self.limited:
-                fixed += [(row, k * WIDTH + i, 1.0), (row, excess, -1.0), (row + 1, k * WIDTH + i, 1.0)]
+                fixed += [
+                    (row, k * STAGE_VARIABLES + i, 1.0),
+                    (row, excess, -1.0),
+                    (row + 1, k * STAGE_VARIABLES + i, 1.0),
+                ]
                 fixed += [(row + 1, excess, 1.0), (row + 2, excess, 1.0)]
                 excess, row = excess + 1, row + 3
-        end = (N - 1) * WIDTH + 2
+        end = (N - 1) * STAGE_VARIABLES + 2
         velocity = [(N * STATES + i, end + j) for i in range(2) for j in range(3)]
-        fixed += [(N * STATES + i, N * WIDTH + i, -1.0) for i in range(2)]
+        fixed += [(N * STATES + i, N * STAGE_VARIABLES + i, -1.0) for i in range(2)]
         at = [entry[:2] for entry in fixed] + [entry[:2] for entry in taken] + velocity
         rows, columns = np.array(at, dtype=np.int32).T  # OSQP's own type
         numbered = csc_array(
@@ -180,13 +184,13 @@ class SparseQp:
         source = np.array([entry[2] for entry in taken], dtype=np.int64)
         self.pattern = numbered
         """Of A; its numbers mean nothing."""
-        self.map: Places = np.concatenate([place[middle], source, place[middle.stop :], numbered.indices]).astype(
+        self.map: Indices = np.concatenate([place[middle], source, place[middle.stop :], numbered.indices]).astype(
             np.int64
         )
         self.factor = np.array([entry[3] for entry in taken])
 
     @cached_property
-    def row_names(self) -> tuple[Row, ...]:
+    def row_names(self) -> tuple[ConstraintRow, ...]:
         """What each row is."""
         stages, thrusts = range(1, self.stages + 1), self.limits.scale
         return (
@@ -210,9 +214,9 @@ class SparseQp:
         A_data, q = self.template(), np.empty(self.variables)
         lower, upper = np.empty(self.rows), np.empty(self.rows)
         self.fill(lin, np.ascontiguousarray(target), A_data, q, lower, upper)
-        return self.assembled(A_data, q, lower, upper)
+        return self.assemble(A_data, q, lower, upper)
 
-    def assembled(self, A_data: Array, q: Array, l: Array, u: Array) -> QP:  # noqa: E741
+    def assemble(self, A_data: Array, q: Array, l: Array, u: Array) -> QP:  # noqa: E741
         """Numbers of this form as a QP."""
         A = csc_array((A_data, self.pattern.indices, self.pattern.indptr), shape=self.pattern.shape)
         return QP(self.P, q, A, l, u)
@@ -220,7 +224,9 @@ class SparseQp:
     def commands(self, lin: Linearisation, x: Array) -> Array:
         """Commands (N+1, 2) at the knots of a solution x (n,)."""
         U = lin.U.copy()
-        U[1:] += x[: self.stages * WIDTH].reshape(self.stages, WIDTH)[:, STATES:] * self.limits.scale
+        U[1:] += (
+            x[: self.stages * STAGE_VARIABLES].reshape(self.stages, STAGE_VARIABLES)[:, STATES:] * self.limits.scale
+        )
         return U
 
 
@@ -229,7 +235,7 @@ def fill(
     numbers: Array,
     flat: Array,
     target: Array,
-    places: Places,
+    places: Indices,
     factor: Array,
     data: Array,
     q: Array,
@@ -238,16 +244,16 @@ def fill(
 ) -> None:
     """What ``SparseQp.fill`` does."""
     N = len(target) - 1
-    lin, c = views(flat, N), objective(numbers)
+    lin, c = views(flat, N), unpack_objective(numbers)
     X, U, F = lin.X, lin.U, c.scale
-    to = map_of(places, len(data))
+    to = unpack_map(places, len(data))
     for i in range(len(to.place)):
         data[to.place[i]] = flat[to.source[i]] * factor[i]
     velocity, slope = velocity_over_ground(X[N], lin.C[N])
     E = N * STATES + 2
     for k in range(N):
-        row, column = k * STATES, k * WIDTH
-        g = length(c, k + 1)
+        row, column = k * STATES, k * STAGE_VARIABLES
+        g = stage_length(c, k + 1)
         r, s = c.thrust * g, c.thrust_change / g
         for i in range(STATES):
             # -dX_(k+1) + A dX_k + B0 dU_k + B1 dU_(k+1) = Xbar_(k+1) - Phi_k
@@ -262,27 +268,27 @@ def fill(
             step = (U[k + 1, i] - U[k, i]) / F[i]
             q[column + STATES + i] = r * U[k + 1, i] / F[i] + s * step
             if k > 0:
-                q[column - WIDTH + STATES + i] -= s * step
+                q[column - STAGE_VARIABLES + STATES + i] -= s * step
             slew, box = E + 2 * k + i, E + 2 * (N + k) + i
-            low, high = bounds(U[0, i], c.t[k + 1] * c.change[i], c.low[i], c.high[i])
-            change = g * c.change[i]
+            low, high = command_bounds(U[0, i], c.t[k + 1] * c.max_change[i], c.low[i], c.high[i])
+            change = g * c.max_change[i]
             l[slew], u[slew] = -change / F[i] - step, change / F[i] - step
             l[box], u[box] = (low - U[k + 1, i]) / F[i], (high - U[k + 1, i]) / F[i]
-    excess, row = N * WIDTH + 2, E + 4 * N
+    excess, row = N * STAGE_VARIABLES + 2, E + 4 * N
     for k in range(N):
         for j in range(2):
-            if np.isfinite(c.most[j]):
-                i = LIMITED[j]
+            if np.isfinite(c.max_state[j]):
+                i = LIMITED_STATES[j]
                 scale = c.state_scale[i]
-                l[row], u[row] = -FAR, (c.most[j] - X[k + 1, i]) / scale
-                l[row + 1], u[row + 1] = (-c.most[j] - X[k + 1, i]) / scale, FAR
-                l[row + 2], u[row + 2] = 0.0, FAR
-                q[excess] = PENALTY * length(c, k + 1)
+                l[row], u[row] = -NO_BOUND, (c.max_state[j] - X[k + 1, i]) / scale
+                l[row + 1], u[row + 1] = (-c.max_state[j] - X[k + 1, i]) / scale, NO_BOUND
+                l[row + 2], u[row + 2] = 0.0, NO_BOUND
+                q[excess] = PENALTY * stage_length(c, k + 1)
                 excess, row = excess + 1, row + 3
     for i in range(2):
         # -(p'_N - ref'_N) + V dX_N = ref'_N - p'bar_N
         l[N * STATES + i] = u[N * STATES + i] = target[N, i] - velocity[i]
-        q[N * WIDTH + i] = 0.0
+        q[N * STAGE_VARIABLES + i] = 0.0
         for j in range(3):
             data[to.velocity[3 * i + j]] = slope[i, j] * c.state_scale[2 + j]
 
@@ -306,5 +312,7 @@ def build_qp(
     """
     stage_s = STAGE_NS * 1e-9
     lin = linearise(X, U, current, stage_s, vehicle.coefficients())
-    form = SparseQp(np.arange(float(len(U))), HorizonLimits.of(vehicle, stage_s), weights or weights_of(vehicle))
+    form = SparseQp(
+        np.arange(float(len(U))), HorizonLimits.from_vehicle(vehicle, stage_s), weights or default_weights(vehicle)
+    )
     return form.build(lin, np.vstack([reference, end_velocity_mps]))

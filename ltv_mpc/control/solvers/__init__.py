@@ -19,7 +19,7 @@ OSQP, RICCATI = "osqp", "riccati"
 def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
     """Return the solver that ``config`` names. Raises ``ConfigError`` if it is unknown or cannot solve the problem."""
     config = resolve_weights(config, vehicle)
-    limits = HorizonLimits.of(vehicle, STAGE_NS * 1e-9, config.limits.max_abs)
+    limits = HorizonLimits.from_vehicle(vehicle, STAGE_NS * 1e-9, config.limits.max_abs)
     if config.solver == OSQP:
         return OsqpSolver(config, limits)
     if config.solver == RICCATI:

@@ -26,23 +26,23 @@ import numpy as np
 
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
-from ltv_mpc.control.horizon_limits import LIMITED, HorizonLimits
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, HorizonLimits
 from ltv_mpc.control.linearisation import (
     Linearisation,
-    not_finite,
-    times,
-    transposed_times,
+    describe_non_finite,
+    multiply_A,
+    multiply_A_transposed,
     velocity_over_ground,
     views,
 )
-from ltv_mpc.control.problem_data import Objective, length, limited_states, objective, state_scale
-from ltv_mpc.control.qp.failed_qp import worst
+from ltv_mpc.control.problem_data import Objective, limited_state_count, stage_length, state_scale, unpack_objective
+from ltv_mpc.control.qp.failed_qp import worst_violation
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.riccati import ROWS
-from ltv_mpc.control.qp.sparse import WIDTH, Places, SparseQp, fill, map_of
+from ltv_mpc.control.qp.riccati import LIMIT_ROWS
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, Indices, SparseQp, fill, unpack_map
 from ltv_mpc.control.solvers import riccati_solver
 from ltv_mpc.control.solvers.interface import SolverResult
-from ltv_mpc.control.solvers.osqp_workspace import PLAIN, Settings, Workspace, workspace
+from ltv_mpc.control.solvers.osqp_workspace import BASE_SETTINGS, Settings, Workspace, make_workspace
 from ltv_mpc.jit import copy_to, jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
@@ -56,9 +56,9 @@ LIMIT_ROW = 0.015
 GRADIENT = 0.5
 """Largest entry of q up to which LIMIT_ROW holds; beyond, duals grow with q, and the step size with them."""
 
-LARGEST_LIMIT_ROW = 0.2
+MAX_LIMIT_ROW = 0.2
 
-LOOSEST = 5.0
+MAX_LOOSENING = 5.0
 """By how much the tolerance grows with the duals, at most."""
 
 ACTIVE = 10.0
@@ -70,13 +70,13 @@ MOTION_ROW, MOTION_ACTIVE, EXCESS_ROW = 0.05, 1.5, 15.0
 NOT_ACTIVE = 1e-9
 """A dual below this is what rounding left of none."""
 
-FIRST_TURN = 1
+FIRST_BATCH = 1
 """Iterations until OSQP first looks at its residuals: the guess mostly is the solution."""
 
-TURN = 9
+BATCH = 9
 """Iterations between two looks at the active limits."""
 
-PATIENCE = 6
+CONSTANT_BATCHES = 6
 """Turns until each is twice as long as the one before: with its rows left alone, OSQP converges always."""
 
 CHECK = 3
@@ -100,9 +100,9 @@ class SolveArrays(NamedTuple):
 
 
 @jit
-def room(flat: Array, N: int, limited: int) -> SolveArrays:
+def unpack_arrays(flat: Array, N: int, limited: int) -> SolveArrays:
     """The parts of a flat array for N stages and so many limited states."""
-    n, m = N * (WIDTH + limited) + 2, N * (STATES + 4 + 3 * limited) + 2
+    n, m = N * (STAGE_VARIABLES + limited) + 2, N * (STATES + 4 + 3 * limited) + 2
     e = (len(flat) - 2 * n - 7 * m) // 2
     q = e
     l = q + n  # noqa: E741
@@ -135,8 +135,8 @@ class OsqpSolver:
         self._tolerance = self._eps = config.tolerance
         entries = form.pattern.nnz
         self._flat = np.zeros(2 * entries + 2 * form.variables + 7 * form.rows)
-        self._room: SolveArrays = room(self._flat, form.stages, len(form.limited))
-        self._room.A[:] = form.template()
+        self._arrays: SolveArrays = unpack_arrays(self._flat, form.stages, len(form.limited))
+        self._arrays.A[:] = form.template()
         self._shift = math.nan
         self._finite, self._why = False, "nothing was built"
         self._lin: Linearisation | None = None
@@ -155,25 +155,25 @@ class OsqpSolver:
         self._lin, form = lin, self.form
         size = prepare(form.numbers, lin.flat, target, form.map, form.factor, self._shift, self._flat)
         self._finite = size >= 0.0
-        self._why = "" if self._finite else not_finite(lin, target)
-        self._eps = self._tolerance * min(size, LOOSEST)
+        self._why = "" if self._finite else describe_non_finite(lin, target)
+        self._eps = self._tolerance * min(size, MAX_LOOSENING)
 
     def update(self) -> None:
         """As in ``Solver``."""
         if not self._finite:  # one NaN would poison the workspace for every later solve
             return
         if self._workspace is None:
-            at = self._room
+            at = self._arrays
             # Nothing new yet, but compiled: it may not be called again before the first hard problem.
             rescale(self.form.map, self._flat, self.form.stages, len(self.form.limited))
-            of, settings = self.scaled()
-            self._workspace = workspace(of.P, of.q, of.A, of.l, of.u, settings)
+            of, settings = self.scaled_problem()
+            self._workspace = make_workspace(of.P, of.q, of.A, of.l, of.u, settings)
             self._workspace.warm_start(at.x, at.ys)
         else:
             self._load(self._workspace)
 
     def _load(self, solver: Workspace) -> None:
-        at = self._room
+        at = self._arrays
         solver.update_matrix(at.As)
         solver.update_vectors(at.q, at.ls, at.us)
         solver.warm_start(at.x, at.ys)
@@ -187,13 +187,13 @@ class OsqpSolver:
         commands = np.empty_like(lin.U)
         iterations, turn = 0, 0
         while True:
-            length = TURN * 2 ** max(0, turn - PATIENCE) if turn else FIRST_TURN
-            solver.limit(min(length, self._most), self._eps)
+            length = BATCH * 2 ** max(0, turn - CONSTANT_BATCHES) if turn else FIRST_BATCH
+            solver.set_limits(min(length, self._most), self._eps)
             turn += 1
             status = solver.solve()
-            account = solver.account()
+            account = solver.statistics()
             iterations += account.iterations
-            if not take(self.form.numbers, *solver.read(), lin.flat, self._flat, commands):
+            if not store_solution(self.form.numbers, *solver.solution(), lin.flat, self._flat, commands):
                 self._workspace = None
                 return self._nothing(lin, "OSQP returned a value that is not finite; rebuilt")
             if status is SolveStatus.SOLVED or iterations >= self._most:
@@ -205,7 +205,7 @@ class OsqpSolver:
         if status is not SolveStatus.SOLVED:
             residuals = f"primal residual {account.primal_residual:.1e}, dual {account.dual_residual:.1e}"
             why = f"OSQP: {status.value.replace('_', ' ')} after {iterations} iterations, {residuals}"
-            violated = worst(self.problem(), self._room.x, self.form.row_names)
+            violated = worst_violation(self.problem(), self._arrays.x, self.form.row_names)
             why += f"; {violated}" if violated else ""
         solve = Solve(
             status=status,
@@ -218,24 +218,24 @@ class OsqpSolver:
 
     def problem(self) -> QP:
         """Return the problem that was built last, without the scales of its rows."""
-        at = self._room
-        return self.form.assembled(at.A.copy(), at.q.copy(), at.l.copy(), at.u.copy())
+        at = self._arrays
+        return self.form.assemble(at.A.copy(), at.q.copy(), at.l.copy(), at.u.copy())
 
-    def scaled(self) -> tuple[QP, Settings]:
+    def scaled_problem(self) -> tuple[QP, Settings]:
         """The problem that was built last as OSQP gets it, its rows scaled, and OSQP's settings for it."""
-        at = self._room
+        at = self._arrays
         settings = {
-            **PLAIN,
+            **BASE_SETTINGS,
             "alpha": 1.0,
             "eps_abs": self._tolerance,
             "check_termination": CHECK,
-            "max_iter": FIRST_TURN,
+            "max_iter": FIRST_BATCH,
         }
-        return self.form.assembled(at.As, at.q, at.ls, at.us), settings
+        return self.form.assemble(at.As, at.q, at.ls, at.us), settings
 
     def point(self) -> tuple[Array, Array]:
         """Primal (n,) and dual (m,) of ``problem`` where the last solve ended."""
-        return self._room.x.copy(), self._room.y.copy()
+        return self._arrays.x.copy(), self._arrays.y.copy()
 
     def _nothing(self, lin: Linearisation, why: str) -> SolverResult:
         self.reset_warm_start()
@@ -244,29 +244,29 @@ class OsqpSolver:
 
 @jit
 def prepare(
-    numbers: Array, flat: Array, target: Array, places: Places, factor: Array, shift: float, solve: Array
+    numbers: Array, flat: Array, target: Array, places: Indices, factor: Array, shift: float, solve: Array
 ) -> float:
     """The problem, its first guess, and both with scaled rows, into ``solve`` (``room``).
 
     Returns how much larger than GRADIENT the cost's gradient is, as a step size goes with it; -1 if a number is not
     finite.
     """
-    N, states = len(target) - 1, limited_states(objective(numbers))
-    at = room(solve, N, states)
+    N, states = len(target) - 1, limited_state_count(unpack_objective(numbers))
+    at = unpack_arrays(solve, N, states)
     fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
     first_guess(numbers, flat, target, at.q, shift, at.x, at.y)
     if rescale(places, solve, N, states) < 0:
         return -1.0
-    return growth(at.q, N)
+    return dual_scale(at.q, N)
 
 
 @jit
-def growth(q: Array, N: int) -> float:
+def dual_scale(q: Array, N: int) -> float:
     """How much larger than for a small gradient duals, and with them step sizes and residuals, are. What an excess of a
     limited state costs is no gradient: it is paid by nobody who keeps within the limit.
     """
     gradient = 0.0
-    for i in range(N * WIDTH + 2):
+    for i in range(N * STAGE_VARIABLES + 2):
         gradient = max(gradient, abs(q[i]))
     return float(max(1.0, np.sqrt(gradient / GRADIENT)))
 
@@ -275,48 +275,48 @@ def growth(q: Array, N: int) -> float:
 def first_guess(numbers: Array, flat: Array, target: Array, q: Array, shift: float, x: Array, y: Array) -> None:
     """x (n,) and y (m,) to begin with, in place of those of the last solve, ``shift`` stages earlier (NaN: of none)."""
     N = len(target) - 1
-    c, lin = objective(numbers), views(flat, N)
+    c, lin = unpack_objective(numbers), views(flat, N)
     E = N * STATES + 2
     _shift_limits(y, E, c.t, shift)
     velocity, V = velocity_over_ground(lin.X[N], lin.C[N])
     dU, kept = np.zeros((N + 1, 2)), y[E:].copy()
     if not kept[4 * N :].any():  # no limit of the motion, of which the sweeps know nothing, was active
         _guess_commands(c, lin, target, dU, y[E:])
-    if not _close(c, lin, dU, x):  # but one is
+    if not _forward_states(c, lin, dU, x):  # but one is
         dU[:, :] = 0.0
         y[E:] = kept
-        _close(c, lin, dU, x)
+        _forward_states(c, lin, dU, x)
     _guess_excesses(c, lin, q, np.isnan(shift), x, y)
     # m (p'_N - ref'_N) = y: the terminal velocity's own column
     costate = np.zeros(STATES)
     for i in range(2):
         w = velocity[i] - target[N, i]
         for j in range(3):
-            w += V[i, j] * x[(N - 1) * WIDTH + 2 + j] * c.state_scale[2 + j]
-        x[N * WIDTH + i] = w
+            w += V[i, j] * x[(N - 1) * STAGE_VARIABLES + 2 + j] * c.state_scale[2 + j]
+        x[N * STAGE_VARIABLES + i] = w
         y[N * STATES + i] = c.terminal_velocity * w
         for j in range(3):
             costate[2 + j] += V[i, j] * c.terminal_velocity * w
     # lambda_(k-1) = gradient_k + A_k' lambda_k: the columns of the states
     before = np.zeros(STATES)
     for k in range(N - 1, -1, -1):
-        weight = c.position * length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
+        weight = c.position * stage_length(c, k + 1) + (c.terminal_position if k == N - 1 else 0.0)
         for i in range(2):
             scale = c.state_scale[i]
-            costate[i] += q[k * WIDTH + i] / scale + weight * x[k * WIDTH + i] * scale
-        row = E + 4 * N + 3 * k * limited_states(c)
+            costate[i] += q[k * STAGE_VARIABLES + i] / scale + weight * x[k * STAGE_VARIABLES + i] * scale
+        row = E + 4 * N + 3 * k * limited_state_count(c)
         for j in range(2):
-            if np.isfinite(c.most[j]):
-                costate[LIMITED[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED[j]]
+            if np.isfinite(c.max_state[j]):
+                costate[LIMITED_STATES[j]] += (y[row] + y[row + 1]) / c.state_scale[LIMITED_STATES[j]]
                 row += 3
         for i in range(STATES):
             y[k * STATES + i] = costate[i] * state_scale(i, c)
-        transposed_times(lin.A, k, costate, before)
+        multiply_A_transposed(lin.A, k, costate, before)
         copy_to(costate, before)
 
 
 @jit
-def _close(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
+def _forward_states(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
     """x (n,): the commands dU (N+1, 2), and the states that they lead to, by a forward sweep that closes the gaps.
     Returns whether these states are within the limits of the motion.
     """
@@ -325,17 +325,17 @@ def _close(c: Objective, lin: Linearisation, dU: Array, x: Array) -> bool:
     # d_(k+1) = A d_k + B0 dU_k + B1 dU_(k+1) + Phi_k - Xbar_(k+1)
     d, last = np.zeros(STATES), np.zeros(STATES)
     for k in range(N):
-        times(lin.A, k, last, d)
+        multiply_A(lin.A, k, last, d)
         for i in range(STATES):
             for j in range(2):
                 d[i] += lin.B0[k, i, j] * dU[k, j] + lin.B1[k, i, j] * dU[k + 1, j]
             d[i] += lin.Phi[k, i] - lin.X[k + 1, i]
-            x[k * WIDTH + i] = d[i] / state_scale(i, c)
+            x[k * STAGE_VARIABLES + i] = d[i] / state_scale(i, c)
         copy_to(last, d)
         for i in range(2):
-            x[k * WIDTH + STATES + i] = dU[k + 1, i] / c.scale[i]
-            state = LIMITED[i]
-            within &= abs(lin.X[k + 1, state] + d[state]) <= c.most[i]
+            x[k * STAGE_VARIABLES + STATES + i] = dU[k + 1, i] / c.scale[i]
+            state = LIMITED_STATES[i]
+            within &= abs(lin.X[k + 1, state] + d[state]) <= c.max_state[i]
     return within
 
 
@@ -345,12 +345,12 @@ def _guess_commands(c: Objective, lin: Linearisation, target: Array, dU: Array, 
     ``riccati_solver.py``.
     """
     N = dU.shape[0] - 1
-    rows = np.empty((N, ROWS))
+    rows = np.empty((N, LIMIT_ROWS))
     for k in range(N):
         for i in range(2):
             rows[k, i], rows[k, 2 + i] = _known(y[2 * (N + k) + i]), _known(y[2 * k + i])
-    came_to, _, _ = riccati_solver.solve(lin, target, c, riccati_solver.MOST_SWEEPS, rows, dU)
-    if came_to == riccati_solver.NOTHING:  # a cost that does not say what the commands should be: y as it is
+    outcome, _, _ = riccati_solver.solve(lin, target, c, riccati_solver.MAX_SWEEPS, rows, dU)
+    if outcome == riccati_solver.FAILED:  # a cost that does not say what the commands should be: y as it is
         return
     for k in range(N):
         for i in range(2):
@@ -368,13 +368,13 @@ def _guess_excesses(c: Objective, lin: Linearisation, q: Array, new: bool, x: Ar
     limits. A ``new`` problem has none of these yet: what is beyond its limit is held to stay there.
     """
     N = len(c.t) - 1
-    column, row = N * WIDTH + 2, N * (STATES + 4) + 2
+    column, row = N * STAGE_VARIABLES + 2, N * (STATES + 4) + 2
     for k in range(N):
         for j in range(2):
-            if np.isfinite(c.most[j]):
-                i = LIMITED[j]
-                state = lin.X[k + 1, i] / c.state_scale[i] + x[k * WIDTH + i]
-                x[column] = max(abs(state) - c.most[j] / c.state_scale[i], 0.0)
+            if np.isfinite(c.max_state[j]):
+                i = LIMITED_STATES[j]
+                state = lin.X[k + 1, i] / c.state_scale[i] + x[k * STAGE_VARIABLES + i]
+                x[column] = max(abs(state) - c.max_state[j] / c.state_scale[i], 0.0)
                 if new and x[column] > 0.0:
                     y[row] = q[column] if state > 0.0 else 0.0
                     y[row + 1] = y[row] - q[column]
@@ -398,16 +398,16 @@ def _shift_limits(y: Array, E: int, t: Array, stages: float) -> None:
 
 
 @jit
-def rescale(places: Places, solve: Array, N: int, limited: int) -> int:
+def rescale(places: Indices, solve: Array, N: int, limited: int) -> int:
     """The problem and its dual with rows scaled by what the dual says of them, in ``solve`` (``room``).
 
     Returns 1 if a scale has changed, 0 if none has, -1 if a number is not finite.
     """
-    at = room(solve, N, limited)
-    row_of = map_of(places, len(at.A)).row_of
+    at = unpack_arrays(solve, N, limited)
+    row_of = unpack_map(places, len(at.A)).row_of
     E = N * STATES + 2
-    size = growth(at.q, N)
-    free = min(LIMIT_ROW * size, LARGEST_LIMIT_ROW)
+    size = dual_scale(at.q, N)
+    free = min(LIMIT_ROW * size, MAX_LIMIT_ROW)
     changed, total = 0, size
     for i in range(len(at.rows)):
         active = abs(at.y[i]) > NOT_ACTIVE
@@ -430,14 +430,14 @@ def rescale(places: Places, solve: Array, N: int, limited: int) -> int:
 
 
 @jit
-def take(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands: Array) -> bool:
+def store_solution(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands: Array) -> bool:
     """A solution x (n,), y (m,) of the problem with scaled rows into ``solve`` (``room``), and as commands (N+1, 2).
 
     Returns whether it is finite.
     """
     N = commands.shape[0] - 1
-    o = objective(numbers)
-    at, U, F = room(solve, N, limited_states(o)), views(flat, N).U, o.scale
+    o = unpack_objective(numbers)
+    at, U, F = unpack_arrays(solve, N, limited_state_count(o)), views(flat, N).U, o.scale
     total = 0.0
     for i in range(len(x)):
         at.x[i] = x[i]
@@ -448,5 +448,5 @@ def take(numbers: Array, x: Array, y: Array, flat: Array, solve: Array, commands
     for i in range(2):
         commands[0, i] = U[0, i]
         for k in range(N):
-            commands[k + 1, i] = U[k + 1, i] + x[k * WIDTH + STATES + i] * F[i]
+            commands[k + 1, i] = U[k + 1, i] + x[k * STAGE_VARIABLES + STATES + i] * F[i]
     return bool(np.isfinite(total))

@@ -36,7 +36,7 @@ STATUS = {
 
 INTERRUPTED = int(osqp.SolverStatus.OSQP_SIGINT)
 
-PLAIN: Settings = {
+BASE_SETTINGS: Settings = {
     "verbose": False,
     "scaling": 0,
     "rho": 1.0,
@@ -75,7 +75,7 @@ class Workspace(Protocol):
         """Replace all stored entries of A (nnz,), by column, and factorise; P stays as it was set up."""
         ...
 
-    def limit(self, iterations: int, tolerance: float) -> None:
+    def set_limits(self, iterations: int, tolerance: float) -> None:
         """Of the solves to come: most iterations, and the absolute residuals at which they end."""
         ...
 
@@ -87,28 +87,28 @@ class Workspace(Protocol):
         """Solve. Ctrl-C, which OSQP takes for itself meanwhile, is handed on to whoever waits for it."""
         ...
 
-    def read(self) -> tuple[Array, Array]:
+    def solution(self) -> tuple[Array, Array]:
         """x (n,), y (m,) of the last solve: the caller's own."""
         ...
 
-    def account(self) -> SolveStatistics:
+    def statistics(self) -> SolveStatistics:
         """The last solve's account."""
         ...
 
 
-def workspace(P: csc_array, q: Array, A: csc_array, l: Array, u: Array, settings: Settings) -> Workspace:  # noqa: E741
+def make_workspace(P: csc_array, q: Array, A: csc_array, l: Array, u: Array, settings: Settings) -> Workspace:  # noqa: E741
     """OSQP set up for a problem. P (n, n) with both triangles, A (m, n); entries that are stored stay stored.
 
     ``settings`` are OSQP's. The faster of both workspaces, where it works.
     """
-    return (RawWorkspace if raw_works() else PublicWorkspace)(P, q, A, l, u, settings)
+    return (ExtensionWorkspace if extension_works() else PublicWorkspace)(P, q, A, l, u, settings)
 
 
-class RawWorkspace:
+class ExtensionWorkspace:
     """By the compiled extension. Arrays that come again, cycle after cycle, are looked at once."""
 
     def __init__(self, P: csc_array, q: Array, A: csc_array, l: Array, u: Array, settings: Settings) -> None:  # noqa: E741
-        """Raises whatever an extension of another shape raises: ``raw_works`` is asked first."""
+        """Raises whatever an extension of another shape raises: ``extension_works`` is asked first."""
         from osqp import ext_builtin
 
         upper, rows = _upper(P), _own(A)
@@ -140,7 +140,7 @@ class RawWorkspace:
             self._A = A = _exact(A, entries)
         _accepted(self._solver.update_data_mat(None, None, A, None))
 
-    def limit(self, iterations: int, tolerance: float) -> None:
+    def set_limits(self, iterations: int, tolerance: float) -> None:
         """As in ``Workspace``."""
         if (iterations, tolerance) != self._limits:
             self._settings.max_iter, self._settings.eps_abs = iterations, tolerance
@@ -160,12 +160,12 @@ class RawWorkspace:
         self._info = self._solver.info
         return _status(self._info.status_val)
 
-    def read(self) -> tuple[Array, Array]:
+    def solution(self) -> tuple[Array, Array]:
         """As in ``Workspace``."""
         solution = self._solver.solution
         return solution.x, solution.y
 
-    def account(self) -> SolveStatistics:
+    def statistics(self) -> SolveStatistics:
         """As in ``Workspace``."""
         info = self._info
         return SolveStatistics(info.iter, info.prim_res, info.dual_res)
@@ -195,7 +195,7 @@ class PublicWorkspace:
         _, _, entries = self._sizes
         self._solver.update(Ax=_exact(A, entries).copy())  # the wrapper keeps the array that it is given
 
-    def limit(self, iterations: int, tolerance: float) -> None:
+    def set_limits(self, iterations: int, tolerance: float) -> None:
         """As in ``Workspace``."""
         if (iterations, tolerance) != self._limits:
             self._solver.update_settings(max_iter=iterations, eps_abs=tolerance)
@@ -211,40 +211,44 @@ class PublicWorkspace:
         self._result = self._solver.solve(raise_error=False)
         return _status(int(self._result.info.status_val))
 
-    def read(self) -> tuple[Array, Array]:
+    def solution(self) -> tuple[Array, Array]:
         """As in ``Workspace``."""
         return np.array(self._result.x), np.array(self._result.y)
 
-    def account(self) -> SolveStatistics:
+    def statistics(self) -> SolveStatistics:
         """As in ``Workspace``."""
         info = self._result.info
         return SolveStatistics(int(info.iter), float(info.prim_res), float(info.dual_res))
 
 
 @functools.cache
-def raw_works() -> bool:
+def extension_works() -> bool:
     """Whether the extension is there, is called as here, and does what the wrapper does: tried once, on a small QP."""
     try:
-        raw, public = _try(RawWorkspace), _try(PublicWorkspace)
+        raw, public = _try(ExtensionWorkspace), _try(PublicWorkspace)
         return all(np.array_equal(a, b) for a, b in zip(raw, public, strict=True))
     except Exception:  # an extension of another shape has its own ways to say so, and the wrapper serves
         return False
 
 
-def _try(kind: type[RawWorkspace] | type[PublicWorkspace]) -> list[Array]:
+def _try(kind: type[ExtensionWorkspace] | type[PublicWorkspace]) -> list[Array]:
     """Every call once; the numbers that came of it."""
     P, A = csc_array(np.array([[2.0, 0.5], [0.5, 1.0]])), csc_array(np.array([[1.0, 1.0], [1.0, -1.0]]))
     bound = np.array([1.0, 0.3])
-    tried = kind(P, np.array([1.0, -2.0]), A, -bound, bound, {**PLAIN, "check_termination": 1, "eps_abs": 1e-6})
+    tried = kind(P, np.array([1.0, -2.0]), A, -bound, bound, {**BASE_SETTINGS, "check_termination": 1, "eps_abs": 1e-6})
     tried.solve()
-    seen = [*tried.read()]
-    tried.limit(200, 1e-9)
+    seen = [*tried.solution()]
+    tried.set_limits(200, 1e-9)
     tried.update_vectors(np.array([-3.0, 0.7]), -2.0 * bound, 0.5 * bound)
     tried.update_matrix(np.array([1.0, 1.1, 0.9, -1.2]))
     tried.warm_start(np.array([0.2, 0.1]), np.array([0.0, 0.4]))
     status = tried.solve()
-    account = tried.account()
-    return [*seen, *tried.read(), np.array([account.iterations, account.primal_residual, status is SolveStatus.SOLVED])]
+    account = tried.statistics()
+    return [
+        *seen,
+        *tried.solution(),
+        np.array([account.iterations, account.primal_residual, status is SolveStatus.SOLVED]),
+    ]
 
 
 def _upper(P: csc_array) -> csc_matrix:

@@ -25,9 +25,9 @@ import numpy as np
 from ltv_mpc.control import shooting_grid
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
-from ltv_mpc.control.linearisation import Linearisation, not_finite, views
-from ltv_mpc.control.problem_data import Objective, objective, pack_objective
-from ltv_mpc.control.qp.riccati import ROWS, Work, sweep, work_on
+from ltv_mpc.control.linearisation import Linearisation, describe_non_finite, views
+from ltv_mpc.control.problem_data import Objective, pack_objective, unpack_objective
+from ltv_mpc.control.qp.riccati import LIMIT_ROWS, SweepWorkspace, sweep, sweep_workspace
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Solve, SolveStatus
@@ -35,24 +35,24 @@ from ltv_mpc.messages import Array, Solve, SolveStatus
 RHO = 1e6
 """Against a curvature of about 1: a row that is held is off by the change of its dual / RHO."""
 
-BEYOND, WRONG = 1e-7, 1e-7
+VIOLATION_TOLERANCE, DUAL_SIGN_TOLERANCE = 1e-7, 1e-7
 """By how much a row must be violated, or a dual be of the wrong sign, to count: of the largest thrust; of the cost that
 it may have. Rounding, times RHO, is a hundred times less.
 """
 
-OFF = 1e-5
+HELD_ROW_TOLERANCE = 1e-5
 """By how much a row that is held may be off, of the largest thrust."""
 
-FIRST, LATER = 2, 2
+FIRST_SWEEPS, LATER_SWEEPS = 2, 2
 """Sweeps that the active set may take: with the last solve's rows, with those that the interior point names."""
 
 SIGMA = 0.1
 """Of the mean product of slack and dual, what a step aims at."""
 
-LEAST_SLACK, FIRST_DUAL = 0.3, 0.3
+INITIAL_SLACK, INITIAL_DUAL = 0.3, 0.3
 """Where the interior point begins."""
 
-CLOSE, THERE = 1e-3, 1e-10
+MU_IDENTIFIED, MU_CONVERGED = 1e-3, 1e-10
 """Mean product below which its slacks and duals say which rows are active; below which it is the solution itself, to
 rounding: where a limit is just reached, and its dual is zero, no set is the right one.
 """
@@ -60,10 +60,10 @@ rounding: where a limit is just reached, and its dual is zero, no set is the rig
 TO_BOUNDARY = 0.995
 """Of the way to where a slack or a dual would be zero."""
 
-MOST_SWEEPS = 60
+MAX_SWEEPS = 60
 """Twice what the hardest problems seen took."""
 
-NOTHING, UNSETTLED, SETTLED = -1, 0, 1
+FAILED, NOT_CONVERGED, CONVERGED = -1, 0, 1
 """What came of it: nothing of use; nearly a solution; the solution."""
 
 
@@ -74,7 +74,7 @@ class RiccatiSolver:
         """``config`` says how many stages, and the weights; ``limits`` has none of the motion."""
         self._most = config.max_iterations
         self._numbers = pack_objective(config.knots, limits, config.weights)
-        self._duals = np.zeros((config.stages, ROWS))
+        self._duals = np.zeros((config.stages, LIMIT_ROWS))
         self._shift = math.nan
         self._lin: Linearisation | None = None
         self._target = np.zeros((config.stages + 1, 2))
@@ -99,37 +99,41 @@ class RiccatiSolver:
         lin = self._lin
         assert lin is not None, "nothing was built"
         commands = np.empty_like(lin.U)
-        came_to, sweeps, beyond = solve_flat(
+        outcome, sweeps, beyond = solve_packed(
             self._numbers, lin.flat, self._target, self._shift, self._most, self._duals, commands
         )
-        if came_to == NOTHING:
+        if outcome == FAILED:
             self.reset_warm_start()
             finite = np.isfinite(lin.flat).all() and np.isfinite(self._target).all()
-            why = "the cost does not say what the commands should be" if finite else not_finite(lin, self._target)
+            why = (
+                "the cost does not say what the commands should be"
+                if finite
+                else describe_non_finite(lin, self._target)
+            )
             status = SolveStatus.FAILED if finite else SolveStatus.NON_FINITE
             return SolverResult(lin.U.copy(), Solve(status=status, iterations=sweeps, why=why))
         self._shift = 0.0
-        solved = came_to == SETTLED
+        solved = outcome == CONVERGED
         why = "" if solved else f"the active limits were not found in {sweeps} sweeps"
         status = SolveStatus.SOLVED if solved else SolveStatus.ITERATION_LIMIT
         return SolverResult(commands, Solve(status=status, iterations=sweeps, primal_residual=beyond, why=why))
 
 
 @jit
-def solve_flat(
+def solve_packed(
     numbers: Array, flat: Array, target: Array, stages: float, most: int, y: Array, commands: Array
 ) -> tuple[int, int, float]:
     """The commands (N+1, 2) of a linearisation's flat array, and the duals y (N, 4) in place of those of a problem that
     began so many first stages earlier (NaN: of none). Returns besides by how much a row is violated at most.
     """
     N = len(target) - 1
-    lin, o = views(flat, N), objective(numbers)
+    lin, o = views(flat, N), unpack_objective(numbers)
     shift_duals(y, o.t, stages)
-    came_to, sweeps, beyond = solve(lin, target, o, most, y, commands)
+    outcome, sweeps, beyond = solve(lin, target, o, most, y, commands)
     for k in range(N + 1):
         for i in range(2):
             commands[k, i] += lin.U[k, i]
-    return came_to, sweeps, beyond
+    return outcome, sweeps, beyond
 
 
 @jit
@@ -149,89 +153,89 @@ def solve(lin: Linearisation, target: Array, o: Objective, most: int, y: Array, 
 
     Returns what came of it, how many sweeps that took, and by how much a row is violated at most.
     """
-    work, active = work_on(lin, o), np.sign(y)
-    came_to, sweeps = _settle(lin, target, o, work, active, FIRST, y, dU)
-    if came_to == UNSETTLED:
-        came_to, more = _interior(lin, target, o, work, active, most - sweeps, y, dU)
+    work, active = sweep_workspace(lin, o), np.sign(y)
+    outcome, sweeps = _active_set(lin, target, o, work, active, FIRST_SWEEPS, y, dU)
+    if outcome == NOT_CONVERGED:
+        outcome, more = _interior_point(lin, target, o, work, active, most - sweeps, y, dU)
         sweeps += more
-    if came_to == NOTHING:
+    if outcome == FAILED:
         dU[:, :] = 0.0
         y[:, :] = 0.0
-        return came_to, sweeps, 0.0
+        return outcome, sweeps, 0.0
     beyond = 0.0
     for k in range(y.shape[0]):
-        for i in range(ROWS):
+        for i in range(LIMIT_ROWS):
             beyond = max(beyond, work.g[k, i] - work.high[k, i], work.low[k, i] - work.g[k, i])
-    return came_to, sweeps, beyond
+    return outcome, sweeps, beyond
 
 
 @jit
-def _settle(
-    lin: Linearisation, target: Array, o: Objective, work: Work, active: Array, most: int, y: Array, dU: Array
+def _active_set(
+    lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, active: Array, most: int, y: Array, dU: Array
 ) -> tuple[int, int]:
     """By the active set; ``active`` (N, 4) is the sign of each row's dual y, 0 of one that is not held."""
     N, low, high = active.shape[0], work.low, work.high
-    weight, tilt, g = work.weight, work.tilt, work.g
+    weight, linear, g = work.weight, work.linear, work.g
     for turn in range(1, most + 1):
         for k in range(N):
-            for i in range(ROWS):
+            for i in range(LIMIT_ROWS):
                 held = active[k, i]
                 if held == 0.0:
-                    weight[k, i] = tilt[k, i] = 0.0
+                    weight[k, i] = linear[k, i] = 0.0
                 else:
                     weight[k, i] = RHO
-                    tilt[k, i] = y[k, i] - RHO * (high[k, i] if held > 0.0 else low[k, i])
+                    linear[k, i] = y[k, i] - RHO * (high[k, i] if held > 0.0 else low[k, i])
         if not sweep(lin, target, o, work, dU):
-            return NOTHING, turn
+            return FAILED, turn
         changed = False
         for k in range(N):
-            for i in range(ROWS):
-                held, dual = active[k, i], weight[k, i] * g[k, i] + tilt[k, i]
-                if held != 0.0 and dual * held >= -WRONG:
-                    changed |= abs(dual - y[k, i]) > RHO * OFF
+            for i in range(LIMIT_ROWS):
+                held, dual = active[k, i], weight[k, i] * g[k, i] + linear[k, i]
+                if held != 0.0 and dual * held >= -DUAL_SIGN_TOLERANCE:
+                    changed |= abs(dual - y[k, i]) > RHO * HELD_ROW_TOLERANCE
                     y[k, i] = dual
                     continue
                 y[k, i] = now = 0.0
-                if g[k, i] > high[k, i] + BEYOND:
+                if g[k, i] > high[k, i] + VIOLATION_TOLERANCE:
                     now = 1.0
-                elif g[k, i] < low[k, i] - BEYOND:
+                elif g[k, i] < low[k, i] - VIOLATION_TOLERANCE:
                     now = -1.0
                 if now != held:
                     active[k, i], changed = now, True
         if not changed:
-            return SETTLED, turn
-    return UNSETTLED, most
+            return CONVERGED, turn
+    return NOT_CONVERGED, most
 
 
 @jit
-def _interior(
-    lin: Linearisation, target: Array, o: Objective, work: Work, active: Array, most: int, y: Array, dU: Array
+def _interior_point(
+    lin: Linearisation, target: Array, o: Objective, work: SweepWorkspace, active: Array, most: int, y: Array, dU: Array
 ) -> tuple[int, int]:
     """By the interior point, until the active set takes it from there."""
     N, low, high = active.shape[0], work.low, work.high
-    weight, tilt, g = work.weight, work.tilt, work.g
+    weight, linear, g = work.weight, work.linear, work.g
     # slack and dual of the upper bounds, then of the lower ones, and their steps
-    t, nu = np.empty((2, N, ROWS)), np.empty((2, N, ROWS))
-    dt, dnu = np.empty((2, N, ROWS)), np.empty((2, N, ROWS))
+    t, nu = np.empty((2, N, LIMIT_ROWS)), np.empty((2, N, LIMIT_ROWS))
+    dt, dnu = np.empty((2, N, LIMIT_ROWS)), np.empty((2, N, LIMIT_ROWS))
     for k in range(N):
-        for i in range(ROWS):
-            t[0, k, i], t[1, k, i] = max(high[k, i], LEAST_SLACK), max(-low[k, i], LEAST_SLACK)
-            nu[0, k, i] = nu[1, k, i] = FIRST_DUAL
+        for i in range(LIMIT_ROWS):
+            t[0, k, i], t[1, k, i] = max(high[k, i], INITIAL_SLACK), max(-low[k, i], INITIAL_SLACK)
+            nu[0, k, i] = nu[1, k, i] = INITIAL_DUAL
     sweeps, mu = 0, _mean_product(t, nu)
     while sweeps < most:
         aim = SIGMA * mu
         for k in range(N):
-            for i in range(ROWS):
+            for i in range(LIMIT_ROWS):
                 above, below = nu[0, k, i] / t[0, k, i], nu[1, k, i] / t[1, k, i]
                 weight[k, i] = above + below
-                tilt[k, i] = aim / t[0, k, i] + nu[0, k, i] - above * high[k, i]
-                tilt[k, i] -= aim / t[1, k, i] + nu[1, k, i] + below * low[k, i]
+                linear[k, i] = aim / t[0, k, i] + nu[0, k, i] - above * high[k, i]
+                linear[k, i] -= aim / t[1, k, i] + nu[1, k, i] + below * low[k, i]
         sweeps += 1
         if not sweep(lin, target, o, work, dU):
-            return NOTHING, sweeps
+            return FAILED, sweeps
         primal = dual = 1.0
         for k in range(N):
-            for i in range(ROWS):
+            for i in range(LIMIT_ROWS):
                 for side in range(2):
                     T, V = t[side, k, i], nu[side, k, i]
                     # t + dt is what is left to the bound, and (t + dt)(nu + dnu) = aim to first order
@@ -244,7 +248,7 @@ def _interior(
                         dual = min(dual, -TO_BOUNDARY * V / fall)
         same = True
         for k in range(N):
-            for i in range(ROWS):
+            for i in range(LIMIT_ROWS):
                 for side in range(2):
                     t[side, k, i] += primal * dt[side, k, i]
                     nu[side, k, i] += dual * dnu[side, k, i]
@@ -257,24 +261,24 @@ def _interior(
                     active[k, i], same = now, False
         mu = _mean_product(t, nu)
         if not np.isfinite(mu):
-            return NOTHING, sweeps
-        if mu < CLOSE and (same or mu < THERE):
+            return FAILED, sweeps
+        if mu < MU_IDENTIFIED and (same or mu < MU_CONVERGED):
             _duals(nu, y)
-            if mu < THERE:
-                return SETTLED, sweeps
-            came_to, more = _settle(lin, target, o, work, active, LATER, y, dU)
+            if mu < MU_CONVERGED:
+                return CONVERGED, sweeps
+            outcome, more = _active_set(lin, target, o, work, active, LATER_SWEEPS, y, dU)
             sweeps += more
-            if came_to != UNSETTLED:
-                return came_to, sweeps
+            if outcome != NOT_CONVERGED:
+                return outcome, sweeps
     _duals(nu, y)
-    return UNSETTLED, sweeps
+    return NOT_CONVERGED, sweeps
 
 
 @jit
 def _duals(nu: Array, y: Array) -> None:
     """y (N, 4) of the duals of both sides."""
     for k in range(y.shape[0]):
-        for i in range(ROWS):
+        for i in range(LIMIT_ROWS):
             y[k, i] = nu[0, k, i] - nu[1, k, i]
 
 
@@ -283,6 +287,6 @@ def _mean_product(t: Array, nu: Array) -> float:
     total = 0.0
     for side in range(2):
         for k in range(t.shape[1]):
-            for i in range(ROWS):
+            for i in range(LIMIT_ROWS):
                 total += t[side, k, i] * nu[side, k, i]
     return total / t.size

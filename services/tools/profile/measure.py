@@ -77,7 +77,7 @@ class Piqp(NamedTuple):
 
 def limits_of(episode: Episode) -> HorizonLimits:
     """Return the limits of the episode's vehicle between two knots."""
-    return HorizonLimits.of(episode.vehicle, seconds(1), episode.config.limits.max_abs)
+    return HorizonLimits.from_vehicle(episode.vehicle, seconds(1), episode.config.limits.max_abs)
 
 
 class Samples:

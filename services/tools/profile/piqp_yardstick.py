@@ -16,7 +16,7 @@ from scipy.sparse import csc_matrix
 from ltv_mpc.control.config import ResolvedConfig
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation
-from ltv_mpc.control.qp.sparse import WIDTH, SparseQp
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Array, Solve, SolveStatus
 from ltv_mpc.vehicle.flow import STATES
@@ -37,7 +37,7 @@ class PiqpYardstick:
         self._equal = row_of < E
         fixed = np.concatenate([np.arange(E, slews), np.arange(boxes, form.rows)])
         self._kinds = np.arange(E), fixed, np.arange(slews, boxes)
-        thrusts = np.arange(form.stages)[:, None] * WIDTH + STATES + np.arange(2)
+        thrusts = np.arange(form.stages)[:, None] * STAGE_VARIABLES + STATES + np.arange(2)
         self._thrusts = thrusts.ravel()
         self._low, self._high = np.full(form.variables, -np.inf), np.full(form.variables, np.inf)
         self._lin: Linearisation | None = None
@@ -63,7 +63,7 @@ class PiqpYardstick:
         equal, slew, box = self._kinds
         self._low[self._thrusts], self._high[self._thrusts] = self._l[box], self._u[box]
         if self._solver is None:
-            whole = csc_matrix(self.form.assembled(self._A, self._q, self._l, self._u).A)
+            whole = csc_matrix(self.form.assemble(self._A, self._q, self._l, self._u).A)
             self._equalities, self._slews = csc_matrix(whole[equal]), csc_matrix(whole[slew])
             self._P = csc_matrix(self.form.P)
             self._solver = piqp.SparseSolver()

@@ -87,7 +87,7 @@ def cycles() -> list[Cycle]:
     build = OsqpSolver.build
 
     def remembered(self, lin, target):  # type: ignore[no-untyped-def]
-        copied = Linearisation.of(*lin[:-1])  # the controller's own is used again
+        copied = Linearisation.from_arrays(*lin[:-1])  # the controller's own is used again
         seen.append(Cycle(self.form, copied, np.array(target), self._shift))
         return build(self, lin, target)
 

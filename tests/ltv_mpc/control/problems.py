@@ -18,8 +18,8 @@ from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
-LIMITS = HorizonLimits.of(PAPER, 0.3)
-LOWERED = HorizonLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.change, LIMITS.state_scale)
+LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
+LOWERED = HorizonLimits(0.4 * LIMITS.low, np.array([0.4, 0.3]) * LIMITS.high, LIMITS.max_change, LIMITS.state_scale)
 """A box that was just made smaller: a command can be outside of it."""
 
 
@@ -35,7 +35,7 @@ def motion(seed: int, stages: int, *, gap: float = 0.0) -> tuple[Linearisation, 
     U = np.empty((stages + 1, 2))
     U[0] = rng.uniform(-50, 50, 2)
     for k in range(stages):
-        U[k + 1] = np.clip(U[k] + rng.uniform(-1, 1, 2) * LIMITS.change, LIMITS.low, LIMITS.high)
+        U[k + 1] = np.clip(U[k] + rng.uniform(-1, 1, 2) * LIMITS.max_change, LIMITS.low, LIMITS.high)
     C = rng.normal(size=(stages + 1, 2)) * 0.05
     p = PAPER.coefficients()
     X = roll_out(np.concatenate([X0, U[0]]), U, C, np.full(stages, 0.3), p)
@@ -55,7 +55,7 @@ def unlike_any_motion(seed: int, stages: int) -> tuple[Linearisation, Array]:
         B[:, 6, 1] = B[:, 7, 0] = 0.0
     X = rng.normal(size=(stages + 1, 8))
     U = rng.uniform(-40, 40, (stages + 1, 2))
-    lin = Linearisation.of(
+    lin = Linearisation.from_arrays(
         X, U, rng.normal(size=(stages + 1, 2)), X[1:] + rng.normal(size=(stages, 8)) * 0.1, A, B0, B1
     )
     return lin, rng.normal(size=(stages + 1, 2))

@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.problem_data import pack
+from ltv_mpc.control.problem_data import pack_constants
 from ltv_mpc.control.vertical import VerticalPlan, follow
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Solve
@@ -227,7 +227,7 @@ def test_the_integral_takes_up_a_buoyancy_that_the_model_does_not_know():
 
 
 def test_on_a_ramp_that_is_too_fast_the_thruster_is_at_its_maximum_and_the_integral_does_not_wind_up():
-    numbers = pack(PAPER, Weights(), np.arange(18.0), 0.3)
+    numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
     plan = VerticalPlan(*follow(numbers, 1.0, 0.2, 62.5, 62.5, 0.0, np.full(18, 9.0), np.full(18, 0.3)))
     np.testing.assert_array_equal(plan.thrust_N, 62.5)
     assert plan.integral_rate_N_per_s == 0.0

@@ -15,7 +15,7 @@ from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Solve
 
 PAPER = Vehicle.load("paper")
-LIMITS = HorizonLimits.of(PAPER, 0.3)
+LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
 SECOND = 1_000_000_000
 
 
@@ -34,7 +34,7 @@ def plan(start_ns: int, thrust) -> Plan:
 @given(arrays(np.float64, (6, 2), elements=st.floats(-500, 500)), arrays(np.float64, 2, elements=st.floats(-80, 80)))
 def test_enforced_commands_obey_slew_exactly_and_the_box_as_soon_as_they_can(commands, start):
     commands[0] = start
-    out = LIMITS.enforced(commands, np.arange(float(len(commands))))
+    out = LIMITS.clip(commands, np.arange(float(len(commands))))
     np.testing.assert_array_equal(out[0], start)
     assert (np.abs(np.diff(out, axis=0)) <= 30.0 + 1e-9).all()
     for k in range(1, 6):
@@ -46,14 +46,16 @@ def test_enforced_commands_obey_slew_exactly_and_the_box_as_soon_as_they_can(com
 
 @given(arrays(np.float64, (6, 2), elements=st.floats(-12, 12)))
 def test_commands_inside_the_limits_are_left_alone(commands):
-    np.testing.assert_array_equal(LIMITS.enforced(commands, np.arange(float(len(commands)))), commands)
+    np.testing.assert_array_equal(LIMITS.clip(commands, np.arange(float(len(commands)))), commands)
 
 
 def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side():
     own = {"port": {"min_N": -20.0, "max_N": 50.0, "slew_N_per_s": 40.0}, "starboard": {"min_N": -60.0, "max_N": 30.0}}
     thruster = msgspec.to_builtins(PAPER.thruster)
     changed = {name: values | own.get(name, {}) for name, values in thruster.items()}
-    limits = HorizonLimits.of(msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle), 0.3)
+    limits = HorizonLimits.from_vehicle(
+        msgspec.convert(msgspec.to_builtins(PAPER) | {"thruster": changed}, Vehicle), 0.3
+    )
     np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
     np.testing.assert_array_equal(limits.high, [50.0, 30.0])
     np.testing.assert_allclose(limits.change, [12.0, 30.0])
@@ -74,7 +76,7 @@ def test_commands_too_steep_or_too_strong_end_at_the_nearest_that_are_allowed():
     """By hand: at most 30 N a knot from the knot before, then the box."""
     wanted = np.array([[0.0, 0.0], [100.0, -10.0], [100.0, -50.0], [100.0, -200.0], [-100.0, 0.0]])
     allowed = [[0.0, 0.0], [30.0, -10.0], [60.0, -40.0], [62.5, -62.5], [32.5, -32.5]]
-    np.testing.assert_allclose(LIMITS.enforced(wanted, np.arange(float(len(wanted)))), allowed)
+    np.testing.assert_allclose(LIMITS.clip(wanted, np.arange(float(len(wanted)))), allowed)
 
 
 def test_nothing_was_sent_so_nothing_is_in_force():

@@ -12,10 +12,10 @@ import pytest
 from ltv_mpc.control.config import ControllerConfig, MotionLimits
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
-from ltv_mpc.control.horizon_limits import LIMITED, PENALTY, HorizonLimits
-from ltv_mpc.control.problem_data import objective, pack_objective
+from ltv_mpc.control.horizon_limits import LIMITED_STATES, PENALTY, HorizonLimits
+from ltv_mpc.control.problem_data import pack_objective, unpack_objective
 from ltv_mpc.control.qp.problem import QP
-from ltv_mpc.control.qp.sparse import WIDTH, SparseQp
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES, SparseQp
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers import Solver, make, solve_qp
 from ltv_mpc.control.solvers.osqp import OsqpSolver
@@ -35,7 +35,7 @@ def settings(limits: MotionLimits, **fields: object) -> ControllerConfig:
 
 def form_of(limits: MotionLimits) -> SparseQp:
     config = resolve_weights(settings(limits), PAPER)
-    return SparseQp(equidistant(N), HorizonLimits.of(PAPER, 0.3, limits.max_abs), config.weights)
+    return SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3, limits.max_abs), config.weights)
 
 
 def excesses(form: SparseQp, x: Array) -> Array:
@@ -64,7 +64,7 @@ def test_the_penalty_is_exact(limits: MotionLimits) -> None:
         else:
             np.testing.assert_allclose(form.commands(lin, x), form.commands(lin, within), atol=1e-6)
             assert excesses(form, x).max() < 1e-7
-            free = SparseQp(equidistant(N), HorizonLimits.of(PAPER, 0.3), form.weights)
+            free = SparseQp(equidistant(N), HorizonLimits.from_vehicle(PAPER, 0.3), form.weights)
             off = form.commands(lin, x) - free.commands(lin, precise(free.build(lin, target)))
             kept += bool(np.abs(off).max() > 1.0)  # and it holds something back
     assert kept >= 3
@@ -116,8 +116,10 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
         guess, qp = solver.point(), solver.problem()
         gradient = qp.P @ guess[0] + qp.q + qp.A.T @ guess[1]
         thrusts = np.zeros(form.variables, dtype=bool)
-        thrusts[: N * WIDTH].reshape(N, WIDTH)[:, STATES:] = True  # these alone are the solver's to find
-        beyond = np.flatnonzero(guess[0] * (np.arange(form.variables) >= N * WIDTH + 2))
+        thrusts[: N * STAGE_VARIABLES].reshape(N, STAGE_VARIABLES)[:, STATES:] = (
+            True  # these alone are the solver's to find
+        )
+        beyond = np.flatnonzero(guess[0] * (np.arange(form.variables) >= N * STAGE_VARIABLES + 2))
         thrusts[beyond] = True
         np.testing.assert_allclose(gradient[~thrusts], 0.0, atol=1e-9)
         quiet = excesses(form, x).ravel() < 1e-9
@@ -138,15 +140,17 @@ def test_words_of_their_rows() -> None:
     ]
     assert len(names) == form_of(YAW).rows
     assert form_of(MotionLimits()).limited == ()
-    assert [form_of(limits).limited for limits in (YAW, BOTH)] == [(5,), LIMITED]
+    assert [form_of(limits).limited for limits in (YAW, BOTH)] == [(5,), LIMITED_STATES]
 
 
 def test_the_exact_flow_is_judged_by_them_too() -> None:
     """What the line search looks at costs as the QP has it: by stage lengths and scales."""
     knots = np.array([0.0, 1.0, 2.0, 4.0])
-    limits = HorizonLimits.of(PAPER, 0.3, np.array([0.2, 0.1]))
+    limits = HorizonLimits.from_vehicle(PAPER, 0.3, np.array([0.2, 0.1]))
     weights = resolve_weights(ControllerConfig(), PAPER).weights
-    free, bound = (objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.of(PAPER, 0.3), limits))
+    free, bound = (
+        unpack_objective(pack_objective(knots, of, weights)) for of in (HorizonLimits.from_vehicle(PAPER, 0.3), limits)
+    )
     X, U, C, target = np.zeros((4, 8)), np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 2))
     X[:, 2], X[:, 5] = [9.0, 0.2, -0.5, 0.1], [9.0, -0.3, 0.0, 0.16]
     scale = limits.state_scale

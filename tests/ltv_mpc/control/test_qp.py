@@ -8,10 +8,10 @@ import pytest
 from ltv_mpc import build_qp, solve_qp
 from ltv_mpc.control.cost import cost
 from ltv_mpc.control.linearisation import roll_out, velocity_over_ground
-from ltv_mpc.control.problem_data import objective
+from ltv_mpc.control.problem_data import unpack_objective
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.residuals import residuals
-from ltv_mpc.control.qp.sparse import WIDTH
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.vehicle.parameters import Vehicle
 from tests.ltv_mpc.control.problems import LIMITS, precise
 
@@ -75,12 +75,12 @@ def test_the_objective_is_the_documented_cost(cycles):
         x = np.concatenate([z.ravel(), end])
         return 0.5 * x @ (qp.P @ x) + qp.q @ x, 0.5 * direct
 
-    q0, d0 = both(np.zeros((N, WIDTH)), np.zeros(2))
+    q0, d0 = both(np.zeros((N, STAGE_VARIABLES)), np.zeros(2))
     for _ in range(5):
-        q1, d1 = both(rng.normal(size=(N, WIDTH)), rng.normal(size=2))
+        q1, d1 = both(rng.normal(size=(N, STAGE_VARIABLES)), rng.normal(size=2))
         assert q1 - q0 == pytest.approx(d1 - d0, rel=1e-9)
     # and the cost that the line search compares is the same one
-    assert cost(lin.X, lin.U, lin.C, cycle.target, objective(form.numbers)) == pytest.approx(
+    assert cost(lin.X, lin.U, lin.C, cycle.target, unpack_objective(form.numbers)) == pytest.approx(
         2 * (d0 + 0.5 * form.weights.terminal_velocity_s2_per_m2 * (velocity**2).sum()), rel=1e-12
     )
 

@@ -9,7 +9,14 @@ import pytest
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
 from ltv_mpc.control.scaling import PAPER as FOUND_FOR
-from ltv_mpc.control.scaling import resolve_weights, scales_of, slowness, state_scale, weaker_couple, weights_of
+from ltv_mpc.control.scaling import (
+    characteristic_scales,
+    default_weights,
+    resolve_weights,
+    state_scale,
+    time_ratio,
+    weaker_couple,
+)
 from ltv_mpc.errors import ConfigError
 
 PAPER = Vehicle.load("paper")
@@ -42,10 +49,10 @@ def scaled(vehicle: Vehicle, length: float, time: float, mass: float) -> Vehicle
 
 
 def test_the_papers_vehicle_has_exactly_the_weights_that_were_found_for_it() -> None:
-    assert weights_of(PAPER) == Weights()
-    assert scales_of(PAPER) == pytest.approx(FOUND_FOR, rel=1e-5)
+    assert default_weights(PAPER) == Weights()
+    assert characteristic_scales(PAPER) == pytest.approx(FOUND_FOR, rel=1e-5)
     assert state_scale(PAPER).tolist() == [1.0, 1.0, 0.3, 0.3, 1.0, 0.3]
-    assert slowness(PAPER) == 1.0
+    assert time_ratio(PAPER) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -53,7 +60,7 @@ def test_the_papers_vehicle_has_exactly_the_weights_that_were_found_for_it() -> 
 )
 def test_scales_are_a_speed_and_a_time_whatever_the_units(length: float, time: float, mass: float) -> None:
     """Dimensional analysis: V goes as length / time, T as time, and the mass drops out."""
-    of = scales_of(scaled(PAPER, length, time, mass))
+    of = characteristic_scales(scaled(PAPER, length, time, mass))
     assert of.speed_mps == pytest.approx(0.5 * length / time)
     assert of.time_s == pytest.approx(FOUND_FOR.time_s * time, rel=1e-5)
     speed, rounding = length / time, 6e-3  # three digits
@@ -61,7 +68,7 @@ def test_scales_are_a_speed_and_a_time_whatever_the_units(length: float, time: f
     np.testing.assert_allclose(
         state_scale(scaled(PAPER, length, time, mass)), state_scale(PAPER) * units, rtol=rounding
     )
-    assert slowness(scaled(PAPER, length, time, mass)) == pytest.approx(time, rel=rounding)
+    assert time_ratio(scaled(PAPER, length, time, mass)) == pytest.approx(time, rel=rounding)
 
 
 def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
@@ -83,7 +90,7 @@ def test_a_vehicle_of_another_size_does_the_same_on_its_own_scale() -> None:
 def test_a_weight_that_is_named_replaces_that_one_alone() -> None:
     surface = Vehicle.load("surface")
     config = resolve_weights(ControllerConfig(weights=WeightSettings(thrust=0.5), horizon_s=7.2), surface)
-    assert config.weights == msgspec.structs.replace(weights_of(surface), thrust=0.5)
+    assert config.weights == msgspec.structs.replace(default_weights(surface), thrust=0.5)
     assert config.horizon_s == 7.2
     assert resolve_weights(config, PAPER) is config  # what is settled stays
 
@@ -92,9 +99,9 @@ def test_the_controller_uses_them_and_says_so() -> None:
     surface = Vehicle.load("surface")
     controller = Controller(surface, references.Point(north_m=0.0, east_m=0.0))
     assert isinstance(controller.config, ResolvedConfig)
-    assert controller.config.weights == weights_of(surface) != Weights()
-    assert controller._numbers[0] == weights_of(surface).position_per_m2
-    assert controller._solver.form.weights == weights_of(surface)
+    assert controller.config.weights == default_weights(surface) != Weights()
+    assert controller._numbers[0] == default_weights(surface).position_per_m2
+    assert controller._solver.form.weights == default_weights(surface)
 
 
 def test_a_named_weight_outside_its_bounds_is_refused(tmp_path) -> None:
@@ -117,7 +124,7 @@ def test_the_weaker_side_of_a_turn_counts() -> None:
 def test_every_shipped_vehicle_comes_to_its_point_and_stays(name: str) -> None:
     """From 2 m off across a current of a fifth of its top speed, on its own model, with nothing set by hand."""
     vehicle = Vehicle.load(name)
-    scales, still = scales_of(vehicle), np.zeros(1)
+    scales, still = characteristic_scales(vehicle), np.zeros(1)
     controller = Controller(
         vehicle,
         references.Point(north_m=0.0, east_m=0.0),
@@ -137,7 +144,7 @@ def test_every_shipped_vehicle_comes_to_its_point_and_stays(name: str) -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_cost_is_the_same_in_every_vehicles_own_length_and_time(name: str) -> None:
     """Its terms as integrals over t / T of |p / L|^2 and f: a sum over stages of h is T / h integrals, |dU| is h f'."""
-    of, found = scales_of(Vehicle.load(name)), scales_of(PAPER)
+    of, found = characteristic_scales(Vehicle.load(name)), characteristic_scales(PAPER)
 
     def terms(scales, w: Weights) -> np.ndarray:
         L, T, V, h = scales.length_m, scales.time_s, scales.speed_mps, 0.3
@@ -151,5 +158,5 @@ def test_the_cost_is_the_same_in_every_vehicles_own_length_and_time(name: str) -
             ]
         )
 
-    ours, theirs = terms(of, weights_of(Vehicle.load(name))), terms(found, Weights())
+    ours, theirs = terms(of, default_weights(Vehicle.load(name))), terms(found, Weights())
     np.testing.assert_allclose(ours / ours[0], theirs / theirs[0], rtol=0.02)

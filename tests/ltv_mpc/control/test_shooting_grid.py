@@ -11,14 +11,14 @@ from ltv_mpc.control.cost import cost
 from ltv_mpc.control.horizon_limits import HorizonLimits
 from ltv_mpc.control.linearisation import Linearisation, linearise_along, roll_out
 from ltv_mpc.control.nominal_trajectory import shift_controls
-from ltv_mpc.control.problem_data import objective, pack, pack_objective
-from ltv_mpc.control.shooting_grid import knots, position
+from ltv_mpc.control.problem_data import pack_constants, pack_objective, unpack_objective
+from ltv_mpc.control.shooting_grid import knots, locate
 from ltv_mpc.control.solvers import osqp
 from ltv_mpc.control.vertical import follow
 
 PAPER = Vehicle.load("paper")
 P = PAPER.coefficients()
-LIMITS = HorizonLimits.of(PAPER, 0.3)
+LIMITS = HorizonLimits.from_vehicle(PAPER, 0.3)
 GROWING = knots(17, 34.0)
 LENGTHS = np.diff(GROWING)
 N = 17
@@ -41,10 +41,10 @@ def test_the_far_stages_grow_by_one_factor_and_reach_the_horizon(stages, horizon
 
 def test_a_position_is_a_stage_and_a_part_of_it_and_stays_within():
     t = np.array([0.0, 1.0, 2.0, 4.0])
-    assert position(t, 1.25, 0) == (1, 0.25)
-    assert position(t, 3.0, 1) == (2, 0.5)
-    assert position(t, 9.0, 0) == (2, 1.0)
-    assert position(t, -1.0, 0) == (0, 0.0)
+    assert locate(t, 1.25, 0) == (1, 0.25)
+    assert locate(t, 3.0, 1) == (2, 0.5)
+    assert locate(t, 9.0, 0) == (2, 1.0)
+    assert locate(t, -1.0, 0) == (0, 0.0)
 
 
 def test_commands_are_carried_over_in_time():
@@ -73,7 +73,7 @@ def test_what_stays_the_same_costs_the_same_however_long_the_stages_are():
         X, U, C = np.zeros((len(t), 8)), np.zeros((len(t), 2)), np.zeros((len(t), 2))
         X[:, 0] = 1.0
         U[:, 0] = F(t)
-        return cost(X, U, C, np.zeros((len(t), 2)), objective(pack_objective(t, LIMITS, weights)))
+        return cost(X, U, C, np.zeros((len(t), 2)), unpack_objective(pack_objective(t, LIMITS, weights)))
 
     steady = [costs(t, lambda t: np.full(len(t), 30.0)) for t in (GROWING, np.arange(35.0))]
     assert steady[0] == pytest.approx(steady[1]) == pytest.approx(34 * (1 + 0.2 * (30 / 62.5) ** 2))
@@ -87,7 +87,7 @@ def test_the_vertical_law_acts_as_often_as_before():
     fine = np.arange(8.0)
 
     def depths(t):
-        numbers = pack(PAPER, Weights(), t, 0.3)
+        numbers = pack_constants(PAPER, Weights(), t, 0.3)
         return follow(numbers, 1.0, 0.0, 20.0, 20.0, 0.0, 1.5 + 0.06 * t, np.full(len(t), 0.2))
 
     (one, thrust, rate), (other, often, as_often) = depths(coarse), depths(fine)

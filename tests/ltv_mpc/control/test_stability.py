@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, references
-from ltv_mpc.control.horizon_selection import ENOUGH, proposed_horizon_s
+from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES, proposed_horizon_s
 from ltv_mpc.control.nominal_model import as_estimate
 from ltv_mpc.control.prediction import Prediction
-from ltv_mpc.control.scaling import scales_of
+from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.control.sent_commands import SentCommands
-from ltv_mpc.control.stability import held, is_stable, largest_pole
+from ltv_mpc.control.stability import is_stable, spectral_radius, steady_state
 from tests.ltv_mpc.reports import report
 
 SIDE = {
@@ -43,7 +43,7 @@ CYCLE_NS = 300_000_000
 
 def aside(vehicle: Vehicle, horizon_s: float, cycles: int, off_m: float = 1e-4) -> np.ndarray:
     """Off its place to the side, bow-on in a current, after each cycle (m); at first ``off_m``."""
-    X, C = held(vehicle, SHARE)
+    X, C = steady_state(vehicle, SHARE)
     profile = CurrentProfile(depth_m=np.zeros(1), north_mps=C[:1], east_mps=C[1:])
     estimate = msgspec.structs.replace(Estimate.at_rest(east_m=off_m), current=profile)
     controller = Controller(vehicle, references.Point(north_m=0.0, east_m=0.0), ControllerConfig(horizon_s=horizon_s))
@@ -67,11 +67,11 @@ def test_the_controllers_own_error_grows_as_the_largest_pole_says():
     """While it is so small that its plans are linear in it to their ends."""
     off = aside(LIGHT, 5.1, 55)
     assert off[54] < 1e-4
-    assert (off[54] / off[24]) ** (1 / 30) == pytest.approx(largest_pole(LIGHT, 5.1, SHARE), rel=0.003)
+    assert (off[54] / off[24]) ** (1 / 30) == pytest.approx(spectral_radius(LIGHT, 5.1, SHARE), rel=0.003)
 
 
 def test_with_the_horizon_that_is_proposed_it_dies_away():
-    proposed_s, short_s = proposed_horizon_s(LIGHT), ENOUGH * scales_of(LIGHT).time_s
+    proposed_s, short_s = proposed_horizon_s(LIGHT), MIN_TIME_SCALES * characteristic_scales(LIGHT).time_s
     assert is_stable(LIGHT, proposed_s)
     assert not is_stable(LIGHT, proposed_s / 1.1)  # it is no longer than that takes
     off = aside(LIGHT, proposed_s, 120, 1e-3)

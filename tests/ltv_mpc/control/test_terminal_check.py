@@ -11,16 +11,16 @@ from scipy.integrate import quad
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.problem_data import Constants, constants, pack
-from ltv_mpc.control.scaling import scales_of
-from ltv_mpc.control.terminal_check import FAR, TerminalCheck, check_terminal, closing_speed
+from ltv_mpc.control.problem_data import Constants, pack_constants, unpack_constants
+from ltv_mpc.control.scaling import characteristic_scales
+from ltv_mpc.control.terminal_check import MAX_TAIL_TIMES, TerminalCheck, check_terminal, closing_speed
 
 PAPER, WEAK = Vehicle.load("paper"), Vehicle.load("weak-reverse")
 STAGE_S = 0.3
 
 
 def numbers(vehicle: Vehicle) -> Constants:
-    return constants(pack(vehicle, Weights(), np.arange(5.0), STAGE_S))
+    return unpack_constants(pack_constants(vehicle, Weights(), np.arange(5.0), STAGE_S))
 
 
 def ends(vehicle: Vehicle, off_m: float, heading: float, flow_mps: float, target_mps: float = 0.0) -> TerminalCheck:
@@ -68,8 +68,8 @@ def test_stuck_is_who_is_off_and_cannot_come_nearer_that_way_round(
 @pytest.mark.parametrize(("off_m", "flow_mps"), [(3.0, 0.1), (30.0, 0.3), (50.0, 0.45), (2.0, 0.55)])
 def test_what_is_beyond_the_horizon_is_the_integral_of_the_squared_distance(off_m, flow_mps):
     found = ends(PAPER, off_m, WEST, flow_mps)
-    V = scales_of(PAPER).speed_mps
-    until_s = FAR * scales_of(PAPER).time_s
+    V = characteristic_scales(PAPER).speed_mps
+    until_s = MAX_TAIL_TIMES * characteristic_scales(PAPER).time_s
     integral, _ = quad(lambda t: max(off_m - (V - flow_mps) * t, 0.0) ** 2, 0.0, until_s, limit=500)
     assert found.beyond == pytest.approx(Weights().position_per_m2 / STAGE_S * integral, rel=1e-3)
 

@@ -166,13 +166,13 @@ CASES: dict[str, tuple[Callable[[], Finding], Break, Level, tuple[str, ...]]] = 
     ),
     "code compiled for this process alone": (
         doctor.compiled,
-        lambda broken: broken("CACHE_IS_KEPT", False, jit),
+        lambda broken: broken("CACHE_IS_PERSISTENT", False, jit),
         Level.WARNING,
         ("XDG_CACHE_HOME",),
     ),
     "code not compiled yet": (
         doctor.compiled,
-        lambda broken: (broken("CACHE_IS_KEPT", True, jit), broken("is_warm", lambda: False, jit_cache))[0],
+        lambda broken: (broken("CACHE_IS_PERSISTENT", True, jit), broken("is_warm", lambda: False, jit_cache))[0],
         Level.WARNING,
         ("make setup",),
     ),

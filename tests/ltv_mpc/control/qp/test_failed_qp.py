@@ -10,7 +10,7 @@ from scipy.sparse import csc_array
 
 from ltv_mpc import Controller, ControllerConfig, Estimate, PlanOrigin, SolveStatus, Vehicle, references
 from ltv_mpc.control.config import Weights
-from ltv_mpc.control.qp.failed_qp import FailedQp, worst
+from ltv_mpc.control.qp.failed_qp import FailedQp, worst_violation
 from ltv_mpc.control.qp.problem import QP
 from ltv_mpc.control.qp.sparse import SparseQp
 from ltv_mpc.errors import ConfigError
@@ -34,9 +34,9 @@ def test_every_row_has_words_and_a_scale():
             step = np.zeros(len(qp.q))
             step[8 + 10 * k + i] = 1.0 / 62.5  # 1 N
             moved = {
-                row.of: change * row.scale
+                row.name: change * row.scale
                 for row, change in zip(rows, qp.A @ step, strict=True)
-                if change and "motion" not in row.of
+                if change and "motion" not in row.name
             }
             want = {f"limit of {side} at the end of stage {k + 1}": 1.0, f"slew of {side} in stage {k + 1}": 1.0}
             if k < 4:
@@ -48,24 +48,24 @@ def test_rows_of_the_motion_are_in_the_states_units():
     qp, rows = built()
     step = np.zeros(len(qp.q))
     step[2 * 10 + 2] = 0.1 / 0.3  # surge at the end of stage 3, 0.1 m/s
-    change = dict(zip((row.of for row in rows), (qp.A @ step) * [row.scale for row in rows], strict=True))
+    change = dict(zip((row.name for row in rows), (qp.A @ step) * [row.scale for row in rows], strict=True))
     assert change["the motion (surge) up to the end of stage 3"] == pytest.approx(-0.1)
 
 
 def test_the_worst_row_is_named_with_its_violation_in_newtons():
     qp, rows = built()
     x = np.zeros(len(qp.q))
-    i = next(i for i, row in enumerate(rows) if row.of == "slew of starboard in stage 4")
+    i = next(i for i, row in enumerate(rows) if row.name == "slew of starboard in stage 4")
     qp.l[:], qp.u[:] = -1e3, 1e3
     qp.u[i] = -0.04
-    assert worst(qp, x, rows) == "slew of starboard in stage 4 violated by 2.5 N"
+    assert worst_violation(qp, x, rows) == "slew of starboard in stage 4 violated by 2.5 N"
     qp.u[i] = 0.0
-    assert worst(qp, x, rows) == ""
+    assert worst_violation(qp, x, rows) == ""
 
 
 def test_faults_name_what_is_not_finite_and_bounds_that_exclude_each_other():
     qp, rows = built()
-    row = next(i for i, row in enumerate(rows) if row.of == "limit of port at the end of stage 2")
+    row = next(i for i, row in enumerate(rows) if row.name == "limit of port at the end of stage 2")
     qp.l[row] = qp.u[row] + 0.1
     qp.q[3] = np.nan
     qp.u[0] = np.nan

@@ -37,7 +37,7 @@ def lin():
     for B in (B0, B1):
         B[:, 6, 1] = B[:, 7, 0] = 0.0
     U = rng.uniform(-20, 20, (N + 1, 2))
-    return Linearisation.of(X, U, rng.normal(size=(N + 1, 2)), X[1:] + rng.normal(size=(N, 8)), A, B0, B1)
+    return Linearisation.from_arrays(X, U, rng.normal(size=(N + 1, 2)), X[1:] + rng.normal(size=(N, 8)), A, B0, B1)
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_inequalities_are_the_distances_of_commands_from_slew_and_box(lin, targe
 
 def test_the_pattern_does_not_depend_on_the_numbers(lin, target):
     """A number that happens to be zero keeps its place; nothing stands where the documented model has none."""
-    still = Linearisation.of(*lin[:4], 0 * lin.A, 0 * lin.B0, 0 * lin.B1)
+    still = Linearisation.from_arrays(*lin[:4], 0 * lin.A, 0 * lin.B0, 0 * lin.B1)
     moving, zero = FORM.build(lin, target).A, FORM.build(still, target).A
     np.testing.assert_array_equal(moving.indices, zero.indices)
     np.testing.assert_array_equal(moving.indptr, zero.indptr)
@@ -133,7 +133,9 @@ def test_commands_are_those_that_a_point_stands_for(lin):
 
 def test_one_stage_is_a_horizon_too(lin, target):
     one = SparseQp(KNOTS[:2], LIMITS, WEIGHTS)
-    short = Linearisation.of(lin.X[:2], lin.U[:2], lin.C[:2], *(x[:1] for x in (lin.Phi, lin.A, lin.B0, lin.B1)))
+    short = Linearisation.from_arrays(
+        lin.X[:2], lin.U[:2], lin.C[:2], *(x[:1] for x in (lin.Phi, lin.A, lin.B0, lin.B1))
+    )
     qp = one.build(short, target[:2])
     assert qp.A.shape == (14, 12)
     whole = FORM.build(lin, target)

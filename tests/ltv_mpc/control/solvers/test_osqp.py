@@ -10,7 +10,7 @@ import pytest
 
 from ltv_mpc.control.config import ResolvedConfig, Weights
 from ltv_mpc.control.qp.residuals import residuals
-from ltv_mpc.control.qp.sparse import WIDTH
+from ltv_mpc.control.qp.sparse import STAGE_VARIABLES
 from ltv_mpc.control.solvers import osqp, osqp_workspace
 from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.solvers.osqp_workspace import PublicWorkspace
@@ -60,9 +60,11 @@ def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_station
     np.testing.assert_allclose((qp.A @ x)[:equal], qp.l[:equal], atol=1e-9)
     slope = qp.P @ x + qp.q + qp.A.T @ y
     thrusts = np.zeros(len(x), dtype=bool)
-    thrusts[:-2].reshape(-1, WIDTH)[:, 8:] = True
+    thrusts[:-2].reshape(-1, STAGE_VARIABLES)[:, 8:] = True
     np.testing.assert_allclose(slope[~thrusts], 0.0, atol=1e-9 * np.abs(y).max())
-    assert np.abs(x[:-2].reshape(-1, WIDTH)[:, :6] * LIMITS.state_scale).max() > 1e-3  # there were gaps to close
+    assert (
+        np.abs(x[:-2].reshape(-1, STAGE_VARIABLES)[:, :6] * LIMITS.state_scale).max() > 1e-3
+    )  # there were gaps to close
 
 
 def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_residuals_is_enough(cycles):
@@ -73,7 +75,7 @@ def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_r
         kkt = residuals(solver.problem(), *solver.point())
         assert max(kkt.stationarity, kkt.primal, kkt.complementarity) <= 2e-5
         solver.update()
-        assert solver.solve().solve.iterations == osqp.FIRST_TURN
+        assert solver.solve().solve.iterations == osqp.FIRST_BATCH
 
 
 @pytest.mark.parametrize("off_m", [10.0, 100.0])
@@ -85,7 +87,7 @@ def test_far_from_its_line_it_ends_as_soon(off_m):
         target[:-1] += off_m
         ours = answer(solver, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
-        assert ours.solve.iterations <= osqp.FIRST_TURN + osqp.TURN
+        assert ours.solve.iterations <= osqp.FIRST_BATCH + osqp.BATCH
         np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, CONFIG.weights), atol=0.01)
 
 
@@ -100,8 +102,8 @@ def test_without_the_sweeps_it_begins_at_the_trajectory_with_the_duals_of_the_la
     solver.shift_warm_start(0.0)
     solver.build(lin, target)
     again, duals = solver.point()
-    assert np.abs(x[:-2].reshape(-1, WIDTH)[:, 8:]).max() > 0.1
-    np.testing.assert_array_equal(again[:-2].reshape(-1, WIDTH)[:, 8:], 0.0)
+    assert np.abs(x[:-2].reshape(-1, STAGE_VARIABLES)[:, 8:]).max() > 0.1
+    np.testing.assert_array_equal(again[:-2].reshape(-1, STAGE_VARIABLES)[:, 8:], 0.0)
     assert np.abs(duals[solver.form.equalities :]).max() > 0.0
     np.testing.assert_array_equal(duals[solver.form.equalities :], y[solver.form.equalities :])
 
@@ -125,8 +127,8 @@ def test_the_tolerance_is_on_the_residuals(cycles):
         answer(solver, cycle.lin, cycle.target)
         kkt = residuals(solver.problem(), *solver.point())
         # the rows of free limits are scaled down, and with them what is seen of their violation
-        assert kkt.stationarity <= 1e-6 * osqp.LOOSEST
-        assert kkt.primal <= 1e-6 * osqp.LOOSEST / osqp.LIMIT_ROW
+        assert kkt.stationarity <= 1e-6 * osqp.MAX_LOOSENING
+        assert kkt.primal <= 1e-6 * osqp.MAX_LOOSENING / osqp.LIMIT_ROW
         assert kkt.complementarity <= 1e-4
 
 
@@ -143,7 +145,7 @@ def test_a_solve_depends_on_its_problem_and_its_first_guess_alone(cycles):
 def test_the_public_wrapper_gives_the_same_commands(cycles, monkeypatch):
     raw = OsqpSolver(CONFIG, LIMITS)
     ours = [answer(raw, c.lin, c.target, c.stages) for c in cycles[::10]]
-    monkeypatch.setattr(osqp_workspace, "raw_works", lambda: False)
+    monkeypatch.setattr(osqp_workspace, "extension_works", lambda: False)
     public = OsqpSolver(CONFIG, LIMITS)
     theirs = [answer(public, c.lin, c.target, c.stages) for c in cycles[::10]]
     assert isinstance(public._workspace, PublicWorkspace)
@@ -174,8 +176,8 @@ def test_an_answer_that_is_not_finite_is_reported_and_the_workspace_rebuilt(cycl
         def __getattr__(self, name):
             return getattr(self.real, name)
 
-        def read(self):
-            x, y = self.real.read()
+        def solution(self):
+            x, y = self.real.solution()
             return np.full_like(x, np.nan), y
 
     solver, lin, target = OsqpSolver(CONFIG, LIMITS), cycles[30].lin, cycles[30].target
@@ -191,6 +193,6 @@ def test_the_iteration_limit_ends_a_solve_and_says_so(cycles):
     config = msgspec.structs.replace(CONFIG, tolerance=1e-14, max_iterations=20)
     solve = answer(OsqpSolver(config, LIMITS), cycles[150].lin, cycles[150].target).solve
     assert solve.status is SolveStatus.ITERATION_LIMIT
-    assert solve.iterations <= 20 + osqp.TURN
+    assert solve.iterations <= 20 + osqp.BATCH
     assert "after 2" in solve.why
     assert "residual" in solve.why

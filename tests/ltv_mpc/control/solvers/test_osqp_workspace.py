@@ -12,12 +12,18 @@ import pytest
 from osqp import ext_builtin
 from scipy.sparse import csc_array
 
-from ltv_mpc.control.solvers.osqp_workspace import PLAIN, PublicWorkspace, RawWorkspace, raw_works, workspace
+from ltv_mpc.control.solvers.osqp_workspace import (
+    BASE_SETTINGS,
+    ExtensionWorkspace,
+    PublicWorkspace,
+    extension_works,
+    make_workspace,
+)
 from ltv_mpc.messages import SolveStatus
 
 N, M = 6, 9
-SETTINGS = {**PLAIN, "rho": 0.1, "max_iter": 4000, "eps_abs": 1e-7, "check_termination": 1}
-KINDS = pytest.mark.parametrize("kind", [RawWorkspace, PublicWorkspace])
+SETTINGS = {**BASE_SETTINGS, "rho": 0.1, "max_iter": 4000, "eps_abs": 1e-7, "check_termination": 1}
+KINDS = pytest.mark.parametrize("kind", [ExtensionWorkspace, PublicWorkspace])
 
 
 def problem(seed):
@@ -37,17 +43,17 @@ def cycles(kind):
         _, q, A, low, high = problem(seed)
         solver.update_vectors(q, low, high)
         solver.update_matrix(A.data)
-        solver.limit(10 if seed == 3 else 4000, 1e-7)
+        solver.set_limits(10 if seed == 3 else 4000, 1e-7)
         rng = np.random.default_rng(seed)
         solver.warm_start(rng.normal(size=N), rng.normal(size=M))
-        seen += [solver.solve(), *solver.read(), solver.account()]
+        seen += [solver.solve(), *solver.solution(), solver.statistics()]
         if seed == 3:  # goes on where it ended
-            seen += [solver.solve(), *solver.read(), solver.account()]
+            seen += [solver.solve(), *solver.solution(), solver.statistics()]
     return seen
 
 
 def test_both_ways_give_the_same_bit_for_bit():
-    raw, public = cycles(RawWorkspace), cycles(PublicWorkspace)
+    raw, public = cycles(ExtensionWorkspace), cycles(PublicWorkspace)
     assert {SolveStatus.SOLVED, SolveStatus.ITERATION_LIMIT} <= {x for x in raw if isinstance(x, SolveStatus)}
     for ours, theirs in zip(raw, public, strict=True):
         np.testing.assert_array_equal(ours, theirs)
@@ -63,7 +69,7 @@ def test_an_update_is_worth_a_new_setup(kind):
     for solver in (updated, fresh):
         solver.warm_start(np.zeros(N), np.zeros(M))
         assert solver.solve() is SolveStatus.SOLVED
-        answers.append(solver.read()[0])
+        answers.append(solver.solution()[0])
     np.testing.assert_allclose(answers[0], answers[1], atol=1e-9)
 
 
@@ -74,14 +80,14 @@ def test_what_it_was_given_stays_the_caller_s(kind):
     before = [values.copy() for values in given]
     solver = kind(P, q, A, low, high, SETTINGS)
     solver.solve()
-    first = solver.read()[0]
+    first = solver.solution()[0]
     kept = first.copy()
     data = problem(2)[2].data.copy()
     solver.update_matrix(data)
     data[:] = np.nan
     solver.update_vectors(2.0 * q, low, high)
     solver.solve()
-    assert np.isfinite(solver.read()[0]).all()
+    assert np.isfinite(solver.solution()[0]).all()
     np.testing.assert_array_equal(first, kept)
     for values, copy in zip(given, before, strict=True):
         np.testing.assert_array_equal(values, copy)
@@ -98,7 +104,7 @@ def test_any_layout_is_read_right_and_a_wrong_length_is_refused(kind):
         solver.update_matrix(layout(np.round(problem(1)[2].data * 64) / 64))
         solver.warm_start(layout(np.ones(N)), layout(np.ones(M)))
         solver.solve()
-        answers.append(solver.read()[0])
+        answers.append(solver.solution()[0])
     for answer in answers[1:]:
         np.testing.assert_array_equal(answer, answers[0])
     for short in (
@@ -132,8 +138,8 @@ def test_ctrl_c_while_osqp_solves_reaches_whoever_waits_for_it(kind, request):
 
 
 def test_the_extension_is_used_where_it_works():
-    assert raw_works()
-    assert isinstance(workspace(*problem(0), SETTINGS), RawWorkspace)
+    assert extension_works()
+    assert isinstance(make_workspace(*problem(0), SETTINGS), ExtensionWorkspace)
 
 
 class Renamed:
@@ -152,7 +158,7 @@ class Wrong(ext_builtin.OSQPSolver):
 
 @pytest.mark.parametrize("broken", ["missing", "renamed", "other numbers"])
 def test_the_wrapper_steps_in_for_an_extension_that_changed(broken, monkeypatch):
-    expected = cycles(workspace)
+    expected = cycles(make_workspace)
     if broken == "missing":
         monkeypatch.setitem(sys.modules, "osqp.ext_builtin", None)
         monkeypatch.delattr("osqp.ext_builtin", raising=False)
@@ -161,12 +167,12 @@ def test_the_wrapper_steps_in_for_an_extension_that_changed(broken, monkeypatch)
     else:
         module = type("Module", (), {**vars(ext_builtin), "OSQPSolver": Wrong})
         monkeypatch.setattr("osqp.ext_builtin", module)
-    raw_works.cache_clear()
+    extension_works.cache_clear()
     try:
-        assert not raw_works()
+        assert not extension_works()
         if broken != "missing":  # the wrapper itself stands on the extension
-            assert isinstance(workspace(*problem(0), SETTINGS), PublicWorkspace)
-            for ours, theirs in zip(cycles(workspace), expected, strict=True):
+            assert isinstance(make_workspace(*problem(0), SETTINGS), PublicWorkspace)
+            for ours, theirs in zip(cycles(make_workspace), expected, strict=True):
                 np.testing.assert_array_equal(ours, theirs)
     finally:
-        raw_works.cache_clear()
+        extension_works.cache_clear()

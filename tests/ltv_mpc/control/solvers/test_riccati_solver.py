@@ -30,13 +30,13 @@ def test_its_commands_are_the_optimum(problem, stages, limits):
         lin, target = problem(seed, stages)
         ours = answer(solver, lin, target)
         assert ours.solve.status is SolveStatus.SOLVED
-        assert ours.solve.primal_residual <= 1.01 * riccati_solver.OFF
+        assert ours.solve.primal_residual <= 1.01 * riccati_solver.HELD_ROW_TOLERANCE
         np.testing.assert_array_equal(ours.commands[0], lin.U[0])
         np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, CONFIG.weights), atol=EXACT_N)
         sweeps.append(ours.solve.iterations)
     if stages >= 17 and problem is motion:
-        assert max(sweeps) > riccati_solver.FIRST, "none of these took the interior point"
-    assert max(sweeps) <= riccati_solver.MOST_SWEEPS
+        assert max(sweeps) > riccati_solver.FIRST_SWEEPS, "none of these took the interior point"
+    assert max(sweeps) <= riccati_solver.MAX_SWEEPS
 
 
 def test_stages_that_grow_and_gaps():
@@ -77,7 +77,7 @@ def test_the_iteration_limit_ends_it_and_its_commands_are_still_of_use():
     lin, target = motion(1, CONFIG.stages)
     ours = answer(solver, lin, target)
     assert ours.solve.status is SolveStatus.ITERATION_LIMIT
-    assert 9 <= ours.solve.iterations <= 9 + riccati_solver.LATER
+    assert 9 <= ours.solve.iterations <= 9 + riccati_solver.LATER_SWEEPS
     assert f"{ours.solve.iterations} sweeps" in ours.solve.why
     assert 0.0 < ours.solve.primal_residual < 1.0
 
