@@ -65,7 +65,7 @@ class CasadiIpopt(Peer):
             "p": ca.vertcat(X0, U0, ca.vec(C), ca.vec(reference)),
         }
         self._solver = ca.nlpsol("solver", "ipopt", problem, OPTIONS)
-        self._slew = np.tile(limits.change / limits.scale, N)
+        self._slew = np.tile(limits.max_change / limits.scale, N)
         self._duals: dict[str, Array] = {}
 
     def reset_warm_start(self) -> None:

@@ -54,7 +54,7 @@ class CvxpyOsqp(Peer):
             + w.thrust * cp.sum_squares(u)
             + w.thrust_change * cp.sum_squares(change)
         )
-        slew = limits.change / limits.scale
+        slew = limits.max_change / limits.scale
         self._problem = cp.Problem(
             cp.Minimize(cost),
             [

@@ -48,7 +48,7 @@ class DoMpcIpopt(Peer):
         mpc.settings.store_solver_stats = []
         mpc.settings.supress_ipopt_output()
         self._set_objective(model)
-        slew = limits.change / limits.scale / STAGE_S
+        slew = limits.max_change / limits.scale / STAGE_S
         mpc.bounds["lower", "_u", "rate"], mpc.bounds["upper", "_u", "rate"] = -slew, slew
         for side, bound in (("lower", limits.low), ("upper", limits.high)):
             mpc.bounds[side, "_x", "U"] = bound / limits.scale

@@ -57,7 +57,7 @@ class QpmpcDaqp(Peer):
         lin, N = self.lin, self.stages
         A, B = self._transitions()
         low, high = self.limits.box(lin.U[0], self.knots)
-        slew = self.limits.change
+        slew = self.limits.max_change
         # the reference in coordinates of the stage; U = 0 and the constant are their own targets
         at = np.zeros((N + 1, WIDTH))
         at[1:, :2] = self.reference - lin.X[1:, :2]

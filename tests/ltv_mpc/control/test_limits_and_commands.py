@@ -58,7 +58,7 @@ def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side()
     )
     np.testing.assert_array_equal(limits.low, [-20.0, -60.0])
     np.testing.assert_array_equal(limits.high, [50.0, 30.0])
-    np.testing.assert_allclose(limits.change, [12.0, 30.0])
+    np.testing.assert_allclose(limits.max_change, [12.0, 30.0])
     np.testing.assert_array_equal(limits.scale, [50.0, 60.0])
 
 

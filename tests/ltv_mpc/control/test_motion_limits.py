@@ -116,9 +116,8 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
         guess, qp = solver.point(), solver.problem()
         gradient = qp.P @ guess[0] + qp.q + qp.A.T @ guess[1]
         thrusts = np.zeros(form.variables, dtype=bool)
-        thrusts[: N * STAGE_VARIABLES].reshape(N, STAGE_VARIABLES)[:, STATES:] = (
-            True  # these alone are the solver's to find
-        )
+        # the solver has only these to find
+        thrusts[: N * STAGE_VARIABLES].reshape(N, STAGE_VARIABLES)[:, STATES:] = True
         beyond = np.flatnonzero(guess[0] * (np.arange(form.variables) >= N * STAGE_VARIABLES + 2))
         thrusts[beyond] = True
         np.testing.assert_allclose(gradient[~thrusts], 0.0, atol=1e-9)
@@ -134,7 +133,7 @@ def test_a_problem_that_comes_again_begins_at_its_solution() -> None:
 
 
 def test_words_of_their_rows() -> None:
-    names = [row.of for row in form_of(YAW).row_names]
+    names = [row.name for row in form_of(YAW).row_names]
     assert names[-3:] == [
         f"{of} yaw rate at the end of stage 17" for of in ("upper limit of", "lower limit of", "excess of")
     ]

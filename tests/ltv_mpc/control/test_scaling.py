@@ -8,7 +8,7 @@ import pytest
 
 from ltv_mpc import Controller, ControllerConfig, CurrentProfile, Estimate, Vehicle, advance, references
 from ltv_mpc.control.config import ResolvedConfig, Weights, WeightSettings
-from ltv_mpc.control.scaling import PAPER as FOUND_FOR
+from ltv_mpc.control.scaling import PAPER_SCALES as FOUND_FOR
 from ltv_mpc.control.scaling import (
     characteristic_scales,
     default_weights,

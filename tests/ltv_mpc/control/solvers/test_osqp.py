@@ -62,9 +62,8 @@ def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_station
     thrusts = np.zeros(len(x), dtype=bool)
     thrusts[:-2].reshape(-1, STAGE_VARIABLES)[:, 8:] = True
     np.testing.assert_allclose(slope[~thrusts], 0.0, atol=1e-9 * np.abs(y).max())
-    assert (
-        np.abs(x[:-2].reshape(-1, STAGE_VARIABLES)[:, :6] * LIMITS.state_scale).max() > 1e-3
-    )  # there were gaps to close
+    states = x[:-2].reshape(-1, STAGE_VARIABLES)[:, :6]
+    assert np.abs(states * LIMITS.state_scale).max() > 1e-3  # there were gaps to close
 
 
 def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_residuals_is_enough(cycles):
@@ -157,7 +156,7 @@ def test_the_public_wrapper_gives_the_same_commands(cycles, monkeypatch):
 @pytest.mark.parametrize("field", ["X", "Phi", "A", "B0", "B1"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(cycles, field):
     good, target = cycles[30].lin, cycles[30].target
-    bad = type(good).of(*good[:-1])
+    bad = type(good).from_arrays(*good[:-1])
     getattr(bad, field)[4] = np.nan
     used, fresh = OsqpSolver(CONFIG, LIMITS), OsqpSolver(CONFIG, LIMITS)
     answer(used, good, target)

@@ -85,7 +85,7 @@ def test_the_iteration_limit_ends_it_and_its_commands_are_still_of_use():
 @pytest.mark.parametrize("field", ["X", "U", "C", "Phi", "A", "B0", "B1"])
 def test_a_problem_that_is_not_finite_is_reported_and_leaves_nothing_behind(field):
     good, target = motion(2, CONFIG.stages)
-    bad = type(good).of(*good[:-1])
+    bad = type(good).from_arrays(*good[:-1])
     getattr(bad, field)[-1] = np.nan
     used = RiccatiSolver(CONFIG, LIMITS)
     answer(used, good, target)
