@@ -30,7 +30,7 @@ def test_the_effect_is_that_of_the_pairs_and_a_pair_without_a_number_does_not_co
     assert effect.detectable == pytest.approx(2.8 * np.std([1, 2, 1], ddof=1) / math.sqrt(3))
 
 
-def test_a_run_with_everything_on_is_made_once_for_all_mechanisms_of_an_event_and_never_again():
+def test_the_baseline_of_an_event_is_run_once_for_all_mechanisms():
     event = Event("event", "in words", lambda seed: {"m": float(seed)})
     mechanisms = [Mechanism(name, event, replaced, ("m",), (), ()) for name in ("a", "b")]
     todo = runner.jobs(mechanisms, range(2), set())

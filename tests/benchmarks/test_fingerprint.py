@@ -24,7 +24,7 @@ def test_the_same_run_has_the_same_fingerprint_in_every_role():
     assert len(set(first.values())) == 3
 
 
-def test_another_weight_changes_plans_and_thrusts_and_a_known_state_changes_estimates():
+def test_another_weight_changes_plans_and_a_known_state_changes_estimates():
     plain, other, known = hashes(), hashes("controller.weights.thrust=0.0031"), hashes("run.perfect_state=true")
     assert plain["plan"] != other["plan"]
     assert plain["applied"] != other["applied"]

@@ -36,7 +36,7 @@ def made_up(count: int) -> list[Place]:
     return made
 
 
-def test_the_rule_that_was_put_in_is_found_and_beats_constants_where_it_was_not_fitted() -> None:
+def test_the_true_rule_is_found_and_beats_constants_outside_the_fitted_range() -> None:
     of = made_up(200)
     found = rules.fitted(of)
     # what is enough is the next horizon of the design above the law's: half a step of it, in the mean

@@ -88,7 +88,7 @@ def test_peers_that_solve_the_qp_find_its_optimum(file: str) -> None:
         ("with_scipy", NO_SLEW, 0.1),  # has no slew limit
     ],
 )
-def test_peers_that_solve_the_nonlinear_problem_find_what_repeated_linearisation_converges_to(
+def test_nonlinear_peers_find_what_repeated_linearisation_converges_to(
     file: str, limits: HorizonLimits, within_N: float
 ) -> None:
     peer = peer_of(file)(CONFIG, limits, VEHICLE)

@@ -222,7 +222,7 @@ def test_one_changed_value_in_a_good_file_is_accepted_or_named(data: st.DataObje
     assert refusal == "" or key in refusal
 
 
-def test_a_file_that_is_not_there_names_the_one_that_was_meant_or_the_folder_that_is_missing(tmp_path: Path) -> None:
+def test_a_missing_file_error_names_the_similar_file_or_the_missing_folder(tmp_path: Path) -> None:
     (tmp_path / "hull.toml").write_text("x = 1\n")
     (tmp_path / "other.toml").write_text("x = 1\n")
     for name, said in (

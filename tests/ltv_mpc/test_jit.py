@@ -52,7 +52,7 @@ def test_without_a_home_that_can_be_written_it_compiles_into_a_temporary_folder(
     assert done.stdout.startswith(str(tmp_path))
 
 
-def test_a_folder_that_is_given_gets_one_of_these_sources_in_it_and_children_take_it_as_it_is(tmp_path):
+def test_a_given_cache_folder_gets_a_subfolder_per_sources_and_children_inherit_it(tmp_path):
     """A value of the user's for numba must not bring back stale code."""
     code = "from ltv_mpc import jit; print(jit.CACHE)"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

@@ -44,7 +44,7 @@ def test_indexes_folders_and_certificates_are_handed_on(install: ModuleType) -> 
     }
 
 
-def test_the_environment_goes_before_the_file_and_installs_settings_before_the_global(install: ModuleType) -> None:
+def test_the_environment_overrides_the_file_and_install_overrides_global(install: ModuleType) -> None:
     of_file = "global.index-url='https://all/simple'\ninstall.index-url='https://install/simple'\n"
 
     assert install.sources(of_file)["UV_DEFAULT_INDEX"] == "https://install/simple"

@@ -132,9 +132,7 @@ def test_the_tag_is_the_version_and_a_commit_behind_it_is_in_it(tmp_path: Path) 
         ("unknown", "ffffffffffffffff", "unknown"),
     ],
 )
-def test_a_checkout_says_the_commit_that_it_is_at_and_not_the_one_at_which_it_was_installed(
-    installed: str, commit: str, said: str
-) -> None:
+def test_a_checkout_reports_its_current_commit_not_the_installed_one(installed: str, commit: str, said: str) -> None:
     assert versions.of(installed, commit) == said
 
 

@@ -84,7 +84,7 @@ def test_without_drag_and_thrust_kinetic_energy_is_conserved():
     assert np.ptp(u) > 0.3  # and it is exchanged
 
 
-def test_sinking_through_shear_keeps_the_momentum_of_dry_mass_over_ground_and_added_mass_in_the_water():
+def test_sinking_through_shear_conserves_momentum_of_dry_and_added_mass():
     """m V + (M - m) V_r is constant in the world, V over ground, V_r in the water, where no force acts."""
     p = PAPER._replace(net_buoyancy=0.0, **DRAGLESS)
     states, _, _ = travel([0, 0, 0.2, -0.1, 0.5, 0.02, 3.3, 0.2], none(100), p, current=SHEARED)
@@ -168,7 +168,7 @@ def test_revolutions_follow_with_the_lags_time_constant(lag):
         np.testing.assert_allclose(revs[k], asked * (1 - math.exp(-1)) * np.array([1, -1, 1]), rtol=1e-4)
 
 
-def test_thrust_asked_for_is_thrust_delivered_until_the_propeller_turns_as_fast_as_it_can():
+def test_thrust_is_delivered_as_commanded_up_to_the_propellers_top_speed():
     asked = np.linspace(-90, 90, 37)
     for inflow in (-0.3, 0.0, 0.4):
         for F in asked:

@@ -74,7 +74,7 @@ def test_truth_comes_every_ten_milliseconds_and_the_report_every_hundred():
 
 
 @pytest.mark.parametrize("depth", [0.0, 12.6])
-def test_before_the_descent_it_drifts_with_the_water_at_its_depth_whatever_it_is_told(depth):
+def test_before_the_descent_the_vehicle_drifts_with_the_water_at_its_depth(depth):
     settings = scenario(plant={"heading_rad": 0.7, "north_m": 3.0, "depth_m": depth})
     said = run(plant_of(settings), 0, {-900 * MS: [arrival(-900 * MS, [[20, 20, 20]] * 9)]})
     north, east = make(settings.water, 0).at(depth, 0)
@@ -159,7 +159,7 @@ def test_plans_whose_arrival_times_are_out_of_order_do_no_harm():
     assert of(Applied, said)[-1].plan_sequence == 1
 
 
-def test_velocity_over_ground_is_that_through_the_water_plus_the_current_at_its_depth():
+def test_velocity_over_ground_is_that_through_water_plus_the_current_at_depth():
     settings = scenario(plant={"heading_rad": 2.0, "depth_m": 7.4})
     said = run(plant_of(settings), 3 * S, {0: [arrival(0, [[0, 0, 0], *[[30, 20, 10]] * 9])]})
     water = make(settings.water, 0)

@@ -99,13 +99,13 @@ def controller(period_ms: int = 300) -> Fake:
     return Fake("controller", Cycle(period_ms * MS), (Estimate, CycleTiming), answer, (Plan,))
 
 
-def test_a_grid_steps_at_whole_multiples_of_its_period_from_the_start_to_the_end_both_included() -> None:
+def test_a_grid_steps_at_multiples_of_its_period_with_start_and_end_included() -> None:
     node = plant()
     run([node], start_ns=-25 * MS, end_ns=30 * MS)
     assert node.times_ms == [-20, -10, 0, 10, 20, 30]
 
 
-def test_at_one_instant_nodes_step_in_the_order_of_the_list_however_their_schedules_differ() -> None:
+def test_at_one_instant_nodes_step_in_the_order_of_the_list() -> None:
     sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), depths, (PressureDepth,))
     estimator = Fake(
         "estimator", OnMessage((PressureDepth,)), (PressureDepth,), lambda t_ns, _: [estimate(t_ns)], (Estimate,)
@@ -117,7 +117,7 @@ def test_at_one_instant_nodes_step_in_the_order_of_the_list_however_their_schedu
     assert steps == [(0, n) for n in table] + [(10, n) for n in table[:3]] + [(20, n) for n in table]
 
 
-def test_the_observer_hears_of_a_step_before_its_outputs_with_cause_number_epoch_and_sequence() -> None:
+def test_the_observer_receives_a_step_before_its_outputs_with_its_cause() -> None:
     sensors = Fake("sensors", OnMessage((Truth,)), (Truth,), depths, (PressureDepth,))
     log = Log()
     run([plant(), sensors], start_ns=0, end_ns=10 * MS, observe=log)
@@ -133,7 +133,7 @@ def test_the_observer_hears_of_a_step_before_its_outputs_with_cause_number_epoch
     ]
 
 
-def test_a_step_on_a_message_is_for_its_validity_time_and_its_outputs_are_published_when_it_arrived() -> None:
+def test_a_step_on_a_message_has_its_validity_time_and_publishes_on_arrival() -> None:
     def late(t_ns: int, _: Inbox) -> list[Message]:
         return [PressureDepth(t_ns=t_ns - 3 * MS, depth_m=0.0)]
 
@@ -149,7 +149,7 @@ def test_a_step_on_a_message_is_for_its_validity_time_and_its_outputs_are_publis
     ]
 
 
-def test_several_messages_at_once_are_stepped_on_one_by_one_in_their_order_of_arrival() -> None:
+def test_several_messages_at_once_are_stepped_one_by_one_in_order_of_arrival() -> None:
     def two(t_ns: int, _: Inbox) -> list[Message]:
         return [PressureDepth(t_ns=t_ns - 2 * MS, depth_m=0.0), PressureDepth(t_ns=t_ns, depth_m=0.0)]
 
@@ -159,7 +159,7 @@ def test_several_messages_at_once_are_stepped_on_one_by_one_in_their_order_of_ar
     assert estimator.seen == [(-2 * MS, [(PressureDepth, 0, 0)]), (0, [(PressureDepth, 1, 0)])]
 
 
-def test_what_causes_no_step_waits_in_the_inbox_and_comes_before_the_message_that_does() -> None:
+def test_messages_that_cause_no_step_wait_and_precede_the_one_that_does() -> None:
     def event(t_ns: int, _: Inbox) -> list[Message]:
         return [RunEvent(t_ns=t_ns, node="first", kind="k", text="")]
 
@@ -191,14 +191,14 @@ def test_a_cycle_starts_at_its_period_or_when_the_last_one_ends_if_that_is_later
     assert node.times_ms == cycles_ms
 
 
-def test_a_plan_arrives_exactly_one_delay_after_its_cycle_began_and_before_the_steps_of_that_instant() -> None:
+def test_a_plan_arrives_one_delay_after_its_cycle_and_before_steps_of_that_instant() -> None:
     node = plant()
     run([node, controller()], start_ns=0, end_ns=730 * MS, compute_delay_ns=710 * MS)
     got = {t_ns // MS: kinds for t_ns, kinds in node.seen if kinds}
     assert got == {710: [(Plan, 0, 710 * MS)]}
 
 
-def test_the_next_cycle_hears_what_the_last_one_took_even_if_it_starts_the_instant_that_one_ends() -> None:
+def test_the_next_cycle_receives_the_timing_of_the_last_one_without_a_pause() -> None:
     node = controller()
     run([node], start_ns=0, end_ns=710 * MS, compute_delay_ns=710 * MS)
     assert node.seen == [(0, []), (710 * MS, [(CycleTiming, 0, 710 * MS)])]

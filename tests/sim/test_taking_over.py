@@ -145,7 +145,7 @@ def test_disarmed_from_the_start_it_plans_no_thrust_and_says_so():
     assert not np.any([x.command_N for x in seen.applied])
 
 
-def test_a_pilot_who_falls_silent_leaves_the_thrusters_at_zero_and_the_last_plan_ends_so():
+def test_a_silent_pilot_leaves_the_thrusters_at_zero_and_the_last_plan_ends_there():
     seen, _ = fly({3.0: MANUAL}, 4.0, stick=(40.0, -40.0, 20.0))
     last = seen.plans[-1]
     np.testing.assert_allclose(last.thrust_at(4_300_000_000), (40.0, -40.0, 20.0))
@@ -153,7 +153,7 @@ def test_a_pilot_who_falls_silent_leaves_the_thrusters_at_zero_and_the_last_plan
     assert not last.thrust_at(6_000_000_000).any()
 
 
-def test_a_reference_by_message_is_followed_and_a_wrong_one_is_refused_with_the_reason():
+def test_a_reference_message_is_followed_and_an_invalid_one_rejected_with_reason():
     there = 'kind = "point"\nnorth_m = 3.0\neast_m = -2.0\n'
     orders = {
         1.0: Command(command_id=7, action=Action.FOLLOW, reference_toml=there),

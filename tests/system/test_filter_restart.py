@@ -79,7 +79,7 @@ def led(request):
     return situation, ears
 
 
-def test_nothing_is_wrong_before_and_the_filter_is_called_inconsistent_within_three_seconds(led):
+def test_the_filter_is_reported_inconsistent_within_three_seconds_and_not_before(led):
     _, ears = led
     status = {r.t_ns // SECOND: r for r in ears.reports}
     assert all(r.status is FilterStatus.NOMINAL for t, r in status.items() if t <= FROM_S)

@@ -78,7 +78,7 @@ class Ears:
         return self.status[node].rejected if node in self.status else 0
 
 
-def test_ten_thousand_frames_of_an_intruder_reach_neither_the_plant_nor_the_controller(tmp_path: Path) -> None:
+def test_ten_thousand_frames_of_an_intruder_reach_neither_plant_nor_controller(tmp_path: Path) -> None:
     run, certs, foreign, log = (tmp_path / name for name in ("run", "certs", "foreign", "launcher.log"))
     certificates.make(certs, ROLES, days=1)
     certificates.make(foreign, ROLES, days=1)

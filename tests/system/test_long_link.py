@@ -57,7 +57,7 @@ def over_the_link(situation: Situation, folder: Path) -> Summary:
     return summary
 
 
-def test_the_mean_error_over_a_long_lossy_link_is_at_most_1_3_times_that_of_a_perfect_one(tmp_path: Path) -> None:
+def test_the_mean_error_over_a_lossy_link_is_at_most_1_3_times_a_perfect_ones(tmp_path: Path) -> None:
     situation = resolve("descent", [Override("test", SETTINGS)])
     long = over_the_link(situation, tmp_path)
     assert long.duration_s >= 34.9

@@ -54,7 +54,7 @@ def in_current(path: Path, *settings: str) -> Situation:
     return resolve("descent", [Override("test", ["water.kind=measured", f"water.file={path}", *settings])])
 
 
-def test_a_strong_measured_current_is_held_where_an_uncontrolled_vehicle_is_carried_away():
+def test_a_vehicle_holds_a_strong_measured_current_that_carries_others_away():
     path, known = measured("kolumbo_dive_e_mean.csv"), ("run.perfect_state=true", "run.duration_s=60")
     held = lockstep_run.run(in_current(path, *known))
     carried = lockstep_run.run(in_current(path, *known, "controller.lateral=false"))

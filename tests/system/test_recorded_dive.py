@@ -12,7 +12,7 @@ DIVE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "PF23051
 
 
 @pytest.mark.skipif(not DIVE.exists(), reason=f"{DIVE} is not there: the recording is kept beside the checkout")
-def test_a_glider_is_found_within_six_metres_after_300_s_from_most_starts_between_2_and_14_m():
+def test_a_glider_is_localised_within_six_metres_after_300_s_from_most_starts():
     """Bottom track of ten ensembles only, then kept as truth: measured 4.3 m, constant velocity 10.7 m."""
     result = localise(DIVE, fixes=10, start_depth_m=None).result
     assert (result.ensembles, result.lost_bytes) == (175, 0)

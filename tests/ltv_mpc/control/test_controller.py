@@ -129,7 +129,7 @@ def test_a_plan_starts_one_expected_delay_after_now():
     assert plan.expected_delay_ns == 400_000_000
 
 
-def test_before_its_start_the_reference_leaves_the_vehicle_alone_and_then_anchors_where_it_is():
+def test_a_reference_anchors_where_the_vehicle_is_at_its_start():
     controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
     before = controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=4.0, depth_m=0.0), t_ns=-500_000_000))
     assert before.origin is PlanOrigin.ZERO
@@ -157,7 +157,7 @@ class FailsFrom:
         return type(answer)(answer.commands + np.nan, failed)
 
 
-def test_when_a_solve_fails_the_same_cycle_sends_the_previous_plan_shifted_and_recovers_at_once():
+def test_after_a_failed_solve_the_same_cycle_sends_the_shifted_plan_and_recovers():
     controller = Controller(PAPER, POINT)
     controller._solver = fails = FailsFrom(controller._solver)
     estimate = Estimate.at_rest(north_m=1.0)
@@ -173,7 +173,7 @@ def test_when_a_solve_fails_the_same_cycle_sends_the_previous_plan_shifted_and_r
     assert controller.plan(advance(PAPER, estimate, shifted, duration_s=0.3)).origin is PlanOrigin.SOLVED
 
 
-def test_when_the_first_solve_fails_there_is_no_plan_to_go_by_and_a_vehicle_at_rest_is_left_at_rest():
+def test_if_the_first_solve_fails_a_vehicle_at_rest_stays_at_rest():
     controller = Controller(PAPER, POINT)
     controller._solver = fails = FailsFrom(controller._solver)
     fails.failing = True
@@ -226,7 +226,7 @@ def test_the_integral_takes_up_a_buoyancy_that_the_model_does_not_know():
     assert sink(8.0, 0.15, 300, heavier)[-1].depth_m == pytest.approx(8.0, abs=0.02)
 
 
-def test_on_a_ramp_that_is_too_fast_the_thruster_is_at_its_maximum_and_the_integral_does_not_wind_up():
+def test_on_a_ramp_too_fast_for_the_thruster_the_integral_does_not_wind_up():
     numbers = pack_constants(PAPER, Weights(), np.arange(18.0), 0.3)
     plan = VerticalPlan(*follow(numbers, 1.0, 0.2, 62.5, 62.5, 0.0, np.full(18, 9.0), np.full(18, 0.3)))
     np.testing.assert_array_equal(plan.thrust_N, 62.5)
@@ -268,7 +268,7 @@ def test_a_line_does_not_begin_at_an_estimate_that_is_too_old():
     assert controller.plan(fresh).reference_m == (4.0, 0.0)
 
 
-def test_the_line_passes_through_where_the_vehicle_was_at_the_start_though_the_first_estimate_comes_later():
+def test_the_line_passes_through_the_start_though_the_first_estimate_is_later():
     controller = Controller(PAPER, references.Hold(start_s=0.0, depth_m=10.0))
     later = msgspec.structs.replace(
         Estimate.at_rest(north_m=4.02, east_m=1.0, depth_m=0.01),

@@ -91,7 +91,7 @@ def broken(monkeypatch, controller: Controller, way: str) -> None:
         ("infeasible", "as asked"),
     ],
 )
-def test_solved_then_shifted_to_the_plan_s_end_then_thrusts_of_zero_then_solved_again(monkeypatch, way, why):
+def test_fallback_goes_from_solved_to_shifted_to_zero_and_back_to_solved(monkeypatch, way, why):
     controller = Controller(SURFACES, POINT)
     estimate, good = fly(controller, moving(), 5)
     assert good.origin is SOLVED
@@ -271,7 +271,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_in_place_of_an_estimate_that_is_none_stands_the_last_one_and_all_is_well_one_cycle_later(bad):
+def test_an_invalid_estimate_is_replaced_by_the_last_one_for_one_cycle(bad):
     controller = Controller(SURFACES, POINT)
     estimate, before = fly(controller, moving(), 5)
     for _ in range(3):
@@ -367,7 +367,7 @@ def test_the_caller_s_own_inputs_can_make_it_worse_but_not_better():
     assert controller.plan(estimate, t_ns=2 * S, health=Health.NOMINAL).health == "hold"
 
 
-def test_a_reference_does_not_begin_on_an_old_estimate_and_its_target_stands_while_the_vehicle_is_held():
+def test_a_reference_does_not_begin_on_an_old_estimate_or_move_while_held():
     waiting = Controller(SURFACES, references.Hold(depth_m=10.0))
     assert waiting.plan(moving(), t_ns=2 * S).why == "the reference has not begun"
     controller = Controller(SURFACES, references.load("line"))

@@ -62,7 +62,7 @@ def test_every_thruster_has_limits_of_its_own_and_is_scaled_by_its_larger_side()
     np.testing.assert_array_equal(limits.scale, [50.0, 60.0])
 
 
-def test_a_start_outside_the_box_is_brought_in_at_the_slew_limit_and_a_start_inside_changes_nothing():
+def test_a_start_outside_the_box_returns_at_the_slew_limit():
     """150 N ahead and 100 N astern, 30 N a stage; the other side stays, and so it does for a start inside."""
     low, high = LIMITS.box(np.array([150.0, -100.0]), np.arange(5.0))
     np.testing.assert_array_equal(high.T, [[120.0, 90.0, 62.5, 62.5], [62.5] * 4])
@@ -111,7 +111,7 @@ def test_between_gives_both_ends_and_the_knots_inside():
     )
 
 
-def test_where_the_actuators_report_another_command_it_goes_from_there_to_the_plan_at_the_slew_limit():
+def test_from_another_reported_command_the_plan_is_reached_at_the_slew_limit():
     """A plan that came late, or a controller that has just started: the next plan begins at what is in force."""
     sent = SentCommands(PAPER)
     sent.add(plan(0, np.full((10, 3), 40.0)))

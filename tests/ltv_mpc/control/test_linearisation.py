@@ -48,7 +48,7 @@ def test_the_linearisation_foresees_each_stage_from_a_point_nearby():
         np.testing.assert_allclose(foreseen, exact, atol=1e-7)
 
 
-def test_velocity_over_ground_is_what_the_equations_of_motion_say_and_its_slope_their_derivative():
+def test_velocity_over_ground_and_its_derivative_are_those_of_the_motion():
     X, _, C = trajectory(4)
 
     def moved(x):

@@ -112,7 +112,7 @@ def test_a_report_that_is_newer_than_the_estimate_does_not_hide_the_one_before_i
     np.testing.assert_allclose([*start.X[6:], start.vertical_N], [1.0, 2.0, 3.0])
 
 
-def test_the_current_is_constant_beyond_both_ends_of_the_profile_and_zero_without_one():
+def test_the_current_is_constant_beyond_the_profile_and_zero_without_one():
     np.testing.assert_allclose(
         currents_at_depths(PROFILE, np.array([-1.0, 10.5, 99.0])), [[0, 0.05], [0.06, 0], [0.1, 0]]
     )
@@ -160,7 +160,7 @@ def test_no_less_is_expected_than_a_setting_says():
     assert delay.expected_ns() == 40  # the median of two is the later one
 
 
-def test_expected_is_a_quantile_and_as_much_again_above_the_median_and_each_receipt_counts_once():
+def test_the_expected_delay_is_a_quantile_plus_its_distance_from_the_median():
     delay = Delay(0, 1.0)
     received(delay, 100, 100, 100, 160)
     assert delay.expected_ns() == 160 + (160 - 100)

@@ -139,7 +139,7 @@ def test_who_was_in_charge_stays_in_charge(action):
     assert not plan.thrust_N[-1].any()
 
 
-def test_a_reference_that_an_operator_gave_is_followed_and_not_the_one_it_was_started_with():
+def test_after_a_restart_the_operators_reference_is_followed_not_the_first_one():
     before = armed(references.load("line"), 3)
     text = 'kind = "point"\nnorth_m = 3.0\neast_m = -2.0\ndepth_m = 4.0\n'
     before.step(Command(command_id=2, action=Action.FOLLOW, reference_toml=text))

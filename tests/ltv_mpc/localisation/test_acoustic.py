@@ -170,7 +170,7 @@ SQUARED = 11.83
 """3 sigma in two dimensions: 99.73 % of chi-square with two degrees of freedom."""
 
 
-def test_the_first_call_after_a_long_drift_brings_the_vehicle_back_within_three_deviations():
+def test_the_first_range_after_a_long_drift_leaves_an_error_within_three_sigma():
     """Transponders 100 m away. Were ranges taken for straight, a third of the vehicles would not be within them."""
     nees, gated, deviation = first_fixes(FOUR, 30.0, calls=1)
     assert np.mean(nees < SQUARED) >= 0.98
@@ -182,7 +182,7 @@ def test_the_first_call_after_a_long_drift_brings_the_vehicle_back_within_three_
     assert deviation < 0.65
 
 
-def test_one_transponder_alone_never_makes_its_distance_better_known_than_its_circle_is_flat():
+def test_ranges_to_one_transponder_leave_the_uncertainty_of_its_curvature():
     """Thirty calls: their common error does not average out. Across, the drift remains."""
     nees, _, deviation = first_fixes(FOUR[:1], 30.0, calls=30)
     assert 0.5 < np.mean(nees) / 2 < 1.3

@@ -342,9 +342,7 @@ def test_starts_are_every_second_ensemble_between_two_and_fourteen_metres() -> N
 
 
 @pytest.mark.parametrize(("metres", "inside"), [(5.9, True), (6.1, False)])
-def test_a_trial_is_graded_at_its_end_by_three_sigma_and_against_the_mean_of_its_fixes(
-    metres: float, inside: bool
-) -> None:
+def test_a_trial_is_graded_at_its_end_by_three_sigma_about_the_mean_of_its_fixes(metres: float, inside: bool) -> None:
     """Truth: 0.1 m/s north for 310 s; the fixes say 0.1 and 0.3. The filter is ``metres`` too far east, sigma 2 m."""
     t = [10.0 * k for k in range(40)]
     made = grounded(t, [(0.3 if k == 6 else 0.1, 0.0) for k in range(40)])
@@ -419,7 +417,7 @@ def test_the_covariance_stays_symmetric_and_definite_and_the_profile_is_the_wate
     assert np.diff(water.depth_m).min() > 0
 
 
-def test_on_dives_of_a_plausible_sea_half_the_errors_are_below_six_metres_and_three_sigma_holds() -> None:
+def test_on_synthetic_dives_half_the_errors_are_below_six_metres_and_consistent() -> None:
     """Sea and instrument err as the parameters' sources say; none of the numbers here has been fitted."""
     found = np.array([row for seed in range(8) for row in errors(World(), seed, (27.0, 60.0, 110.0))])
     error, normalised, held = found.T

@@ -226,7 +226,7 @@ def test_yaw_rate_and_heading_are_the_vehicles_within_their_deviations(dive, run
     assert np.abs(np.arctan2(np.sin(off), np.cos(off))).max() < 4 * np.sqrt(said[0].covariance[4, 4])
 
 
-def test_the_published_covariance_is_the_beliefs_seen_through_the_published_quantities():
+def test_the_published_covariance_is_the_beliefs_mapped_to_published_quantities():
     """Against estimates made of beliefs that are a small error away, one state at a time."""
     rng = np.random.default_rng(0)
     layout = Layout.of(SUITE, CONFIG)

@@ -66,7 +66,7 @@ def test_innovations_larger_or_smaller_than_said_make_a_sensor_inconsistent(scal
     assert others == {SensorStatus.OK}
 
 
-def test_a_sensor_of_which_most_fails_the_gate_is_rejected_and_the_profiler_takes_the_filter_with_it():
+def test_a_sensor_that_mostly_fails_the_gate_is_rejected_the_profiler_with_filter():
     said = reports(nominal(np.random.default_rng(3), adcp={"scale": 20.0}), 12.0)
     assert said["adcp"].status is SensorStatus.REJECTED
     status, why = filter_status(tuple(said.values()))
@@ -74,7 +74,7 @@ def test_a_sensor_of_which_most_fails_the_gate_is_rejected_and_the_profiler_take
     assert "adcp: most of it fails the gate" in why
 
 
-def test_one_wrong_sensor_beside_the_profiler_is_that_sensors_fault_and_two_are_the_filters():
+def test_one_rejected_sensor_is_a_sensor_fault_and_two_are_a_filter_fault():
     one = nominal(np.random.default_rng(4), compass={"scale": 20.0})
     said = reports(one, 12.0)
     assert said["compass"].status is SensorStatus.REJECTED
@@ -83,7 +83,7 @@ def test_one_wrong_sensor_beside_the_profiler_is_that_sensors_fault_and_two_are_
     assert filter_status(tuple(reports(two, 12.0).values()))[0] is FilterStatus.INCONSISTENT
 
 
-def test_a_sensor_is_silent_after_three_of_its_periods_and_satellites_are_not_missed_below():
+def test_a_sensor_is_silent_after_three_periods_but_not_satellites_under_water():
     monitor = nominal(np.random.default_rng(5))
     assert reports(monitor, 12.9)["adcp"].status is SensorStatus.OK
     said = reports(monitor, 13.1)

@@ -67,9 +67,7 @@ def test_the_truth_stays_inside_what_the_filter_says_and_nobody_else_is_blamed(d
 
 
 @pytest.mark.parametrize(("seed", "silent_s"), [(20, 6.0), (23, 6.0), (21, 9.0), (27, 9.0)])
-def test_after_seconds_in_which_no_instrument_spoke_the_filter_is_levelled_and_goes_on(
-    make_dive, inbox_of, seed, silent_s
-):
+def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(make_dive, inbox_of, seed, silent_s):
     """Not levelled, each of these is inconsistent within 6 s, the last 15 m further off."""
     dive = make_dive(SUITE, seed, duration_s=silent_s + 14.0)
     silent = range(4 * S + 1, round((4 + silent_s) * S) + 1)

@@ -114,7 +114,7 @@ def test_by_hand_water_from_astern_and_the_bottom_below_a_vehicle_that_heads_eas
         np.testing.assert_allclose(back.bottom_mps, [-0.5, 0, 0.1], atol=0.003)
 
 
-def test_earth_coordinates_in_the_file_are_east_north_up_of_the_water_past_the_instrument() -> None:
+def test_earth_coordinates_in_the_file_are_east_north_up_relative_to_the_instrument() -> None:
     """The bytes themselves, against numbers put there by hand: nothing of the writer's transformations."""
     head = Head(cells=1, beam_angle_deg=30, coordinates=EARTH)
     data = bytearray(written(head, still(head, heading_deg=0)))

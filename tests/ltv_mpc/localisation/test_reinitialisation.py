@@ -72,7 +72,7 @@ def recent(now_s, yaw_rate_radps=0.0, tilt_rad=0.0):
     return out
 
 
-def test_ten_seconds_in_a_row_are_called_for_and_a_good_one_between_starts_them_again():
+def test_reinitialisation_needs_ten_bad_seconds_in_a_row():
     assert watched((30, GOOD), (60, BAD))[1] == 31 + MAX_INCONSISTENT_NS // SECOND
     assert watched((30, GOOD), (39, BAD), (40, GOOD), (60, BAD))[1] == 41 + MAX_INCONSISTENT_NS // SECOND
     assert watched((30, GOOD), (40, BAD), (60, GOOD))[1] is None
@@ -91,7 +91,7 @@ def test_what_is_not_finite_or_not_definite_is_not_waited_for(spoil):
     assert restarts.watch(belief, GOOD, broken=spoil == "innovations")
 
 
-def test_it_begins_where_the_last_good_second_before_the_window_leads_and_says_how_far_it_may_be_off():
+def test_reinitialisation_starts_from_the_last_good_second_with_its_uncertainty():
     """Bad from 31 s on: the window then was good at 21 s; begun at the heading of 40.4 s."""
     restarts, at_s = watched((30, GOOD), (60, BAD))
     alignment = restarts.begin(at_s * SECOND, recent(at_s))

@@ -51,7 +51,7 @@ def sample(t_ns, force, rate=0.3):
 
 
 @pytest.mark.parametrize(("force", "rate"), [(2.1, 0.3), (0.0, 0.51)])
-def test_an_inertial_unit_that_raves_is_believed_again_once_five_samples_follow_one_another(force, rate):
+def test_after_implausible_samples_five_plausible_ones_in_a_row_are_accepted(force, rate):
     screening, said = SensorScreening(), []
     for k in range(1, 14):
         odd = k == 5

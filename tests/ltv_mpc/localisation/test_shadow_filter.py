@@ -105,7 +105,7 @@ def test_a_filter_that_was_led_astray_or_is_refused_still_does_not_come_back(mak
     assert not said.came_back
 
 
-def test_innovations_that_are_too_large_and_pass_the_gate_are_nothing_to_come_back_to(make_dive, inbox_of):
+def test_a_state_with_large_innovations_inside_the_gate_is_no_restore_point(make_dive, inbox_of):
     """Twice the noise that it says: most of it passes, and it begins anew as ever."""
     rng = np.random.default_rng(3)
 

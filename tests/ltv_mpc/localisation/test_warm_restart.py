@@ -72,7 +72,7 @@ def restored(dive, outputs, inbox_of, died_ns, *, estimate=True):
     return said(Estimator(SUITE, CONFIG), after, inbox_of, state=state)
 
 
-def test_a_checkpoint_comes_with_the_first_estimate_every_five_seconds_and_where_it_goes_under(dived):
+def test_a_checkpoint_is_published_first_every_five_seconds_and_at_submergence(dived):
     _, outputs, _ = dived
     times = [checkpoint.t_ns for checkpoint in of(EstimatorState, outputs)]
     estimates = of(Estimate, outputs)
@@ -81,7 +81,7 @@ def test_a_checkpoint_comes_with_the_first_estimate_every_five_seconds_and_where
     assert times == sorted({estimates[0].t_ns, under, *regular})
 
 
-def test_the_belief_that_a_checkpoint_gives_back_is_the_filters_to_the_last_bit_also_over_the_wire(dived):
+def test_a_checkpoint_restores_the_filters_belief_to_the_bit_over_the_wire_too(dived):
     _, _, estimator = dived
     filter_ = estimator.filter
     filter_.belief.x[2] += 15.0  # deep enough for the window of depths to have gone down
@@ -170,7 +170,7 @@ def test_without_an_estimate_the_gap_begins_at_the_checkpoint(dived, inbox_of):
     assert unknown == pytest.approx(VELOCITY_WALK * 7.1**3 / 3, rel=0.1)
 
 
-def test_it_says_for_half_a_minute_that_it_was_restarted_and_keeps_the_count_of_the_filters_own(dived, inbox_of):
+def test_a_restart_is_reported_for_half_a_minute_and_counts_are_kept(dived, inbox_of):
     dive, outputs, _ = dived
     reports = of(LocalisationReport, restored(dive, outputs, inbox_of, 10 * S))
     assert {report.status for report in reports} == {FilterStatus.RESTARTED}
@@ -234,7 +234,7 @@ def test_the_covariance_after_a_gap_is_one_and_holds_what_may_have_happened(dive
         np.testing.assert_allclose(belief.P[states, states], aged, rtol=1e-9, atol=1e-18)
 
 
-def test_what_the_last_estimate_knows_is_not_heard_again_and_what_it_doubts_is_doubted(dived, inbox_of):
+def test_a_warm_restart_skips_used_messages_and_keeps_the_last_uncertainty(dived, inbox_of):
     """Messages that were on their way when it died, and an estimate that is less sure than the checkpoint."""
     dive, outputs, _ = dived
     before = [s for s in outputs if s.t_ns <= 12 * S]

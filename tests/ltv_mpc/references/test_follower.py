@@ -46,7 +46,7 @@ def test_the_target_keeps_its_schedule_while_the_vehicle_is_near():
     assert follower.progress.remaining_m == pytest.approx(12.0 - target[0])
 
 
-def test_it_waits_for_a_vehicle_that_falls_behind_never_goes_back_and_goes_on_when_it_comes():
+def test_the_target_waits_for_a_vehicle_that_falls_behind_and_never_goes_back():
     follower, t_s, way = has_started(LINE), 0.0, []
     for behind in (0.0, 0.3, 0.6, 0.7, 3.0, 3.0, 3.0, 0.0, 0.0):
         for _ in range(10):
@@ -74,7 +74,7 @@ def test_a_current_from_ahead_slows_the_target_down_before_the_vehicle_falls_beh
     np.testing.assert_allclose(np.diff(target[:-1, 0]), np.diff(north)[-1], rtol=1e-3)
 
 
-def test_an_estimate_that_is_no_number_stops_the_target_and_a_good_one_moves_it_again():
+def test_a_nan_estimate_stops_the_target_and_a_valid_one_moves_it_again():
     follower = has_started(LINE)
     before = go(follower, 9.0, *go(follower, 8.7, 0.0, 0.0))
     go(follower, 9.3, math.nan, 0.0)
@@ -101,7 +101,7 @@ def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
     assert 0.0 < after[0] - before[0] <= 0.3 * LONGEST_STEP_S + 1e-9
 
 
-def test_a_vehicle_elsewhere_is_led_to_the_first_point_and_has_made_no_progress_until_then():
+def test_a_vehicle_elsewhere_is_led_to_the_first_point_without_progress():
     follower, t_s, target = has_started(LINE, east_m=6.0), 0.0, (0.0, 6.0)
     for _ in range(40):
         t_s += 0.3
@@ -130,7 +130,7 @@ def test_of_a_point_and_of_here_there_is_no_progress_and_the_target_stands():
         np.testing.assert_array_equal(target[-1], 0.0)
 
 
-def test_depth_goes_from_where_the_vehicle_is_at_no_more_than_the_rate_and_then_with_the_path():
+def test_depth_moves_to_the_path_at_the_maximum_rate_and_then_follows_it():
     deep = Line(
         speed_mps=0.3,
         start=Place(north_m=0.0, east_m=0.0, depth_m=2.0),

@@ -110,7 +110,7 @@ def test_a_circle_keeps_its_radius_and_goes_round_as_it_is_told(clockwise):
     assert bool(first[1] > 0.0) is clockwise
 
 
-def test_a_spiral_goes_from_one_radius_to_the_other_and_its_curvature_is_that_of_its_points():
+def test_a_spiral_spans_its_radii_and_its_curvature_is_that_of_its_points():
     spiral = Spiral(speed_mps=1.0, centre=HERE, inner_m=4.0, outer_m=12.0, spacing_m=4.0)
     path = spiral.path()
     r = np.hypot(*path.points.T)

@@ -32,7 +32,7 @@ def test_top_speed_is_where_drag_takes_the_thrust():
 
 
 @pytest.mark.parametrize("radius_m", [2.0, 5.0, 20.0])
-def test_on_a_bend_the_vehicle_can_turn_steadily_at_the_speed_that_is_given_and_hardly_faster(radius_m):
+def test_the_speed_of_a_bend_is_the_fastest_steady_turn_of_the_vehicle(radius_m):
     """The equations of motion integrated with an outer thruster at its limit: they come to rest on such a circle."""
     speed = float(LIMITS.speed_at(np.array([1.0 / radius_m]))[0])
     assert speed < LIMITS.cruise_mps
@@ -54,7 +54,7 @@ def test_on_a_bend_the_vehicle_can_turn_steadily_at_the_speed_that_is_given_and_
     assert speed == pytest.approx(circle(outer, 0.5 * (low + high))[0], rel=0.02)
 
 
-def test_the_schedule_starts_and_ends_at_rest_and_never_asks_for_more_than_thrust_and_drag_allow():
+def test_the_schedule_starts_and_ends_at_rest_within_thrust_and_drag():
     table = LINE.schedule(PAPER).table
     v = speeds(table)
     assert v.max() == pytest.approx(0.3, rel=1e-6)
@@ -66,7 +66,7 @@ def test_the_schedule_starts_and_ends_at_rest_and_never_asks_for_more_than_thrus
     assert (500.0 * a >= -(CHANGING * 125.0 + 500.0 * middle**2) * 1.1 - 1.0).all()
 
 
-def test_a_schedule_without_corners_takes_as_long_as_its_speed_and_one_start_and_stop():
+def test_a_straight_schedule_lasts_its_speed_plus_one_start_and_stop():
     """Against the closed form without drag: length / speed + v / 2 a at either end."""
     slow = Line(speed_mps=0.05, start=HERE, end=Place(north_m=40.0, east_m=0.0))
     a = CHANGING * 125.0 / 500.0

@@ -127,7 +127,7 @@ def test_a_track_s_file_is_beside_its_reference_and_columns_may_stand_in_any_ord
     assert reference == Timed(rows=((3.0, 4.0, 2.0, 1.0), (7.0, 8.0, 6.0, 5.0)))
 
 
-def test_a_track_that_is_slow_enough_is_kept_to_the_second_and_one_that_is_not_is_stretched_and_said():
+def test_a_feasible_track_keeps_its_times_and_another_is_stretched_and_reported():
     slow = Timed(rows=((0.0, 0.0, 0.0), (50.0, 10.0, 0.0), (60.0, 10.0, 0.0), (110.0, 20.0, 0.0)))
     np.testing.assert_allclose(slow.schedule(PAPER).table[0], [0.0, 50.0, 60.0, 110.0])
     assert slow.notes(PAPER) == []

@@ -112,7 +112,7 @@ def test_a_jump_is_one_that_neither_the_vehicle_nor_the_filter_s_own_doubt_allow
     assert gate.check(at(1, **after, **jump)) == ("" if believed else JUMPED)
 
 
-def test_the_second_of_two_that_agree_is_believed_and_wild_ones_that_do_not_never_are():
+def test_the_second_of_two_agreeing_outliers_is_accepted_and_others_never():
     gate = settled()
     assert gate.check(at(1, north_m=500.0)) == JUMPED
     assert gate.check(at(2, north_m=501.0)) == ""

@@ -71,7 +71,7 @@ def test_it_never_gets_better_with_age_and_never_worse_with_a_longer_period(age,
 
 
 @given(ages, ages, ages, st.integers(-10_000 * MS, 10_000 * MS))
-def test_of_plans_it_never_gets_better_with_silence_and_is_failsafe_at_the_end_of_the_last(one, two, period, left):
+def test_health_of_plans_never_improves_with_silence_and_ends_in_failsafe(one, two, period, left):
     short, long = sorted((one, two))
     before, after = (plan_health(silent_ns=s, period_ns=period, left_ns=left) for s in (short, long))
     assert BADNESS[before] <= BADNESS[after]

@@ -17,7 +17,7 @@ def heard(*stamps_ms: float, epoch: int = 7, delay_ms: float = 0.0) -> InputMoni
     return of
 
 
-def test_the_period_is_the_median_spacing_so_that_a_lost_estimate_and_a_burst_do_not_move_it():
+def test_the_period_is_the_median_spacing_despite_losses_and_bursts():
     period = Period()
     assert period.median_ns == 0
     for t_ms in (0, 200, 400, 600, 1400, 1401, 1402, 1600, 1800, 2000):
@@ -59,7 +59,7 @@ def test_what_comes_again_or_after_a_newer_one_is_counted_and_not_read():
     assert of.state_at(300 * MS) == before
 
 
-def test_a_source_that_was_started_anew_goes_on_and_one_whose_clock_was_set_back_begins_anew():
+def test_a_restarted_source_continues_and_one_with_its_clock_set_back_restarts():
     of = heard(0, 100, 200)
     assert of.receive(epoch=9, sequence=0, stamp_ns=900 * MS, received_ns=900 * MS)
     assert not of.receive(epoch=9, sequence=0, stamp_ns=1000 * MS, received_ns=1000 * MS)

@@ -87,7 +87,7 @@ def test_commands_at_many_times_are_those_at_each_in_turn():
         many.commands_at([times[-2], times[-1]])
 
 
-def test_after_its_last_knot_the_lateral_thrusts_ramp_to_zero_and_the_vertical_one_to_the_failsafe():
+def test_after_its_last_knot_a_plan_ramps_to_zero_and_to_the_vertical_failsafe():
     gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(plan(0, [[0, 0, 0], [30, -30, 30], [60, -60, 60], [62.5, -62.5, 62.5]]), 1, 0, 0)
@@ -136,7 +136,7 @@ def commanded(gate: PlanGate, epoch: int, until_ns: int, *, period_ns: int = STA
     return t
 
 
-def test_two_commanders_at_once_do_not_alternate_and_each_plan_of_the_second_is_refused_as_it_comes():
+def test_two_commanders_do_not_alternate_and_the_seconds_plans_are_rejected():
     gate = PlanGate(VEHICLE)
     for k in range(20):
         t = k * STAGE_NS
@@ -164,7 +164,7 @@ def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(p
     assert gate.plans_rejected == 2
 
 
-def test_a_controller_that_was_started_anew_is_followed_two_wall_seconds_after_the_fault_at_twice_the_speed():
+def test_a_restarted_controller_is_followed_within_two_wall_seconds_at_any_speed():
     """It died at 3 s; spawned in 0.5 s of wall time and silent for 1 s of the vehicle's."""
     gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 3 * S)

@@ -28,7 +28,7 @@ def test_thrust_vanishes_at_an_advance_ratio_of_1_2():
     assert thrust(n, n * D / advance_ratio, RHO, D) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_paper_vehicle_needs_7_1_revolutions_for_full_thrust_at_half_a_metre_a_second():
+def test_the_paper_vehicle_needs_7_1_revolutions_for_full_thrust_at_half_a_mps():
     assert revolutions(62.5, 0.5, RHO, D) == pytest.approx(7.1, abs=0.1)
 
 

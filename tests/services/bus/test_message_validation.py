@@ -85,7 +85,7 @@ def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
     assert validator.received + validator.dropped + (validator.rejected - 1) == last_in + 1
 
 
-def test_another_source_in_the_midst_of_its_count_does_not_take_over_from_one_that_speaks() -> None:
+def test_another_source_does_not_take_over_from_one_that_still_publishes() -> None:
     validator = MessageValidator()
     validator.admit(frame(0))
     for sequence in range(1, 20):

@@ -46,7 +46,7 @@ def test_every_message_is_on_the_page_once_with_all_its_fields() -> None:
         assert listed[: len(own)] == own, topic.key
 
 
-def test_no_place_for_a_table_is_left_in_the_prose_and_no_row_has_another_width_than_its_head() -> None:
+def test_every_table_of_a_page_is_filled_in_and_its_rows_have_one_width() -> None:
     assert "{{" not in PAGE
     for table in re.findall(r"(?:^\|.*\|\n)+", PAGE, flags=re.M):
         widths = {len(re.findall(r"(?<!\\)\|", line)) for line in table.splitlines()}

@@ -251,7 +251,7 @@ def mutated(rng: random.Random, signal: Message) -> bytes:
     return bytes(payload)
 
 
-def test_of_ten_thousand_hostile_frames_none_crashes_and_none_gets_in_with_a_wrong_value() -> None:
+def test_of_ten_thousand_hostile_frames_none_crashes_or_passes_a_wrong_value() -> None:
     rng = random.Random(1)
     accepted = 0
     for i in range(10_000):
@@ -291,7 +291,7 @@ def test_of_ten_thousand_hostile_frames_none_crashes_and_none_gets_in_with_a_wro
         ("epoch", None),
     ],
 )
-def test_a_header_out_of_its_ranges_is_refused_also_where_the_signal_is_not_looked_at(field: str, value: Any) -> None:
+def test_a_header_out_of_bounds_is_rejected_even_if_the_message_is_not_decoded(field: str, value: Any) -> None:
     message = {"epoch": 2**48 - 1, "sequence": 2**53 - 1, "sent_monotonic_us": 0}
     assert header_of(message).epoch == 2**48 - 1
     with pytest.raises(WireError, match=field):

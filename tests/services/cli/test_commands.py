@@ -148,7 +148,7 @@ def test_a_folder_that_is_not_empty_is_written_into_with_force_only(
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 1)])
-def test_lock_step_that_a_signal_cuts_off_says_so_by_its_exit_code_and_leaves_a_recording_that_reads(
+def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:
     line = "sim --lockstep --duration-s 5000 --out r"
@@ -205,7 +205,7 @@ def test_a_disk_that_is_full_ends_a_run_in_one_line(
     assert os.strerror(errno.ENOSPC) in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_the_recorder_takes_a_folder_that_was_made_for_it_and_no_other_that_is_not_empty(
+def test_the_recorder_accepts_its_own_folder_and_no_other_that_is_not_empty(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

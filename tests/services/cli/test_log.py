@@ -52,7 +52,7 @@ def test_recover_writes_beside_and_a_whole_run_needs_none(folder: Path, capsys: 
     assert "exists already" in capsys.readouterr().err
 
 
-def test_export_writes_one_folder_and_refuses_a_full_one_without_touching_the_recording(
+def test_export_writes_one_folder_and_rejects_one_that_is_not_empty(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = (folder / "run.mcap").read_bytes()

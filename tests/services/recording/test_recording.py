@@ -104,7 +104,7 @@ def test_signals_come_back_as_they_were_bit_for_bit(path: Path) -> None:
     assert [x.hex() for x in last.plain["awkward"]] == [x.hex() for x in awkward]
 
 
-def test_a_message_before_the_start_is_logged_at_the_start_for_mcap_knows_no_negative_times(path: Path) -> None:
+def test_a_message_with_a_negative_time_is_logged_at_time_zero(path: Path) -> None:
     with RunWriter(path, start_ns=0, metadata={}) as writer:
         writer.write("sensors", depth(0), header(0), -5)
     assert [message.t_ns for message in Recording(path)] == [0]

@@ -40,9 +40,7 @@ def recovered(path: Path) -> Recovery:
     return recover.recover(segments(path), recovered_path(path))
 
 
-def test_wherever_a_file_is_cut_all_chunks_before_the_cut_come_back_and_the_new_file_is_whole(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_all_chunks_before_a_cut_are_recovered_into_a_complete_file(whole: Path, tmp_path: Path) -> None:
     data, complete = whole.read_bytes(), messages(whole)
     ends = [offset + length for offset, length in chunks(whole)]
     per_chunk = messages_per_chunk(whole)

@@ -45,7 +45,7 @@ def opened(path: Path) -> SegmentWriter:
     return SegmentWriter(path, start_ns=0, metadata={"seed": "7"})
 
 
-def test_a_recorder_that_is_started_again_writes_the_next_segment_and_the_join_has_all(path: Path) -> None:
+def test_a_restarted_recorder_writes_the_next_segment_and_the_join_is_complete(path: Path) -> None:
     for first in (0, 3, 6):
         with opened(path) as writer:
             assert writer.resumes == (first > 0)
@@ -92,7 +92,7 @@ def test_a_join_for_which_there_is_no_room_leaves_every_segment_as_it_is(
     assert sequences(path.with_name("run.2.mcap")) == [1]
 
 
-def test_what_a_full_disk_refuses_is_handed_back_and_the_segment_ends_where_it_was_whole(path: Path) -> None:
+def test_a_full_disk_returns_what_it_cannot_store_and_the_segment_ends_whole(path: Path) -> None:
     writer = opened(path)
     for sequence in range(3):
         put(writer, sequence)

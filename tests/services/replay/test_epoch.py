@@ -57,7 +57,7 @@ class Fragile(OneByOne):
         return [PressureDepth(t_ns=t_ns, depth_m=1.0)]
 
 
-def test_a_step_that_raises_where_the_recorded_one_did_not_is_a_difference_and_ends_its_epoch() -> None:
+def test_a_step_that_raises_only_in_the_replay_is_a_difference_and_ends_its_epoch() -> None:
     frames, outcome = Frames(), Comparison("sensors", 7)
     frames.add(*depth(0), 0)
     epoch = Epoch(7, Fragile, frames, outcome)

@@ -73,9 +73,7 @@ def test_a_frame_is_found_by_its_own_checksum_and_means_what_it_meant_at_the_doo
         assert wire.encode(again.signal, header) == wire.encode(live, header)
 
 
-def test_a_controller_alone_by_a_foreign_clock_is_replayed_by_the_times_in_its_records(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording: Path, tmp_path: Path) -> None:
     """Somebody's estimates, nanoseconds since 1970, whole numbers without a point; no plant, no sensors."""
     run = engine.Run(recording)
     situation = run.situation

@@ -253,9 +253,7 @@ def test_outputs_that_nothing_lost_explains_are_differences(recording: Path, tmp
         assert (verdict.first_difference.key, verdict.first_difference.what) == ("localisation", what)
 
 
-def test_steps_of_which_only_the_process_s_word_is_left_were_run_and_are_not_compared(
-    recording: Path, tmp_path: Path
-) -> None:
+def test_steps_known_only_from_the_process_report_are_run_and_not_compared(recording: Path, tmp_path: Path) -> None:
     steps = sum(stored.key == "record/controller" for stored, _ in messages(recording))
     word = status("controller", t_ns=3_000_000_000, steps=steps + 100)
     out = tmp_path / "run.mcap"

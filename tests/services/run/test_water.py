@@ -101,7 +101,7 @@ def heard(*estimates: Estimate) -> WaterPrior | None:
     return learned.prior()
 
 
-def test_of_depths_that_the_window_has_left_the_last_word_counts_and_of_others_the_newest() -> None:
+def test_depths_behind_the_window_keep_their_last_estimate_others_the_newest() -> None:
     water = heard(estimate(0, 0.1), estimate(2, 0.2), estimate(4, 0.3), estimate(3, 0.4))
     assert water is not None
     np.testing.assert_array_equal(water.depth_m, [0, 1, 2, 3, 4, 5, 6])
@@ -110,7 +110,7 @@ def test_of_depths_that_the_window_has_left_the_last_word_counts_and_of_others_t
     np.testing.assert_array_equal(water.east_mps, -water.depth_m / 100)
 
 
-def test_what_depths_share_is_the_velocity_s_larger_error_and_no_more_than_the_best_depth_s() -> None:
+def test_the_shared_error_of_depths_is_the_velocitys_and_at_most_the_best_depths() -> None:
     loose, tight = heard(estimate(0, 0.1)), heard(estimate(0, 0.01), estimate(5, 0.1))
     assert loose is not None
     assert tight is not None
@@ -156,7 +156,7 @@ def test_a_run_that_is_given_the_state_learns_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sensors", ["paper", "realistic"])
-def test_what_is_said_to_be_shared_is_what_the_filter_s_own_covariance_has_between_depths(sensors: str) -> None:
+def test_the_saved_shared_error_is_the_filters_covariance_between_depths(sensors: str) -> None:
     """The mean covariance of two depths that were seen; what the file says of it comes from the velocity alone."""
     there = visit(situation(f"sensors={sensors}", DURATION, "run.seed=4"))
     shared = []

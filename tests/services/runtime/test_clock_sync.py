@@ -106,9 +106,7 @@ def exchanged(
         (steady, jumping, 0.025),
     ],
 )
-def test_with_reports_the_truth_is_always_within_the_stated_error_which_is_half_the_smallest_round_trip(
-    ppm, offset_ns, out, back, most_s
-):
+def test_with_reports_the_true_time_is_within_half_the_smallest_round_trip(ppm, offset_ns, out, back, most_s):
     clock, theirs = ClockOffsetEstimator(), Theirs(offset_ns, ppm)
     two_way = []
     for m_us in exchanged(clock, theirs, out=out, back=back, reports=True):
@@ -126,9 +124,7 @@ def test_with_reports_the_truth_is_always_within_the_stated_error_which_is_half_
 @pytest.mark.parametrize("ppm", [-50.0, 50.0])
 @pytest.mark.parametrize("told_s", [0.0, 0.04])
 @pytest.mark.parametrize("back", [jumping, steady])
-def test_one_way_the_reading_is_behind_by_the_smallest_delay_less_what_was_told_and_no_error_is_stated(
-    ppm, told_s, back
-):
+def test_a_one_way_clock_is_behind_by_the_smallest_delay_and_states_no_error(ppm, told_s, back):
     clock, theirs = ClockOffsetEstimator(input_delay_ns=round(told_s * 1e9)), Theirs(YEARS_NS, ppm)
     behind = []
     for m_us in exchanged(clock, theirs, out=steady, back=back, reports=False):
@@ -147,7 +143,7 @@ def test_one_way_the_reading_is_behind_by_the_smallest_delay_less_what_was_told_
         assert max(settled) < 0.025
 
 
-def test_a_round_trip_that_was_short_once_counts_for_thirty_seconds_and_drift_widens_it():
+def test_the_shortest_round_trip_counts_for_thirty_seconds_widened_by_drift():
     clock = ClockOffsetEstimator()
     clock.add_stamp(1_000_000, 1000)
     clock.add_receipt(2_000_000, 0)  # m = 0 -> theta <= 2 ms; m = 1 ms -> theta >= 0
@@ -163,7 +159,7 @@ def test_a_round_trip_that_was_short_once_counts_for_thirty_seconds_and_drift_wi
     assert clock.read(m_us).error_ns > 150_000_000
 
 
-def test_one_stamp_out_of_all_reason_is_not_believed_and_three_in_a_row_set_the_clock():
+def test_one_implausible_stamp_is_ignored_and_three_in_a_row_set_the_clock():
     clock = ClockOffsetEstimator()
     for k in range(50):
         assert clock.add_stamp(YEARS_NS + k * 100_000_000, k * 100_000)
@@ -258,7 +254,7 @@ def test_a_reading_never_steps_back_unless_the_other_side_has_set_its_clock():
     assert time.clock_steps == 1
 
 
-def test_where_a_clock_is_published_the_stamps_are_not_held_against_ours_at_whatever_speed():
+def test_stamps_are_not_compared_with_our_clock_where_a_clock_is_published():
     clock = VehicleClock()
     keeper = ClockSource(epoch=3, start_ns=0, speed=10.0, now_us=0)
     time = ClockSync(clock, epoch=EPOCH)

@@ -270,7 +270,7 @@ def cycle_times(messages: Sequence[tuple[Frame, Message, Header]]) -> list[int]:
     return [s.cycle_t_ns for _, s, _ in messages if isinstance(s, Plan)]
 
 
-def test_of_a_latest_key_a_cycle_sees_one_message_and_its_own_timing_comes_with_the_next_inbox(bus: BusOptions) -> None:
+def test_a_cycle_sees_the_latest_message_and_its_own_timing_in_the_next_inbox(bus: BusOptions) -> None:
     controller = Controller()
     frames = run(bus, [(Plant(), 0), (Sensors(), 0), (controller, 0)], end_ns=2_000_000_000, speed=5)
     timings = {s.t_ns: s for _, s, _ in read(frames) if isinstance(s, CycleTiming)}
@@ -442,7 +442,7 @@ def test_a_flood_does_not_keep_a_cycle_from_its_time(bus: BusOptions) -> None:
         until(lambda: len(node.times_ns) > 5)
 
 
-def test_where_nobody_keeps_the_time_it_is_that_of_the_estimates_and_a_command_before_it_is_refused(
+def test_without_a_clock_estimates_give_the_time_and_earlier_commands_are_rejected(
     bus: BusOptions,
 ) -> None:
     """Stamped in Unix time by a side that answers each plan, as its own clock has it."""

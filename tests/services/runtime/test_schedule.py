@@ -35,7 +35,7 @@ def test_quick_cycles_do_not_drift_when_each_starts_and_ends_a_little_late() -> 
         table.advance(k * PERIOD_NS + 20_000_000)
 
 
-def test_after_a_slow_cycle_the_next_one_starts_when_it_ends_and_the_period_counts_from_there() -> None:
+def test_after_a_slow_cycle_the_next_starts_at_its_end_and_the_period_from_there() -> None:
     table = StepSchedule(Cycle(PERIOD_NS))
     table.start(0)
     table.advance(710_000_000)

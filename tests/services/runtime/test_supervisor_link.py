@@ -46,7 +46,7 @@ def words(pipe: tuple[int, int]) -> list[int]:
         return []
 
 
-def test_a_loop_beats_as_often_as_it_comes_round_but_not_more_often_than_is_looked_for(pipe: tuple[int, int]) -> None:
+def test_a_loop_sends_a_heartbeat_each_turn_up_to_the_expected_rate(pipe: tuple[int, int]) -> None:
     process = SupervisorLink()
     process.by(pipe[1])
     for now_us in range(1_000_000, 1_200_001, 10_000):

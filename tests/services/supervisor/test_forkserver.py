@@ -254,7 +254,7 @@ time.sleep(600)
 """
 
 
-def test_of_a_killed_supervisor_s_forks_nobody_is_left_not_even_who_is_stopped_or_holds_the_gil(tmp_path: Path) -> None:
+def test_a_killed_supervisor_leaves_no_fork_even_if_stopped_or_holding_the_gil(tmp_path: Path) -> None:
     supervisor = subprocess.Popen(
         [sys.executable, "-P", "-c", SUPERVISOR, str(tmp_path)], stdout=subprocess.PIPE, text=True
     )

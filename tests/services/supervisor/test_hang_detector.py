@@ -55,7 +55,7 @@ def test_after_a_late_look_of_the_supervisor_everyone_has_the_whole_patience_aga
     assert heart.hung(13.6, never)
 
 
-def test_who_waits_for_a_processor_is_not_hung_and_who_spins_is_once_it_has_had_one_for_as_long() -> None:
+def test_a_process_waiting_for_a_processor_is_not_hung_and_a_spinning_one_is() -> None:
     """Silent since 3.0 s; from 3.15 s on others have the processor."""
     heart = beating(3.0)
     assert not heart.hung(3.15, lambda: 1.0)

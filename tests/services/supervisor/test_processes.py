@@ -135,7 +135,7 @@ def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
         log.close()
 
 
-def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process_left(tmp_path: Path) -> None:
+def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path: Path) -> None:
     s = situation(3.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
     screen = Screen()
@@ -167,7 +167,7 @@ def test_a_run_of_processes_completes_with_every_message_recorded_and_no_process
     assert verdict.steps_compared == verdict.steps_run == sum(steps.values())
 
 
-def test_the_estimator_process_starts_from_the_prior_and_the_run_saves_what_was_learned(tmp_path: Path) -> None:
+def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(tmp_path: Path) -> None:
     """A current deeper than the profiler's range, which only the file can have told."""
     known = tmp_path / "known.csv"
     known.write_text("depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0,0,0.1,0\n50,0.5,-0.25,0.001,0\n")
@@ -235,7 +235,7 @@ class Mischief:
         pass
 
 
-def test_whoever_aboard_is_killed_or_hangs_is_back_where_it_was_and_the_run_completes(tmp_path: Path) -> None:
+def test_a_killed_or_hung_process_continues_where_it_was_and_the_run_completes(tmp_path: Path) -> None:
     """One after the other, the fork server in between: the one that is killed next is spawned, and so takes longer."""
     s = resolve("hover", [Override("test", ["run.duration_s=600", "run.surface_time_s=2", "run.speed=1"])])
     run = folder.make("test", s.files, out=tmp_path / "run")
@@ -329,7 +329,7 @@ def test_ctrl_c_ends_everything_within_two_seconds_and_leaves_a_valid_recording(
     assert count["world/truth"] > 0
 
 
-def test_when_the_supervisor_is_killed_no_orphan_is_left_and_the_recorder_finishes_its_file(
+def test_a_killed_supervisor_leaves_no_orphan_and_the_recorder_completes_its_file(
     launcher: tuple[subprocess.Popen[bytes], Path],
 ) -> None:
     """One child is stopped, so that it can do nothing about it itself (of one that holds the GIL: test_orphans)."""

@@ -15,7 +15,7 @@ def test_five_restarts_within_a_minute_and_no_sixth() -> None:
     assert (MAX_RESTARTS, WINDOW_S) == (5, 60.0)
 
 
-def test_a_restart_is_forgotten_after_a_minute_and_one_that_was_refused_never_counted() -> None:
+def test_a_restart_counts_for_a_minute_and_a_denied_one_never() -> None:
     budget = RestartBudget()
     for t in (0.0, 1.0, 2.0, 3.0, 4.0):
         assert budget.spend(t)

@@ -84,7 +84,7 @@ def test_no_plan_is_in_force_before_one_was_accepted_or_where_it_was_not_heard()
     assert watch.plan_in_force() is None
 
 
-def test_a_controller_is_told_plan_and_checkpoint_an_estimator_its_own_and_both_the_newest_estimate() -> None:
+def test_a_new_process_receives_its_checkpoint_the_newest_estimate_and_the_plan() -> None:
     ether, watch = heard()
     ether.put(plan(0), epoch=5)
     ether.put(following(0))

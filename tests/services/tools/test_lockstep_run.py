@@ -51,7 +51,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Situation, RunFo
     return here, place, lockstep_run.run(here, place)
 
 
-def test_two_processes_with_other_hash_seeds_folders_and_working_directories_write_the_same_bytes(
+def test_two_processes_with_other_hash_seeds_and_folders_write_the_same_bytes(
     tmp_path: Path,
 ) -> None:
     digests = []

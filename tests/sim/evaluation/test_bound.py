@@ -72,7 +72,7 @@ TABLE = {
 
 
 @pytest.mark.parametrize("case", TABLE)
-def test_one_axis_cases_give_the_figures_of_the_one_axis_analysis_within_ten_per_cent(case):
+def test_one_axis_cases_agree_with_the_one_axis_analysis_within_ten_per_cent(case):
     suite, surface_s, known, without, drift_m, velocity_mmps = TABLE[case]
     result = bound(
         suite,

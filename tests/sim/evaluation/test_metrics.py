@@ -199,7 +199,7 @@ def test_thrust_figures_are_over_time_of_the_lateral_commands_from_zero_on(metri
     assert thrust.max_slew_N_per_s == 82.5
 
 
-def test_a_command_just_inside_the_box_or_on_its_way_from_one_bound_to_the_other_is_not_saturated(
+def test_a_command_inside_the_box_or_between_its_bounds_is_not_saturated(
     metrics: RunMetrics,
 ) -> None:
     inside_N = 62.5 - 2e-6
@@ -218,7 +218,7 @@ def test_each_thruster_is_held_against_its_own_box(vehicle: Vehicle) -> None:
     assert metrics.thrust().saturated_fraction == 0.5
 
 
-def test_end_to_end_is_from_the_estimates_time_to_the_plans_start_or_its_arrival_if_that_is_later(
+def test_end_to_end_delay_ends_at_the_plans_start_or_its_later_arrival(
     metrics: RunMetrics,
 ) -> None:
     feed(metrics, plan(1000 * MS, start_ns=1400 * MS, estimate_t_ns=900 * MS), epoch=7, sequence=0)
@@ -236,7 +236,7 @@ def test_a_plan_of_another_epoch_with_the_same_number_is_another_plan(metrics: R
     assert metrics.end_to_end_delay().max is None
 
 
-def test_wall_delays_are_vehicle_delays_divided_by_the_speed_of_the_clock_at_the_time(vehicle: Vehicle) -> None:
+def test_wall_delays_are_vehicle_delays_divided_by_the_clock_speed_then(vehicle: Vehicle) -> None:
     metrics = RunMetrics(vehicle, speed=10.0)
     feed(metrics, plan(0, start_ns=S, estimate_t_ns=0), sequence=0)
     feed(metrics, applied(S, taken=(1, 0, 0)))
@@ -275,7 +275,7 @@ def clock(*, at_us: int, vehicle_ns: int, state: ClockState) -> Clock:
     )
 
 
-def test_compute_delay_has_median_99th_percentile_and_maximum_in_vehicle_and_wall_seconds(metrics: RunMetrics) -> None:
+def test_compute_delay_has_median_p99_and_max_in_vehicle_and_wall_seconds(metrics: RunMetrics) -> None:
     for ms in range(1, 101):
         feed(metrics, timing(0, compute_ns=10 * ms * MS, wall_ns=ms * MS))
     vehicle, wall = metrics.compute_delay(), metrics.compute_delay(wall=True)
@@ -284,7 +284,7 @@ def test_compute_delay_has_median_99th_percentile_and_maximum_in_vehicle_and_wal
     assert (wall.median, wall.max) == pytest.approx((0.0505, 0.1))
 
 
-def test_stages_reach_from_the_estimates_age_to_the_plans_taking_effect_in_wall_microseconds(vehicle: Vehicle) -> None:
+def test_stages_span_the_estimates_age_to_the_plans_start_in_wall_microseconds(vehicle: Vehicle) -> None:
     metrics = RunMetrics(vehicle, speed=2.0)
     feed(metrics, timing(0, 0, age_ns=80 * MS, predict=11.0, solve=100.0), timing(0, 0, age_ns=80 * MS, solve=300.0))
     feed(metrics, plan(0, start_ns=50 * MS), sequence=3, t_ns=20 * MS)

@@ -121,7 +121,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("step_ns", [10 * MS, 40 * MS])
-def test_a_late_sensor_says_the_same_at_the_first_truth_that_is_not_before_its_latency(step_ns):
+def test_a_sensor_with_latency_publishes_the_same_values_that_much_later(step_ns):
     suite = late(msgspec.structs.replace(PLAIN, bottom_track=BED, usbl=USBL), usbl=0)
     world = truths(step_ns=step_ns)
     at_once, delayed = said(suite, world), said(late(suite, **LATENCIES), world)

@@ -82,7 +82,7 @@ def said_along(settings, *, seed=1, step_ns=10 * MS, until_s=3.0):
 
 
 @pytest.mark.parametrize("step_ns", [10 * MS, 70 * MS])
-def test_the_sound_goes_to_where_the_transponder_is_and_back_to_where_the_vehicle_will_be(step_ns):
+def test_the_sound_returns_to_where_the_vehicle_is_by_then(step_ns):
     transceiver, said = said_along(msgspec.structs.replace(LBL, **PERFECT), step_ns=step_ns)
     c = transceiver.sound_speed_mps
     assert len(said) == 2
@@ -165,7 +165,7 @@ def test_a_tenth_of_the_answers_is_lost_and_a_twentieth_longer_but_never_shorter
     assert stats.kstest(detours, stats.uniform(0.0, 20.0).cdf).pvalue > 1e-4
 
 
-def test_a_head_out_of_the_water_calls_nobody_and_a_transponder_far_away_never_answers():
+def test_no_range_with_the_head_out_of_water_or_from_a_far_transponder():
     out = AcousticTransceiver(LBL, 1)
     (world,) = through([truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3))])
     out.sample(world.at(0))  # 0.4 m above the origin, at 0.3 m

@@ -171,7 +171,7 @@ def test_what_is_left_of_the_mounting_is_what_the_calibration_does_not_know():
     np.testing.assert_allclose(left.mean(axis=0), 0.0, atol=4.5 * known_to / math.sqrt(500))
 
 
-def test_an_instrument_askew_about_the_vertical_turns_the_waters_velocity_the_other_way():
+def test_a_misalignment_about_the_vertical_turns_the_measured_water_the_other_way():
     settings = exact(mounting_known_to_rad=0.2, lever_arm_m=(0.0, 0.0, 0.0))
     profiler = profiler_of(settings, WaterColumn(np.array([0.0]), np.array([[0.3, 0.0]])), 5)
     beams = profiler.sample(instant())[0].beam_velocity_mps
@@ -188,7 +188,7 @@ def test_a_profiler_turned_by_an_eighth_looks_between_the_bows_and_the_beam():
     np.testing.assert_allclose(beams[:, 2], [-0.5 * S20, 0.5 * S20, 0.0, 0.0], atol=1e-9)
 
 
-def test_nominal_mounting_turns_the_axes_by_roll_pitch_and_yaw_before_the_misalignment_does():
+def test_nominal_mounting_is_applied_before_the_misalignment():
     settings = exact(mounting_rad=(0.2, -0.4, 1.1), mounting_known_to_rad=0.05, lever_arm_m=(0.0, 0.0, 0.0))
     instrument = Instrument(settings, 4)
     assert np.abs(instrument.misalignment - np.eye(3)).max() > 0.01

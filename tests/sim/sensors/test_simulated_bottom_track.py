@@ -46,13 +46,13 @@ def ping(now, *, adcp=STRAIGHT, settings=EXACT, bottom_m=15.0, seed=0):
     return message
 
 
-def test_a_vehicle_at_rest_above_the_bed_sees_it_at_rest_and_as_far_as_each_beam_slants():
+def test_a_vehicle_at_rest_measures_the_bed_at_rest_at_each_beams_slant_range():
     message = ping(instant(heading=0.7))
     np.testing.assert_allclose(message.beam_velocity_mps, 0.0, atol=1e-10)
     np.testing.assert_allclose(message.range_m, 10.0 / C20, rtol=1e-12)
 
 
-def test_a_vehicle_that_goes_ahead_and_sinks_closes_in_on_the_bed_with_the_beam_ahead():
+def test_a_vehicle_that_moves_ahead_and_sinks_approaches_the_bed_in_the_fore_beam():
     message = ping(instant(heading=math.pi / 2, velocity=(0.0, 0.5, 0.2)))
     sinks = 0.2 * C20
     np.testing.assert_allclose(message.beam_velocity_mps, [-0.5 * S20 - sinks, 0.5 * S20 - sinks, -sinks, -sinks])

@@ -50,7 +50,7 @@ def test_in_a_turn_to_starboard_it_turns_about_down_and_is_pushed_to_starboard()
     np.testing.assert_allclose(force, [0, V * r, -G], atol=1e-6)
 
 
-def test_the_earth_turns_it_and_a_way_north_on_the_northern_hemisphere_needs_a_push_to_the_west():
+def test_moving_north_on_the_northern_hemisphere_needs_a_force_to_the_west():
     latitude = math.radians(50.0)
     W = frames.earth_rate(latitude)
     east = frames.rotation(0.0, 0.0, math.pi / 2)

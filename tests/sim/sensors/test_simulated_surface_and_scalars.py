@@ -106,7 +106,7 @@ def test_the_papers_compass_has_white_noise_of_a_degree_and_no_bias():
     check_white(np.array(headings) - 1.0, math.radians(1.0))
 
 
-def test_the_realistic_compass_has_a_bias_of_two_degrees_over_instruments_that_forgets_in_an_hour():
+def test_the_realistic_compass_bias_is_two_degrees_with_an_hour_of_correlation():
     settings = msgspec.structs.replace(SUITES[1].compass, heading_sd_rad=1e-9)
     first, later = [], []
     for seed in range(800):

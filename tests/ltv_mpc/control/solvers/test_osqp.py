@@ -34,7 +34,7 @@ def test_its_commands_are_the_sparse_qp_s_optimum(stages, limits):
         np.testing.assert_allclose(ours.commands, optimum(lin, target, limits, config.weights), atol=1e-3)
 
 
-def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_closed_loop(cycles):
+def test_the_first_free_knot_is_within_0_1_N_in_99_percent_of_a_closed_loop(cycles):
     solver = OsqpSolver(CONFIG, LIMITS)
     off, iterations = [], []
     for cycle in cycles:
@@ -49,7 +49,7 @@ def test_the_first_free_knot_is_within_a_tenth_of_a_newton_in_99_percent_of_a_cl
     assert np.median(iterations) <= 6
 
 
-def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_stationary_in_every_state():
+def test_without_limits_the_first_guess_obeys_the_model_and_is_stationary():
     """Gaps closed by a forward sweep, duals of the dynamics by a backward one: their residuals are zero."""
     solver = OsqpSolver(CONFIG, LIMITS)
     lin, target = motion(3, CONFIG.stages, gap=0.02)
@@ -66,7 +66,7 @@ def test_where_nothing_is_limited_the_first_guess_obeys_the_model_and_is_station
     assert np.abs(states * LIMITS.state_scale).max() > 1e-3  # there were gaps to close
 
 
-def test_the_first_guess_is_nearly_always_the_solution_so_that_one_look_at_the_residuals_is_enough(cycles):
+def test_the_first_guess_is_nearly_always_the_solution(cycles):
     solver = OsqpSolver(CONFIG, LIMITS)
     for cycle in cycles:
         solver.reset_warm_start() if math.isnan(cycle.stages) else solver.shift_warm_start(cycle.stages)
@@ -90,7 +90,7 @@ def test_far_from_its_line_it_ends_as_soon(off_m):
         np.testing.assert_allclose(ours.commands, optimum(lin, target, LIMITS, CONFIG.weights), atol=0.01)
 
 
-def test_without_the_sweeps_it_begins_at_the_trajectory_with_the_duals_of_the_last_solve():
+def test_without_sweeps_osqp_starts_from_the_trajectory_and_the_last_duals():
     """A cost that does not say what the last command should be: no weight on thrust, no effect of the last one."""
     weights = Weights(thrust=0.0, thrust_change=0.0)
     solver = OsqpSolver(msgspec.structs.replace(PRECISE, weights=weights, horizon_s=1.5), LIMITS)

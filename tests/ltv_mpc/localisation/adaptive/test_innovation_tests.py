@@ -20,7 +20,7 @@ def heard(rng, messages=60, mean=(0.0, 0.0), V_of=lambda _: V):
     return sums
 
 
-def test_white_innovations_have_the_chi_square_of_their_degrees_at_every_time_constant():
+def test_white_innovations_have_their_chi_square_at_every_time_constant():
     """Also where their variance changes on the way."""
     rng = np.random.default_rng(0)
     draws = np.array([heard(rng, V_of=lambda k: V * (1 + k % 7)).chi_square() for _ in range(600)])
@@ -28,7 +28,7 @@ def test_white_innovations_have_the_chi_square_of_their_degrees_at_every_time_co
         assert kstest(one, chi2(2).cdf).pvalue > 1e-3
 
 
-def test_a_tenth_of_the_noise_of_a_hundred_rows_shows_within_seconds_and_nothing_does_not():
+def test_a_small_mean_of_a_hundred_rows_is_detected_within_seconds_and_none_is_not():
     """A mean of as much as one message's deviation: after 9 messages 9 times it in a sum of 3 times it."""
     rng = np.random.default_rng(1)
     for _ in range(20):

@@ -114,7 +114,7 @@ def test_water_as_foretold_is_filtered_to_the_bit_as_without(dives, run, granted
     assert granted == []
 
 
-def test_a_front_is_seen_within_seconds_and_the_velocity_then_is_as_good_as_the_filter_says(dives, run, granted):
+def test_a_front_is_detected_within_seconds_and_velocity_is_then_consistent(dives, run, granted):
     """95 % of chi-square of twice 2 degrees is 9.5; a filter that does not adapt is off by hundreds."""
     off = 0.0
     for dive in dives:
@@ -283,7 +283,7 @@ def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_w
     assert not water.is_inconsistent(16 * SECOND)
 
 
-def test_what_comes_again_when_a_front_has_just_been_granted_may_be_the_unit_and_long_after_is_a_front():
+def test_a_change_soon_after_a_front_may_be_the_inertial_unit_and_later_a_front():
     for again_s, change in ((15, NoiseLevel.FAST_AND_IMU), (19.5, NoiseLevel.FAST_AND_IMU), (21, NoiseLevel.FAST)):
         water = AdaptiveProcessNoise(1.0, 0)
         water.inflate(NoiseLevel.FAST, 10 * SECOND, 0)
@@ -354,7 +354,7 @@ def test_a_step_between_two_cells_is_noticed(dives, run, granted):
     assert NoiseLevel.SLOW in {one.change for one in granted}
 
 
-def test_what_is_granted_to_all_is_smooth_over_depth_and_leaves_the_covariance_definite():
+def test_inflation_of_all_depths_is_smooth_and_keeps_the_covariance_definite():
     belief = belief_of_water()
     water = AdaptiveProcessNoise(1.0, 0)
     before = belief.P.copy()

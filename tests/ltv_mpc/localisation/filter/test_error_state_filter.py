@@ -242,7 +242,7 @@ def test_every_scalar_measurement_is_accounted_for_by_what_came_of_it():
     assert (account["pressure.gate"], account["compass.used"], account["tdcp.other_epoch"]) == (1, 1, 2)
 
 
-def test_a_satellite_fix_that_is_a_little_too_far_away_is_doubted_and_a_pressure_is_refused():
+def test_a_satellite_fix_just_beyond_the_gate_is_de_weighted_a_pressure_rejected():
     """Four deviations of innovation, which the gate of 3.3 holds back; and seven."""
     belief = Belief.blank(Layout.of(PAPER, EstimatorConfig()), 0)
     belief.P += 1e-4 * np.eye(belief.layout.size)

@@ -121,7 +121,7 @@ def test_noise_grows_as_random_walks_do():
         assert Q[i, i] == pytest.approx(s_a * seconds**3 / 3, rel=1e-3)
 
 
-def test_the_noise_of_one_sample_moves_position_by_half_an_interval_of_the_velocity_it_gives():
+def test_the_noise_of_one_sample_moves_position_by_half_its_interval():
     """White noise of the mean force over dt: dv = dt n and dp = dt / 2 dv are one random number, not two."""
     x, R = start()
     Q = run(x, R, [RATE], [FORCE])[1]

@@ -227,7 +227,7 @@ def test_faster_sound_makes_ranges_shorter():
     np.testing.assert_allclose(lbl.rows(quick, heard, LBL).residual, 0, atol=1e-12)
 
 
-def test_an_uncertain_position_makes_a_range_longer_and_less_certain_as_drawn_positions_say(belief):
+def test_the_second_order_range_term_agrees_with_drawn_positions(belief):
     """Against 400 000 draws: mean and twice the deviation of the range beyond its tangent."""
     heading_east(belief)
     belief.x[:3] = [10.0, -20.0, 30.0]

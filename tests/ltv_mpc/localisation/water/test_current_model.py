@@ -76,7 +76,7 @@ SAVED = WaterPrior(
 )
 
 
-def test_at_the_depths_of_a_saved_profile_the_prior_is_that_profile_and_what_may_have_changed():
+def test_at_saved_depths_the_prior_is_the_profile_plus_its_possible_change():
     config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.003)
     belief = Belief.blank(LAYOUT, 0)
     current_model.write_prior(belief, config, SAVED)
@@ -87,7 +87,7 @@ def test_at_the_depths_of_a_saved_profile_the_prior_is_that_profile_and_what_may
         assert belief.P[LAYOUT.mean.start, n] == belief.P[e, LAYOUT.mean.start + 1] == pytest.approx(0.01**2)
 
 
-def test_depths_of_a_saved_profile_share_their_common_error_and_what_neighbours_have_alike():
+def test_saved_depths_share_their_common_error_and_that_of_neighbours():
     config = msgspec.structs.replace(CONFIG, water_prior_change_sd_mps=0.0)
     covariance = current_model.node_prior(config, SAVED).covariance(slice(None))
     own = np.sqrt(SAVED.sd_mps**2 - 0.01**2)
@@ -96,7 +96,7 @@ def test_depths_of_a_saved_profile_share_their_common_error_and_what_neighbours_
     assert covariance[5, 7] == pytest.approx(0.01**2 + own[0] * own[2] * distance**2)
 
 
-def test_between_distant_depths_of_a_saved_profile_the_water_is_as_open_as_a_gauss_markov_bridge():
+def test_between_saved_depths_the_prior_is_a_gauss_markov_bridge():
     """The conditional variance given both ends, by Gaussian conditioning on an exactly known profile."""
     exact = WaterPrior(
         depth_m=np.array([10.0, 30.0]),

@@ -71,7 +71,7 @@ def test_what_hypotheses_would_do_to_the_belief_goes_with_its_window():
 
 
 @pytest.mark.parametrize("name", ["paper", "realistic"])
-def test_a_filter_that_forgets_depths_behind_it_knows_the_rest_as_one_that_keeps_them(name, make_dive, inbox_of):
+def test_a_filter_that_drops_depths_behind_it_equals_one_that_keeps_them(name, make_dive, inbox_of):
     """12 m down at 0.2 m/s with beams of 5 m: the same vehicle and the same water, to 1e-9, at every estimate."""
     suite = short_sighted(name, 5.0)
     dive = make_dive(suite, 4, duration_s=60.0)

@@ -35,7 +35,7 @@ def of(run, which=0):
     return profile, run.water[nodes].T - [profile.north_mps, profile.east_mps]
 
 
-def test_errors_of_a_saved_profile_are_as_large_as_it_says_at_each_depth_and_on_average(make_yoyo):
+def test_errors_of_a_saved_profile_are_consistent_at_each_depth_and_on_average(make_yoyo):
     """30 dives. Squared errors in units of the variance; of the average over depth, of what a later prior makes of it.
 
     Errors of one dive are alike, so there are some 60 of them; 0.6 to 1.5 holds 99 % of such means.
@@ -53,7 +53,7 @@ def test_errors_of_a_saved_profile_are_as_large_as_it_says_at_each_depth_and_on_
     assert 0.6 < np.mean(average) / np.mean(told) < 1.5
 
 
-def test_a_second_dive_with_the_first_ones_profile_knows_more_and_is_as_good_as_it_says(make_yoyo):
+def test_a_second_dive_with_a_saved_profile_is_more_accurate_and_consistent(make_yoyo):
     """The water is the same: velocity after 30 s against the same dive without a prior, and its squared error."""
     nees, ratio = [], []
     for seed in range(8):

@@ -144,7 +144,7 @@ def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(tmp_p
     assert results(out) == results(whole)
 
 
-def test_the_best_point_is_the_one_with_the_least_mean_and_the_others_are_paired_with_it(
+def test_the_best_point_has_the_smallest_mean_and_others_are_paired_with_it(
     finished: Path, file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = pq.read_table(finished / "results.parquet").to_pylist()

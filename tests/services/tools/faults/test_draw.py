@@ -61,7 +61,7 @@ def test_a_quick_campaign_breaks_nothing_that_works_afloat_only():
     assert max(fault.end_s - fault.start_s for run in runs for fault in run.faults) <= campaign.QUICK.longest_s + 1e-9
 
 
-def test_of_a_thousand_faults_two_hundred_are_in_processes_and_ten_of_every_class_there():
+def test_of_a_thousand_faults_two_hundred_are_in_processes_ten_of_each_class():
     asked = campaign.plan("", "both", 1000)
     assert asked.total == 1000
     assert asked.n_outside >= 200

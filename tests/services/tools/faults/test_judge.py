@@ -192,7 +192,7 @@ def test_what_is_left_of_the_error_is_held_against_the_same_seed_without():
     assert campaign(one).not_recovered == campaign(one).window_over == 1
 
 
-def test_a_half_minute_that_was_calmer_than_usual_without_the_fault_is_not_what_is_asked_for():
+def test_a_calm_half_minute_of_the_baseline_does_not_tighten_the_requirement():
     """0.1 m off as ever; without the fault it happened to be 0.02 m, and 0.08 m over the whole run."""
     calm = log()
     calm.estimate = [(t, 0.02 if 70 * S <= t < 100 * S else n, e, *v) for t, n, e, *v in calm.estimate]
@@ -227,7 +227,7 @@ def test_whatever_is_lost_has_a_bound():
     assert {(kind.name, target) for kind in lost for target in kind.targets} == set(BOUNDS_M)
 
 
-def test_a_plan_that_the_fault_itself_kept_from_the_recording_was_a_command_all_the_same():
+def test_a_plan_that_the_fault_kept_from_the_recording_still_counts_as_a_command():
     of = log()
     of.plans = [plan for plan in of.plans if plan.cycle_ns not in (33 * S, 36 * S)]
     what = fault("message_loss", "plan")
