@@ -57,11 +57,11 @@ class _Log:
 
 def hover(job: Job) -> Drift:
     """One run."""
-    situation, log = job.situation(), _Log()
+    run_config, log = job.run_config(), _Log()
     lockstep = LockStep(
-        make_nodes(situation), start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=log
+        make_nodes(run_config), start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observe=log
     )
-    lockstep.advance(situation.scenario.end_ns)
+    lockstep.advance(run_config.scenario.end_ns)
     return Drift(*np.array(log.rows).T)
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.loop import STEP_NS, Loop, Outcome, situation
+from benchmarks.loop import STEP_NS, Loop, Outcome, run_config
 from benchmarks.optimum import Optimum
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.horizon_limits import HorizonLimits
@@ -33,8 +33,8 @@ from ltv_mpc.control.linearisation import Linearisation
 from ltv_mpc.control.scaling import resolve_weights
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Array
-from services.run.provenance import made_by
-from services.run.run_config import Situation
+from services.run.provenance import provenance_table
+from services.run.run_config import RunConfig
 from services.tools.batch.executor import each
 from services.tools.batch.results_store import open_store
 from services.tools.campaign.trial import version_of
@@ -78,7 +78,7 @@ class Converged:
         return answer
 
 
-def cost(of: Situation, flown: Outcome) -> float:
+def cost(of: RunConfig, flown: Outcome) -> float:
     """J of a flight."""
     weights = resolve_weights(of.scenario.controller, of.vehicle).weights
     scale = HorizonLimits.from_vehicle(of.vehicle, of.scenario.controller.period_s).scale
@@ -98,7 +98,7 @@ class Flight(NamedTuple):
     converged: float = 0.0
 
 
-def fly(of: Situation, optimum: Optimum | None) -> Flight:
+def fly(of: RunConfig, optimum: Optimum | None) -> Flight:
     """With IPOPT after the QP, if there is one."""
     controller = Controller(of.vehicle, of.reference, of.scenario.controller)
     made: list[Converged] = []
@@ -109,7 +109,7 @@ def fly(of: Situation, optimum: Optimum | None) -> Flight:
             return made[-1]
 
         controller.solve_with(converged)
-    outcome = Loop(situation=of, controller=controller).fly()
+    outcome = Loop(run_config=of, controller=controller).fly()
     cycles = sum(one.cycles for one in made)
     share = sum(one.converged for one in made) / cycles if cycles else 0.0
     return Flight(cost(of, outcome), outcome.mean_m, outcome.mean_abs_N, share)
@@ -134,7 +134,7 @@ class Job(NamedTuple):
 @functools.cache
 def _optimum() -> Optimum:
     """Made once by each process: it takes IPOPT some seconds."""
-    here = situation()
+    here = run_config()
     return Optimum(here.vehicle, here.scenario.controller)
 
 
@@ -142,7 +142,7 @@ def flight(job: Job) -> Flight:
     """Fly it."""
     best = job.name == OPTIMUM
     iterations = f"controller.sqp_iterations={1 if best else job.name}"
-    of = situation(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}", iterations)
+    of = run_config(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}", iterations)
     return fly(of, _optimum() if best else None)
 
 
@@ -156,7 +156,7 @@ def main() -> None:
     options = parser.parse_args()
     seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
     jobs = [Job(seed, name, options.duration_s) for seed in seeds for name in NAMES]
-    settings = {"duration_s": options.duration_s, "version": version_of(made_by())}
+    settings = {"duration_s": options.duration_s, "version": version_of(provenance_table())}
     with open_store(options.out, settings) as store, Progress(console=Console(stderr=True)) as progress:
         missing = [job for job in jobs if _key(job) not in store.keys]
         task = progress.add_task("flights", total=len(jobs), completed=len(jobs) - len(missing))

@@ -37,7 +37,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.faults import kinds, lockstep_runs
 from services.tools.faults.draw import Run
@@ -141,12 +141,12 @@ class Restarted:
         return msgspec.structs.replace(newest(EstimatorState), estimate=newest(Estimate))
 
 
-def situation(name: str, *settings: str) -> Situation:
+def run_config(name: str, *settings: str) -> RunConfig:
     """Resolve the scenario ``name`` with these settings, for ``DURATION_S``."""
     return resolve(name, [Override("fingerprint", [f"run.duration_s={DURATION_S}", "run.seed=5", *settings])])
 
 
-def lockstep(of: Situation, nodes: list[Node]) -> Values:
+def lockstep(of: RunConfig, nodes: list[Node]) -> Values:
     """Run these nodes of the situation."""
     collector = Collector()
     delay_ns = round(of.scenario.run.compute_delay_s * 1e9)
@@ -156,14 +156,14 @@ def lockstep(of: Situation, nodes: list[Node]) -> Values:
         compute_delay_ns=delay_ns,
         observe=collector,
         latest=lockstep_run.LATEST,
-        refused=lockstep_run.refused,
+        refused=lockstep_run.rejected_message,
     ).advance(of.scenario.end_ns)
     return collector.values()
 
 
 def restarted() -> Values:
     """Run a descent whose estimator and controller are replaced in the middle."""
-    of = situation("descent")
+    of = run_config("descent")
     memory: dict[type[Message], Message] = {}
 
     def again(node: Node) -> Node:
@@ -195,7 +195,7 @@ def runs() -> dict[str, Callable[[], Values]]:
 
 
 def _plain(scenario: str, *settings: str) -> Values:
-    of = situation(scenario, *settings)
+    of = run_config(scenario, *settings)
     return lockstep(of, make_nodes(of))
 
 

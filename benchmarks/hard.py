@@ -14,12 +14,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.loop import Loop, situation
+from benchmarks.loop import Loop, run_config
 from benchmarks.table import Figures, Job, measure
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.messages import Array
 from ltv_mpc.references import Point
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from sim.water import WaterColumn
 
 REVERSING_MPS, REVERSES_AT_M = 0.15, 8.0
@@ -29,7 +29,7 @@ REVERSING_MPS, REVERSES_AT_M = 0.15, 8.0
 class Scenario:
     """How a seed becomes a situation; the part that each thruster delivers."""
 
-    situation: Callable[[tuple[str, ...], int], Situation]
+    run_config: Callable[[tuple[str, ...], int], RunConfig]
     share: Array = field(default_factory=lambda: np.ones(3))
 
 
@@ -38,31 +38,31 @@ def line(rate_mps: float = 0.2) -> Point:
     return Point(north_m=0.0, east_m=0.0, depth_m=40.0, descent_rate_mps=rate_mps, start_s=0.0)
 
 
-def descent(settings: tuple[str, ...], seed: int) -> Situation:
+def descent(settings: tuple[str, ...], seed: int) -> RunConfig:
     """Return the paper's descent."""
-    return situation(f"run.seed={seed}", *settings)
+    return run_config(f"run.seed={seed}", *settings)
 
 
-def short(settings: tuple[str, ...], seed: int) -> Situation:
+def short(settings: tuple[str, ...], seed: int) -> RunConfig:
     """Return the first half of the descent."""
     return descent((*settings, "run.duration_s=100.0"), seed)
 
 
-def turned(settings: tuple[str, ...], seed: int) -> Situation:
+def turned(settings: tuple[str, ...], seed: int) -> RunConfig:
     """Return the descent with the bow along the mean current of the first 10 m."""
     north, east = descent(settings, seed).water.over(np.linspace(0.0, 10.0, 11), 0).mean(axis=0)
     start = f"plant.heading_rad={np.arctan2(east, north)}", "plant.north_m=1.0", "run.duration_s=60.0"
     return replace(descent((*settings, *start), seed), reference=line())
 
 
-def far_off(settings: tuple[str, ...], seed: int) -> Situation:
+def far_off(settings: tuple[str, ...], seed: int) -> RunConfig:
     """5 m, the heading another one each seed."""
     heading = f"plant.heading_rad={(seed % 8) * 0.7 - 2.8:.1f}"
     start = heading, "plant.north_m=3.0", "plant.east_m=-4.0", "run.duration_s=60.0"
     return replace(descent((*settings, *start), seed), reference=line())
 
 
-def reversing(settings: tuple[str, ...], seed: int) -> Situation:
+def reversing(settings: tuple[str, ...], seed: int) -> RunConfig:
     """Northward above, southward below, on top of the seed's profile."""
     s = short(settings, seed)
     depth = s.water.depth_m
@@ -71,13 +71,13 @@ def reversing(settings: tuple[str, ...], seed: int) -> Situation:
     return replace(s, water=WaterColumn(depth, s.water.over(depth, 0) + added))
 
 
-def front(settings: tuple[str, ...], seed: int) -> Situation:
+def front(settings: tuple[str, ...], seed: int) -> RunConfig:
     """25 cm/s more within 5 s, at all depths."""
     of_water = "water.feature.kind=front", "water.feature.step_mps=0.25"
     return short((*settings, *of_water, "water.feature.at_s=50.0", "water.feature.width_s=5.0"), seed)
 
 
-def slow(settings: tuple[str, ...], seed: int) -> Situation:
+def slow(settings: tuple[str, ...], seed: int) -> RunConfig:
     """0.12 m/s."""
     return replace(descent(settings, seed), reference=line(0.12))
 
@@ -101,9 +101,9 @@ SETTINGS: dict[str, tuple[str, ...]] = {
 def fly(scenario: str, settings: tuple[str, ...], seed: int, kind: type[Controller] = Controller) -> Figures:
     """One run of one scenario."""
     chosen = SCENARIOS[scenario]
-    s = chosen.situation(settings, seed)
+    s = chosen.run_config(settings, seed)
     controller = kind(s.vehicle, s.reference, s.scenario.controller)
-    return Figures.of(Loop(situation=s, controller=controller, share=chosen.share).fly())
+    return Figures.of(Loop(run_config=s, controller=controller, share=chosen.share).fly())
 
 
 def one(job: Job) -> Figures:

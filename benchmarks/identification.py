@@ -28,7 +28,7 @@ from ltv_mpc.vehicle.flow import advance_stage
 from ltv_mpc.vehicle.identification import Identified, Motion, identify, units_of
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
-from sim.plant import level_to_ned, mismatched
+from sim.plant import apply_mismatch, level_to_ned
 from sim.scenario import Mismatch
 
 STEP_NS = 10_000_000
@@ -44,7 +44,7 @@ class _Boat:
     def __init__(
         self, vehicle: Vehicle, mismatch: Mismatch, current: Array, actuators: str, rng: np.random.Generator
     ) -> None:
-        self._p, self._factor = mismatched(vehicle.coefficients(), mismatch), mismatch.thrust
+        self._p, self._factor = apply_mismatch(vehicle.coefficients(), mismatch), mismatch.thrust
         self._body = motion.pack(vehicle, self._p, self._factor)
         self._model = actuators == "model"
         self._current, self._rng = current, rng
@@ -140,7 +140,7 @@ def _relative(estimate: Estimate, command: Array, thrust: Array) -> tuple[float,
 
 def truth(vehicle: Vehicle, mismatch: Mismatch, known: str, known_yaw: str) -> dict[str, float]:
     """Return the true coefficients by name, in the file's units, if one scale is taken from the file."""
-    true, file = mismatched(vehicle.coefficients(), mismatch), vehicle.coefficients()
+    true, file = apply_mismatch(vehicle.coefficients(), mismatch), vehicle.coefficients()
     # All forces over the scale that is taken as known: the motion is the same.
     scale = mismatch.thrust if known == "thrust" else mismatch.mass
     yaw = mismatch.thrust if known_yaw == "arm" else mismatch.mass

@@ -25,7 +25,7 @@ import time
 from pathlib import Path
 
 from services.run.run_config import Override, resolve
-from services.run.summary import of_recording
+from services.run.summary import summarise_recording
 from sim.evaluation.summary import Summary
 
 CLI = [sys.executable, "-P", "-m", "services.cli"]
@@ -115,7 +115,7 @@ def connect(namespace: str, device: str, own: str, other: str) -> None:
 def descent(folder: Path, *, controller_in: str, duration_s: float, speed: float, seed: int) -> Summary:
     """One run in the near namespace, but for the controller."""
     settings = [f"run.duration_s={duration_s}", f"run.speed={speed}", f"run.seed={seed}"]
-    situation = resolve("descent", [Override("link", settings)])
+    run_config = resolve("descent", [Override("link", settings)])
     folder.mkdir()
     scenario = folder / "scenario.toml"
     scenario.write_text(f'title = "link"\n[run]\nduration_s = {duration_s}\nspeed = {speed}\nseed = {seed}\n')
@@ -144,7 +144,7 @@ def descent(folder: Path, *, controller_in: str, duration_s: float, speed: float
             if process.poll() is None:
                 process.kill()
             process.wait()
-    return of_recording(situation, folder / "run" / "run.mcap")[0]
+    return summarise_recording(run_config, folder / "run" / "run.mcap")[0]
 
 
 def row(name: str, summary: Summary) -> str:

@@ -84,18 +84,18 @@ class Descent(NamedTuple):
     @classmethod
     def simulated(cls, sensors: str) -> Descent:
         """In lock step, once. Raises ``ConfigError``."""
-        situation = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).situation()
-        scenario, steps = situation.scenario, list[Due]()
+        run_config = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).run_config()
+        scenario, steps = run_config.scenario, list[Due]()
 
         def stepped(step: Step) -> None:
             if step.node == Estimator.name:
                 steps.append((step.t_ns, step.inbox))
 
-        nodes = make_nodes(situation)
+        nodes = make_nodes(run_config)
         LockStep(nodes, start_ns=scenario.start_ns, stepped=stepped, latest=lockstep_run.LATEST).advance(
             scenario.end_ns
         )
-        return cls(situation.suite, steps)
+        return cls(run_config.suite, steps)
 
     def aligned(self, config: EstimatorConfig) -> tuple[Estimator, list[Due]]:
         """Return an estimator whose filter has been initialised, and the messages that remain."""

@@ -25,7 +25,7 @@ from ltv_mpc.messages import Message
 from ltv_mpc.node import Due, Node
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
 
@@ -37,12 +37,12 @@ SETTINGS: dict[str, tuple[str, ...]] = {
 RECORDED = "full loop, paper, recorded"
 
 
-def situation(*settings: str, duration_s: float) -> Situation:
+def run_config(*settings: str, duration_s: float) -> RunConfig:
     """Resolve the descent with these settings."""
     return resolve("descent", [Override("benchmark", [*settings, f"run.duration_s={duration_s}", "run.seed=3"])])
 
 
-def run(of: Situation, folder: str | None = None) -> float:
+def run(of: RunConfig, folder: str | None = None) -> float:
     """Return the speed of one run relative to real time; with ``folder`` the run is recorded."""
     seconds = (of.scenario.end_ns - of.scenario.start_ns) * 1e-9
     started = time.perf_counter()
@@ -50,7 +50,7 @@ def run(of: Situation, folder: str | None = None) -> float:
     return seconds / (time.perf_counter() - started)
 
 
-def shares(of: Situation) -> dict[str, float]:
+def shares(of: RunConfig) -> dict[str, float]:
     """Of the time that one run takes, each node's; the rest is validation's and lock step's own."""
     spent: Counter[str] = Counter()
 
@@ -68,7 +68,9 @@ def shares(of: Situation) -> dict[str, float]:
             return said
 
     nodes = [Timed(node) for node in make_nodes(of, unread=False)]
-    lockstep = LockStep(nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, refused=lockstep_run.refused)
+    lockstep = LockStep(
+        nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, refused=lockstep_run.rejected_message
+    )
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)
     whole = time.perf_counter() - started
@@ -83,8 +85,8 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    cases = {name: situation(*settings, duration_s=options.duration_s) for name, settings in SETTINGS.items()}
-    recorded = situation(*SETTINGS["full loop, paper"], duration_s=options.duration_s)
+    cases = {name: run_config(*settings, duration_s=options.duration_s) for name, settings in SETTINGS.items()}
+    recorded = run_config(*SETTINGS["full loop, paper"], duration_s=options.duration_s)
     times: dict[str, list[float]] = {name: [] for name in (*cases, RECORDED)}
     for _ in range(options.runs + 1):
         for name, case in cases.items():

@@ -18,9 +18,9 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Applied, Array, CurrentProfile, Estimate, Pair, Plan, Times
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from sim import motion
-from sim.plant import level_to_ned, mismatched
+from sim.plant import apply_mismatch, level_to_ned
 from sim.water import WaterColumn
 
 STEP_NS = 10_000_000
@@ -76,7 +76,7 @@ class Loop:
     ``compensates`` false: the controller is told that its plans are there at once, and each comes in its delay later.
     """
 
-    situation: Situation
+    run_config: RunConfig
     controller: Controller
     told: Told = lambda estimate: estimate
     seen: Callable[[Estimate, Plan], None] = lambda _estimate, _plan: None
@@ -85,9 +85,9 @@ class Loop:
 
     def fly(self) -> Outcome:
         """Make the whole run. ``seen`` receives each cycle's estimate and plan after t = 0."""
-        scenario, water, controller = self.situation.scenario, self.situation.water, self.controller
-        plant = TrueVehicle(self.situation, self.share)
-        depths = told_depths(self.situation)
+        scenario, water, controller = self.run_config.scenario, self.run_config.water, self.controller
+        plant = TrueVehicle(self.run_config, self.share)
+        depths = told_depths(self.run_config)
         period_ns, delay_ns = scenario.controller.period_ns, round(scenario.run.compute_delay_s * 1e9)
         told_ns = delay_ns if self.compensates else 0
         late_ns = delay_ns - told_ns
@@ -121,19 +121,19 @@ class Loop:
 class TrueVehicle:
     """The true vehicle: the plant's motion, without its node and its gate."""
 
-    def __init__(self, situation: Situation, share: Array) -> None:
-        start, vehicle = situation.scenario.plant, situation.vehicle
+    def __init__(self, run_config: RunConfig, share: Array) -> None:
+        start, vehicle = run_config.scenario.plant, run_config.vehicle
         self.state = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
         self.thrust = np.zeros(3)
         self._revolutions = np.zeros(3)
         self._share = share
-        self._water = situation.water
-        self._body = motion.pack(vehicle, mismatched(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
+        self._water = run_config.water
+        self._body = motion.pack(vehicle, apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
 
     def go(self, t_ns: Times, u: Array) -> Array:
         """On under commands u (M+1, 3) at t_ns (M+1,); positions (M, 2) after each step."""
         earlier, later, share = self._water.between(int(t_ns[0] + t_ns[-1]) // 2)
-        return motion.drive(
+        return motion.simulate(
             self._body,
             self.state,
             self._revolutions,
@@ -165,7 +165,7 @@ def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], de
     )
 
 
-def told_depths(of: Situation) -> Array:
+def told_depths(of: RunConfig) -> Array:
     """Depths (m) of the profile that an estimate has."""
     estimator = of.scenario.estimator
     return estimator.cell_m * np.arange(round(estimator.deepest_m / estimator.cell_m) + 1, dtype=np.float64)
@@ -196,6 +196,6 @@ def known(t_ns: int, state: Array, water: WaterColumn, depths_m: Array) -> Estim
     )
 
 
-def situation(*settings: str, scenario: str = "descent") -> Situation:
+def run_config(*settings: str, scenario: str = "descent") -> RunConfig:
     """Resolve a shipped scenario with KEY=VALUE settings on top and the state known."""
     return resolve(scenario, [Override("benchmark", ("run.perfect_state=true", *settings))])

@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.loop import Loop, situation
+from benchmarks.loop import Loop, run_config
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
@@ -52,7 +52,7 @@ class Flown(NamedTuple):
 
 def one(job: Job) -> Flown:
     """Fly it."""
-    s = situation(f"run.seed={job.seed}", *(f"controller.limits.{limit}" for limit in job.limits))
+    s = run_config(f"run.seed={job.seed}", *(f"controller.limits.{limit}" for limit in job.limits))
     seen: list[tuple[float, float, int, bool]] = []
 
     def look(estimate: Estimate, plan: Plan) -> None:
@@ -62,7 +62,7 @@ def one(job: Job) -> Flown:
         solved = plan.solve.status is SolveStatus.SOLVED
         seen.append((abs(estimate.yaw_rate_radps), abs(surge), plan.solve.iterations, solved))
 
-    outcome = Loop(situation=s, controller=Controller(s.vehicle, s.reference, s.scenario.controller), seen=look).fly()
+    outcome = Loop(run_config=s, controller=Controller(s.vehicle, s.reference, s.scenario.controller), seen=look).fly()
     rate, surge, iterations, solved = np.array(seen).T
     return Flown(outcome.mean_m, outcome.mean_abs_N, rate, surge, iterations, int((solved == 0).sum()))
 

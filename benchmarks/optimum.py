@@ -24,7 +24,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.loop import Loop, situation
+from benchmarks.loop import Loop, run_config
 from ltv_mpc.control.config import STAGE_NS, ControllerConfig
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.cost import cost
@@ -191,9 +191,9 @@ def main() -> None:
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("descents", total=options.seeds)
         for seed in range(options.first_seed, options.first_seed + options.seeds):
-            s = situation(f"run.seed={seed}", *options.set)
+            s = run_config(f"run.seed={seed}", *options.set)
             controller = Watched(s.vehicle, s.reference, s.scenario.controller)
-            Loop(situation=s, controller=controller).fly()
+            Loop(run_config=s, controller=controller).fly()
             optimum = optimum or Optimum(s.vehicle, s.scenario.controller)
             rows += [compare(optimum, cycle) for cycle in controller.cycles[options.every :: options.every]]
             progress.advance(task)

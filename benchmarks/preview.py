@@ -19,7 +19,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.loop import Loop, Outcome, situation
+from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.messages import CurrentProfile, Estimate
@@ -50,10 +50,10 @@ def without_preview(estimate: Estimate) -> Estimate:
 
 def one(job: Job) -> tuple[float, float, float]:
     """Mean distance (m), mean |F| (N), saturated share of the time."""
-    s = situation(f"run.seed={job.seed}", f"controller.horizon_s={job.horizon_s}")
+    s = run_config(f"run.seed={job.seed}", f"controller.horizon_s={job.horizon_s}")
     controller = Controller(s.vehicle, s.reference, s.scenario.controller)
     told = (lambda estimate: estimate) if job.preview else without_preview
-    outcome: Outcome = Loop(situation=s, controller=controller, told=told).fly()
+    outcome: Outcome = Loop(run_config=s, controller=controller, told=told).fly()
     return outcome.mean_m, outcome.mean_abs_N, outcome.saturated
 
 

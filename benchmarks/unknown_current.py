@@ -14,7 +14,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 
-from benchmarks.loop import Loop, Told, situation
+from benchmarks.loop import Loop, Told, run_config
 from benchmarks.preview import without_preview
 from benchmarks.table import Figures, Job, measure
 from ltv_mpc.control.controller import Controller
@@ -59,11 +59,11 @@ def one(job: Job) -> Figures:
     """One descent."""
     water, row = job.row.split(": ")
     told, settings = TOLD[row]
-    s = situation(f"run.seed={job.seed}", *settings)
+    s = run_config(f"run.seed={job.seed}", *settings)
     if water == "constant":
         s = replace(s, water=constant(s.water.depth_m, job.seed))
     controller = Controller(s.vehicle, s.reference, s.scenario.controller)
-    return Figures.of(Loop(situation=s, controller=controller, told=told).fly())
+    return Figures.of(Loop(run_config=s, controller=controller, told=told).fly())
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from benchmarks.loop import Loop, situation
+from benchmarks.loop import Loop, run_config
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
@@ -32,7 +32,7 @@ from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array, Estimate, Plan
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.thruster import revolutions
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.tools.vehicle_check import check
 from sim.water.column import WaterColumn
 
@@ -103,12 +103,12 @@ def drawn(seed: int) -> Vehicle:
     return msgspec.convert(table, Vehicle)
 
 
-def place(vehicle: Vehicle, share: float, seed: int, settings: tuple[str, ...] = ()) -> Situation:
+def place(vehicle: Vehicle, share: float, seed: int, settings: tuple[str, ...] = ()) -> RunConfig:
     """Return a target, a current of ``share`` of the vehicle's top speed, and a start 2 m off."""
     rng = np.random.default_rng(seed)
     off, heading, towards = rng.uniform(-np.pi, np.pi, 3)
     scales = characteristic_scales(vehicle)
-    base = situation(
+    base = run_config(
         f"plant.north_m={START_M * np.cos(off)}",
         f"plant.east_m={START_M * np.sin(off)}",
         f"plant.heading_rad={heading}",
@@ -130,7 +130,7 @@ def hold(vehicle: Vehicle, share: float, seed: int, config: ControllerConfig | N
     s = place(vehicle, share, seed)
     plans: list[Plan] = []
     controller = Controller(vehicle, s.reference, config or s.scenario.controller)
-    loop = Loop(situation=s, controller=controller, told=afloat, seen=lambda _estimate, plan: plans.append(plan))
+    loop = Loop(run_config=s, controller=controller, told=afloat, seen=lambda _estimate, plan: plans.append(plan))
     flown = loop.fly()
     return graded(flown.distance_m, plans, vehicle)
 

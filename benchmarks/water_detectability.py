@@ -115,17 +115,17 @@ class Descent:
 
     def __init__(self, sensors: str, seed: int, settings: Sequence[str] = ()) -> None:
         """Run the descent in lock step. Raises ``ConfigError``."""
-        situation = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).situation()
-        nodes = make_nodes(situation)
-        self.suite: SensorConfig = situation.suite
-        self.water: Water = situation.scenario.water
+        run_config = Job("descent", (f'sensors="{sensors}"', f"run.seed={seed}", *settings)).run_config()
+        nodes = make_nodes(run_config)
+        self.suite: SensorConfig = run_config.suite
+        self.water: Water = run_config.scenario.water
         self.steps: list[Due] = []  # of the estimator
         self.pings: dict[int, _Ping] = {}
         self._truth: Truth | None = None
         units = next(node for node in nodes if isinstance(node, Sensors)).sensors
         self._profiler = next(unit for unit in units if isinstance(unit, Profiler))
         self._beams = beams(self.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T  # (4, 3), body
-        scenario = situation.scenario
+        scenario = run_config.scenario
         LockStep(
             nodes, start_ns=scenario.start_ns, observe=self, stepped=self._stepped, latest=lockstep_run.LATEST
         ).advance(scenario.end_ns)

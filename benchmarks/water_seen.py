@@ -31,7 +31,7 @@ from benchmarks.water_detectability import BEGINS_S, Change, front, gyro, step, 
 from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.messages import Array, Estimate, FilterStatus, LocalisationReport
 from ltv_mpc.node import ReceivedMessage
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.tools.batch.executor import each
 from services.tools.batch.job import Job
 from services.tools.localisation_check.probe import LOOK_NS, Probe
@@ -96,8 +96,8 @@ class Watch(Probe):
 
     hears = Probe.hears | {LocalisationReport}
 
-    def __init__(self, situation: Situation, gyro_radps: float) -> None:
-        super().__init__(situation)
+    def __init__(self, run_config: RunConfig, gyro_radps: float) -> None:
+        super().__init__(run_config)
         self._to_fail_radps = gyro_radps
         self._said = FilterStatus.NOMINAL
         self.rows: dict[int, tuple[bool, float, float]] = {}
@@ -120,8 +120,8 @@ class Watch(Probe):
 
 def descend(job: tuple[Job, float]) -> Run:
     """Run it, watched, with a fault of the gyro (rad/s)."""
-    situation = job[0].situation()
-    watch = Watch(situation, job[1])
+    run_config = job[0].run_config()
+    watch = Watch(run_config, job[1])
     watch.descend()
     velocity, cells = watch.nees["velocity"], watch.nees["cells"]
     of = {t: (square, dof) for t, square, dof in zip(cells.t_ns, cells.square, cells.dof, strict=True)}
@@ -132,7 +132,7 @@ def descend(job: tuple[Job, float]) -> Run:
         cells=np.array([of.get(t, (0.0, 0)) for t in velocity.t_ns], dtype=np.float64),
         well=np.array([well for well, _, _ in rows]),
         off=np.array([squares for _, *squares in rows]),
-        subgrid_mps=watch.subgrid_mps(situation.scenario.end_ns),
+        subgrid_mps=watch.subgrid_mps(run_config.scenario.end_ns),
     )
 
 

@@ -165,7 +165,7 @@ def _slope(
 
 
 @jit
-def drive(
+def simulate(
     flat: Array,
     s: Array,
     n: Array,

@@ -55,7 +55,7 @@ class Plant:
         self._arms = scenario.run.arm
         self._water = water
         self._attitude = Attitude(start.tilt_rms_rad, start.tilt_period_s, scenario.run.seed)
-        self._coefficients, self._factor = mismatched(vehicle.coefficients(), start.mismatch), start.mismatch.thrust
+        self._coefficients, self._factor = apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust
         self._body = motion.pack(vehicle, self._coefficients, self._factor)
         self._state = np.array([start.north_m, start.east_m, 0.0, 0.0, start.heading_rad, 0.0, start.depth_m, 0.0])
         self._revolutions, self._thrust = np.zeros(3), np.zeros(3)
@@ -73,13 +73,13 @@ class Plant:
             first = len(signals)
             end = first + 1
             if self._t_ns is not None and self._disturbance is None and not due[first][1]:
-                while end < len(due) and not due[end][1] and _goes_on(due[end - 1][0], due[end][0]):
+                while end < len(due) and not due[end][1] and _can_continue(due[end - 1][0], due[end][0]):
                     end += 1
             signals += self._go([t_ns for t_ns, _ in due[first:end]], due[first][1])
         return signals
 
     def _go(self, times_ns: list[int], inbox: Inbox) -> list[list[Message]]:
-        """A step with its inbox, or several without, of which each can go on from the one before (``_goes_on``)."""
+        """Take one step with its inbox, or several without one, each of which passes ``_can_continue``."""
         t_ns = times_ns[0]
         from_ns = t_ns if self._t_ns is None else self._t_ns
         at_ns = from_ns
@@ -91,7 +91,7 @@ class Plant:
                 verdict = self._gate.offer(arrival.message, arrival.epoch, arrival.sequence, arrival.received_t_ns)
                 if verdict in (PlanVerdict.ACCEPTED, PlanVerdict.LATE):
                     self._receipt = arrival.message, arrival, verdict
-        seen = self._move([from_ns, *times_ns]) if t_ns > from_ns else self._look(t_ns)
+        seen = self._move([from_ns, *times_ns]) if t_ns > from_ns else self._observe(t_ns)
         for arrival in inbox:
             if isinstance(arrival.message, Disturbance):  # it acts from the next step on
                 self._disturbance = arrival.message
@@ -118,7 +118,7 @@ class Plant:
         if disturbance is not None:
             self._push(disturbance, 0.5 * seconds[0], afloat)
         water, attitude = self._water, self._attitude
-        seen = driven(
+        seen = simulate_steps(
             self._body,
             self._state,
             self._revolutions,
@@ -137,7 +137,7 @@ class Plant:
         if disturbance is None:
             return seen
         self._push(disturbance, 0.5 * seconds[0], afloat)
-        return self._look(times_ns[1])
+        return self._observe(times_ns[1])
 
     def _push(self, disturbance: Disturbance, seconds: float, afloat: bool) -> None:
         """The impulse of ``seconds`` on u, v, r and w; afloat the depth is kept, and with it w."""
@@ -153,10 +153,10 @@ class Plant:
         if not afloat:
             state[7] += seconds * (lost[2] + f.force_N[2]) / p.mass_heave
 
-    def _look(self, t_ns: int) -> Array:
+    def _observe(self, t_ns: int) -> Array:
         """What is seen of it at ``t_ns``, (1, 18)."""
         seen, attitude, water = np.empty((1, 18)), self._attitude, self._water
-        look(
+        observe(
             seen[0],
             self._state,
             self._thrust,
@@ -205,12 +205,12 @@ class Plant:
         )
 
 
-def _goes_on(from_ns: int, t_ns: int) -> bool:
+def _can_continue(from_ns: int, t_ns: int) -> bool:
     """The step to ``t_ns`` needs nothing said after that to ``from_ns``, nor another second's water."""
     return from_ns % REPORT_NS != 0 and t_ns % KNOT_NS != 0
 
 
-def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
+def apply_mismatch(p: Coefficients, mismatch: Mismatch) -> Coefficients:
     """The true vehicle's coefficients: ``mass`` scales masses and inertia (not the net buoyancy), ``drag`` damping."""
     factors = {name: mismatch.drag for name in p._fields if name.startswith(("linear", "quadratic"))}
     factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mismatch.mass)
@@ -218,7 +218,7 @@ def mismatched(p: Coefficients, mismatch: Mismatch) -> Coefficients:
 
 
 @jit
-def driven(
+def simulate_steps(
     body: Array,
     s: Array,
     n: Array,
@@ -238,7 +238,7 @@ def driven(
     waves: Array,
     amplitude: float,
 ) -> Array:
-    """``motion.step`` to each t (K,) under the commands (K, 3), and what is then seen, (K, 18): ``look``.
+    """``motion.step`` to each t (K,) under the commands (K, 3), and what is then seen, (K, 18): ``observe``.
 
     y[0] (3,) is the last command, y[1] the fastest change so far (N/s); both are kept up. The water of the steps, in
     their middle, and of what is seen, at their end: ``WaterColumn.throughout``.
@@ -251,12 +251,12 @@ def driven(
         motion.step(body, s, n, F, y[0], commands[k], t_ns[k] <= 0, h, depths, earlier, later, share[k])
         copy_to(y[0], commands[k])
         t_s = t_ns[k] * 1e-9
-        look(seen[k], s, F, factor, waves, amplitude, t_s, depths, seen_earlier, seen_later, seen_share[k])
+        observe(seen[k], s, F, factor, waves, amplitude, t_s, depths, seen_earlier, seen_later, seen_share[k])
     return seen
 
 
 @jit
-def look(
+def observe(
     seen: Array,
     s: Array,
     F: Array,

@@ -18,8 +18,8 @@ from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.errors import ConfigError, format_value
 from ltv_mpc.localisation.config import EstimatorConfig
 
-MOST_WATER_CELLS = 20_000
-MOST_ESTIMATOR_CELLS = 500
+MAX_WATER_CELLS = 20_000
+MAX_ESTIMATOR_CELLS = 500
 """Each cell is two states of the filter, whose covariance grows with their square."""
 
 Factor: TypeAlias = Annotated[float, Meta(gt=0, le=10)]
@@ -151,8 +151,8 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
         problem = 'must be "front", "step" or "waves" where another key of its table is set'
         raise ConfigError(source, "[water.feature] kind", problem, value="none")
     for table, deepest_m, cell_m, most in (
-        ("water", water.deepest_m, water.cell_m, MOST_WATER_CELLS),
-        ("estimator", estimator.deepest_m, estimator.cell_m, MOST_ESTIMATOR_CELLS),
+        ("water", water.deepest_m, water.cell_m, MAX_WATER_CELLS),
+        ("estimator", estimator.deepest_m, estimator.cell_m, MAX_ESTIMATOR_CELLS),
     ):
         if not 1 <= deepest_m / cell_m <= most:
             problem = f"must be <= deepest_m = {deepest_m:g}, and at least {deepest_m / most:g}: at most {most} cells"
@@ -161,7 +161,7 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
     return scenario
 
 
-def overridden(scenario: Scenario, assignments: Sequence[str], *, source: str = "option --set") -> Scenario:
+def with_overrides(scenario: Scenario, assignments: Sequence[str], *, source: str = "option --set") -> Scenario:
     """The scenario after ``["water.sd_mps=0.1", "vehicle=otter.toml", ...]``; ``checked`` is left to the caller.
 
     Values are TOML values; a text needs no quotes. Raises ``ConfigError``, with the nearest known name of a key that

@@ -86,12 +86,12 @@ class Between(Protocol):
         """What comes of a message published at ``message.received_t_ns``, and when; nothing: it is lost."""
         ...
 
-    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
+    def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """What the reader's door lets in, or why not."""
         ...
 
 
-def refused_by_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
+def rejected_by_type_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """What a node is told of a refused message where no wire has given it a key, a crc and a payload."""
     kind = type(message.message).__name__
     return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
@@ -216,7 +216,7 @@ class LockStep:
         heard: frozenset[type[Message]] | None = None,
         stepped: Callable[[Step], None] | None = None,
         latest: frozenset[type[Message]] = LATEST,
-        refused: Refuse = refused_by_name,
+        refused: Refuse = rejected_by_type_name,
         between: Between | None = None,
     ) -> None:
         self._compute_delay_ns = compute_delay_ns if callable(compute_delay_ns) else lambda _: compute_delay_ns
@@ -345,7 +345,7 @@ class LockStep:
                 self._later(delivery.at_ns, _ON_ITS_WAY, partial(self._arrive, between, reader, delivery, later))
 
     def _arrive(self, between: Between, reader: _Seat, delivery: Delivery, place: Place) -> None:
-        admitted = between.admit(reader.name, delivery)
+        admitted = between.receive(reader.name, delivery)
         if isinstance(admitted, str):
             self._refusals.append(_Refusal(place, reader, delivery.message, admitted))
         else:

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks import hard, model_alarm, unknown_current, vehicles
 from benchmarks.ablation.mechanism import Measures
-from benchmarks.loop import Loop, Outcome, situation
+from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc import references
 from ltv_mpc.control.config import ControllerConfig
 from ltv_mpc.control.controller import Controller
@@ -26,13 +26,13 @@ from ltv_mpc.node import Due, Inbox, Node, ReceivedMessage
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.nodes import make_nodes
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.tools import lockstep_run
 from services.tools.faults.lockstep_runs import Bus, Log
 from sim.faults import world
-from sim.faults.interval import Spell
-from sim.faults.message_faults import Harmed
-from sim.faults.solver import Now, Trouble, Troubled, TroubledSolver
+from sim.faults.interval import Interval
+from sim.faults.message_faults import MessageFaultInterval
+from sim.faults.solver import FaultySolver, SolverClock, SolverFault, SolverFaultInterval
 from sim.scheduler import LockStep
 
 S = 1_000_000_000
@@ -67,14 +67,14 @@ def of(outcome: Outcome, ended_s: float = 0.0) -> dict[str, float]:
     }
 
 
-def controller_of(s: Situation) -> Controller:
+def controller_of(s: RunConfig) -> Controller:
     """Make the controller of a situation."""
     return Controller(s.vehicle, s.reference, s.scenario.controller)
 
 
-def fly(s: Situation, ended_s: float = 0.0, **loop: Any) -> Measures:
+def fly(s: RunConfig, ended_s: float = 0.0, **loop: Any) -> Measures:
     """Fly one situation; ``loop`` are further arguments of ``Loop``."""
-    return of(Loop(situation=s, controller=controller_of(s), **loop).fly(), ended_s)
+    return of(Loop(run_config=s, controller=controller_of(s), **loop).fly(), ended_s)
 
 
 # --- plain descents and starts ---
@@ -82,7 +82,7 @@ def fly(s: Situation, ended_s: float = 0.0, **loop: Any) -> Measures:
 
 def descent(*settings: str) -> Callable[[int], Measures]:
     """Return a run of the paper's descent, the first 100 s."""
-    return lambda seed: fly(situation(f"run.seed={seed}", "run.duration_s=100.0", *settings))
+    return lambda seed: fly(run_config(f"run.seed={seed}", "run.duration_s=100.0", *settings))
 
 
 def far_off(seed: int) -> Measures:
@@ -101,7 +101,7 @@ def abeam(seed: int) -> Measures:
     off_m, heading = rng.uniform(1.0, 5.0), rng.uniform(-math.pi, math.pi)
     side = heading + (-1.0) ** seed * 0.5 * math.pi
     place = f"plant.north_m={off_m * math.cos(side)}", f"plant.east_m={off_m * math.sin(side)}"
-    s = situation(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
+    s = run_config(f"run.seed={seed}", "run.duration_s=60.0", f"plant.heading_rad={heading}", *place)
     depth = s.water.depth_m
     return fly(replace(s, reference=hard.line(), water=type(s.water)(depth, np.zeros((len(depth), 2)))))
 
@@ -157,7 +157,7 @@ def untold(water: str) -> Callable[[int], Measures]:
     """Return a descent whose estimates carry no profile of the current: constant, or Gauss-Markov."""
 
     def run(seed: int) -> Measures:
-        s = situation(f"run.seed={seed}", "run.duration_s=100.0")
+        s = run_config(f"run.seed={seed}", "run.duration_s=100.0")
         if water == "constant":
             s = replace(s, water=unknown_current.constant(s.water.depth_m, seed))
         return fly(s, told=unknown_current.nothing)
@@ -180,19 +180,19 @@ def mistold(seed: int) -> Measures:
         )
         return msgspec.structs.replace(estimate, current=current)
 
-    return fly(situation(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS), told=told)
+    return fly(run_config(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS), told=told)
 
 
 def half_thrust(seed: int) -> Measures:
     """Descend with a port thruster that delivers half of what it reports."""
-    s = situation(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS)
+    s = run_config(f"run.seed={seed}", "run.duration_s=100.0", ALWAYS)
     return fly(s, share=np.array([0.5, 1.0, 1.0]))
 
 
 def waves(seed: int) -> Measures:
     """Descend through internal waves of 5 cm/s, all of which the profile has."""
     feature = "water.feature.kind=waves", "water.feature.period_s=60"
-    return fly(situation(f"run.seed={seed}", "run.duration_s=100.0", *feature, ALWAYS))
+    return fly(run_config(f"run.seed={seed}", "run.duration_s=100.0", *feature, ALWAYS))
 
 
 @dataclass
@@ -242,7 +242,7 @@ def no_estimates(lasts_s: float) -> Callable[[int], Measures]:
 
     def run(seed: int) -> Measures:
         ends_s = BEGINS_S + lasts_s
-        s = situation(f"run.seed={seed}", "run.duration_s=70.0")
+        s = run_config(f"run.seed={seed}", "run.duration_s=70.0")
         return fly(s, ends_s, told=Stale(ends_s=ends_s))
 
     return run
@@ -250,14 +250,14 @@ def no_estimates(lasts_s: float) -> Callable[[int], Measures]:
 
 def slow_estimates(seed: int) -> Measures:
     """Descend with an estimate each 2 s."""
-    return fly(situation(f"run.seed={seed}", "run.duration_s=70.0"), told=Stale(0.0, 0.0, period_s=2.0))
+    return fly(run_config(f"run.seed={seed}", "run.duration_s=70.0"), told=Stale(0.0, 0.0, period_s=2.0))
 
 
 def nonsense(seed: int) -> Measures:
     """Descend while one estimate in ten is of another place."""
     told = with_covariance(Nonsense(np.random.default_rng(seed)))
     # The gate knows an estimate again by its identity.
-    return fly(situation(f"run.seed={seed}", "run.duration_s=60.0"), told=told)
+    return fly(run_config(f"run.seed={seed}", "run.duration_s=60.0"), told=told)
 
 
 # --- solvers ---
@@ -267,18 +267,18 @@ def solver_fails(begins_s: float, lasts_s: float, *settings: str) -> Callable[[i
     """Return a descent in which the solver fails for so long."""
 
     def run(seed: int) -> Measures:
-        s = situation(f"run.seed={seed}", "run.duration_s=70.0", *settings)
-        now = Now()
+        s = run_config(f"run.seed={seed}", "run.duration_s=70.0", *settings)
+        now = SolverClock()
         ends_s = begins_s + lasts_s
-        trouble = Troubled(Trouble.FAILS, Spell(round(begins_s * S), round(ends_s * S)))
+        fault = SolverFaultInterval(SolverFault.FAILS, Interval(round(begins_s * S), round(ends_s * S)))
         controller = controller_of(s)
-        controller.solve_with(lambda own: TroubledSolver(own, [trouble], now))
+        controller.solve_with(lambda own: FaultySolver(own, [fault], now))
 
         def told(estimate: Estimate) -> Estimate:
             now.t_ns = estimate.t_ns
             return estimate
 
-        return of(Loop(situation=s, controller=controller, told=told).fly(), ends_s)
+        return of(Loop(run_config=s, controller=controller, told=told).fly(), ends_s)
 
     return run
 
@@ -288,21 +288,21 @@ LIMITS = "controller.limits.yaw_rate_radps=0.1", "controller.limits.surge_mps=0.
 
 def tight_limits(seed: int) -> Measures:
     """Descend with two tight limits of the motion."""
-    s = situation(f"run.seed={seed}", "run.duration_s=60.0", *LIMITS)
+    s = run_config(f"run.seed={seed}", "run.duration_s=60.0", *LIMITS)
     solved: list[bool] = []
     controller = controller_of(s)
-    loop = Loop(situation=s, controller=controller, seen=lambda _e, p: solved.append(p.solve.status.value == "solved"))
+    loop = Loop(run_config=s, controller=controller, seen=lambda _e, p: solved.append(p.solve.status.value == "solved"))
     measures = dict(of(loop.fly()))
     measures["QPs solved to tolerance (%)"] = 100.0 * float(np.mean(solved))
     return measures
 
 
-def cycle_time(s: Situation) -> Measures:
+def cycle_time(s: RunConfig) -> Measures:
     """Fly twice, the first time to have everything compiled, and return the processor time of the cycles."""
     for _ in range(2):
         controller = controller_of(s)
-        timed = Timed(controller)
-        outcome = Loop(situation=s, controller=timed).fly()  # type: ignore[arg-type]
+        timed = TimedNode(controller)
+        outcome = Loop(run_config=s, controller=timed).fly()  # type: ignore[arg-type]
     us = 1e6 * np.array(timed.seconds[1:])
     return {
         "cycle, median (us)": float(np.median(us)),
@@ -312,7 +312,7 @@ def cycle_time(s: Situation) -> Measures:
     }
 
 
-class Timed:
+class TimedNode:
     """A controller whose solved cycles are timed."""
 
     def __init__(self, controller: Controller) -> None:
@@ -335,7 +335,7 @@ class Timed:
 
 def nominal_cycles(*settings: str) -> Callable[[int], Measures]:
     """Return a timed descent."""
-    return lambda seed: cycle_time(situation(f"run.seed={seed}", "run.duration_s=60.0", *settings))
+    return lambda seed: cycle_time(run_config(f"run.seed={seed}", "run.duration_s=60.0", *settings))
 
 
 def hard_cycles(seed: int) -> Measures:
@@ -348,7 +348,7 @@ def hard_cycles(seed: int) -> Measures:
 
 def ballast(seed: int) -> Measures:
     """Go down to 8 m and stay, with a ballast that is up to 8 N off what the vehicle's file says."""
-    s = situation(f"run.seed={seed}", "run.duration_s=120.0")
+    s = run_config(f"run.seed={seed}", "run.duration_s=120.0")
     off_N = float(np.random.default_rng(seed).uniform(3.0, 8.0)) * (-1.0) ** seed
     s = replace(s, reference=references.Point(north_m=0.0, east_m=0.0, depth_m=8.0, start_s=0.0))
     believed = msgspec.structs.replace(s.vehicle, net_buoyancy_N=s.vehicle.net_buoyancy_N + off_N)
@@ -360,7 +360,7 @@ def ballast(seed: int) -> Measures:
         if wanted is not None and estimate.depth_m is not None:
             errors.append((estimate.t_ns * 1e-9, estimate.depth_m - float(wanted[0][0])))
 
-    Loop(situation=s, controller=controller, seen=seen).fly()
+    Loop(run_config=s, controller=controller, seen=seen).fly()
     t, e = np.array(errors).T
     return {
         "depth error, rms (m)": float(np.sqrt(np.mean(e**2))),
@@ -382,7 +382,7 @@ def square(
     def run(seed: int) -> Measures:
         rng = np.random.default_rng(seed)
         heading, towards, side = rng.uniform(-math.pi, math.pi, 3)
-        s = situation(
+        s = run_config(
             f"run.seed={seed}",
             "run.duration_s=200.0",
             f"plant.heading_rad={heading}",
@@ -402,16 +402,16 @@ def square(
             done.append(plan.progress or 0.0)
 
         controller = controller_of(s)
-        now, stale = Now(), Stale(30.0, 30.0 + silent_s)
+        now, stale = SolverClock(), Stale(30.0, 30.0 + silent_s)
         if fails_s > 0.0:
-            trouble = Troubled(Trouble.FAILS, Spell(30 * S, round((30.0 + fails_s) * S)))
-            controller.solve_with(lambda own: TroubledSolver(own, [trouble], now))
+            fault = SolverFaultInterval(SolverFault.FAILS, Interval(30 * S, round((30.0 + fails_s) * S)))
+            controller.solve_with(lambda own: FaultySolver(own, [fault], now))
 
         def told(estimate: Estimate) -> Estimate:
             now.t_ns = estimate.t_ns
             return stale(estimate)
 
-        Loop(situation=s, controller=controller, told=told, seen=seen).fly()
+        Loop(run_config=s, controller=controller, told=told, seen=seen).fly()
         e = np.abs(np.array(cross))
         finished = np.flatnonzero(np.array(done) >= 0.999)
         return {
@@ -463,7 +463,7 @@ class Locked:
     """A descent in lock step, state known, with the messages harmed or the computing delay varied."""
 
     seed: int
-    harms: Sequence[Harmed] = ()
+    harms: Sequence[MessageFaultInterval] = ()
     delay_ns: int | Callable[[int], int] = 0
     others: Sequence[Node] = ()
     around: Callable[[list[Node]], list[Node]] = list
@@ -471,14 +471,14 @@ class Locked:
     settings: tuple[str, ...] = ()
     reference: Reference | None = None
 
-    def situation(self) -> Situation:
+    def run_config(self) -> RunConfig:
         """Make the situation of the run."""
-        s = situation(f"run.seed={self.seed}", f"run.duration_s={self.duration_s}", *self.settings)
+        s = run_config(f"run.seed={self.seed}", f"run.duration_s={self.duration_s}", *self.settings)
         return s if self.reference is None else replace(s, reference=self.reference)
 
     def run(self, ended_s: float = 0.0, window_s: tuple[float, float] = (0.0, math.inf)) -> dict[str, float]:
         """Make the run; ``window_s`` is the time of which jumps and the error in the window are taken."""
-        s = self.situation()
+        s = self.run_config()
         jumps = Jumps()
         log = Log(s.vehicle, jumps)
         bus = Bus(list(self.harms))
@@ -488,7 +488,7 @@ class Locked:
             compute_delay_ns=self.delay_ns,
             observe=log,
             latest=lockstep_run.LATEST,
-            refused=lockstep_run.refused,
+            refused=lockstep_run.rejected_message,
             between=bus if self.harms or self.others else None,
         )
         lockstep.advance(s.scenario.end_ns)
@@ -515,7 +515,7 @@ def harmed(kind: type[Message], harm: MessageFault, size: float) -> Callable[[in
     """Return a descent in which messages of this type are harmed for 10 s."""
 
     def run(seed: int) -> Measures:
-        fault = Harmed((kind,), harm, Spell(20 * S, 30 * S), size, seed)
+        fault = MessageFaultInterval((kind,), harm, Interval(20 * S, 30 * S), size, seed)
         return Locked(seed=seed, harms=[fault]).run(30.0)
 
     return run
@@ -523,8 +523,8 @@ def harmed(kind: type[Message], harm: MessageFault, size: float) -> Callable[[in
 
 def intruded(seed: int) -> Measures:
     """Descend while a second commander sends plans for 4 s."""
-    vehicle = situation().vehicle
-    intrusion = world.Intrusion(Spell(20 * S, 24 * S), world.within(vehicle, (0.8, 0.8, 0.0)))
+    vehicle = run_config().vehicle
+    intrusion = world.Intrusion(Interval(20 * S, 24 * S), world.thrust_at(vehicle, (0.8, 0.8, 0.0)))
     return Locked(seed=seed, others=[world.Intruder([intrusion])]).run(24.0)
 
 
@@ -574,7 +574,7 @@ def taken_over(*, with_plan: bool) -> Callable[[int], Measures]:
     def run(seed: int) -> Measures:
         def around(nodes: list[Node]) -> list[Node]:
             *others, _ = nodes
-            s = far_off_locked(seed).situation()
+            s = far_off_locked(seed).run_config()
             return [*others, Replaced(lambda: make_nodes(s)[-1], round(TAKEN_OVER_S * S), with_plan=with_plan)]
 
         window_s = TAKEN_OVER_S, TAKEN_OVER_S + 10.0

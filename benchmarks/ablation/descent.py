@@ -27,8 +27,8 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.faults import lockstep_runs
-from sim.faults.instruments import Broken, FailingSensors
-from sim.faults.message_faults import Harmed
+from sim.faults.instruments import FaultySensors, SensorFault
+from sim.faults.message_faults import MessageFaultInterval
 from sim.scheduler import LockStep
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors
@@ -57,8 +57,8 @@ class Descent:
 
     settings: tuple[str, ...] = ()
     sensors: str = "realistic"
-    broken: tuple[Broken, ...] = ()
-    harmed: tuple[Harmed, ...] = ()
+    broken: tuple[SensorFault, ...] = ()
+    harmed: tuple[MessageFaultInterval, ...] = ()
     gyro_radps: float = 0.0  # a fault of the gyro about the body's x axis, from ``BEGINS_S`` on
     restarted: bool = False  # the estimator's process is replaced at ``BEGINS_S``
     twice: tuple[type[Message], ...] = ()  # types that the sensors publish twice
@@ -72,19 +72,19 @@ class Descent:
             f'sensors="{self.sensors}"', f"run.seed={seed}", f"run.duration_s={self.duration_s}",
             f"run.surface_time_s={self.surface_s}", *self.settings, *settings,
         )  # fmt: skip
-        situation = resolve("descent", [Override("ablation", assignments)])
-        scenario = situation.scenario
-        plant, sensors, _, controller = make_nodes(situation, unread=False)
+        run_config = resolve("descent", [Override("ablation", assignments)])
+        scenario = run_config.scenario
+        plant, sensors, _, controller = make_nodes(run_config, unread=False)
 
         def estimator() -> Estimator:
-            return Estimator(as_given(situation.suite), scenario.estimator, situation.prior)
+            return Estimator(as_given(run_config.suite), scenario.estimator, run_config.prior)
 
-        timed = Timed(estimator, BEGINS_S * S if self.restarted else math.inf)
-        watch = Watch(sensors, self.gyro_radps, situation.water)
+        timed = TimedNode(estimator, BEGINS_S * S if self.restarted else math.inf)
+        watch = Watch(sensors, self.gyro_radps, run_config.water)
         if self.gnss_velocity_mps or self.twice:
             sensors = Changed(sensors, self.twice, self.gnss_velocity_mps)
         if self.broken:
-            sensors = FailingSensors(sensors, self.broken)
+            sensors = FaultySensors(sensors, self.broken)
         nodes = [plant, sensors, timed, controller]
         lockstep = LockStep(
             nodes,
@@ -92,7 +92,7 @@ class Descent:
             observe=watch,
             heard=watch.heard,
             latest=lockstep_run.LATEST,
-            refused=lockstep_run.refused,
+            refused=lockstep_run.rejected_message,
             between=lockstep_runs.Bus(self.harmed) if self.harmed else None,
         )
         crashed = 0.0
@@ -104,7 +104,7 @@ class Descent:
         return {**watch.measures(), "crashed": crashed, "estimator ms per s": 1e3 * timed.seconds / vehicle_s}
 
 
-class Timed:
+class TimedNode:
     """The estimator with the processor time of its steps; replaced by a new one at ``restart_ns``."""
 
     def __init__(self, make: Callable[[], Estimator], restart_ns: float) -> None:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.ablation import descent
-from benchmarks.ablation.descent import BEGINS_S, Descent, S, Timed
+from benchmarks.ablation.descent import BEGINS_S, Descent, S, TimedNode
 from benchmarks.ablation.mechanism import Event, Mechanism, replaced
 from ltv_mpc.localisation import imu_dropout, out_of_sequence, supervision
 from ltv_mpc.localisation.adaptive.process_noise import AdaptiveProcessNoise, NoiseLevel
@@ -30,9 +30,9 @@ from ltv_mpc.messages import (
     PressureDepth,
     TdcpFix,
 )
-from sim.faults.instruments import Broken, Failure
-from sim.faults.interval import Spell
-from sim.faults.message_faults import Harmed
+from sim.faults.instruments import Failure, SensorFault
+from sim.faults.interval import Interval
+from sim.faults.message_faults import MessageFaultInterval
 
 BASE, TESTS = "ltv_mpc/localisation", "tests/ltv_mpc/localisation"
 SENSORS = (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix)
@@ -40,19 +40,19 @@ SENSORS = (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix)
 Off = Callable[[], AbstractContextManager[Any]]
 
 
-def spell(seconds: float, begins_s: float = BEGINS_S) -> Spell:
+def interval(seconds: float, begins_s: float = BEGINS_S) -> Interval:
     """Return the time from ``begins_s`` on."""
-    return Spell(round(begins_s * S), round((begins_s + seconds) * S))
+    return Interval(round(begins_s * S), round((begins_s + seconds) * S))
 
 
 def broken(kind: type, failure: Failure, seconds: float, size: float = 1.0) -> Descent:
     """Return a descent in which an instrument fails for so long."""
-    return Descent(broken=(Broken(kind, failure, spell(seconds), size, seed=1),))
+    return Descent(broken=(SensorFault(kind, failure, interval(seconds), size, seed=1),))
 
 
 def harmed(kinds: tuple[type, ...], harm: MessageFault, seconds: float, size: float) -> Descent:
     """Return a descent in which messages are harmed on their way for so long."""
-    return Descent(harmed=(Harmed(kinds, harm, spell(seconds), size, seed=1),))
+    return Descent(harmed=(MessageFaultInterval(kinds, harm, interval(seconds), size, seed=1),))
 
 
 def front(step_mps: float, width_s: float, sensors: str = "realistic") -> Descent:
@@ -119,7 +119,7 @@ IMU_OFF_SHORT = Event("imu off, 2 s", "inertial unit says nothing for 2 s", brok
 SILENCE = Event(
     "silence",
     "no sensor says anything for 9 s",
-    Descent(broken=tuple(Broken(kind, Failure.OFF, spell(9.0), 1.0, seed=1) for kind in SENSORS)),
+    Descent(broken=tuple(SensorFault(kind, Failure.OFF, interval(9.0), 1.0, seed=1) for kind in SENSORS)),
 )
 IMU_LOSS = Event(
     "imu loss", "half of the inertial samples lost for 20 s", harmed((ImuSample,), MessageFault.LOSS, 20.0, 0.5)
@@ -134,7 +134,9 @@ FIX_STUCK = Event(
     "fix stuck",
     "satellite receiver repeats itself for the last 20 s afloat",
     Descent(
-        broken=tuple(Broken(kind, Failure.STUCK, spell(20.5, -20.0), 1.0, seed=1) for kind in (GnssFix, TdcpFix)),
+        broken=tuple(
+            SensorFault(kind, Failure.STUCK, interval(20.5, -20.0), 1.0, seed=1) for kind in (GnssFix, TdcpFix)
+        ),
         surface_s=30.0,
     ),
 )
@@ -157,7 +159,9 @@ LONG_BLIND = Event(
     "long, no compass",
     "one satellite fix, a descent of 160 s, the compass off",
     Descent(
-        surface_s=1.0, duration_s=160.0, broken=(Broken(CompassHeading, Failure.OFF, spell(400.0, 1.0), 1.0, seed=1),)
+        surface_s=1.0,
+        duration_s=160.0,
+        broken=(SensorFault(CompassHeading, Failure.OFF, interval(400.0, 1.0), 1.0, seed=1),),
     ),
 )
 DEEP_GRID = Event(
@@ -276,12 +280,12 @@ def given(**tables: dict[str, float]) -> Off:
 def restored(*, checkpoint: bool, estimate: bool) -> Off:
     """Hand less than everything to the new process."""
 
-    def states(self: Timed) -> list[EstimatorState]:
+    def states(self: TimedNode) -> list[EstimatorState]:
         state = self.newest.get(EstimatorState) if checkpoint else None
         newest = self.newest.get(Estimate) if estimate else None
         return [] if state is None else [msgspec.structs.replace(state, estimate=newest)]
 
-    return lambda: replaced((Timed, "states", states))
+    return lambda: replaced((TimedNode, "states", states))
 
 
 def together(*offs: Off) -> Off:

@@ -21,7 +21,7 @@ import numpy as np
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array
 from services.tools.campaign.campaign import reopened
-from services.tools.campaign.trial import situation
+from services.tools.campaign.trial import run_config
 
 HORIZON = "controller.horizon_s"
 FIGURE = "true_error_m.mean"
@@ -63,7 +63,7 @@ def places(folder: Path) -> list[Place]:
         if any(len(runs) < campaign.seeds.count for runs in of):
             continue
         point = made.points[first]
-        here = situation(base, made.settings(point), made.factors(point), campaign.seeds.first)
+        here = run_config(base, made.settings(point), made.factors(point), campaign.seeds.first)
         scales = characteristic_scales(here.vehicle)
         water, V, T = here.scenario.water, scales.speed_mps, scales.time_s
         rate = here.reference.descent_rate_mps

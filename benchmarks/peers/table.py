@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmarks.peers.loop import Held
-from services.tools.profile.machine import Machine
-from services.tools.profile.machine import line as machine_line
+from services.tools.profile.machine_description import Machine
+from services.tools.profile.machine_description import line as machine_line
 from services.tools.profile.run import Spread
 
 

@@ -20,10 +20,10 @@ import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from benchmarks.loop import Outcome, situation
+from benchmarks.loop import Outcome, run_config
 from benchmarks.rivals import law, lqr, mpc, pid
 from benchmarks.rivals.search import Span, search
-from services.run.provenance import made_by
+from services.run.provenance import provenance_table
 from services.tools.batch.executor import each
 from services.tools.batch.results_store import open_store
 from services.tools.campaign.ranking import interval
@@ -80,7 +80,7 @@ def flown(job: Job) -> Outcome:
     """Make the run."""
     row = ROWS[job.row]
     weights = [f"controller.weights.{key}={value!r}" for key, value in job.values.items()] if row.kind == "mpc" else []
-    here = situation(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}", *row.variant.settings, *weights)
+    here = run_config(f"run.seed={job.seed}", f"run.duration_s={job.duration_s}", *row.variant.settings, *weights)
     if row.kind == "mpc":
         return mpc.fly(here, row.variant)
     if row.kind == "pid":
@@ -103,7 +103,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--workers", type=int)
     options = parser.parse_args()
-    settings = {"budget": options.budget, "seeds": options.seeds, "version": version_of(made_by())}
+    settings = {"budget": options.budget, "seeds": options.seeds, "version": version_of(provenance_table())}
     console = Console(stderr=True)
     with open_store(options.out, settings) as store:
         for name in (name for name in ROWS if name not in store.keys):

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.loop import STEP_NS, Outcome, TrueVehicle, known, told_depths
 from ltv_mpc.messages import Array, Estimate, Pair
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 
 PERIOD_NS = 100_000_000
 
@@ -26,11 +26,11 @@ class Law(Protocol):
         ...
 
 
-def fly(situation: Situation, law: Law) -> Outcome:
+def fly(run_config: RunConfig, law: Law) -> Outcome:
     """Make the whole run; the target is the vehicle's position at t = 0."""
-    scenario, water, vehicle = situation.scenario, situation.water, situation.vehicle
-    plant = TrueVehicle(situation, np.ones(3))
-    depths = told_depths(situation)
+    scenario, water, vehicle = run_config.scenario, run_config.water, run_config.vehicle
+    plant = TrueVehicle(run_config, np.ones(3))
+    depths = told_depths(run_config)
     low, high, slew = (
         np.array([getattr(t, name) for t in vehicle.thrusters]) for name in ("min_N", "max_N", "slew_N_per_s")
     )

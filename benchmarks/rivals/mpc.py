@@ -17,7 +17,7 @@ from benchmarks.preview import without_preview
 from benchmarks.rivals.search import Span
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.messages import Estimate
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 
 SPANS = {
     "terminal_position_per_m2": Span(1.0, 1000.0),
@@ -55,7 +55,7 @@ def without_water(estimate: Estimate) -> Estimate:
     return msgspec.structs.replace(estimate, current=None)
 
 
-def fly(situation: Situation, variant: Variant) -> Outcome:
+def fly(run_config: RunConfig, variant: Variant) -> Outcome:
     """Make the whole run."""
-    controller = Controller(situation.vehicle, situation.reference, situation.scenario.controller)
-    return Loop(situation=situation, controller=controller, told=variant.told, compensates=variant.compensates).fly()
+    controller = Controller(run_config.vehicle, run_config.reference, run_config.scenario.controller)
+    return Loop(run_config=run_config, controller=controller, told=variant.told, compensates=variant.compensates).fly()

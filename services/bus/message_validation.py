@@ -52,10 +52,10 @@ class MessageValidator:
     def __init__(self) -> None:
         self.received = 0
         self.dropped = 0
-        self.refused: Counter[str] = Counter()
+        self.rejected_by_reason: Counter[str] = Counter()
         self._sources: dict[str, _Source] = {}
 
-    def admit(self, frame: Frame) -> tuple[Message, Header]:
+    def validate(self, frame: Frame) -> tuple[Message, Header]:
         """The signal, if it may pass. Raises ``WireError`` with the reason."""
         try:
             if frame.topic is None:
@@ -63,28 +63,30 @@ class MessageValidator:
             signal, header = decode(frame.topic.message_type, frame.payload)
             # Of two commanders the actuators' gate chooses: the newest epoch is not the right one there.
             shared = frame.topic.written_by == OPERATOR or frame.topic.message_type is Plan
-            self.in_order(f"{frame.key}@{header.epoch}" if shared else frame.key, header)
+            self.check_order(f"{frame.key}@{header.epoch}" if shared else frame.key, header)
         except WireError as error:
             self._count(str(error))
             raise
         self.received += 1
         return signal, header
 
-    def turn_back(self, reason: str) -> None:
+    def reject(self, reason: str) -> None:
         """What was let in last does not fit what its reader knows."""
         self.received -= 1
         self._count(reason)
 
     def _count(self, reason: str) -> None:
         kind = VALUES.split(reason, maxsplit=1)[0].strip()
-        self.refused[kind if kind in self.refused or len(self.refused) < MOST_KINDS else OTHER] += 1
+        self.rejected_by_reason[
+            kind if kind in self.rejected_by_reason or len(self.rejected_by_reason) < MOST_KINDS else OTHER
+        ] += 1
 
     @property
     def rejected(self) -> int:
         """How many were refused so far."""
-        return self.refused.total()
+        return self.rejected_by_reason.total()
 
-    def in_order(self, key: str, header: Header) -> None:
+    def check_order(self, key: str, header: Header) -> None:
         """Hold a header against its predecessors of ``key``. Raises ``WireError`` where it is none of its turn."""
         source = self._sources.pop(key, None)
         if source is None:

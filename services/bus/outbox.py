@@ -18,7 +18,7 @@ def new_epoch() -> int:
     return secrets.randbits(48) or 1
 
 
-class Sent(NamedTuple):
+class SentFrame(NamedTuple):
     """What went out, by which anyone finds it again."""
 
     key: str
@@ -30,16 +30,18 @@ class Outbox:
     """The ways out of one process. ``published`` counts every message, whichever its key."""
 
     def __init__(
-        self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Message]], under: str = ""
+        self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Message]], key_prefix: str = ""
     ) -> None:
-        """``under`` is put before every key, where one session serves several vehicles."""
+        """``key_prefix`` is put before every key, where one session serves several vehicles."""
         self.epoch = epoch
         self.published = 0
-        self._keys = {kind: f"{under}/{key_of(kind, node)}" if under else key_of(kind, node) for kind in kinds}
+        self._keys = {
+            kind: f"{key_prefix}/{key_of(kind, node)}" if key_prefix else key_of(kind, node) for kind in kinds
+        }
         self._publishers: dict[str, Publisher] = {key: session.publisher(key) for key in self._keys.values()}
         self._sequence = dict.fromkeys(self._publishers, 0)
 
-    def publish(self, signal: Message) -> Sent:
+    def publish(self, signal: Message) -> SentFrame:
         """Number, encode and send. ``signal`` is of one of the kinds that were declared."""
         key = self._keys[type(signal)]
         sequence = self._sequence[key]
@@ -48,4 +50,4 @@ class Outbox:
         self._sequence[key] = sequence + 1
         self.published += 1
         self._publishers[key].put(payload)
-        return Sent(key, sequence, crc(payload))
+        return SentFrame(key, sequence, crc(payload))

@@ -31,7 +31,7 @@ from services.bus import roles, security
 from services.bus.topics import Topic, topic_at
 from services.bus.wire import MAX_PAYLOAD_BYTES
 
-ROUTER_PLACE = "127.0.0.1:7447"
+ROUTER_ADDRESS = "127.0.0.1:7447"
 """Where a node that is told nothing looks for a router, and where a router that is told nothing listens."""
 
 SECURE = "tls"
@@ -70,14 +70,14 @@ class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def usual_endpoint(self) -> str:
         """The usual router's."""
-        return f"{SECURE if self.certs else 'tcp'}/{ROUTER_PLACE}"
+        return f"{SECURE if self.certs else 'tcp'}/{ROUTER_ADDRESS}"
 
     @property
     def _has_file(self) -> bool:
         return self.config is not None or "ZENOH_CONFIG" in os.environ
 
 
-def fault_of(endpoint: str) -> str:
+def endpoint_error(endpoint: str) -> str:
     """What is wrong with ``tcp/127.0.0.1:7447``; empty where nothing is."""
     protocol, _, rest = endpoint.partition("/")
     address = re.split("[?#]", rest, maxsplit=1)[0]  # metadata and settings may follow it

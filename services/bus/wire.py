@@ -1,6 +1,6 @@
 """One message as bytes: a plain msgpack map, the header's fields first, then the signal's, units in their names.
 
-Encoding is ``plain`` (a map of builtins, which is also what a recording holds as JSON) packed with msgpack. Decoding
+Encoding is ``to_map`` (a map of builtins, which is also what a recording holds as JSON) packed with msgpack. Decoding
 is typed (unknown, missing and mistyped fields, and single numbers out of bounds, are refused) and valid
 (``ltv_mpc/validation.py``). Whatever the bytes are, ``decode`` returns a signal that is fit for a node or raises
 ``WireError`` with the reason.
@@ -28,7 +28,7 @@ MAX_PAYLOAD_BYTES = 1 << 20
 
 Epoch: TypeAlias = Annotated[int, Meta(ge=0, le=2**48 - 1, extra={"unit": "identifier"})]
 
-RUBBISH = (ValueError, TypeError, ArithmeticError, LookupError, RecursionError, msgpack.UnpackException)
+DECODE_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RecursionError, msgpack.UnpackException)
 """What msgpack, msgspec and numpy raise on hostile bytes; UnicodeDecodeError and ValidationError are ValueErrors."""
 
 
@@ -46,7 +46,7 @@ class WireError(ValueError):
     """A frame that is refused; the text is the reason."""
 
 
-def plain(signal: Message, header: Header) -> dict[str, Any]:
+def to_map(signal: Message, header: Header) -> dict[str, Any]:
     """Header and signal as one map of builtins: numbers, text, lists, maps, null."""
     message: dict[str, Any] = {
         "epoch": header.epoch,
@@ -61,21 +61,21 @@ def plain(signal: Message, header: Header) -> dict[str, Any]:
 
 def encode(signal: Message, header: Header) -> bytes:
     """The bytes that travel."""
-    return packed(plain(signal, header))
+    return pack(to_map(signal, header))
 
 
-def packed(message: Mapping[str, Any]) -> bytes:
-    """The bytes of what ``plain`` gives."""
+def pack(message: Mapping[str, Any]) -> bytes:
+    """The bytes of what ``to_map`` gives."""
     payload: bytes = msgpack.packb(message)
     return payload
 
 
 def decode(kind: type[S], payload: bytes) -> tuple[S, Header]:
     """The signal and its header. Raises ``WireError``, and nothing else."""
-    return typed(kind, unpack(payload))
+    return from_map(kind, unpack(payload))
 
 
-def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
+def from_map(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     """The same of a plain map: what ``unpack`` gives, or a recording's JSON. Raises ``WireError``, and nothing else."""
     header = header_of(message)
     signal = _checked(_signal, kind, message)
@@ -85,7 +85,7 @@ def typed(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
     return signal, header
 
 
-def admitted(kind: type[S], message: dict[str, Any]) -> S:
+def from_validated_map(kind: type[S], message: dict[str, Any]) -> S:
     """The signal of a plain map that a door has let in before: it is not validated again. Raises ``WireError``."""
     signal: S = _checked(_signal, kind, message)
     return signal
@@ -115,7 +115,7 @@ def crc(payload: bytes) -> int:
 def _checked(function: Callable[..., T], *args: object) -> T:
     try:
         return function(*args)
-    except RUBBISH as error:
+    except DECODE_ERRORS as error:
         raise WireError((str(error) or type(error).__name__)[:200]) from None
 
 

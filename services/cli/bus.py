@@ -114,9 +114,9 @@ def with_bus(role: str = "", *, without: Iterable[str] = ()) -> Callable[[Callab
 def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
     """Raise ``ConfigError`` unless Zenoh can take it, and with certificates unless it is secure."""
     from ltv_mpc.errors import ConfigError
-    from services.bus.session import SECURE, fault_of
+    from services.bus.session import SECURE, endpoint_error
 
-    if problem := fault_of(endpoint):
+    if problem := endpoint_error(endpoint):
         raise ConfigError(f"option {option}", "", problem, value=endpoint)
     if certs is not None and not endpoint.startswith(f"{SECURE}/"):
         raise ConfigError(f"option {option}", "", f"must be {SECURE}/HOST:PORT with --certs", value=endpoint)

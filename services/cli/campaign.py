@@ -59,7 +59,7 @@ def campaign(
 
     wanted = files.load(file)
     made = plan(wanted, f"campaign {file}")
-    place = out or folder.fresh(file.stem)
+    place = out or folder.make_default(file.stem)
     with opened(place, made, force=force) as store, stop_on_signals() as request:
         there = [row for _, row in store.results()]
         with Progress(wanted, there, made.runs, quiet=as_json) as progress:

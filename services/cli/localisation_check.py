@@ -48,7 +48,7 @@ def localisation_check(
 
     settings = (f"sensors={sensors}", f"run.surface_time_s={surface_time_s}")
     jobs = check.jobs(scenario, settings, first_seed=seed, runs=runs)
-    made_of = dict(jobs[0].situation().files)
+    made_of = dict(jobs[0].run_config().files)
     started = time.monotonic()
     temporary = tempfile.TemporaryDirectory(prefix="ltv-mpc-localisation-") if out is None else nullcontext(out)
     with (

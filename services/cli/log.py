@@ -118,7 +118,7 @@ def export(
     parts = segments(recording)
     if form is Format.PARQUET:
         tables.need_pyarrow()
-    place = folder.opened(out or recording.parent / form.value, force=force)
+    place = folder.open_folder(out or recording.parent / form.value, force=force)
     from services.reporting import log_text
     from services.reporting.terminal import progress_bar
 

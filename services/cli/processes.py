@@ -86,10 +86,14 @@ def estimator(
     from ltv_mpc.localisation.config import EstimatorConfig
     from ltv_mpc.vehicle.parameters import Vehicle
     from services.processes import estimator as process
-    from services.run.water import beside
+    from services.run.water import resolve_prior_path
 
     Vehicle.load(vehicle)
-    table = EstimatorConfig() if settings is None else beside(settings.parent, EstimatorConfig.load(str(settings)))
+    table = (
+        EstimatorConfig()
+        if settings is None
+        else resolve_prior_path(settings.parent, EstimatorConfig.load(str(settings)))
+    )
     return process.main(process.Config(bus=bus, sensors=sensors, settings=table))
 
 
@@ -126,10 +130,10 @@ def recorder(
         return process.main(process.Config(bus=bus, folder=made.path, start_ns=0, metadata=metadata))
     from services.run.run_config import resolve
 
-    situation = resolve(scenario)
-    run_folder = None if out is None else folder.made_for(Path(scenario), out, goes_on=goes_on)
+    run_config = resolve(scenario)
+    run_folder = None if out is None else folder.find_prepared(Path(scenario), out, resume=goes_on)
     if run_folder is None:
-        run_folder = folder.make(situation.name, situation.files, out=out, force=force)
-    metadata = process.metadata(situation.scenario.run.seed, situation.files)
-    config = process.Config(bus=bus, folder=run_folder.path, start_ns=situation.scenario.start_ns, metadata=metadata)
+        run_folder = folder.make(run_config.name, run_config.files, out=out, force=force)
+    metadata = process.metadata(run_config.scenario.run.seed, run_config.files)
+    config = process.Config(bus=bus, folder=run_folder.path, start_ns=run_config.scenario.start_ns, metadata=metadata)
     return process.main(config)

@@ -42,7 +42,7 @@ def replay(
     from services.run import folder
 
     made = nodes.Run(folder.find(run))
-    scenario = made.situation.scenario
+    scenario = made.run_config.scenario
     with ExitStack() as shown:
 
         @cache

@@ -124,13 +124,13 @@ def _summary(recording: Path) -> dict[str, Any]:
 
     from ltv_mpc.errors import ConfigError
     from services.run.run_config import resolve
-    from services.run.summary import of_recording
+    from services.run.summary import summarise_recording
 
     try:
-        situation = resolve(str(recording.with_name("scenario.toml")))
+        run_config = resolve(str(recording.with_name("scenario.toml")))
     except ConfigError:  # a vehicle's own recording: nobody knows the truth, and there is nothing to grade
         return {}
-    graded = of_recording(situation, recording)[0]
+    graded = summarise_recording(run_config, recording)[0]
     plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles else {}
     return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # the recording says how
 

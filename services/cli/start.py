@@ -17,7 +17,7 @@ from services.cli.options import Force, Json, Out, ScenarioName, short
 
 if TYPE_CHECKING:
     from services.run.folder import RunFolder
-    from services.run.run_config import Override, Situation
+    from services.run.run_config import Override, RunConfig
     from sim.evaluation.summary import Summary
 
 KEYS = {
@@ -110,7 +110,7 @@ def sim(
     """
     from ltv_mpc.errors import ConfigError
     from services.run import folder
-    from services.run.machine import check_disk_space
+    from services.run.host_resources import check_disk_space
     from services.run.run_config import resolve
 
     texts = {
@@ -134,17 +134,17 @@ def sim(
         _refuse_page(dashboard, open_)
     if perfect_state and water_prior is not None:
         raise ConfigError("option --water-prior", "", "cannot act together with --perfect-state: nothing is estimated")
-    situation = resolve(scenario, overrides)
+    run_config = resolve(scenario, overrides)
     if certs is not None:
-        _check_certs(certs, situation, lockstep=lockstep)
-    check_disk_space(out or folder.ROOT, situation.scenario.run.surface_time_s + situation.scenario.run.duration_s)
-    run_folder = folder.make(situation.name, situation.files, out=out, force=force)
-    for note in situation.notes:
+        _check_certs(certs, run_config, lockstep=lockstep)
+    check_disk_space(out or folder.ROOT, run_config.scenario.run.surface_time_s + run_config.scenario.run.duration_s)
+    run_folder = folder.make(run_config.name, run_config.files, out=out, force=force)
+    for note in run_config.notes:
         typer.echo(note, err=True)
     if lockstep:
-        return _run_in_lockstep(situation, run_folder, as_json)
+        return _run_in_lockstep(run_config, run_folder, as_json)
     page = open_ or (sys.stderr.isatty() if dashboard is None else dashboard)
-    return _run_processes(situation, run_folder, as_json, certs, page=page, open_browser=open_)
+    return _run_processes(run_config, run_folder, as_json, certs, page=page, open_browser=open_)
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
@@ -177,7 +177,7 @@ def _refuse_page(dashboard: bool | None, open_: bool) -> None:
         raise ConfigError(f"option {'--open' if open_ else '--dashboard'}", "", problem)
 
 
-def _check_certs(certs: Path, situation: Situation, *, lockstep: bool) -> None:
+def _check_certs(certs: Path, run_config: RunConfig, *, lockstep: bool) -> None:
     """A certificate for every process; none of them can be another's."""
     from ltv_mpc.errors import ConfigError
     from services.bus.roles import LAUNCHER
@@ -186,21 +186,21 @@ def _check_certs(certs: Path, situation: Situation, *, lockstep: bool) -> None:
 
     if lockstep:
         raise ConfigError("option --certs", "", "cannot act together with --lockstep, where nothing travels")
-    if situation.scenario.run.perfect_state:
+    if run_config.scenario.run.perfect_state:
         problem = "cannot act together with run.perfect_state, where the sensors write the estimator's key"
         raise ConfigError("option --certs", "", problem)
-    for role in (LAUNCHER, *(row.name for row in process_table.processes(situation.scenario))):
+    for role in (LAUNCHER, *(row.name for row in process_table.processes(run_config.scenario))):
         credentials(certs, role)
 
 
-def _run_in_lockstep(situation: Situation, folder: RunFolder, as_json: bool) -> int:
+def _run_in_lockstep(run_config: RunConfig, folder: RunFolder, as_json: bool) -> int:
     from services.reporting.terminal import run_progress_bar
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools import lockstep_run
 
-    scenario = situation.scenario
+    scenario = run_config.scenario
     with stop_on_signals() as request, run_progress_bar(scenario.start_ns, scenario.end_ns) as progress:
-        summary = lockstep_run.run(situation, folder, progress=progress, stop=request)
+        summary = lockstep_run.run(run_config, folder, progress=progress, stop=request)
     _print_summary(summary, folder, as_json)
     if summary.duration_s >= scenario.run.duration_s:
         return DONE
@@ -210,17 +210,17 @@ def _run_in_lockstep(situation: Situation, folder: RunFolder, as_json: bool) -> 
 
 
 def _run_processes(
-    situation: Situation, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
+    run_config: RunConfig, folder: RunFolder, as_json: bool, certs: Path | None, *, page: bool, open_browser: bool
 ) -> int:
     from services.dashboard.sidecar import Sidecar
     from services.reporting.terminal import screen_for
     from services.supervisor import supervisor
 
-    limits = [(thruster.min_N, thruster.max_N) for thruster in situation.vehicle.thrusters]
-    screen = screen_for(situation.scenario.title, limits)
+    limits = [(thruster.min_N, thruster.max_N) for thruster in run_config.vehicle.thrusters]
+    screen = screen_for(run_config.scenario.title, limits)
     sidecar = Sidecar(screen.say, folder=folder.path, vehicle=folder.config("vehicle"), open_browser=open_browser)
     try:
-        outcome = supervisor.run(situation, folder, screen, certs=certs, on_bus=sidecar.start if page else None)
+        outcome = supervisor.run(run_config, folder, screen, certs=certs, on_bus=sidecar.start if page else None)
     finally:
         sidecar.stop()
     if outcome.summary is None:

@@ -18,7 +18,7 @@ from ltv_mpc.messages import Acknowledgement, Action, ClockCommand, Disturbance,
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
 from services.bus.topics import OPERATOR
-from services.processes.operator import PATIENCE_S, ask
+from services.processes.operator import PATIENCE_S, send_command
 
 KICK_S = 2.0
 KICK_N = (0.0, 120.0, 0.0)
@@ -75,7 +75,7 @@ def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) 
 def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: float) -> ButtonReply:
     match request.button:
         case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD:
-            return _by_controller(request, ask(session, Action(request.button.value)))
+            return _by_controller(request, send_command(session, Action(request.button.value)))
         case Button.PAUSE:
             return _sent(request, session, ClockCommand(paused=True, speed=speed), "asked the clock to stand still")
         case Button.RESUME:

@@ -17,7 +17,7 @@ from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.node import ReceivedMessage
 from services.bus.session import BusOptions
-from services.run.water import told
+from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
@@ -36,7 +36,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 def main(config: Config) -> int:
     """Publish an estimate each period, from whatever measures."""
     suite, settings = SensorConfig.load(config.sensors), config.settings
-    prior = told(settings)
+    prior = load_prior(settings)
     warm_up(suite, settings)
 
     def make(request: StopRequest, say: Say) -> Runner:

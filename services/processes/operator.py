@@ -23,7 +23,7 @@ def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     until = time.monotonic() + PATIENCE_S
     try:
         with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:
-            answer = ask(session, action, reference_toml)
+            answer = send_command(session, action, reference_toml)
     except Stopped:
         say(f"no router within {PATIENCE_S:.0f} s")
         return FAILED
@@ -37,7 +37,7 @@ def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     return FAILED
 
 
-def ask(session: Session, action: Action, reference_toml: str = "") -> Acknowledgement | RejectedFrame | None:
+def send_command(session: Session, action: Action, reference_toml: str = "") -> Acknowledgement | RejectedFrame | None:
     """Send the command; the controller's answer, its door's refusal, or None where nobody says a word."""
     box = Mailbox()
     for kind, suffix in ((Acknowledgement, ""), (RejectedFrame, "/*")):

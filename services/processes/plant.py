@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from services.bus.session import BusOptions
-from services.run.run_config import Situation, resolve
+from services.run.run_config import RunConfig, resolve
 from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
@@ -22,8 +22,8 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(config: Config) -> int:
     """Start the clock once all are ready, run to the scenario's end."""
-    situation = resolve(config.scenario)
-    scenario = situation.scenario
+    run_config = resolve(config.scenario)
+    scenario = run_config.scenario
     estimator = () if scenario.run.perfect_state else ("estimator",)
     clock_master = ClockMasterSettings(
         start_ns=scenario.start_ns,
@@ -31,20 +31,20 @@ def main(config: Config) -> int:
         speed=scenario.run.speed,
         expects=("sensors", *estimator, "controller", *config.expects),
     )
-    warm_up(situation)
+    warm_up(run_config)
     return serve(
         Plant.name,
         config.bus,
-        lambda request, say: Runner(_make(situation), stop=request, say=say, clock_master=clock_master),
+        lambda request, say: Runner(_make(run_config), stop=request, say=say, clock_master=clock_master),
     )
 
 
-def warm_up(situation: Situation) -> None:
+def warm_up(run_config: RunConfig) -> None:
     """Have all compiled code loaded: a few steps of a plant that is thrown away."""
-    plant = _make(situation)
+    plant = _make(run_config)
     for t_ns in range(0, 5 * Plant.schedule.period_ns, Plant.schedule.period_ns):
         plant.steps([(t_ns, [])])
 
 
-def _make(situation: Situation) -> Plant:
-    return Plant(situation.scenario, situation.vehicle, situation.water)
+def _make(run_config: RunConfig) -> Plant:
+    return Plant(run_config.scenario, run_config.vehicle, run_config.water)

@@ -88,7 +88,7 @@ class _Loop:
                 self._outbox.publish(estimate)
             return
         try:
-            plan, _ = self._door.admit(frame)
+            plan, _ = self._door.validate(frame)
         except WireError:  # counted at the door
             return
         if isinstance(plan, Plan):
@@ -107,20 +107,20 @@ class _Loop:
     def publish_status(self, *, finished: bool = False) -> None:
         """Say what was taken and what was not; why not to the person at the terminal, once a reason."""
         edge = self._edge
-        if edge.refused and edge.why != self._said:
-            self._say(f"odometry refused, {edge.refused} so far: {edge.why}")
-            self._said = edge.why
+        if edge.rejected and edge.reason != self._said:
+            self._say(f"odometry rejected, {edge.rejected} so far: {edge.reason}")
+            self._said = edge.reason
         self._outbox.publish(
             NodeStatus(
                 node=NAME,
                 t_ns=0,
                 ready=True,
-                waiting_for="" if edge.taken or finished else "odometry",
-                steps=edge.taken,
+                waiting_for="" if edge.accepted or finished else "odometry",
+                steps=edge.accepted,
                 published=self._outbox.published + 1,  # this one included
-                received=edge.taken + self._door.received,
+                received=edge.accepted + self._door.received,
                 dropped=self._door.dropped,
-                rejected=edge.refused + self._door.rejected,
+                rejected=edge.rejected + self._door.rejected,
                 step_us=0.0,
                 finished=finished,
             )

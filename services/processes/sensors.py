@@ -7,7 +7,7 @@ import msgspec
 from ltv_mpc.messages import Truth
 from ltv_mpc.node import ReceivedMessage
 from services.bus.session import BusOptions
-from services.run.run_config import Situation, resolve
+from services.run.run_config import RunConfig, resolve
 from services.runtime.runner import Runner
 from services.runtime.serve import serve
 from sim.plant import PERIOD_NS
@@ -23,18 +23,18 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(config: Config) -> int:
     """Answer each true state with what is measured at its time."""
-    situation = resolve(config.scenario)
-    warm_up(situation)
+    run_config = resolve(config.scenario)
+    warm_up(run_config)
     return serve(
         Sensors.name,
         config.bus,
-        lambda request, say: Runner(_make(situation), stop=request, say=say, speed=situation.scenario.run.speed),
+        lambda request, say: Runner(_make(run_config), stop=request, say=say, speed=run_config.scenario.run.speed),
     )
 
 
-def warm_up(situation: Situation) -> None:
+def warm_up(run_config: RunConfig) -> None:
     """Have all compiled code loaded: 1.4 s at rest for sensors that are thrown away, each speaking once at least."""
-    sensors = _make(situation)
+    sensors = _make(run_config)
     still = (0.0, 0.0, 0.0)
     for t_ns in range(-1_000_000_000, 400_000_000, PERIOD_NS):
         truth = Truth(
@@ -50,5 +50,5 @@ def warm_up(situation: Situation) -> None:
         sensors.steps([(t_ns, [ReceivedMessage(truth, 1, 0, t_ns)])])
 
 
-def _make(situation: Situation) -> Sensors:
-    return Sensors(situation.scenario, situation.suite, situation.water)
+def _make(run_config: RunConfig) -> Sensors:
+    return Sensors(run_config.scenario, run_config.suite, run_config.water)

@@ -35,7 +35,7 @@ class RecordedMessage(msgspec.Struct, frozen=True):
         """The signal and its header. Raises ``WireError`` where it is no such message."""
         if self.kind is None:
             raise wire.WireError(f"no topic has the key {self.key}")
-        return wire.typed(self.kind, self.plain)
+        return wire.from_map(self.kind, self.plain)
 
 
 class StoredMessage(NamedTuple):

@@ -61,7 +61,7 @@ class RunWriter:
 
     def write(self, writer: str, signal: Message, header: wire.Header, t_ns: int) -> None:
         """A signal that node ``writer`` published at vehicle time ``t_ns``."""
-        self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.plain(signal, header), t_ns)
+        self.write_plain(topics.key_of(type(signal), writer), type(signal), wire.to_map(signal, header), t_ns)
 
     def write_plain(
         self, key: str, kind: type[Message], message: Mapping[str, Any], t_ns: int, crc: int | None = None
@@ -73,7 +73,7 @@ class RunWriter:
         log_time = max(0, t_ns - self._start_ns)
         try:
             data = msgspec.json.encode(message)
-            crc = wire.crc(wire.packed(message)) if crc is None else crc
+            crc = wire.crc(wire.pack(message)) if crc is None else crc
         except (TypeError, ValueError, RecursionError) as error:
             raise wire.WireError(f"no plain map: {error}") from None
         channel = self._channels.get(key)

@@ -140,8 +140,8 @@ class Comparison:
         output = self._made.get((key, sequence))
         if output is None:
             return  # a copy of what was found identical
-        plain = wire.plain(output.signal, header)
-        if msgspec.json.encode(plain) == stored.data and wire.crc(wire.packed(plain)) == stored.crc:
+        plain = wire.to_map(output.signal, header)
+        if msgspec.json.encode(plain) == stored.data and wire.crc(wire.pack(plain)) == stored.crc:
             del self._made[key, sequence]
             self._rivals.pop((key, sequence), None)
             self.compared += 1
@@ -176,7 +176,7 @@ class Comparison:
 
 
 def _json(signal: Message, header: Header) -> bytes:
-    return msgspec.json.encode(wire.plain(signal, header))
+    return msgspec.json.encode(wire.to_map(signal, header))
 
 
 def _fields(replayed: bytes, recorded: bytes) -> list[FieldDifference]:

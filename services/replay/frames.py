@@ -85,5 +85,5 @@ def arrival(stored: StoredMessage, entry: InboxEntry) -> ReceivedMessage:
     """The entry as the node was given it. Raises ``WireError`` where this version knows no such message."""
     if stored.kind is None:
         raise wire.WireError(f"{stored.key}: no topic has this key")
-    signal = wire.admitted(stored.kind, msgspec.json.decode(stored.data))
+    signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
     return ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)

@@ -23,8 +23,8 @@ from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Node
 from services.replay.verdict import Change
 from services.run.nodes import make_nodes
-from services.run.run_config import Situation, resolve
-from services.run.water import beside, told
+from services.run.run_config import RunConfig, resolve
+from services.run.water import load_prior, resolve_prior_path
 
 SCENARIO = "scenario.toml"
 
@@ -35,7 +35,7 @@ SETTINGS: Mapping[str, type[msgspec.Struct]] = {
 """Whose settings another file may replace: RUN/config/<name>.toml."""
 
 
-def situation_of(metadata: Mapping[str, str], *, source: str) -> Situation:
+def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
     """What the run was made of. ``metadata`` are the recording's. Raises ``ConfigError``."""
     if SCENARIO not in metadata:
         raise ConfigError(source, "", f"does not hold the run's settings ({SCENARIO}): no recording of this program")
@@ -52,19 +52,19 @@ def situation_of(metadata: Mapping[str, str], *, source: str) -> Situation:
             raise ConfigError(source, error.field, f"{problem}: {error.problem}", value=error.value) from None
 
 
-def names(situation: Situation) -> tuple[str, ...]:
+def names(run_config: RunConfig) -> tuple[str, ...]:
     """Every node that can be replayed, in the order of the launch table."""
-    return tuple(node.name for node in make_nodes(situation))
+    return tuple(node.name for node in make_nodes(run_config))
 
 
-def make(situation: Situation, name: str) -> Node:
+def make(run_config: RunConfig, name: str) -> Node:
     """A new node, as at the start of its process."""
-    return next(node for node in make_nodes(situation) if node.name == name)
+    return next(node for node in make_nodes(run_config) if node.name == name)
 
 
-def settings_of(situation: Situation, name: str) -> msgspec.Struct:
+def settings_of(run_config: RunConfig, name: str) -> msgspec.Struct:
     """The table of a node whose settings may be replaced."""
-    return situation.scenario.controller if name == ControllerNode.name else situation.scenario.estimator
+    return run_config.scenario.controller if name == ControllerNode.name else run_config.scenario.estimator
 
 
 def node_of(path: Path) -> str:
@@ -78,23 +78,23 @@ def node_of(path: Path) -> str:
     return fits[0]
 
 
-def replaced(situation: Situation, path: Path) -> tuple[str, Situation, tuple[Change, ...]]:
+def replaced(run_config: RunConfig, path: Path) -> tuple[str, RunConfig, tuple[Change, ...]]:
     """The node, the situation with its settings taken from the file, and what is otherwise. Raises ``ConfigError``.
 
     A key that is left out has its default, as for ``--settings``.
     """
     name = node_of(path)
-    scenario = situation.scenario
+    scenario = run_config.scenario
     if name == ControllerNode.name:
         controller = control.validate(ControllerConfig.load(str(path)), source=f"--with {path}")
-        other = dataclasses.replace(situation, scenario=msgspec.structs.replace(scenario, controller=controller))
+        other = dataclasses.replace(run_config, scenario=msgspec.structs.replace(scenario, controller=controller))
     else:
-        estimator = beside(path.parent, EstimatorConfig.load(str(path)))
+        estimator = resolve_prior_path(path.parent, EstimatorConfig.load(str(path)))
         changed = msgspec.structs.replace(scenario, estimator=estimator)
-        other = dataclasses.replace(situation, scenario=changed, prior=told(estimator))
+        other = dataclasses.replace(run_config, scenario=changed, prior=load_prior(estimator))
     if name not in names(other):
         raise ConfigError(f"--with {path}", "", f"the run has no {name}: its state was given away")
-    return name, other, _changes(settings_of(situation, name), settings_of(other, name))
+    return name, other, _changes(settings_of(run_config, name), settings_of(other, name))
 
 
 def _changes(run: msgspec.Struct, here: msgspec.Struct) -> tuple[Change, ...]:

@@ -25,11 +25,11 @@ from services.recording.reader import Recording
 from services.recording.recover import segments
 from services.replay import nodes
 from services.replay.comparison import Comparison
-from services.replay.machine import elsewhere
 from services.replay.node_replay import NodeReplay, feed
+from services.replay.provenance_differences import elsewhere
 from services.replay.verdict import MAX_GAPS, NodeVerdict, Verdict, WhatIfVerdict, first
 from services.replay.what_if import WhatIf
-from services.run.machine import core_count
+from services.run.host_resources import core_count
 
 WORTH_A_PROCESS_BYTES = 2_000_000
 """A second process may take a second to start: for a file that is read faster than that it is not worth it."""
@@ -51,8 +51,8 @@ class Run:
         self.path = path
         self.parts = segments(path)
         self.metadata = metadata_of(path)
-        self.situation = nodes.situation_of(self.metadata, source=f"recording {path}")
-        self.names = nodes.names(self.situation)
+        self.run_config = nodes.run_config_of(self.metadata, source=f"recording {path}")
+        self.names = nodes.names(self.run_config)
 
     def recordings(self) -> list[Recording]:
         """The file, and the segments that restarted recorders left beside it."""
@@ -141,7 +141,7 @@ def _compared(run: Run, names: Sequence[str], progress: Progress) -> _Done:
         span_ns[:] = min((t_ns, *span_ns)), max((t_ns, *span_ns))
         progress(t_ns)
 
-    parts = [NodeReplay(name, partial(nodes.make, run.situation, name), partial(Comparison, name)) for name in names]
+    parts = [NodeReplay(name, partial(nodes.make, run.run_config, name), partial(Comparison, name)) for name in names]
     recordings = run.recordings()
     feed(recordings, parts, progress=told)
     return _Done(tuple(map(_of_node, parts)), any(recording.cut for recording in recordings), *(span_ns or (0, 0)))
@@ -166,14 +166,14 @@ def _of_node(part: NodeReplay[Comparison]) -> NodeVerdict:
 
 
 def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: float) -> Verdict:
-    scenario = run.situation.scenario
+    scenario = run.run_config.scenario
     vehicle_s = (done.until_ns - done.since_ns) / 1e9
     compared = sum(verdict.steps_compared for verdict in verdicts)
     identical = sum(verdict.steps_identical for verdict in verdicts)
     difference = first([verdict.first_difference for verdict in verdicts])
     return Verdict(
         recording=str(run.path),
-        scenario=run.situation.name,
+        scenario=run.run_config.name,
         mode=run.metadata.get("mode", ""),
         cut=done.cut,
         vehicle_s=vehicle_s,
@@ -194,7 +194,7 @@ def _verdict(run: Run, verdicts: tuple[NodeVerdict, ...], done: _Done, wall_s: f
 
 def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Progress = lambda _: None) -> WhatIfVerdict:
     """Replay the node whose settings the file holds. Raises ``ConfigError``."""
-    name, other, changes = nodes.replaced(run.situation, settings)
+    name, other, changes = nodes.replaced(run.run_config, settings)
     if only not in (None, name):
         problem = f"cannot act together with --with {settings}, which holds settings of the {name}"
         raise ConfigError("option --node", "", problem, value=only)
@@ -204,7 +204,7 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
     feed(run.recordings(), [part], progress=progress)
     return WhatIfVerdict(
         recording=str(run.path),
-        scenario=run.situation.name,
+        scenario=run.run_config.name,
         settings=str(settings),
         node=name,
         changes=changes,
@@ -216,5 +216,5 @@ def what_if(run: Run, settings: Path, *, only: str | None = None, progress: Prog
         deviations=whole.deviations,
         shares=whole.shares,
         wall_s=time.monotonic() - began,
-        elsewhere=elsewhere(run.situation.scenario.made_by),
+        elsewhere=elsewhere(run.run_config.scenario.made_by),
     )

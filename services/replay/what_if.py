@@ -182,7 +182,7 @@ class WhatIfEpoch:
         if stored.kind is not self._whole.kind:
             return
         with contextlib.suppress(wire.WireError):  # rubbish on its key
-            signal = wire.admitted(stored.kind, msgspec.json.decode(stored.data))
+            signal = wire.from_validated_map(stored.kind, msgspec.json.decode(stored.data))
             self._whole.add(self._epoch, signal, replayed=False)
 
     def stop(self) -> None:

@@ -115,16 +115,16 @@ def _newest() -> Path | None:
     return max(begun, key=lambda path: path.stat().st_mtime_ns).parent if begun else None
 
 
-def made_for(scenario: Path, out: Path, *, goes_on: bool = False) -> RunFolder | None:
+def find_prepared(scenario: Path, out: Path, *, resume: bool = False) -> RunFolder | None:
     """The folder ``out`` where a launcher has made it for a run of its ``scenario`` and nothing is recorded yet;
-    ``goes_on``: even if something is.
+    ``resume``: even if something is.
     """
     folder = RunFolder(out)
     same = folder.scenario.absolute() == scenario.absolute()
-    return folder if same and (goes_on or not folder.recording.exists()) else None
+    return folder if same and (resume or not folder.recording.exists()) else None
 
 
-def fresh(name: str) -> Path:
+def make_default(name: str) -> Path:
     """The folder ``runs/<UTC time>-<name>``, made now."""
     stem = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
     tries = (ROOT / (stem if count == 1 else f"{stem}-{count}") for count in itertools.count(1))
@@ -132,7 +132,7 @@ def fresh(name: str) -> Path:
 
 
 def _default(name: str) -> Path:
-    path = fresh(name)
+    path = make_default(name)
     with contextlib.suppress(OSError):  # the link is a convenience: not every file system has links
         draft = ROOT / f".{LATEST}-{os.getpid()}"
         draft.symlink_to(path.name)
@@ -151,7 +151,7 @@ def _made(path: Path) -> bool:
     return True
 
 
-def opened(path: Path, *, force: bool) -> Path:
+def open_folder(path: Path, *, force: bool) -> Path:
     """The folder ``path``, made if it is not there. One that is not empty is refused (``ConfigError``) unless
     ``force``, which leaves everything in it.
     """
@@ -166,7 +166,7 @@ def opened(path: Path, *, force: bool) -> Path:
 
 
 def _given(path: Path, *, force: bool) -> Path:
-    opened(path, force=force)
+    open_folder(path, force=force)
     try:
         # else a run that fails would seem to have ended
         for old in (*path.glob("run*.mcap"), *(path / name for name in RESULTS)):

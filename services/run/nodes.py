@@ -5,20 +5,20 @@ from __future__ import annotations
 from ltv_mpc.control.node import ControllerNode
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.node import Node
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from sim.plant import Plant
 from sim.sensors.node import Sensors
 
 
-def make_nodes(situation: Situation, *, unread: bool = True) -> list[Node]:
+def make_nodes(run_config: RunConfig, *, unread: bool = True) -> list[Node]:
     """Build every node of a run, in the order of the process table.
 
     With ``unread`` the sensors also publish what no other node reads, as a recording needs it.
     """
-    scenario = situation.scenario
-    plant = Plant(scenario, situation.vehicle, situation.water)
-    aboard: list[Node] = [ControllerNode(situation.vehicle, situation.reference, scenario.controller)]
+    scenario = run_config.scenario
+    plant = Plant(scenario, run_config.vehicle, run_config.water)
+    aboard: list[Node] = [ControllerNode(run_config.vehicle, run_config.reference, scenario.controller)]
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
-        aboard.insert(0, Estimator(situation.suite, scenario.estimator, situation.prior))
+        aboard.insert(0, Estimator(run_config.suite, scenario.estimator, run_config.prior))
     read = None if unread else frozenset(kind for node in aboard for kind in node.reads)
-    return [plant, Sensors(scenario, situation.suite, situation.water, heard=read), *aboard]
+    return [plant, Sensors(scenario, run_config.suite, run_config.water, heard=read), *aboard]

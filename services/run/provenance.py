@@ -23,7 +23,7 @@ PACKAGES = (
 KERNEL_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename", "openblas_get_corename")
 
 
-def made_by() -> dict[str, str]:
+def provenance_table() -> dict[str, str]:
     """The table ``[made_by]`` of a run's scenario.toml."""
     table = {
         "ltv_mpc": version(),

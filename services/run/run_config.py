@@ -17,10 +17,10 @@ from ltv_mpc.currents import WaterPrior, read_profile
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.run.provenance import made_by
-from services.run.water import beside, told
+from services.run.provenance import provenance_table
+from services.run.water import load_prior, resolve_prior_path
 from sim import water
-from sim.scenario import Scenario, checked, overridden
+from sim.scenario import Scenario, checked, with_overrides
 
 ORIGIN = "scenario"
 """The entry of a run's [made_by] that keeps the name of its scenario."""
@@ -37,7 +37,7 @@ class Override(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Situation:
+class RunConfig:
     """Resolved inputs of a run. ``files`` is what its folder holds so that it can be run again: path in it, text."""
 
     name: str  # of the scenario: "descent"
@@ -51,21 +51,21 @@ class Situation:
     notes: tuple[str, ...]  # what a reader of the result should know of the inputs
 
 
-def resolve(name: str, overrides: Sequence[Override] = ()) -> Situation:
+def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     """The situation of a scenario (NAME or FILE) and of options on top of it. Raises ``ConfigError``."""
     scenario = Scenario.load(name)
     folder = config.find(name, what="scenario", package="sim.scenarios").parent
-    scenario = msgspec.structs.replace(scenario, estimator=beside(folder, scenario.estimator))
+    scenario = msgspec.structs.replace(scenario, estimator=resolve_prior_path(folder, scenario.estimator))
     for override in overrides:
-        scenario = overridden(scenario, override.assignments, source=override.source)
+        scenario = with_overrides(scenario, override.assignments, source=override.source)
     scenario = checked(scenario, source=f"scenario {name}")
     vehicle = Vehicle.load(scenario.vehicle)
     suite = SensorConfig.load(scenario.sensors)
     solvers.make(vehicle, scenario.controller)  # refuses one that is not there
     reference = references.load(scenario.reference)
-    prior = told(scenario.estimator)
+    prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
-    return Situation(
+    return RunConfig(
         name=called,
         scenario=scenario,
         vehicle=vehicle,
@@ -119,7 +119,7 @@ def _files(scenario: Scenario, suite: SensorConfig, called: str) -> dict[str, st
         reference="config/reference.toml",
         water=msgspec.structs.replace(scenario.water, file="config/currents.csv" if measured else ""),
         estimator=msgspec.structs.replace(scenario.estimator, water_prior=f"config/{PRIOR}" if prior else ""),
-        made_by={ORIGIN: called, **made_by()},
+        made_by={ORIGIN: called, **provenance_table()},
     )
     files["scenario.toml"] = config.to_toml(again)
     return files

@@ -11,8 +11,8 @@ from services.bus.roles import LAUNCHER
 from services.bus.wire import WireError
 from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
-from services.run.run_config import Situation
-from services.run.water import Learned
+from services.run.run_config import RunConfig
+from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics, quantiles
 from sim.evaluation.summary import Messages, Summary
 from sim.plant import PERIOD_NS
@@ -27,16 +27,16 @@ MENDED = topics.key_of(RunEvent, LAUNCHER)
 
 
 def summarise(
-    situation: Situation, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0
+    run_config: RunConfig, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0
 ) -> Summary:
     """The summary of a run that ``metrics`` has seen."""
-    scenario = situation.scenario
+    scenario = run_config.scenario
     measured = mode == SERVICES
     tracking, true, localisation, absolute = metrics.errors()
     stages = scenario.controller.stages
     nothing = quantiles([])
     return Summary(
-        scenario=situation.name,
+        scenario=run_config.name,
         mode=mode,
         seed=scenario.run.seed,
         speed=scenario.run.speed if measured else None,
@@ -69,15 +69,15 @@ def _duration_ns(until_ns: int, end_ns: int) -> int:
     return end_ns if until_ns + PERIOD_NS > end_ns else max(0, until_ns)
 
 
-def of_recording(
-    situation: Situation, path: Path, *, restarts: int = 0, unrecorded: int = 0
+def summarise_recording(
+    run_config: RunConfig, path: Path, *, restarts: int = 0, unrecorded: int = 0
 ) -> tuple[Summary, WaterPrior | None]:
     """The summary of a run of processes and what it learned of the water, from its run.mcap, complete or cut off.
 
     ``restarts`` and ``unrecorded`` are what its launcher knows besides: what is not in a file cannot be told from it.
     """
-    learned = Learned()
-    metrics = RunMetrics(situation.vehicle, speed=situation.scenario.run.speed)
+    learned = EstimatedCurrent()
+    metrics = RunMetrics(run_config.vehicle, speed=run_config.scenario.run.speed)
     losses = LossAccounting()
     rejected = mended = 0
     for message in Recording(path):
@@ -92,9 +92,9 @@ def of_recording(
                 continue
             metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
             if isinstance(signal, Estimate):
-                learned.hear(signal)
+                learned.update(signal)
     summary = summarise(
-        situation,
+        run_config,
         metrics,
         mode=SERVICES,
         messages=Messages(published=losses.published, dropped=max(losses.missing, unrecorded), rejected=rejected),

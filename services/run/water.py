@@ -13,18 +13,18 @@ from ltv_mpc.messages import Estimate
 from ltv_mpc.validation import refusal
 
 
-def beside(folder: Path, settings: EstimatorConfig) -> EstimatorConfig:
+def resolve_prior_path(folder: Path, settings: EstimatorConfig) -> EstimatorConfig:
     """Settings from a file of ``folder``: the file of the prior that they name is relative to it."""
     name = settings.water_prior
     return msgspec.structs.replace(settings, water_prior=str(folder / name) if name else "")
 
 
-def told(settings: EstimatorConfig) -> WaterPrior | None:
+def load_prior(settings: EstimatorConfig) -> WaterPrior | None:
     """The prior that the settings name, None where they name none. Raises ``ConfigError``."""
     return read_prior(settings.water_prior) if settings.water_prior else None
 
 
-class Learned:
+class EstimatedCurrent:
     """What a run has come to know of the current, from its estimates in their order.
 
     An estimate's profile may be a window of depths that follows the vehicle: of a depth that it has left counts what
@@ -38,7 +38,7 @@ class Learned:
         self._last: Estimate | None = None
         self._left: dict[float, tuple[float, float, float]] = {}  # depth: north, east, sd
 
-    def hear(self, estimate: Estimate) -> None:
+    def update(self, estimate: Estimate) -> None:
         """The next estimate."""
         before = None if self._last is None else self._last.current
         now = estimate.current

@@ -57,7 +57,7 @@ class ControllerStatusReporter:
             self._cycles.popleft()
         took_us = sorted(took for _, took in self._cycles)
         estimate, node = self._estimate, self._node
-        refused = Counter(validator.refused)
+        refused = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
             refused["manual outside the box"] = node.arbiter.manual_rejected
         refused.update({f"estimate: {why}": count for why, count in node.controller.estimate_gate.rejected.items()})

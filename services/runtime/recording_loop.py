@@ -13,7 +13,7 @@ from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusOptions, open_session
-from services.bus.wire import WireError, crc, header_of, typed, unpack
+from services.bus.wire import WireError, crc, from_map, header_of, unpack
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts
 from services.recording.segments import SegmentWriter
@@ -143,7 +143,7 @@ class RecordingLoop:
         kind = frame.topic.message_type
         message = unpack(frame.payload)
         header = header_of(message)
-        signal = typed(kind, message)[0] if kind in (Clock, NodeStatus) else None
+        signal = from_map(kind, message)[0] if kind in (Clock, NodeStatus) else None
         if isinstance(signal, Clock):
             self._follow(signal)
         # Nothing is sent after it arrived, whatever its sender says; and no message moves the time of another.

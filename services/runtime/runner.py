@@ -290,7 +290,7 @@ class Runner:
     def _take(self, frame: Frame) -> None:
         now_ns = self._now_ns(frame.received_monotonic_us)
         try:
-            signal, header = self._validator.admit(frame)
+            signal, header = self._validator.validate(frame)
         except WireError as error:
             self._refuse(frame, str(error), now_ns)
             return
@@ -300,7 +300,7 @@ class Runner:
         else:
             reason = self._of_another_time(signal, frame.received_monotonic_us)
         if reason:
-            self._validator.turn_back(reason)
+            self._validator.reject(reason)
             self._refuse(frame, reason, now_ns)
             return
         self._status.on_input(kind)

@@ -69,8 +69,8 @@ def warm_up_controller(scenario: str) -> None:
     from services.processes import controller
     from services.run.run_config import resolve
 
-    situation = resolve(scenario)
-    controller.warm_up(situation.vehicle, situation.reference, situation.scenario.controller)
+    run_config = resolve(scenario)
+    controller.warm_up(run_config.vehicle, run_config.reference, run_config.scenario.controller)
 
 
 def warm_up_solver(scenario: str) -> None:
@@ -78,8 +78,8 @@ def warm_up_solver(scenario: str) -> None:
     from services.processes import controller
     from services.run.run_config import resolve
 
-    situation = resolve(scenario)
-    controller.warm_up_solver(situation.vehicle, situation.scenario.controller)
+    run_config = resolve(scenario)
+    controller.warm_up_solver(run_config.vehicle, run_config.scenario.controller)
 
 
 def warm_up_others(scenario: str) -> None:
@@ -87,10 +87,10 @@ def warm_up_others(scenario: str) -> None:
     from services.processes import estimator, plant, sensors
     from services.run.run_config import resolve
 
-    situation = resolve(scenario)
-    plant.warm_up(situation)
-    sensors.warm_up(situation)
-    estimator.warm_up(situation.suite, situation.scenario.estimator)
+    run_config = resolve(scenario)
+    plant.warm_up(run_config)
+    sensors.warm_up(run_config)
+    estimator.warm_up(run_config.suite, run_config.scenario.estimator)
 
 
 PARTS: dict[str, Callable[[str], None]] = {

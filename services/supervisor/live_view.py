@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ltv_mpc.messages import Applied, Clock, ClockState, CycleTiming, Estimate, NodeStatus, Plan, Truth
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.supervisor.bus_monitor import BusMonitor
 from services.supervisor.screen import LiveView
 
 
-def live_view(situation: Situation, watch: BusMonitor, states: Mapping[str, str], wall_s: float) -> LiveView:
+def live_view(run_config: RunConfig, watch: BusMonitor, states: Mapping[str, str], wall_s: float) -> LiveView:
     """The newest of everything. ``states`` are the processes' own."""
-    scenario = situation.scenario
+    scenario = run_config.scenario
     clock = watch.newest(Clock)
     t_ns = watch.t_ns()
     status = {name: word for name in states if (word := watch.newest(NodeStatus, name)) is not None}

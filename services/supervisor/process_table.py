@@ -8,7 +8,7 @@ import msgspec
 
 from services.bus.session import BusOptions
 from services.run.folder import RunFolder
-from services.run.run_config import PRIOR, Situation
+from services.run.run_config import PRIOR, RunConfig
 from sim.scenario import Scenario
 
 
@@ -49,18 +49,18 @@ def processes(scenario: Scenario) -> tuple[ProcessRow, ...]:
     return tuple(row for row in PROCESSES if not (row.name == "estimator" and scenario.run.perfect_state))
 
 
-def config_of(name: str, situation: Situation, place: RunContext) -> msgspec.Struct:
+def config_of(name: str, run_config: RunConfig, place: RunContext) -> msgspec.Struct:
     """The config of a process of this run, which reads its settings from the run's own folder."""
     # Only who starts processes needs these, and not for the list of them.
     from services.processes import controller, estimator, plant, recorder, router, sensors
 
-    scenario, folder = situation.scenario, RunFolder(place.folder.path.absolute())
+    scenario, folder = run_config.scenario, RunFolder(place.folder.path.absolute())
     bus = BusOptions(connect=(place.router,), namespace=place.namespace, certs=place.certs, role=name)
     match name:
         case "router":
             return router.Config(bus=msgspec.structs.replace(bus, connect=(), listen=(place.router,)))
         case "recorder":
-            metadata = recorder.metadata(scenario.run.seed, situation.files)
+            metadata = recorder.metadata(scenario.run.seed, run_config.files)
             return recorder.Config(bus=bus, folder=folder.path, start_ns=scenario.start_ns, metadata=metadata)
         case "plant":
             return plant.Config(bus=bus, scenario=str(folder.scenario), expects=("recorder",))

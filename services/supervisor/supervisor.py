@@ -22,8 +22,8 @@ from services.bus.roles import LAUNCHER
 from services.bus.session import SECURE, BusOptions, Session, Stopped, open_session
 from services.recording import join
 from services.run.folder import RunFolder
-from services.run.run_config import Situation
-from services.run.summary import of_recording
+from services.run.run_config import RunConfig
+from services.run.summary import summarise_recording
 from services.runtime.stopping import DONE, FAILED, INTERRUPTED, StopRequest, stop_on_signals
 from services.supervisor import jit_cache, loopback, process_table, shutdown
 from services.supervisor.bus_monitor import BusMonitor
@@ -71,7 +71,7 @@ OnBus: TypeAlias = Callable[[BusOptions], None]
 
 
 def run(
-    situation: Situation,
+    run_config: RunConfig,
     folder: RunFolder,
     screen: Screen,
     *,
@@ -82,7 +82,7 @@ def run(
 
     ``certs`` is a folder of certificates, checked: with one all links are mTLS, and every process has its role.
     """
-    supervisor = Supervisor(situation, folder, screen, certs, on_bus)
+    supervisor = Supervisor(run_config, folder, screen, certs, on_bus)
     try:
         outcome = supervisor.run()
         for line in (outcome.why, *(f"    {text}" for text in outcome.last_lines)):
@@ -98,13 +98,13 @@ class Supervisor:
 
     def __init__(
         self,
-        situation: Situation,
+        run_config: RunConfig,
         folder: RunFolder,
         screen: Screen,
         certs: Path | None = None,
         on_bus: OnBus | None = None,
     ) -> None:
-        self._situation = situation
+        self._run_config = run_config
         self._certs = certs
         self._on_bus = on_bus
         self._folder = folder
@@ -134,8 +134,8 @@ class Supervisor:
             return outcome
         for text in join.segments_of(self._folder.recording):
             self._screen.say(text)
-        summary, water = of_recording(
-            self._situation, self._folder.recording, restarts=self.restarts, unrecorded=self._last_drops
+        summary, water = summarise_recording(
+            self._run_config, self._folder.recording, restarts=self.restarts, unrecorded=self._last_drops
         )
         if summary.cycles == 0:
             return outcome
@@ -202,7 +202,7 @@ class Supervisor:
 
     def _load(self) -> None:
         self._crew.load()
-        for row in process_table.processes(self._situation.scenario):
+        for row in process_table.processes(self._run_config.scenario):
             importlib.import_module(row.module)  # for its config, while the fork server loads the same
         if (forks := self._crew.forks) is None:
             return
@@ -216,8 +216,8 @@ class Supervisor:
         namespace = f"auv/{secrets.token_hex(4)}"
         certs = None if self._certs is None else self._certs.absolute()
         place = process_table.RunContext(folder=self._folder, router=endpoint, namespace=namespace, certs=certs)
-        rows = process_table.processes(self._situation.scenario)
-        configs = {row.name: process_table.config_of(row.name, self._situation, place) for row in rows}
+        rows = process_table.processes(self._run_config.scenario)
+        configs = {row.name: process_table.config_of(row.name, self._run_config, place) for row in rows}
         for row in (row for row in rows if not row.needs):
             self._crew.start(row, configs[row.name])
         self._await(lambda: loopback.answers(endpoint), "router", "does not answer")
@@ -279,7 +279,7 @@ class Supervisor:
         for event in self._watch.events():
             if event.node != LAUNCHER:
                 self._show(event)
-        self._screen.update(live_view(self._situation, self._watch, self._states(), now_s - self._started))
+        self._screen.update(live_view(self._run_config, self._watch, self._states(), now_s - self._started))
 
     # --- who is dead -------------------------------------------------------------------------------------------------
 

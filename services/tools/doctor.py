@@ -22,8 +22,8 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
-from services.run.machine import core_count
-from services.run.provenance import made_by
+from services.run.host_resources import core_count
+from services.run.provenance import provenance_table
 
 DISTRIBUTION = "auv-ltv-mpc"
 OURS = ("ltv_mpc", "sim", "services")
@@ -106,7 +106,7 @@ def python() -> Finding:
 
 def project() -> Finding:
     """Report version and commit of this project."""
-    made = made_by()
+    made = provenance_table()
     said = f"{made['ltv_mpc']}, commit {made['commit'][:12]}, in {ROOT}"
     if requirements() is None:
         return warning("project", f"{said}; its packages are not installed", f"pip install -e {ROOT}")

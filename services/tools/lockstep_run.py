@@ -14,9 +14,9 @@ from services.bus.message_validation import rejection
 from services.recording.writer import RunWriter
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.run.summary import LOCKSTEP, summarise
-from services.run.water import Learned
+from services.run.water import EstimatedCurrent
 from sim.evaluation.metrics import RunMetrics
 from sim.evaluation.summary import Messages, Summary
 from sim.scheduler import EPOCH, LockStep, Step
@@ -28,7 +28,7 @@ PROGRESS_NS = 1_000_000_000
 
 
 def run(
-    situation: Situation,
+    run_config: RunConfig,
     folder: RunFolder | None = None,
     *,
     progress: Callable[[int], None] | None = None,
@@ -40,36 +40,36 @@ def run(
     the vehicle time (ns).
     """
     if folder is None:
-        return _go(situation, None, progress, stop)
-    metadata = {"mode": LOCKSTEP, "seed": str(situation.scenario.run.seed), **situation.files}
-    start_ns, learned = situation.scenario.start_ns, Learned()
+        return _go(run_config, None, progress, stop)
+    metadata = {"mode": LOCKSTEP, "seed": str(run_config.scenario.run.seed), **run_config.files}
+    start_ns, learned = run_config.scenario.start_ns, EstimatedCurrent()
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary = _go(situation, writer, progress, stop, learned)
+        summary = _go(run_config, writer, progress, stop, learned)
     folder.write_result(summary, learned.prior())
     return summary
 
 
 def _go(
-    situation: Situation,
+    run_config: RunConfig,
     writer: RunWriter | None,
     progress: Callable[[int], None] | None,
     stop: Callable[[], bool],
-    learned: Learned | None = None,
+    learned: EstimatedCurrent | None = None,
 ) -> Summary:
     """Make the run. ``learned`` collects what the estimates say of the water."""
     _leave_alone()
-    scenario = situation.scenario
-    log = _Log(RunMetrics(situation.vehicle), writer, learned)
+    scenario = run_config.scenario
+    log = _Log(RunMetrics(run_config.vehicle), writer, learned)
     recorded = writer is not None
     lockstep = LockStep(
-        make_nodes(situation, unread=recorded),
+        make_nodes(run_config, unread=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
         observe=log,
         heard=None if recorded else log.heard,
         stepped=log.stepped if recorded else None,
         latest=LATEST,
-        refused=refused,
+        refused=rejected_message,
     )
     for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
         if stop():
@@ -79,7 +79,7 @@ def _go(
             progress(t_ns)
     records = sum(lockstep.steps.values()) if recorded else 0
     messages = Messages(published=lockstep.published + records, dropped=0, rejected=log.rejected_count)
-    return summarise(situation, log.metrics, mode=LOCKSTEP, messages=messages)
+    return summarise(run_config, log.metrics, mode=LOCKSTEP, messages=messages)
 
 
 @cache
@@ -94,7 +94,7 @@ def _leave_alone() -> None:
 class _Log:
     """Observer of the run that passes messages to the recording, if there is one, and to the evaluation."""
 
-    def __init__(self, metrics: RunMetrics, writer: RunWriter | None, learned: Learned | None) -> None:
+    def __init__(self, metrics: RunMetrics, writer: RunWriter | None, learned: EstimatedCurrent | None) -> None:
         self.metrics = metrics
         self.rejected_count = 0
         self._learned = learned
@@ -126,7 +126,7 @@ class _Log:
         if self._writer is not None:
             self._writer.write(node, signal, _header(message.sequence), message.received_t_ns)
         if self._learned is not None and isinstance(signal, Estimate):
-            self._learned.hear(signal)
+            self._learned.update(signal)
 
 
 def _header(sequence: int) -> wire.Header:
@@ -149,7 +149,7 @@ def _key(signal: Message, reader: str) -> str:
     return topics.key_of(type(signal), reader)
 
 
-def refused(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
+def rejected_message(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
     """Return the rejection message that a process would publish."""
     signal = message.message
     payload = wire.encode(signal, _header(message.sequence))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltv_mpc.messages import Message
 from ltv_mpc.node import Due, Node, Schedule
-from sim.faults.interval import Spell
+from sim.faults.interval import Interval
 from sim.faults.readings import Reading, changed, restamped
 
 
@@ -30,7 +30,7 @@ class Failure(enum.StrEnum):
     INTERMITTENT = "intermittent"  # comes and goes
 
 
-class Broken(NamedTuple):
+class SensorFault(NamedTuple):
     """One failure of one instrument. ``size`` is, by failure:
 
     garbage, wrong: share of the range or bias in ``READINGS``; slow: messages of which one is said; delayed: seconds;
@@ -39,15 +39,15 @@ class Broken(NamedTuple):
 
     kind: type[Message]
     failure: Failure
-    spell: Spell
+    interval: Interval
     size: float
     seed: int
 
 
-class FailingSensors:
+class FaultySensors:
     """The sensors' node, with instruments that break."""
 
-    def __init__(self, sensors: Node, broken: Sequence[Broken]) -> None:
+    def __init__(self, sensors: Node, broken: Sequence[SensorFault]) -> None:
         self._sensors = sensors
         self._failures = [_Failing(one) for one in broken]
 
@@ -80,14 +80,14 @@ class FailingSensors:
 
 
 class _Failing:
-    def __init__(self, broken: Broken) -> None:
+    def __init__(self, broken: SensorFault) -> None:
         self._broken = broken
         self._rng = np.random.default_rng(broken.seed)
         self._count = 0
         self._last: Message | None = None
         self._late: list[tuple[int, Message]] = []
         self._silent = True
-        self._until_ns = broken.spell.start_ns
+        self._until_ns = broken.interval.start_ns
 
     def through(self, t_ns: int, signals: Sequence[Message]) -> list[Message]:
         """Those of its instrument changed, late, or gone; all others as they were."""
@@ -96,7 +96,7 @@ class _Failing:
         for signal in signals:
             if type(signal) is not self._broken.kind:
                 here.append(signal)
-            elif self._broken.spell.holds(t_ns):
+            elif self._broken.interval.contains(t_ns):
                 here += self._said(t_ns, signal)
             else:
                 self._last = signal
@@ -123,7 +123,7 @@ class _Failing:
                 return []
             case Failure.INTERMITTENT:
                 while t_ns >= self._until_ns:
-                    self._silent = not self._silent if self._until_ns > self._broken.spell.start_ns else True
+                    self._silent = not self._silent if self._until_ns > self._broken.interval.start_ns else True
                     self._until_ns += 1 + round(rng.exponential(size) * 1e9)
                 return [] if self._silent else [signal]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Spell(NamedTuple):
+class Interval(NamedTuple):
     """[start_ns, end_ns)."""
 
     start_ns: int
     end_ns: int
 
-    def holds(self, t_ns: int) -> bool:
+    def contains(self, t_ns: int) -> bool:
         """Whether it lasts at ``t_ns``."""
         return self.start_ns <= t_ns < self.end_ns

@@ -1,8 +1,8 @@
-"""Faults of messages on their way: lost, late, out of order, doubled, damaged, not a number, stale, wrongly stamped.
+"""Message faults: loss, delay, reordering, duplication, corruption, non-finite values, stale data and wrong stamps.
 
-``Transit`` stands between the nodes of a lock step (``sim.scheduler.Between``): each message of a key that a fault
-concerns goes through that fault, all others arrive as they were published. Harmed messages are counted, so that the
-readers' own counts can be held against them.
+``MessageFaults`` is a transport between the nodes of a lock step (``sim.scheduler.Between``). A message passes
+through the first active fault that concerns its type; all others arrive as published. Harmed messages are counted,
+so that the readers' own counts can be compared with them.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from ltv_mpc.messages import Message, MessageFault
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import bounds
-from sim.faults.interval import Spell
+from sim.faults.interval import Interval
 from sim.scheduler import Delivery
 
 
-class Harmed(NamedTuple):
+class MessageFaultInterval(NamedTuple):
     """One fault. ``size`` is, by harm:
 
     loss, reorder, duplicate, corruption, not a number: the share of messages that meets it; delay: seconds; clock
@@ -30,7 +30,7 @@ class Harmed(NamedTuple):
 
     kinds: tuple[type[Message], ...]
     harm: MessageFault
-    spell: Spell
+    interval: Interval
     size: float
     seed: int
 
@@ -50,10 +50,10 @@ MOST_FLIPPED = 8
 NOT_NUMBERS = (math.nan, math.inf, -math.inf)
 
 
-class Transit:
+class MessageFaults:
     """All that stands between the nodes of one run."""
 
-    def __init__(self, faults: Sequence[Harmed], *, encode: Encode, admit: Admit) -> None:
+    def __init__(self, faults: Sequence[MessageFaultInterval], *, encode: Encode, admit: Admit) -> None:
         self._harms: list[_Harm] = []
         self._kinds: set[type[Message]] = set()
         self._encode = encode
@@ -61,7 +61,7 @@ class Transit:
         for fault in faults:
             self.add(fault)
 
-    def add(self, fault: Harmed) -> None:
+    def add(self, fault: MessageFaultInterval) -> None:
         """One more, from now on."""
         self._harms.append(_HARMS[fault.harm](fault, self._encode))
         self._kinds.update(fault.kinds)
@@ -71,7 +71,7 @@ class Transit:
         """Of each fault, in the order given: how many messages it has harmed."""
         return [harm.harmed for harm in self._harms]
 
-    def knows(self, kind: type[Message]) -> bool:
+    def covers(self, kind: type[Message]) -> bool:
         """Whether any fault concerns messages of this type, now or at another time."""
         return kind in self._kinds
 
@@ -83,7 +83,7 @@ class Transit:
                     return harm.deliveries(message)
         return [Delivery(message.received_t_ns, message)]
 
-    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
+    def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """By the reader's door."""
         return self._admit(reader, delivery)
 
@@ -91,7 +91,7 @@ class Transit:
 class _Harm:
     """A harm that meets a share ``size`` of the messages; the others pass."""
 
-    def __init__(self, fault: Harmed, encode: Encode) -> None:
+    def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         self.harmed = 0
         self.fault = fault
         self.encode = encode
@@ -99,7 +99,7 @@ class _Harm:
 
     def concerns(self, message: ReceivedMessage) -> bool:
         """Whether it lasts, and the message is of its types."""
-        return type(message.message) in self.fault.kinds and self.fault.spell.holds(message.received_t_ns)
+        return type(message.message) in self.fault.kinds and self.fault.interval.contains(message.received_t_ns)
 
     def deliveries(self, message: ReceivedMessage) -> list[Delivery]:
         """What comes of a message that it concerns."""
@@ -133,7 +133,7 @@ class _Delay(_Harm):
 class _Reorder(_Harm):
     """A message waits until the next one of its type has gone before it."""
 
-    def __init__(self, fault: Harmed, encode: Encode) -> None:
+    def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         super().__init__(fault, encode)
         self._waiting: dict[type[Message], ReceivedMessage] = {}
 
@@ -184,7 +184,7 @@ class _NotANumber(_Harm):
 class _Stale(_Harm):
     """The publisher says again and again what it said last before, stamps and all, as new messages."""
 
-    def __init__(self, fault: Harmed, encode: Encode) -> None:
+    def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         super().__init__(fault, encode)
         self._said: dict[type[Message], Message] = {}
 

@@ -19,10 +19,10 @@ from ltv_mpc.control import controller
 from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Message, Solve, SolveStatus
 from ltv_mpc.node import Due, Node, Schedule
-from sim.faults.interval import Spell
+from sim.faults.interval import Interval
 
 
-class Trouble(enum.StrEnum):
+class SolverFault(enum.StrEnum):
     """What a solver does."""
 
     FAILS = "fails"
@@ -30,30 +30,30 @@ class Trouble(enum.StrEnum):
     RAISES = "raises"
 
 
-class Troubled(NamedTuple):
+class SolverFaultInterval(NamedTuple):
     """One spell of trouble."""
 
-    trouble: Trouble
-    spell: Spell
+    fault: SolverFault
+    interval: Interval
 
 
-class SolverRaised(RuntimeError):
+class InjectedSolverError(RuntimeError):
     """What a solver in trouble raises."""
 
 
-class Now:
+class SolverClock:
     """The time that a solver in trouble goes by: that of its controller's cycle."""
 
     def __init__(self) -> None:
         self.t_ns = 0
 
 
-class TroubledSolver:
+class FaultySolver:
     """``solver``, but for the spells in which it is in trouble."""
 
-    def __init__(self, solver: Solver, troubles: Sequence[Troubled], now: Now) -> None:
+    def __init__(self, solver: Solver, faults: Sequence[SolverFaultInterval], now: SolverClock) -> None:
         self._solver = solver
-        self._troubles = troubles
+        self._troubles = faults
         self._now = now
 
     def __getattr__(self, name: str) -> Any:
@@ -62,20 +62,20 @@ class TroubledSolver:
     def solve(self) -> SolverResult:
         """Its answer, or trouble."""
         answer = self._solver.solve()
-        for trouble, spell in self._troubles:
-            if not spell.holds(self._now.t_ns):
+        for fault, interval in self._troubles:
+            if not interval.contains(self._now.t_ns):
                 continue
-            if trouble is Trouble.RAISES:
-                raise SolverRaised("in trouble")
-            status = SolveStatus.SOLVED if trouble is Trouble.LIES else SolveStatus.FAILED
-            return SolverResult(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {trouble}"))
+            if fault is SolverFault.RAISES:
+                raise InjectedSolverError("in trouble")
+            status = SolveStatus.SOLVED if fault is SolverFault.LIES else SolveStatus.FAILED
+            return SolverResult(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {fault}"))
         return answer
 
 
-class Timed:
+class TimedNode:
     """A node that tells ``now`` the time of each of its steps."""
 
-    def __init__(self, node: Node, now: Now) -> None:
+    def __init__(self, node: Node, now: SolverClock) -> None:
         self._node = node
         self._now = now
 
@@ -109,12 +109,12 @@ class Timed:
 
 
 @contextmanager
-def troubled(troubles: Sequence[Troubled], now: Now) -> Iterator[None]:
+def inject_solver_faults(faults: Sequence[SolverFaultInterval], now: SolverClock) -> Iterator[None]:
     """Controllers that are made here get solvers in trouble, the ones they make anew while they run too."""
     before: Any = controller.make  # type: ignore[attr-defined]  # its name for ``solvers.make``
 
     def make(*arguments: Any) -> Any:
-        return TroubledSolver(before(*arguments), troubles, now)
+        return FaultySolver(before(*arguments), faults, now)
 
     controller.make = make  # type: ignore[attr-defined, assignment]
     try:

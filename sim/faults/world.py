@@ -10,7 +10,7 @@ import numpy as np
 from ltv_mpc.messages import Disturbance, Message, Plan, PlanOrigin, Solve, SolveStatus, Triple
 from ltv_mpc.node import Due, Grid
 from ltv_mpc.vehicle.parameters import Vehicle
-from sim.faults.interval import Spell
+from sim.faults.interval import Interval
 
 PERIOD_NS = 100_000_000
 
@@ -18,7 +18,7 @@ INTRUDERS_STAGES = 17
 INTRUDERS_STAGE_NS = 300_000_000
 
 
-class Disturber:
+class DisturbanceSource:
     """Says each disturbance when its time has come."""
 
     name = "operator"
@@ -43,7 +43,7 @@ class Disturber:
 class Intrusion(NamedTuple):
     """A second commander's spell: it wants these lateral thrusts."""
 
-    spell: Spell
+    interval: Interval
     thrust_N: Triple
 
 
@@ -60,10 +60,13 @@ class Intruder:
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
         """One plan each period of a spell."""
-        return [[plan(t_ns, one.thrust_N) for one in self._intrusions if one.spell.holds(t_ns)] for t_ns, _ in due]
+        return [
+            [steady_plan(t_ns, one.thrust_N) for one in self._intrusions if one.interval.contains(t_ns)]
+            for t_ns, _ in due
+        ]
 
 
-def plan(t_ns: int, thrust_N: Triple) -> Plan:
+def steady_plan(t_ns: int, thrust_N: Triple) -> Plan:
     """A steady one from ``t_ns`` on."""
     knots = t_ns + INTRUDERS_STAGE_NS * np.arange(INTRUDERS_STAGES + 1)
     return Plan(
@@ -77,7 +80,7 @@ def plan(t_ns: int, thrust_N: Triple) -> Plan:
     )
 
 
-def within(vehicle: Vehicle, share: Sequence[float]) -> Triple:
+def thrust_at(vehicle: Vehicle, share: Sequence[float]) -> Triple:
     """Thrusts (N) at these shares, -1 to 1, of each thruster's box."""
     port, starboard, vertical = (
         s * (t.max_N if s > 0 else -t.min_N) for s, t in zip(share, vehicle.thrusters, strict=True)

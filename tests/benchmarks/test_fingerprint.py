@@ -13,7 +13,7 @@ def short(monkeypatch):
 
 
 def hashes(*settings):
-    of = fingerprint.situation("hover", *settings)
+    of = fingerprint.run_config("hover", *settings)
     return {role: fingerprint.digest(rows) for role, rows in fingerprint.lockstep(of, make_nodes(of)).items()}
 
 

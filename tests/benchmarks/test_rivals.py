@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.loop import situation
+from benchmarks.loop import run_config
 from benchmarks.rivals import law, lqr, mpc, pid
 from benchmarks.rivals.search import Span, search
 from ltv_mpc.messages import CurrentProfile, Estimate
@@ -30,11 +30,11 @@ SETTINGS = ("run.seed=400", "run.duration_s=40.0")
 
 @pytest.fixture(scope="module")
 def uncontrolled_m() -> float:
-    return law.fly(situation(*SETTINGS), law.Nothing()).mean_m
+    return law.fly(run_config(*SETTINGS), law.Nothing()).mean_m
 
 
 def test_pid_and_lqr_hold_the_vehicle_that_is_carried_away_without_them(uncontrolled_m: float) -> None:
-    here = situation(*SETTINGS)
+    here = run_config(*SETTINGS)
     by_pid = law.fly(here, pid.Pid(here.vehicle, GAINS))
     by_lqr = law.fly(here, lqr.Lqr(here.vehicle, WEIGHTS))
     assert by_pid.mean_m < 0.2 * uncontrolled_m
@@ -46,7 +46,7 @@ def test_a_plan_that_comes_late_and_was_made_for_earlier_costs_distance() -> Non
     means = []
     for compensates in (True, False):
         variant = mpc.Variant(delay_s=0.71, compensates=compensates)
-        means.append(mpc.fly(situation(*SETTINGS, *variant.settings), variant).mean_m)
+        means.append(mpc.fly(run_config(*SETTINGS, *variant.settings), variant).mean_m)
     assert means[1] > 2.0 * means[0]
 
 

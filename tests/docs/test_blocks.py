@@ -26,7 +26,7 @@ from typer.main import get_command
 from services.cli import start
 from services.cli.app import app, run
 from services.run.folder import RunFolder
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.runtime.stopping import DONE
 from services.tools.campaign import file as campaigns
 from services.tools.faults import schedule
@@ -146,7 +146,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 def session(recorded: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder with a run in it, where `sim` is quick."""
 
-    def simulated(_situation: Situation, folder: RunFolder, *_: object, **__: object) -> int:
+    def simulated(_run_config: RunConfig, folder: RunFolder, *_: object, **__: object) -> int:
         for path in recorded.path.iterdir():
             if path.is_file() and path.name != "scenario.toml":
                 shutil.copy(path, folder.path)

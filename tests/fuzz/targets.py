@@ -54,7 +54,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus import topics
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
-from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, plain, unpack
+from services.bus.wire import MAX_PAYLOAD_BYTES, WireError, header_of, to_map, unpack
 from services.edges.ros2.edge import Edge
 from services.recording import export, info, perfetto
 from services.recording.reader import Recording
@@ -159,11 +159,11 @@ def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
 def door_of(topic: topics.Topic) -> Target:
     """A process's door on one key: decoded, admitted, in order."""
     key = topics.key_of(topic.message_type, "plant")
-    messages = [plain(example, HEADER) for example in EXAMPLES if type(example) is topic.message_type]
+    messages = [to_map(example, HEADER) for example in EXAMPLES if type(example) is topic.message_type]
 
     def take(frame: bytes) -> Any:
         try:
-            return MessageValidator().admit(Frame(topic, key, frame, 0))[0]
+            return MessageValidator().validate(Frame(topic, key, frame, 0))[0]
         except WireError:
             return None
 
@@ -174,7 +174,7 @@ def one_door() -> Target:
     """One door for everything, for as long as the campaign lasts: what it keeps must not grow with what is refused."""
     door = MessageValidator()
     messages = [
-        (topics.topic_at(key), key, plain(example, HEADER))
+        (topics.topic_at(key), key, to_map(example, HEADER))
         for example in EXAMPLES
         for key in (topics.key_of(type(example), "plant"), "no/such/key")
     ]
@@ -189,18 +189,18 @@ def one_door() -> Target:
     def take(data: bytes) -> Any:
         topic, key, _ = messages[int.from_bytes(data[:2], "big")]
         with contextlib.suppress(WireError):
-            door.admit(Frame(topic, key, data[2:], 0))
+            door.validate(Frame(topic, key, data[2:], 0))
         return door
 
     def check(door: MessageValidator) -> None:
-        assert len(door.refused) <= 1000, "reasons are counted without end"
+        assert len(door.rejected_by_reason) <= 1000, "reasons are counted without end"
 
     return Target("door, kept", 3, frame, take, check)
 
 
 def recorder() -> Target:
     """What the recorder writes down: any map with a header, as JSON."""
-    messages = [plain(example, HEADER) for example in EXAMPLES]
+    messages = [to_map(example, HEADER) for example in EXAMPLES]
 
     def take(frame: bytes) -> Any:
         try:
@@ -249,13 +249,13 @@ def vehicle_clock() -> Target:
     """The clock of a process, told by whomever."""
     topic = topics.BY_TYPE[Clock]
     example = next(e for e in EXAMPLES if isinstance(e, Clock))
-    message = plain(msgspec.structs.replace(example, host_boot_id=boot_id()), HEADER)
+    message = to_map(msgspec.structs.replace(example, host_boot_id=boot_id()), HEADER)
 
     def take(frame: bytes) -> Any:
         clock = VehicleClock()
         try:
             for data in (mutate.packed(message, Random(0)), frame):
-                signal, _ = MessageValidator().admit(Frame(topic, "clock", data, 0))
+                signal, _ = MessageValidator().validate(Frame(topic, "clock", data, 0))
                 assert isinstance(signal, Clock)
                 clock.follow(msgspec.structs.replace(signal, clock_sequence=signal.clock_sequence + (data is frame)))
         except (WireError, ClockError):
@@ -501,7 +501,7 @@ def failed_qp() -> Target:
 
 def recordings() -> Iterator[Target]:
     """A run's recording, cut, damaged, or forged with all checksums right."""
-    keys = [(topics.key_of(type(example), "plant"), plain(example, HEADER)) for example in EXAMPLES]
+    keys = [(topics.key_of(type(example), "plant"), to_map(example, HEADER)) for example in EXAMPLES]
 
     def forged(rng: Random) -> bytes:
         file = io.BytesIO()

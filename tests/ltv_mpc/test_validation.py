@@ -24,7 +24,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.validation import RELATIONS, Bounds, bounds, refusal, validator
 from services.bus.topics import TOPICS
-from services.bus.wire import WireError, typed
+from services.bus.wire import WireError, from_map
 from tests.services.bus.messages import EXAMPLES, HEADER
 
 PLAN = next(message for message in EXAMPLES if isinstance(message, Plan))
@@ -96,7 +96,7 @@ def on_the_wire(message: Message) -> str | None:
     plain = msgspec.to_builtins(message, enc_hook=to_wire)
     header = {"epoch": plain.get("epoch", HEADER.epoch), "sequence": 0, "sent_monotonic_us": 0}
     try:
-        typed(type(message), header | plain)
+        from_map(type(message), header | plain)
     except WireError as error:
         return str(error)
     return None

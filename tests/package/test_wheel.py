@@ -138,10 +138,10 @@ def test_a_checkout_reports_its_current_commit_not_the_installed_one(installed: 
 
 def test_command_run_and_doctor_say_the_same_version(capsys: pytest.CaptureFixture[str]) -> None:
     from services.cli.app import run
-    from services.run.provenance import made_by
+    from services.run.provenance import provenance_table
     from services.tools import doctor
 
     assert run(["--version"]) == 0
     said = capsys.readouterr().out.split()[-1]
-    assert said == versions.version() == made_by()["ltv_mpc"]
+    assert said == versions.version() == provenance_table()["ltv_mpc"]
     assert doctor.project().found.startswith(f"{said}, commit ")

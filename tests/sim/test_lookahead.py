@@ -27,7 +27,7 @@ from ltv_mpc.validation import refusal
 from services.bus import wire
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.plant import Plant
 from sim.scheduler import Delivery, LockStep, Step
@@ -67,7 +67,7 @@ class Through:
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002
         return [Delivery(message.received_t_ns, message)]
 
-    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:  # noqa: ARG002
+    def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:  # noqa: ARG002
         return refusal(delivery.message.message) or delivery.message
 
 
@@ -81,7 +81,7 @@ def ears_of(
         compute_delay_ns=delay_ns,
         observe=ears,
         stepped=ears.stepped,
-        refused=lockstep_run.refused,
+        refused=lockstep_run.rejected_message,
         between=Through() if singly else None,
     )
     for until_ns in until:
@@ -94,7 +94,7 @@ def ears_of(
 # --- a descent -------------------------------------------------------------------------------------------------------
 
 
-def descent(*settings: str, duration_s: float = 8.0) -> Situation:
+def descent(*settings: str, duration_s: float = 8.0) -> RunConfig:
     of_all = (f"run.duration_s={duration_s}", "run.seed=5", "run.surface_time_s=3.0")
     return resolve("descent", [Override("test", (*of_all, *settings))])
 
@@ -124,11 +124,11 @@ class Storm(OneByOne):
     ],
 )
 def test_of_a_descent_every_step_and_message_is_the_same_to_the_bit(settings: tuple[str, ...], storm: bool) -> None:
-    situation = descent(*settings)
-    scenario = situation.scenario
+    run_config = descent(*settings)
+    scenario = run_config.scenario
 
     def ears(*, singly: bool) -> Ears:
-        nodes = make_nodes(situation)
+        nodes = make_nodes(run_config)
         until = [*range(scenario.start_ns, scenario.end_ns, 700 * MS), scenario.end_ns]
         delay_ns = round(scenario.run.compute_delay_s * 1e9)
         nodes = [Storm(), *nodes] if storm else nodes
@@ -142,19 +142,19 @@ def test_of_a_descent_every_step_and_message_is_the_same_to_the_bit(settings: tu
 @pytest.mark.parametrize("delay_s", [0.0, 0.71])
 def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float) -> None:
     """Plans that are on their way when the run ends are neither told nor counted."""
-    situation = descent(f"run.compute_delay_s={delay_s}", duration_s=4.0)
+    run_config = descent(f"run.compute_delay_s={delay_s}", duration_s=4.0)
 
     def told(heard: frozenset[type[Message]] | None) -> tuple[list[tuple[str, int, int, type[Message], bytes]], int]:
         ears = Ears()
         lockstep = LockStep(
-            make_nodes(situation),
-            start_ns=situation.scenario.start_ns,
+            make_nodes(run_config),
+            start_ns=run_config.scenario.start_ns,
             compute_delay_ns=round(delay_s * 1e9),
             observe=ears,
             heard=heard,
-            refused=lockstep_run.refused,
+            refused=lockstep_run.rejected_message,
         )
-        lockstep.advance(situation.scenario.end_ns)
+        lockstep.advance(run_config.scenario.end_ns)
         return ears.said, lockstep.published
 
     wanted: frozenset[type[Message]] = frozenset({Truth, Estimate, Plan})
@@ -165,8 +165,8 @@ def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float)
 
 
 def test_an_unrecorded_run_has_the_summary_of_a_recorded_one(tmp_path: Any) -> None:
-    situation = descent("sensors=paper", duration_s=4.0)
-    recorded, unrecorded = lockstep_run.run(situation, RunFolder(tmp_path)), lockstep_run.run(situation)
+    run_config = descent("sensors=paper", duration_s=4.0)
+    recorded, unrecorded = lockstep_run.run(run_config, RunFolder(tmp_path)), lockstep_run.run(run_config)
     of_both = [msgspec.structs.replace(s, messages=recorded.messages) for s in (recorded, unrecorded)]
     assert of_both[0] == of_both[1]
 
@@ -187,9 +187,9 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
     counted(Plant, "_go")
     counted(Sensors, "_step")
     counted(Estimator, "_step")
-    situation = descent("sensors=paper", duration_s=4.0)
-    scenario = situation.scenario
-    nodes = make_nodes(situation, unread=False)
+    run_config = descent("sensors=paper", duration_s=4.0)
+    scenario = run_config.scenario
+    nodes = make_nodes(run_config, unread=False)
     said = ears_of(nodes, scenario.start_ns, [scenario.end_ns]).said
     ticks = sum(kind is Truth for *_, kind, _ in said)
     assert ticks == 701

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
-from sim.plant import mismatched
+from sim.plant import apply_mismatch
 from sim.scenario import Mismatch
 
 PAPER = Vehicle.load("paper").coefficients()
@@ -215,7 +215,7 @@ def test_a_held_vehicle_keeps_its_depth():
 
 
 def test_mismatch_scales_masses_and_damping_and_leaves_the_rest():
-    true = mismatched(UNEQUAL, Mismatch(mass=1.1, drag=0.8))
+    true = apply_mismatch(UNEQUAL, Mismatch(mass=1.1, drag=0.8))
     assert true.mass_surge == pytest.approx(1.1 * UNEQUAL.mass_surge)
     assert true.inertia_yaw == pytest.approx(1.1 * UNEQUAL.inertia_yaw)
     assert true.dry_mass == pytest.approx(1.1 * UNEQUAL.dry_mass)

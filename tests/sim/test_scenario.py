@@ -9,7 +9,7 @@ import pytest
 
 from ltv_mpc import config
 from ltv_mpc.errors import ConfigError
-from sim.scenario import Scenario, checked, overridden
+from sim.scenario import Scenario, checked, with_overrides
 
 
 @pytest.mark.parametrize("name", ["descent", "hover"])
@@ -20,16 +20,18 @@ def test_a_scenario_written_as_toml_is_read_back_bit_for_bit(name: str) -> None:
 
 def test_an_assignment_changes_its_key_and_nothing_else() -> None:
     before = Scenario.load("descent")
-    after = overridden(before, ["water.sd_mps=0.1", "run.perfect_state=true", "run.seed = 7", "vehicle=my otter.toml"])
+    after = with_overrides(
+        before, ["water.sd_mps=0.1", "run.perfect_state=true", "run.seed = 7", "vehicle=my otter.toml"]
+    )
     assert (after.water.sd_mps, after.run.perfect_state, after.run.seed) == (0.1, True, 7)
     assert after.vehicle == "my otter.toml"
     back = [f"water.sd_mps={before.water.sd_mps}", "run.perfect_state=false", "run.seed=0", 'vehicle="paper"']
-    assert overridden(after, back) == before
+    assert with_overrides(after, back) == before
 
 
 def test_a_bed_and_a_feature_are_set_by_their_keys_and_read_back(tmp_path: Path) -> None:
     wanted = ["water.bottom_m=35", "water.feature.kind=front", "water.feature.step_mps=-0.2"]
-    scenario = checked(overridden(Scenario.load("descent"), wanted), source="x")
+    scenario = checked(with_overrides(Scenario.load("descent"), wanted), source="x")
     assert (scenario.water.bottom_m, scenario.water.feature.kind) == (35.0, "front")
     assert scenario.water.feature.step_mps == -0.2
     (tmp_path / "again.toml").write_text(config.to_toml(scenario))
@@ -38,7 +40,7 @@ def test_a_bed_and_a_feature_are_set_by_their_keys_and_read_back(tmp_path: Path)
 
 
 def test_of_two_assignments_to_one_key_the_last_wins() -> None:
-    assert overridden(Scenario.load("descent"), ["run.seed=1", "run.seed=2"]).run.seed == 2
+    assert with_overrides(Scenario.load("descent"), ["run.seed=1", "run.seed=2"]).run.seed == 2
 
 
 @pytest.mark.parametrize(
@@ -60,7 +62,7 @@ def test_of_two_assignments_to_one_key_the_last_wins() -> None:
 )
 def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: str) -> None:
     with pytest.raises(ConfigError) as error:
-        overridden(Scenario.load("descent"), [assignment])
+        with_overrides(Scenario.load("descent"), [assignment])
     assert says in str(error.value)
     assert str(error.value).isprintable()
 
@@ -88,7 +90,7 @@ def test_an_assignment_that_fits_no_key_says_what_would(assignment: str, says: s
 )
 def test_fields_that_contradict_each_other_are_refused(assignments: list[str], says: str) -> None:
     with pytest.raises(ConfigError) as error:
-        checked(overridden(Scenario.load("descent"), assignments), source="scenario descent")
+        checked(with_overrides(Scenario.load("descent"), assignments), source="scenario descent")
     assert says in str(error.value)
 
 
@@ -106,5 +108,5 @@ def test_files_that_a_scenario_names_are_beside_it_and_shipped_names_stay(tmp_pa
 
 
 def test_the_run_begins_afloat_and_ends_after_the_descent() -> None:
-    scenario = overridden(Scenario.load("descent"), ["run.surface_time_s=2.5", "run.duration_s=10"])
+    scenario = with_overrides(Scenario.load("descent"), ["run.surface_time_s=2.5", "run.duration_s=10"])
     assert (scenario.start_ns, scenario.end_ns) == (-2_500_000_000, 10_000_000_000)

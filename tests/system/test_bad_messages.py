@@ -81,7 +81,7 @@ class Listening:
         """As ``services/runtime/runner.py`` does."""
         frame = Frame(BY_KEY[key], key, payload, 0)
         try:
-            signal, header = self.door.admit(frame)
+            signal, header = self.door.validate(frame)
         except WireError as error:
             self.refused.append(rejection(frame, str(error), node="controller", t_ns=t_ns))
             return
@@ -124,7 +124,7 @@ def test_no_field_that_is_wrong_changes_a_plan_and_each_is_counted_and_shown(kin
         plans = [each.plan(t_ns) for each in (quiet, beset)]
         assert as_bytes(plans[0]) == as_bytes(plans[1])
         assert plans[0].origin == "solved"
-    assert beset.door.rejected == len(bad) == beset.door.refused.total()
+    assert beset.door.rejected == len(bad) == beset.door.rejected_by_reason.total()
     assert beset.door.received == quiet.door.received
     assert quiet.door.rejected == 0
 
@@ -141,7 +141,7 @@ def test_an_estimate_out_of_order_doubled_or_of_a_former_start_changes_no_plan()
         assert reason in beset.refused[-1].reason
     # In order, but older than what is known already: let in, and of no use.
     beset.hear("estimate", encode(msgspec.structs.replace(wrong, t_ns=PERIOD_NS), Header(epoch=9, sequence=5)), 0)
-    assert dict(beset.door.refused) == {"out of order": 2, "former epoch": 1}
+    assert dict(beset.door.rejected_by_reason) == {"out of order": 2, "former epoch": 1}
     plans = [each.plan(2 * PERIOD_NS) for each in (quiet, beset)]
     assert as_bytes(plans[0]) == as_bytes(plans[1])
 

@@ -70,13 +70,13 @@ CASES = {
 @pytest.fixture(scope="module", params=CASES)
 def led(request):
     alter, to_s, end_s = CASES[request.param]
-    situation = resolve("descent", [Override("test", [f"run.duration_s={end_s}", "run.seed=3"])])
-    nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(situation)]
+    run_config = resolve("descent", [Override("test", [f"run.duration_s={end_s}", "run.seed=3"])])
+    nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
-    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
+    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
         end_s * SECOND
     )
-    return situation, ears
+    return run_config, ears
 
 
 def test_the_filter_is_reported_inconsistent_within_three_seconds_and_not_before(led):
@@ -113,7 +113,7 @@ def test_estimates_go_on_without_a_gap_and_are_finite(led):
 
 
 def test_thrusts_change_within_the_slew_limit_all_along(led):
-    situation, ears = led
+    run_config, ears = led
     slew = max(max(a.command_slew_N_per_s[:2]) for a in ears.applied if a.t_ns > 0)
-    assert slew <= situation.vehicle.thrusters[0].slew_N_per_s * (1 + 1e-9)
+    assert slew <= run_config.vehicle.thrusters[0].slew_N_per_s * (1 + 1e-9)
     assert max(a.plans_rejected for a in ears.applied) == 0

@@ -43,13 +43,13 @@ class Ears:
 @pytest.fixture(scope="module")
 def run():
     settings = [f"sensors={USBL}", f"run.duration_s={END_S}", "run.seed=3", "plant.depth_m=5"]
-    situation = resolve("descent", [Override("test", settings)])
-    nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(situation)]
+    run_config = resolve("descent", [Override("test", settings)])
+    nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
-    LockStep(nodes, start_ns=situation.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
+    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
         END_S * SECOND
     )
-    return situation, ears.heard
+    return run_config, ears.heard
 
 
 def track(signals, place):
@@ -74,8 +74,8 @@ def test_the_estimate_jumps_by_metres_and_is_right_afterwards(run):
 
 
 def test_the_thrusts_go_on_within_their_slew_limit(run):
-    situation, heard = run
-    limit = situation.vehicle.thrusters[0].slew_N_per_s
+    run_config, heard = run
+    limit = run_config.vehicle.thrusters[0].slew_N_per_s
     t, F = track(heard[Applied], lambda a: a.command_N[:2])
     under_way = t > 0
     rate = np.abs(np.diff(F[under_way], axis=0)) / np.diff(t[under_way])[:, None]

@@ -123,11 +123,11 @@ class Flight:
             self.hull.step(self.actuators.step(t_ns))
             self.track.append((self.hull.x[0], self.hull.x[1]))
             self._t_ns += STEP_NS
-        assert self.door.rejected == 0, self.door.refused
+        assert self.door.rejected == 0, self.door.rejected_by_reason
         return np.array(self.track)
 
     def _heard(self, key: str, fields: dict[str, Any], t_ns: int) -> ReceivedMessage:
-        signal, header = self.door.admit(Frame(BY_KEY[key], key, self.sender.pack(key, fields), 0))
+        signal, header = self.door.validate(Frame(BY_KEY[key], key, self.sender.pack(key, fields), 0))
         return ReceivedMessage(signal, header.epoch, header.sequence, t_ns)
 
     def _cycle(self, t_ns: int, inbox: list[ReceivedMessage]) -> None:

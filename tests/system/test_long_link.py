@@ -11,8 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from services.run.run_config import Override, Situation, resolve
-from services.run.summary import of_recording
+from services.run.run_config import Override, RunConfig, resolve
+from services.run.summary import summarise_recording
 from services.supervisor import loopback
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
@@ -23,7 +23,7 @@ PATIENCE_S = 150.0
 SETTINGS = ("run.duration_s=35", "run.speed=1")
 
 
-def over_the_link(situation: Situation, folder: Path) -> Summary:
+def over_the_link(run_config: RunConfig, folder: Path) -> Summary:
     """A descent: plant, sensors and estimator on one side, the controller behind the link."""
     scenario = folder / "scenario.toml"
     scenario.write_text('title = "link"\n[run]\nduration_s = 35.0\nspeed = 1.0\n')
@@ -53,17 +53,17 @@ def over_the_link(situation: Situation, folder: Path) -> Summary:
             if process.poll() is None:
                 process.kill()
             process.wait()
-    summary, _ = of_recording(situation, folder / "run" / "run.mcap")
+    summary, _ = summarise_recording(run_config, folder / "run" / "run.mcap")
     return summary
 
 
 def test_the_mean_error_over_a_lossy_link_is_at_most_1_3_times_a_perfect_ones(tmp_path: Path) -> None:
-    situation = resolve("descent", [Override("test", SETTINGS)])
-    long = over_the_link(situation, tmp_path)
+    run_config = resolve("descent", [Override("test", SETTINGS)])
+    long = over_the_link(run_config, tmp_path)
     assert long.duration_s >= 34.9
     assert long.end_to_end_delay_s.median is not None
     assert long.end_to_end_delay_s.median > 0.1  # there and back, in vehicle time: the link was in between
-    ours, perfect = long.true_error_m.mean, lockstep_run.run(situation).true_error_m.mean
+    ours, perfect = long.true_error_m.mean, lockstep_run.run(run_config).true_error_m.mean
     assert ours is not None
     assert perfect is not None
     assert ours <= 1.3 * perfect, f"{ours:.3f} m over the link, {perfect:.3f} m without"

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ltv_mpc.currents import read_profile
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
@@ -50,7 +50,7 @@ def test_processes_run_through_a_measured_current_without_a_message_rejected_or_
     assert summary["thrust"]["max_slew_N_per_s"] <= 100.0 + 1e-6
 
 
-def in_current(path: Path, *settings: str) -> Situation:
+def in_current(path: Path, *settings: str) -> RunConfig:
     return resolve("descent", [Override("test", ["water.kind=measured", f"water.file={path}", *settings])])
 
 

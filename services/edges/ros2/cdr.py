@@ -19,7 +19,7 @@ MAX_BYTES = 65_536
 LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 ODOMETRY, FLOAT64 = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64"
 
-RUBBISH = (
+DECODE_ERRORS = (
     SerdeError,
     AssertionError,
     ValueError,
@@ -50,7 +50,7 @@ def odometry(payload: bytes) -> Any:
         raise CdrError("no CDR header")
     try:
         return _types().deserialize_cdr(payload, ODOMETRY)
-    except RUBBISH as error:
+    except DECODE_ERRORS as error:
         raise CdrError(f"no {ODOMETRY}: {error or type(error).__name__}") from None
 
 

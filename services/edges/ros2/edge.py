@@ -28,7 +28,7 @@ class StampedClock:
     def __init__(self) -> None:
         self._best: deque[tuple[int, int]] = deque()  # arrival, stamp - arrival; falling, the largest first
 
-    def heard(self, stamp_ns: int, now_us: int) -> None:
+    def update(self, stamp_ns: int, now_us: int) -> None:
         """A message with this stamp has come."""
         offset_ns = stamp_ns - now_us * 1000
         while self._best and self._best[-1][1] <= offset_ns:
@@ -48,22 +48,22 @@ class Edge:
     def __init__(self) -> None:
         self._clock = StampedClock()
         self._plan: Plan | None = None
-        self.taken = 0
-        self.refused = 0
-        self.why = ""  # the last one was refused
+        self.accepted = 0
+        self.rejected = 0
+        self.reason = ""  # the last one was refused
 
     def odometry(self, payload: bytes, now_us: int) -> Estimate | None:
         """The estimate of a message, None where it cannot be used."""
         try:
             estimate = estimate_of(cdr.odometry(payload))
         except (cdr.CdrError, OdometryError) as error:
-            self._refuse(str(error))
+            self._reject(str(error))
             return None
         if (reason := refusal(estimate)) is not None:
-            self._refuse(reason)
+            self._reject(reason)
             return None
-        self.taken += 1
-        self._clock.heard(estimate.t_ns, now_us)
+        self.accepted += 1
+        self._clock.update(estimate.t_ns, now_us)
         return estimate
 
     def follow(self, plan: Plan) -> None:
@@ -79,6 +79,6 @@ class Edge:
             return np.zeros(3)
         return self._plan.thrust_at(now_ns)
 
-    def _refuse(self, reason: str) -> None:
-        self.refused += 1
-        self.why = reason
+    def _reject(self, reason: str) -> None:
+        self.rejected += 1
+        self.reason = reason

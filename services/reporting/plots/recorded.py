@@ -104,7 +104,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 plain = decode(record.data)
                 if kind is Estimate:  # its profile is most of it, and of all profiles the last alone is drawn
                     newest, plain = plain, {**plain, "current": None}
-                signal, header = wire.typed(kind, plain)
+                signal, header = wire.from_map(kind, plain)
             except (wire.WireError, msgspec.DecodeError):
                 continue
             collector = collector or Collector(thrusters(metadata), rows=rows)
@@ -118,7 +118,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
     collector = collector or Collector(thrusters(metadata), rows=rows)
     if newest is not None:
         with contextlib.suppress(wire.WireError):
-            collector.profile = wire.typed(Estimate, newest)[0].current
+            collector.profile = wire.from_map(Estimate, newest)[0].current
     return PlotData(
         tables=collector.all_tables(),
         values=collector.values,

@@ -23,7 +23,7 @@ from concurrent.futures import (
 from typing import Protocol, TypeVar
 
 from ltv_mpc.errors import ConfigError, one_line
-from services.run.machine import core_count
+from services.run.host_resources import core_count
 from services.supervisor.parent_death import die_with_parent
 
 T = TypeVar("T")

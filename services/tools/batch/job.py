@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
 
@@ -15,10 +15,10 @@ class Job(NamedTuple):
     scenario: str
     settings: tuple[str, ...]
 
-    def situation(self) -> Situation:
+    def run_config(self) -> RunConfig:
         """Resolve what the run is made of. Raises ``ConfigError``."""
         return resolve(self.scenario, [Override("batch", self.settings)])
 
     def summary(self) -> Summary:
         """Run it here, in lock step. Raises ``ConfigError``."""
-        return lockstep_run.run(self.situation())
+        return lockstep_run.run(self.run_config())

@@ -56,7 +56,7 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
     """
     path = folder / NAME
     if force or not path.exists():
-        run_folder.opened(folder, force=force)
+        run_folder.open_folder(folder, force=force)
     try:
         file = path.open("a+b")
     except OSError as error:

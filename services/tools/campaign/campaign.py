@@ -19,7 +19,7 @@ import msgspec
 import tomli_w
 
 from ltv_mpc.errors import ConfigError
-from services.run.provenance import made_by
+from services.run.provenance import provenance_table
 from services.run.run_config import resolve
 from services.tools.batch import results_store
 from services.tools.batch.executor import MAX_LOSSES, each
@@ -28,7 +28,7 @@ from services.tools.campaign import trial
 from services.tools.campaign.design import Point, points, value_at
 from services.tools.campaign.file import Campaign, Range
 from services.tools.campaign.keys import Value
-from services.tools.campaign.trial import Base, Row, Trial, row_of, situation, version_of
+from services.tools.campaign.trial import Base, Row, Trial, row_of, run_config, version_of
 
 FILE, BASE = "campaign.toml", "base"
 
@@ -79,7 +79,7 @@ class PreparedCampaign(msgspec.Struct, frozen=True, dict=True):
 
 def plan(campaign: Campaign, source: str) -> PreparedCampaign:
     """Resolve the base, lay the points, and try each value of each field once. Raises ``ConfigError``."""
-    made = PreparedCampaign(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), made_by())
+    made = PreparedCampaign(campaign, tuple(sorted(resolve(campaign.scenario).files.items())), provenance_table())
     _try(made, {}, "[set]", source)
     for table, keys in (("vary", campaign.vary), ("cross", campaign.cross)):
         for key, over in keys.items():
@@ -90,7 +90,7 @@ def plan(campaign: Campaign, source: str) -> PreparedCampaign:
 
 def _try(made: PreparedCampaign, point: Point, field: str, source: str) -> None:
     try:
-        situation(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
+        run_config(made.base, made.settings(point), made.factors(point), made.campaign.seeds.first)
     except ConfigError as error:
         raise ConfigError(source, field, str(error)) from None
 

@@ -16,7 +16,7 @@ from ltv_mpc import config, settings_schema
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from sim.scenario import Scenario
 
 Value: TypeAlias = bool | int | float | str
@@ -34,11 +34,11 @@ def known() -> list[str]:
     return list(_KINDS)
 
 
-def value_of(situation: Situation, key: str) -> Value | None:
+def value_of(run_config: RunConfig, key: str) -> Value | None:
     """Return the value of a run's settings at ``key``; None if its table is left out."""
     table, _, rest = key.partition(".")
-    owners = {VEHICLE: situation.vehicle, REFERENCE: situation.reference}
-    plain = msgspec.to_builtins(owners.get(table, situation.scenario))
+    owners = {VEHICLE: run_config.vehicle, REFERENCE: run_config.reference}
+    plain = msgspec.to_builtins(owners.get(table, run_config.scenario))
     for step in (rest if table in owners else key).split("."):
         plain = plain.get(step) if isinstance(plain, dict) else None
     return plain if isinstance(plain, bool | int | float | str) else None

@@ -19,7 +19,7 @@ from services.reporting import static_files
 from services.reporting.plots import palette
 from services.tools.campaign.campaign import reopened
 from services.tools.campaign.file import Campaign, Range
-from services.tools.campaign.ranking import Interval, Scores, Standing, interval, ranked, scores
+from services.tools.campaign.ranking import ConfidenceInterval, Scores, Standing, interval, ranked, scores
 from services.tools.campaign.text import difference, failures, span
 
 NAME = "report.html"
@@ -109,7 +109,7 @@ def _lines(of: Scores, key: str, beside: str | None, campaign: Campaign) -> Iter
         }
 
 
-def _over(of: Scores, settings: Mapping[str, object]) -> Interval | None:
+def _over(of: Scores, settings: Mapping[str, object]) -> ConfidenceInterval | None:
     """Average over all points with these settings and over seeds; the interval is over seeds."""
     points = [p for p, own in of.settings.items() if all(own[key] == value for key, value in settings.items())]
     by_seed: dict[int, list[float]] = {}

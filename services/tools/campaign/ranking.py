@@ -21,7 +21,7 @@ RESAMPLES = 2000
 CONFIDENCE = 0.95
 
 
-class Interval(msgspec.Struct, frozen=True, kw_only=True):
+class ConfidenceInterval(msgspec.Struct, frozen=True, kw_only=True):
     """Mean with its 95 % interval; a single value has no interval."""
 
     mean: float
@@ -36,8 +36,10 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
     settings: dict[str, bool | int | float | str]
     runs: int
     failed: int
-    value: Interval | None  # of the figure; None where no run has it
-    over_best: Interval | None = None  # by how much it is larger than the best point's; None for that point itself
+    value: ConfidenceInterval | None  # of the figure; None where no run has it
+    over_best: ConfidenceInterval | None = (
+        None  # by how much it is larger than the best point's; None for that point itself
+    )
 
 
 class Scores(NamedTuple):
@@ -86,11 +88,11 @@ def _standing(of: Scores, point: int, best: Mapping[int, float] | None) -> Stand
     )
 
 
-def interval(values: Array) -> Interval:
+def interval(values: Array) -> ConfidenceInterval:
     """Compute the mean and interval of values (K,), K >= 1; the same values give the same result."""
     mean = float(values.mean())
     if len(values) < 2:
-        return Interval(mean=mean, low=None, high=None)
+        return ConfidenceInterval(mean=mean, low=None, high=None)
     drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLES, len(values)))
     low, high = np.quantile(values[drawn].mean(axis=1), [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-    return Interval(mean=mean, low=float(low), high=float(high))
+    return ConfidenceInterval(mean=mean, low=float(low), high=float(high))

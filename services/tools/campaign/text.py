@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from services.tools.campaign.ranking import Interval, Standing
+from services.tools.campaign.ranking import ConfidenceInterval, Standing
 from services.tools.campaign.trial import Row
 
 SHOWN = 10
@@ -30,12 +30,12 @@ def standings(rows: Sequence[Standing], figure: str) -> Table:
     return table
 
 
-def span(of: Interval | None) -> str:
+def span(of: ConfidenceInterval | None) -> str:
     """Format the limits of an interval."""
     return "" if of is None or of.low is None or of.high is None else f"{of.low:.3g} to {of.high:.3g}"
 
 
-def difference(of: Interval | None) -> str:
+def difference(of: ConfidenceInterval | None) -> str:
     """Format a difference with its interval."""
     return "" if of is None else f"{of.mean:+.3g}" + (f" ({span(of)})" if span(of) else "")
 

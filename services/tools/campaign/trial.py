@@ -26,8 +26,8 @@ from ltv_mpc.errors import ConfigError, format_value, one_line
 from ltv_mpc.messages import PlanOrigin, SolveStatus
 from ltv_mpc.references import Reference
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.run.provenance import made_by
-from services.run.run_config import Override, Situation, resolve
+from services.run.provenance import provenance_table
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.campaign import keys
 from services.tools.campaign.design import Point
@@ -36,7 +36,7 @@ from services.tools.campaign.keys import Value
 from sim.evaluation.summary import Summary
 
 Base: TypeAlias = tuple[tuple[str, str], ...]
-"""Path in a run's folder, text: what ``Situation.files`` holds."""
+"""Path in a run's folder, text: what ``RunConfig.files`` holds."""
 
 Row: TypeAlias = dict[str, Any]
 
@@ -67,7 +67,7 @@ class Trial(NamedTuple):
 
 def run(base: Base, version: str, trial: Trial) -> Row:
     """Make the trial's row: that of a run which could not be made says why, in ``failed``."""
-    ours = version_of(made_by())
+    ours = version_of(provenance_table())
     if ours != version:
         raise RuntimeError(f"this worker has version {ours}, the campaign {version}")
     if not services.ONE_BLAS_THREAD:
@@ -75,7 +75,7 @@ def run(base: Base, version: str, trial: Trial) -> Row:
         raise RuntimeError(f"this worker's BLAS may have several threads, other bits: start it with {names}")
     started = time.perf_counter()
     try:
-        result = flat(lockstep_run.run(situation(base, trial.settings, trial.factors, trial.seed)))
+        result = flat(lockstep_run.run(run_config(base, trial.settings, trial.factors, trial.seed)))
     except Exception as error:  # one failed run does not end the campaign; its row gives the reason
         problem = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         return row_of(trial, version, one_line(problem)[:500])
@@ -95,7 +95,7 @@ def version_of(table: Mapping[str, str]) -> str:
     return f"{table['ltv_mpc']} {table['commit']}"
 
 
-def situation(base: Base, settings: Mapping[str, Value], factors: Mapping[str, float], seed: int) -> Situation:
+def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, float], seed: int) -> RunConfig:
     """Resolve the settings of a trial's run. Raises ``ConfigError``."""
     plain = _with_settings(base, settings, seed)
     if not factors:
@@ -109,7 +109,7 @@ def situation(base: Base, settings: Mapping[str, Value], factors: Mapping[str, f
     return _with_settings(base, scaled, seed)
 
 
-def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> Situation:
+def _with_settings(base: Base, settings: Mapping[str, Value], seed: int) -> RunConfig:
     own = [f"{key}={_toml(value)}" for key, value in keys.of_scenario(settings).items()]
     here = resolve(str(_folder(base) / "scenario.toml"), [Override("campaign", [*own, f"run.seed={seed}"])])
     if of_vehicle := keys.of(keys.VEHICLE, settings):

@@ -23,7 +23,7 @@ import msgspec
 from ltv_mpc.messages import Injection, MessageFault
 from services.bus.session import BusOptions
 from services.run import folder as run_folder
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.supervisor import entry_point, loopback, process_table
 from services.tools.faults import inject
 from services.tools.faults.draw import Run
@@ -58,7 +58,7 @@ def injection(fault: Fault) -> Injection:
     )
 
 
-def situation(run: Run, *, speed: float) -> Situation:
+def run_config(run: Run, *, speed: float) -> RunConfig:
     """Resolve the scenario of the run. Raises ``ConfigError``."""
     settings = (
         f"run.seed={run.seed}",
@@ -69,7 +69,7 @@ def situation(run: Run, *, speed: float) -> Situation:
     return resolve("hover", [Override("campaign", settings)])
 
 
-def run(of: Situation, faults: Sequence[Fault], folder: Path, *, patience_s: float) -> Account:
+def run(of: RunConfig, faults: Sequence[Fault], folder: Path, *, patience_s: float) -> Account:
     """Make the run in ``folder``, for at most ``patience_s`` of wall time; then stop every process."""
     made = run_folder.make("hover", of.files, out=folder, force=False)
     logs = made.path / "logs"

@@ -19,7 +19,7 @@ import msgspec
 
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.run.provenance import made_by
+from services.run.provenance import provenance_table
 from services.tools.batch.executor import each
 from services.tools.batch.results_store import ResultsStore, decode
 from services.tools.campaign.trial import version_of
@@ -83,7 +83,7 @@ class FaultCounts(NamedTuple):
             "in_processes": self.n_outside,
             "seed": seed,
             "quick": quick,
-            "version": version_of(made_by()),
+            "version": version_of(provenance_table()),
         }
 
 
@@ -243,7 +243,7 @@ def in_processes(
     tasks = [task for way in maker.ways for task in _tasks(way, kinds, n, seed=seed, quick=quick)]
     missing = [task for task in tasks if task.name not in store.keys]
     progress(sum(len(task.run.faults) for task in tasks if task not in missing))
-    vehicle = lockstep_runs.situation(tasks[0].run).vehicle
+    vehicle = lockstep_runs.run_config(tasks[0].run).vehicle
     cores = CORES_A_RUN if quick else None
 
     def make(task: Task) -> OfProcesses:
@@ -314,7 +314,7 @@ def under_supervisor(run: Run, folder: Path) -> OfProcesses:
 
 def behind_injector(run: Run, folder: Path) -> OfProcesses:
     """Run processes with an injector between the controller and all others."""
-    of = bench.situation(run, speed=process_runs.SPEED)
+    of = bench.run_config(run, speed=process_runs.SPEED)
     patience_s = process_runs.START_S + 2.0 * (run.duration_s + run.afloat_s) / process_runs.SPEED
     account = bench.run(of, run.faults, folder, patience_s=patience_s)
     injected = [process_runs.Injected(fault, 0, round(fault.start_s * 1e9)) for fault in run.faults]

@@ -30,8 +30,8 @@ from services.runtime.clock import ClockError, VehicleClock, monotonic_us
 from services.runtime.serve import run_until_stopped
 from services.runtime.stopping import Say, StopRequest
 from services.tools.faults.schedule import problem
-from sim.faults.interval import Spell
-from sim.faults.message_faults import Harmed, Transit
+from sim.faults.interval import Interval
+from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery
 
 NAME = "inject"
@@ -46,7 +46,7 @@ class Interference:
 
     def __init__(self, injections: Iterable[Injection] = ()) -> None:
         self.asked: list[Injection] = []
-        self._transit = Transit((), encode=_as_received, admit=_nobody)
+        self._message_faults = MessageFaults((), encode=_as_received, admit=_nobody)
         for injection in injections:
             self.add(injection)
 
@@ -54,28 +54,30 @@ class Interference:
         """Add an injection that takes effect from now on."""
         topic = topic_at(injection.key)
         assert topic is not None  # by ``schedule.problem``
-        spell = Spell(injection.start_t_ns, injection.end_t_ns)
-        self._transit.add(Harmed((topic.message_type,), injection.fault, spell, injection.size, injection.seed))
+        interval = Interval(injection.start_t_ns, injection.end_t_ns)
+        self._message_faults.add(
+            MessageFaultInterval((topic.message_type,), injection.fault, interval, injection.size, injection.seed)
+        )
         self.asked.append(injection)
 
     @property
     def harmed(self) -> list[int]:
         """Return the number of messages that each fault has harmed, in the order in which the faults were added."""
-        return self._transit.harmed
+        return self._message_faults.harmed
 
     def carry(self, topic: Topic, payload: bytes, t_ns: int) -> list[tuple[int, bytes]]:
         """Return the frames that result from a frame received at ``t_ns``, each with its time of delivery (ns).
 
         A frame that cannot be decoded is forwarded unchanged.
         """
-        if not self._transit.knows(topic.message_type):
+        if not self._message_faults.covers(topic.message_type):
             return [(t_ns, payload)]
         try:
             signal, header = decode(topic.message_type, payload)
         except WireError:
             return [(t_ns, payload)]
         message = _Carried(signal, header.epoch, header.sequence, t_ns, payload, signal, header)
-        return [(delivery.at_ns, _bytes(delivery)) for delivery in self._transit.carry("", "", message)]
+        return [(delivery.at_ns, _bytes(delivery)) for delivery in self._message_faults.carry("", "", message)]
 
 
 class _Carried(ReceivedMessage, frozen=True, eq=False):
@@ -206,7 +208,7 @@ class Injector:
     def _asked(self, frame: Frame) -> None:
         """Accept a fault that is requested on the bus during the run."""
         try:
-            injection, _ = self._door.admit(frame)
+            injection, _ = self._door.validate(frame)
         except WireError as error:
             self._say(f"refused: {error}")
             return

@@ -33,16 +33,16 @@ from services.bus import topics, wire
 from services.bus.mailbox import Frame
 from services.bus.message_validation import MessageValidator
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.faults.draw import Run
 from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import INSTRUMENTS, MESSAGES
 from sim.faults import world
-from sim.faults.instruments import Broken, FailingSensors, Failure
-from sim.faults.interval import Spell
-from sim.faults.message_faults import Harmed, Transit
-from sim.faults.solver import Now, Timed, Trouble, Troubled, troubled
+from sim.faults.instruments import Failure, FaultySensors, SensorFault
+from sim.faults.interval import Interval
+from sim.faults.message_faults import MessageFaultInterval, MessageFaults
+from sim.faults.solver import SolverClock, SolverFault, SolverFaultInterval, TimedNode, inject_solver_faults
 from sim.scheduler import Delivery, LockStep, Step
 
 SCENARIO = "hover"
@@ -168,20 +168,20 @@ class ReaderValidators:
         self.let_in: list[int] = []
         """Times (ns) at which a damaged frame was accepted, because its content was valid."""
 
-    def admit(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
+    def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """Return the accepted message, or the reason why it is rejected."""
         message, kind = delivery.message, type(delivery.message.message)
         door = self._doors.setdefault(reader, MessageValidator())
         key = topics.key_of(kind, reader)
         try:
             if delivery.payload is not None:
-                signal, header = door.admit(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
+                signal, header = door.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
                 self.let_in.append(delivery.at_ns)
                 return ReceivedMessage(signal, header.epoch, header.sequence, delivery.at_ns)
             if (reason := refusal(message.message)) is not None:
                 return reason
             shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
-            door.in_order(f"{key}@{message.epoch}" if shared else key, _header(message))
+            door.check_order(f"{key}@{message.epoch}" if shared else key, _header(message))
         except wire.WireError as error:
             return str(error)
         return message
@@ -192,12 +192,12 @@ class ReaderValidators:
         return sum(door.dropped for door in self._doors.values())
 
 
-class Bus(Transit):
+class Bus(MessageFaults):
     """Message transit with the bytes and the validators of the bus; a second commander is another process."""
 
-    def __init__(self, faults: Sequence[Harmed]) -> None:
+    def __init__(self, faults: Sequence[MessageFaultInterval]) -> None:
         self.doors = ReaderValidators()
-        super().__init__(faults, encode=encoded, admit=self.doors.admit)
+        super().__init__(faults, encode=encoded, admit=self.doors.receive)
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """Deliver a message with the epoch of its writer."""
@@ -227,7 +227,7 @@ class Observed(NamedTuple):
     unheard: int = 0  # plans that were published and lost on the way to the observer
 
 
-def situation(run: Run) -> Situation:
+def run_config(run: Run) -> RunConfig:
     """Resolve the scenario with the run's seed and duration."""
     settings = (f"run.seed={run.seed}", f"run.duration_s={run.duration_s}", f"run.surface_time_s={run.afloat_s}")
     return resolve(SCENARIO, [Override("campaign", settings)])
@@ -235,12 +235,12 @@ def situation(run: Run) -> Situation:
 
 def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Observed:
     """Make the run in this process. ``tap`` receives every published message."""
-    of = situation(run)
+    of = run_config(run)
     log = Log(of.vehicle, tap=tap)
-    now = Now()
+    now = SolverClock()
     harmed = [(i, harm) for i, fault in enumerate(run.faults) if (harm := _harm(fault)) is not None]
     bus = Bus([harm for _, harm in harmed])
-    with troubled([t for t in map(_trouble, run.faults) if t is not None], now):
+    with inject_solver_faults([t for t in map(_trouble, run.faults) if t is not None], now):
         lockstep = LockStep(
             _nodes(of, run.faults, now),
             start_ns=of.scenario.start_ns,
@@ -248,7 +248,7 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
             observe=log,
             stepped=log.stepped,
             latest=lockstep_run.LATEST,
-            refused=lockstep_run.refused,
+            refused=lockstep_run.rejected_message,
             between=bus,
         )
         uncontrolled, until_ns = "", of.scenario.end_ns
@@ -270,51 +270,51 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
     )
 
 
-def _nodes(of: Situation, faults: Sequence[Fault], now: Now) -> list[Node]:
+def _nodes(of: RunConfig, faults: Sequence[Fault], now: SolverClock) -> list[Node]:
     """Return the nodes of the run, with the faulty components around them and the disturbances first."""
     plant, sensors, *aboard = make_nodes(of)
     *others, controller = aboard
     broken = [b for b in map(_broken, faults) if b is not None]
     disturbances = [d for fault in faults if (d := _disturbance(fault)) is not None]
     intrusions = [
-        world.Intrusion(_spell(fault), world.within(of.vehicle, (fault.size, -fault.size, 0.0)))
+        world.Intrusion(_interval(fault), world.thrust_at(of.vehicle, (fault.size, -fault.size, 0.0)))
         for fault in faults
         if fault.kind == "second_commander"
     ]
     return [
-        world.Disturber(disturbances),
+        world.DisturbanceSource(disturbances),
         world.Intruder(intrusions),
         plant,
-        FailingSensors(sensors, broken),
+        FaultySensors(sensors, broken),
         *others,
-        Timed(controller, now),
+        TimedNode(controller, now),
     ]
 
 
-def _spell(fault: Fault) -> Spell:
-    return Spell(round(fault.start_s * 1e9), round(fault.end_s * 1e9))
+def _interval(fault: Fault) -> Interval:
+    return Interval(round(fault.start_s * 1e9), round(fault.end_s * 1e9))
 
 
-def _broken(fault: Fault) -> Broken | None:
+def _broken(fault: Fault) -> SensorFault | None:
     what, _, failure = fault.kind.partition("_")
     if what != "sensor":
         return None
-    return Broken(INSTRUMENTS[fault.target], Failure(failure), _spell(fault), fault.size, fault.seed)
+    return SensorFault(INSTRUMENTS[fault.target], Failure(failure), _interval(fault), fault.size, fault.seed)
 
 
-def _harm(fault: Fault) -> Harmed | None:
+def _harm(fault: Fault) -> MessageFaultInterval | None:
     harm = fault.kind.removeprefix("message_")
     if harm not in set(MessageFault):
         return None
-    return Harmed(MESSAGES[fault.target], MessageFault(harm), _spell(fault), fault.size, fault.seed)
+    return MessageFaultInterval(MESSAGES[fault.target], MessageFault(harm), _interval(fault), fault.size, fault.seed)
 
 
-def _trouble(fault: Fault) -> Troubled | None:
-    return Troubled(Trouble(fault.target), _spell(fault)) if fault.kind == "solver_failure" else None
+def _trouble(fault: Fault) -> SolverFaultInterval | None:
+    return SolverFaultInterval(SolverFault(fault.target), _interval(fault)) if fault.kind == "solver_failure" else None
 
 
 def _disturbance(fault: Fault) -> tuple[int, Disturbance] | None:
-    start_ns, end_ns = _spell(fault)
+    start_ns, end_ns = _interval(fault)
     if fault.kind == "thruster_loss":
         left = 1.0 - fault.size
         scale = {"port": (left, 1.0, 1.0), "starboard": (1.0, left, 1.0), "both": (left, left, 1.0)}[fault.target]
@@ -328,9 +328,9 @@ def _disturbance(fault: Fault) -> tuple[int, Disturbance] | None:
 
 def _overrun(faults: Sequence[Fault]) -> Callable[[int], int]:
     """Return a function that gives the computing time (ns) of a cycle by its start."""
-    slow = [(_spell(fault), round(fault.size * 1e9)) for fault in faults if fault.kind == "solver_overrun"]
+    slow = [(_interval(fault), round(fault.size * 1e9)) for fault in faults if fault.kind == "solver_overrun"]
 
     def delay_ns(t_ns: int) -> int:
-        return next((delay for spell, delay in slow if spell.holds(t_ns)), 0)
+        return next((delay for interval, delay in slow if interval.contains(t_ns)), 0)
 
     return delay_ns

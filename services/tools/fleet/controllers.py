@@ -69,7 +69,7 @@ class _VehicleController:
         self._frames: list[Frame] = []
         self._armed = False
         under = namespace(number)
-        self.out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), under=under)
+        self.out = Outbox(session, node=node.name, epoch=new_epoch(), kinds=(Plan,), key_prefix=under)
         for kind in (Applied, Estimate):
             session.subscribe(f"{under}/{BY_TYPE[kind].key}", BY_TYPE[kind], mailbox)
 
@@ -88,7 +88,7 @@ class _VehicleController:
                 self.overtaken += 1
                 continue
             try:
-                signal, header = self.door.admit(frame)
+                signal, header = self.door.validate(frame)
             except WireError:  # counted by the door
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns

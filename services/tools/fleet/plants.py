@@ -69,7 +69,7 @@ class _World:
         self._fleet, self._plants = fleet, plants
         epoch, topic = new_epoch(), BY_TYPE[Plan]
         self._out = [
-            Outbox(session, node="plant", epoch=epoch, kinds=(Estimate, Applied), under=namespace(i))
+            Outbox(session, node="plant", epoch=epoch, kinds=(Estimate, Applied), key_prefix=namespace(i))
             for i in range(len(plants))
         ]
         self._of = {f"{namespace(i)}/{topic.key}": i for i in range(len(plants))}
@@ -117,7 +117,7 @@ class _World:
 
     def _take(self, frame: Frame, t_ns: int, *, counts: bool) -> None:
         try:
-            plan, header = self._door.admit(frame)
+            plan, header = self._door.validate(frame)
         except WireError:
             self._refused += 1
             return
@@ -179,7 +179,7 @@ class _Plant:
             commands[1:] = self._gate.commands_at(times[1:])
         self._command = tuple(commands[-1].tolist())
         water = np.array([self._current, self._current])
-        motion.drive(
+        motion.simulate(
             self._body,
             self._state,
             self._revolutions,

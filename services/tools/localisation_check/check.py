@@ -70,7 +70,7 @@ def jobs(scenario: str, settings: Sequence[str], *, first_seed: int, runs: int) 
     """Return one job for each seed. The first is resolved here, to reject bad input early. Raises ``ConfigError``."""
     common = (*settings, "run.perfect_state=false")
     made = [Job(scenario, (*common, f"run.seed={first_seed + i}")) for i in range(runs)]
-    made[0].situation()
+    made[0].run_config()
     return made
 
 
@@ -122,7 +122,7 @@ def standard_error(runs: Sequence[Mapping[str, Squares]], name: str) -> float:
 
 def result(records: Sequence[Record], work: Sequence[Job], *, wall_s: float) -> Result:
     """Compute the figures from all records."""
-    first = work[0].situation()
+    first = work[0].run_config()
     drift = np.array([record.drift_m for record in records]).ravel()
     velocity = np.array([record.velocity_error_mps for record in records]).ravel()
     slope = float(velocity @ drift / (velocity @ velocity))

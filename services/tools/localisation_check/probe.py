@@ -21,7 +21,7 @@ from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Due, Node, ReceivedMessage
 from services.run.nodes import make_nodes
-from services.run.run_config import Situation
+from services.run.run_config import RunConfig
 from services.tools import lockstep_run
 from services.tools.batch.job import Job
 from sim.evaluation.cells import GridProjection
@@ -77,7 +77,7 @@ class Record(NamedTuple):
 
 def descend(job: Job) -> Record:
     """Run the job and compute the bound along its true track. Raises ``ConfigError``."""
-    probe = Probe(job.situation())
+    probe = Probe(job.run_config())
     probe.descend()
     return probe.record()
 
@@ -120,10 +120,10 @@ class Probe:
 
     hears: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
 
-    def __init__(self, situation: Situation) -> None:
+    def __init__(self, run_config: RunConfig) -> None:
         """Set up the nodes of a run. Raises ``ConfigError``."""
-        self._situation = situation
-        nodes = make_nodes(situation, unread=False)
+        self._run_config = run_config
+        nodes = make_nodes(run_config, unread=False)
         self.estimator, sensors = _the(Estimator, nodes), _the(Sensors, nodes)
         watched = {
             sensors.name: _Watched(sensors, self._measured),
@@ -138,12 +138,12 @@ class Probe:
             for unit in units
             if isinstance(unit, Profiler | BottomTracker | ShipTransceiver | AcousticTransceiver)
         }
-        config = situation.scenario.estimator
+        config = run_config.scenario.estimator
         self._grid, self._cell_m = grid(config), config.cell_m
-        self._cells = GridProjection(self._grid, situation.water.depth_m)
+        self._cells = GridProjection(self._grid, run_config.water.depth_m)
         self.seen = np.zeros(len(self._grid), dtype=bool)  # nodes of the grid that a beam has measured so far
-        self._beams = beams(situation.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
-        self._lever = np.array(situation.suite.adcp.lever_arm_m)
+        self._beams = beams(run_config.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
+        self._lever = np.array(run_config.suite.adcp.lever_arm_m)
         self._watched: ErrorStateFilter | None = None
         self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
         self._biases: dict[int, _Biases] = {}
@@ -158,7 +158,7 @@ class Probe:
 
     def descend(self) -> None:
         """Run the whole descent."""
-        scenario = self._situation.scenario
+        scenario = self._run_config.scenario
         LockStep(
             self._nodes,
             start_ns=scenario.start_ns,
@@ -200,18 +200,18 @@ class Probe:
 
     def record(self) -> Record:
         """Return the result after the run. Raises ``ConfigError`` if there was no estimate at t = 0."""
-        situation = self._situation
+        run_config = self._run_config
         if 0 not in self._error:
             problem = "must be so long that the estimate has begun at t = 0"
-            value = situation.scenario.run.surface_time_s
-            raise ConfigError(f"scenario {situation.name}", "[run] surface_time_s", problem, value=value)
+            value = run_config.scenario.run.surface_time_s
+            raise ConfigError(f"scenario {run_config.name}", "[run] surface_time_s", problem, value=value)
         end_ns = max(self._error)
         limit = bound(
-            situation.suite,
-            situation.scenario.estimator,
+            run_config.suite,
+            run_config.scenario.estimator,
             self._trajectory(),
             at_s=[0.0, end_ns * 1e-9],
-            surface_time_s=situation.scenario.run.surface_time_s,
+            surface_time_s=run_config.scenario.run.surface_time_s,
         )
         return Record(
             drift_m=(self._error[end_ns] - self._error[0])[:2],
@@ -235,7 +235,7 @@ class Probe:
 
     def subgrid_mps(self, t_ns: int) -> float:
         """Return the part of the current (m/s) that the filter's depth grid cannot represent."""
-        return self._cells.subgrid_mps(self._situation.water.over(self._cells.depth_m, t_ns))
+        return self._cells.subgrid_mps(self._run_config.water.over(self._cells.depth_m, t_ns))
 
     def _true_error(self) -> float:
         track = np.array([truth.position_m[:2] for truth in self._track if truth.t_ns >= 0])
@@ -279,7 +279,7 @@ class Probe:
         P = belief.P
         if t_ns == 0:
             self._velocity_said = np.diagonal(P)[VELOCITY][:2].copy()
-            self._drawn = drawn(true, self._situation.suite)
+            self._drawn = drawn(true, self._run_config.suite)
         self._asymmetry = max(self._asymmetry, float(np.abs(P - P.T).max()))
         if t_ns % EIGENVALUE_NS == 0:
             self._least = min(self._least, float(np.linalg.eigvalsh(P)[0]))
@@ -297,7 +297,7 @@ class Probe:
             near_bias_mps=self._profiler.near_bias_mps,
             mounting=self._profiler.mounting,
             compass_bias_rad=biases.compass_rad,
-            water_mps=self._cells.fit(self._situation.water.over(self._cells.depth_m, truth.t_ns)),
+            water_mps=self._cells.fit(self._run_config.water.over(self._cells.depth_m, truth.t_ns)),
         )
 
     def _trajectory(self) -> Trajectory:
@@ -306,7 +306,7 @@ class Probe:
             position_m=np.array([truth.position_m for truth in self._track]),
             velocity_mps=np.array([truth.velocity_mps for truth in self._track]),
             rotation=np.array([rotation(*truth.attitude_rad) for truth in self._track]),
-            water_mps=self._situation.water.over(self._grid, 0),
+            water_mps=self._run_config.water.over(self._grid, 0),
         )
 
 

@@ -100,9 +100,9 @@ def checked(options: Options) -> str:
     for name in TABLES:
         page_tables.between(page, name)
     for setting in RECORDED:
-        descents.Flight(setting, options.runs, options.duration_s, options.surface_s).situation()
+        descents.Flight(setting, options.runs, options.duration_s, options.surface_s).run_config()
     for path in (options.out, options.runs, options.readme.parent):
-        folder.opened(path, force=True)
+        folder.open_folder(path, force=True)
     return page
 
 

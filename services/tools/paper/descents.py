@@ -9,7 +9,7 @@ from typing import NamedTuple
 from services.reporting.figures.renderer import Run
 from services.reporting.plots.recorded import read
 from services.run import folder
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from services.tools.batch.executor import each
 from services.tools.batch.job import Job
@@ -32,7 +32,7 @@ class Flight(NamedTuple):
     duration_s: float
     surface_s: float = SURFACE_S
 
-    def situation(self) -> Situation:
+    def run_config(self) -> RunConfig:
         """Resolve the settings of the run. Raises ``ConfigError``."""
         return resolve(
             SCENARIO,
@@ -46,8 +46,8 @@ class Flight(NamedTuple):
 
 def fly(flight: Flight) -> Summary:
     """Make the run and its folder; an existing folder is overwritten."""
-    situation = flight.situation()
-    return lockstep_run.run(situation, folder.make(situation.name, situation.files, out=flight.out, force=True))
+    run_config = flight.run_config()
+    return lockstep_run.run(run_config, folder.make(run_config.name, run_config.files, out=flight.out, force=True))
 
 
 def recorded(

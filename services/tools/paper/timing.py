@@ -12,7 +12,7 @@ from services.reporting.plots.collector import STAGES
 from services.reporting.plots.table import Columns, short
 from services.tools.paper.settings import COMPUTING_S, LONG_S
 from services.tools.profile import problems
-from services.tools.profile.machine import Machine, load, machine
+from services.tools.profile.machine_description import Machine, load, machine
 from services.tools.profile.measure import Samples, SolverByName, measure
 from services.tools.profile.run import WARM_UP, Spread
 

@@ -27,7 +27,7 @@ from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from sim.sensors.node import Sensors
@@ -110,23 +110,23 @@ def _parts(total: int, longest: int) -> Iterator[int]:
 
 
 def _descent(stages: int, cycles: int, seed: int) -> Episode:
-    return _episode("descent", _situation(stages, seed), cycles)
+    return _episode("descent", _run_config(stages, seed), cycles)
 
 
 def _unknown_current(stages: int, cycles: int, seed: int) -> Episode:
-    situation = _situation(stages, seed, "water.sd_mps=0.04")
-    return _episode("unknown current", situation, cycles, told_of_current=False)
+    run_config = _run_config(stages, seed, "water.sd_mps=0.04")
+    return _episode("unknown current", run_config, cycles, told_of_current=False)
 
 
 def _hard(stages: int, cycles: int, seed: int) -> Episode:
     # The point lies to the north: a heading of psi is off the way there by psi.
     heading = np.random.default_rng(seed).uniform(-OFF_RAD, OFF_RAD)
-    situation = _situation(stages, seed, f"plant.heading_rad={heading:.6f}")
+    run_config = _run_config(stages, seed, f"plant.heading_rad={heading:.6f}")
     reference = Point(north_m=OFF_M, east_m=0.0, depth_m=40.0, start_s=0.0)
-    return _episode("hard", dataclasses.replace(situation, reference=reference), cycles)
+    return _episode("hard", dataclasses.replace(run_config, reference=reference), cycles)
 
 
-def _situation(stages: int, seed: int, *settings: str) -> Situation:
+def _run_config(stages: int, seed: int, *settings: str) -> RunConfig:
     horizon = (f"controller.horizon_s={seconds(stages)!r}", f"controller.max_stages={max(stages, 2)}")
     common = ("run.perfect_state=true", "controller.sqp_iterations=1", *horizon)
     return resolve(
@@ -134,18 +134,18 @@ def _situation(stages: int, seed: int, *settings: str) -> Situation:
     )
 
 
-def _episode(kind: str, situation: Situation, cycles: int, *, told_of_current: bool = True) -> Episode:
+def _episode(kind: str, run_config: RunConfig, cycles: int, *, told_of_current: bool = True) -> Episode:
     def feed(node: Node, enough: Callable[[], bool]) -> None:
-        others = [other for other in make_nodes(situation) if not isinstance(other, ControllerNode)]
+        others = [other for other in make_nodes(run_config) if not isinstance(other, ControllerNode)]
         if not told_of_current:
             others = [_Untold(other) if isinstance(other, Sensors) else other for other in others]
-        t_ns = situation.scenario.start_ns
+        t_ns = run_config.scenario.start_ns
         lockstep = LockStep([*others, node], start_ns=t_ns, latest=lockstep_run.LATEST)
         while not enough():
             lockstep.advance(t_ns)
-            t_ns += situation.scenario.controller.period_ns
+            t_ns += run_config.scenario.controller.period_ns
 
-    return Episode(kind, situation.vehicle, situation.reference, situation.scenario.controller, cycles, feed)
+    return Episode(kind, run_config.vehicle, run_config.reference, run_config.scenario.controller, cycles, feed)
 
 
 class _Untold:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ltv_mpc.errors import ConfigError
 from services.tools.profile import problems
-from services.tools.profile.machine import Machine, load, machine
+from services.tools.profile.machine_description import Machine, load, machine
 from services.tools.profile.measure import Piqp, Samples, SolverByName, measure
 from services.tools.profile.problems import Episode, seconds
 

@@ -15,7 +15,7 @@ from ltv_mpc.messages import AdcpPing, CompassHeading, ImuSample, LocalisationRe
 from ltv_mpc.node import Due, ReceivedMessage
 from services.bus import wire
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
 from sim.scheduler import LockStep
 from tests.stepping import step
@@ -34,40 +34,42 @@ class Ears:
             self.said.append(message)
 
 
-def descent(sensors: str) -> Situation:
+def descent(sensors: str) -> RunConfig:
     settings = ("run.duration_s=50.0", "run.surface_time_s=12.0", "run.seed=8", f"sensors={sensors}")
     return resolve("descent", [Override("test", settings)])
 
 
-def heard(situation: Situation) -> list[ReceivedMessage]:
-    ears, scenario = Ears(), situation.scenario
-    nodes = make_nodes(situation)
+def heard(run_config: RunConfig) -> list[ReceivedMessage]:
+    ears, scenario = Ears(), run_config.scenario
+    nodes = make_nodes(run_config)
     LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(scenario.end_ns)
     return ears.said
 
 
 @pytest.fixture(scope="module")
-def situation() -> Situation:
+def run_config() -> RunConfig:
     return descent("realistic")
 
 
 @pytest.fixture(scope="module")
-def said(situation: Situation) -> list[ReceivedMessage]:
-    return heard(situation)
+def said(run_config: RunConfig) -> list[ReceivedMessage]:
+    return heard(run_config)
 
 
-def estimator(situation: Situation) -> Estimator:
-    return Estimator(situation.suite, situation.scenario.estimator, situation.prior)
+def estimator(run_config: RunConfig) -> Estimator:
+    return Estimator(run_config.suite, run_config.scenario.estimator, run_config.prior)
 
 
 def payload(signal: Message) -> bytes:
     return wire.encode(signal, wire.Header(epoch=1, sequence=0, sent_monotonic_us=0))
 
 
-def both(situation: Situation, arrivals: Sequence[ReceivedMessage], chunk: int) -> tuple[list[Message], dict[str, int]]:
+def both(
+    run_config: RunConfig, arrivals: Sequence[ReceivedMessage], chunk: int
+) -> tuple[list[Message], dict[str, int]]:
     """What the estimator says to them, once it has been seen to say the same in chunks."""
     due: list[Due] = [(arrival.message.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
-    one, other = estimator(situation), estimator(situation)
+    one, other = estimator(run_config), estimator(run_config)
     slow = [step(one, *one_due) for one_due in due]
     fast: list[list[Message]] = []
     for first in range(0, len(due), chunk):
@@ -90,36 +92,36 @@ def is_imu(message: ReceivedMessage, from_s: float, to_s: float) -> bool:
 
 
 @pytest.mark.parametrize("chunk", [7, 60])
-def test_of_a_quiet_descent(situation: Situation, said: list[ReceivedMessage], chunk: int) -> None:
-    out, account = both(situation, said, chunk)
+def test_of_a_quiet_descent(run_config: RunConfig, said: list[ReceivedMessage], chunk: int) -> None:
+    out, account = both(run_config, said, chunk)
     assert len(out) > 500
     assert not {key for key in account if key.startswith("imu.")}
 
 
 def test_of_satellites_that_come_at_once() -> None:
     """Each fix's position is remembered when time goes on from it."""
-    situation = descent("paper")
-    _, account = both(situation, heard(situation), 40)
+    run_config = descent("paper")
+    _, account = both(run_config, heard(run_config), 40)
     assert account["tdcp.used"] > 2
     assert "tdcp.other_epoch" not in account
 
 
 @pytest.mark.parametrize("lost", [(6.03, 6.04), (8.03, 8.08), (12.03, 13.24), (17.03, 19.04)])
-def test_where_samples_are_lost(situation: Situation, said: list[ReceivedMessage], lost: tuple[float, float]) -> None:
+def test_where_samples_are_lost(run_config: RunConfig, said: list[ReceivedMessage], lost: tuple[float, float]) -> None:
     """One, some, a second and two of them, from within an interval between two estimates, and every second one."""
     arrivals = [m for i, m in enumerate(said) if not is_imu(m, *lost) and not (is_imu(m, 24.0, 25.0) and i % 2)]
-    _, account = both(situation, arrivals, 40)
+    _, account = both(run_config, arrivals, 40)
     assert account["imu.gap"] > 3
 
 
-def test_where_others_are_lost(situation: Situation, said: list[ReceivedMessage]) -> None:
+def test_where_others_are_lost(run_config: RunConfig, said: list[ReceivedMessage]) -> None:
     """An estimate then waits for them until time goes on."""
     arrivals = [m for m in said if not (isinstance(m.message, PressureDepth) and m.message.t_ns % (3 * S) < 2 * S)]
-    out, _ = both(situation, arrivals, 40)
+    out, _ = both(run_config, arrivals, 40)
     assert len(out) > 500
 
 
-def test_where_samples_are_wild_stuck_or_ahead_of_time(situation: Situation, said: list[ReceivedMessage]) -> None:
+def test_where_samples_are_wild_stuck_or_ahead_of_time(run_config: RunConfig, said: list[ReceivedMessage]) -> None:
     arrivals: list[ReceivedMessage] = []
     for message in said:
         if is_imu(message, 6.0, 6.03):
@@ -129,12 +131,12 @@ def test_where_samples_are_wild_stuck_or_ahead_of_time(situation: Situation, sai
         elif is_imu(message, 15.0, 15.05):
             message = changed(message, t_ns=message.message.t_ns + 2 * MAX_CLOCK_LEAD_NS)  # type: ignore[attr-defined]
         arrivals.append(message)
-    _, account = both(situation, arrivals, 40)
+    _, account = both(run_config, arrivals, 40)
     assert min(account[f"imu.{why}"] for why in ("jump", "stuck", "future")) > 2
 
 
 def test_where_others_come_late_or_before_the_samples_that_cover_them(
-    situation: Situation, said: list[ReceivedMessage]
+    run_config: RunConfig, said: list[ReceivedMessage]
 ) -> None:
     arrivals: list[ReceivedMessage] = []
     held: list[ReceivedMessage] = []
@@ -148,12 +150,12 @@ def test_where_others_come_late_or_before_the_samples_that_cover_them(
         if i % 60 == 0:
             arrivals += [msgspec.structs.replace(late, received_t_ns=message.received_t_ns) for late in held]
             held.clear()
-    _, account = both(situation, arrivals, 40)
+    _, account = both(run_config, arrivals, 40)
     assert account["adcp.late_applied"] > 5
 
 
 @pytest.mark.parametrize("what", ["accelerometer", "profiler"])
-def test_where_the_filter_begins_anew(situation: Situation, said: list[ReceivedMessage], what: str) -> None:
+def test_where_the_filter_begins_anew(run_config: RunConfig, said: list[ReceivedMessage], what: str) -> None:
     """A bias a hundred times as large, or a wrong scale, for as long as it takes, and then no longer."""
 
     def wrong(message: ReceivedMessage) -> ReceivedMessage:
@@ -166,7 +168,7 @@ def test_where_the_filter_begins_anew(situation: Situation, said: list[ReceivedM
         return message
 
     arrivals = [wrong(m) if 10 * S < m.received_t_ns < 34 * S else m for m in said]
-    out, _ = both(situation, arrivals, 40)
+    out, _ = both(run_config, arrivals, 40)
     reports = [signal for signal in out if isinstance(signal, LocalisationReport)]
     assert reports[-1].restarts >= 1
     returned = any("went back" in report.why for report in reports)

@@ -26,7 +26,7 @@ def frame(sequence: int, *, epoch: int = 1, depth_m: float = 1.0, key: str = TOP
 def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
     validator = MessageValidator()
     for sequence in (5, 6, 9):  # it joined late: what was before 5 it never was to have
-        validator.admit(frame(sequence))
+        validator.validate(frame(sequence))
     assert (validator.received, validator.dropped, validator.rejected) == (3, 2, 0)
 
 
@@ -34,20 +34,20 @@ def test_what_a_sequence_skips_is_counted_as_dropped() -> None:
 def test_a_doubled_or_reordered_frame_is_refused(again: int) -> None:
     validator = MessageValidator()
     for sequence in (3, 7):
-        validator.admit(frame(sequence))
+        validator.validate(frame(sequence))
     with pytest.raises(WireError, match="out of order"):
-        validator.admit(frame(again))
-    validator.admit(frame(8))
+        validator.validate(frame(again))
+    validator.validate(frame(8))
     assert (validator.received, validator.dropped, validator.rejected) == (3, 3, 1)
 
 
 def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
     validator = MessageValidator()
-    validator.admit(frame(100, epoch=1))
-    validator.admit(frame(0, epoch=2))
+    validator.validate(frame(100, epoch=1))
+    validator.validate(frame(0, epoch=2))
     with pytest.raises(WireError, match="former epoch"):
-        validator.admit(frame(101, epoch=1))
-    validator.admit(frame(1, epoch=2))
+        validator.validate(frame(101, epoch=1))
+    validator.validate(frame(1, epoch=2))
     assert (validator.received, validator.dropped, validator.rejected) == (3, 0, 1)
 
 
@@ -55,23 +55,23 @@ def test_a_restarted_source_takes_over_and_its_former_self_is_refused() -> None:
 def test_one_damaged_header_does_not_silence_the_true_source(damaged: tuple[int, int]) -> None:
     """Of right form, but of a sequence or an epoch that nobody has sent."""
     validator = MessageValidator()
-    validator.admit(frame(56))
+    validator.validate(frame(56))
     epoch, sequence = damaged
     with pytest.raises(WireError, match="far ahead"):
-        validator.admit(frame(sequence, epoch=epoch))
+        validator.validate(frame(sequence, epoch=epoch))
     for sequence in (57, 58):
-        validator.admit(frame(sequence))
+        validator.validate(frame(sequence))
     assert (validator.received, validator.dropped, validator.rejected) == (3, 0, 1)
 
 
 @pytest.mark.parametrize(("epoch", "lost"), [(1, 20_000 - 56 - 2), (2, 0)], ids=["a long silence", "another source"])
 def test_what_two_frames_say_is_believed(epoch: int, lost: int) -> None:
     validator = MessageValidator()
-    validator.admit(frame(56))
+    validator.validate(frame(56))
     with pytest.raises(WireError, match="far ahead"):
-        validator.admit(frame(20_000 - 1, epoch=epoch))
-    validator.admit(frame(20_000, epoch=epoch))
-    validator.admit(frame(20_001, epoch=epoch))
+        validator.validate(frame(20_000 - 1, epoch=epoch))
+    validator.validate(frame(20_000, epoch=epoch))
+    validator.validate(frame(20_001, epoch=epoch))
     assert (validator.received, validator.dropped, validator.rejected) == (3, lost, 1)
 
 
@@ -79,7 +79,7 @@ def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
     validator = MessageValidator()
     for sequence in range(0, 3000, 30):
         with contextlib.suppress(WireError):
-            validator.admit(frame(sequence))
+            validator.validate(frame(sequence))
     assert (validator.received, validator.rejected) == (50, 50)
     last_in = 2940
     assert validator.received + validator.dropped + (validator.rejected - 1) == last_in + 1
@@ -87,54 +87,54 @@ def test_where_most_is_lost_on_the_way_half_of_the_rest_comes_in() -> None:
 
 def test_another_source_does_not_take_over_from_one_that_still_publishes() -> None:
     validator = MessageValidator()
-    validator.admit(frame(0))
+    validator.validate(frame(0))
     for sequence in range(1, 20):
-        validator.admit(frame(sequence))
+        validator.validate(frame(sequence))
         with pytest.raises(WireError, match="far ahead"):
-            validator.admit(frame(500 + sequence, epoch=9))
+            validator.validate(frame(500 + sequence, epoch=9))
     assert (validator.received, validator.rejected) == (20, 19)
 
 
 def test_two_damaged_headers_that_disagree_are_not_believed() -> None:
     validator = MessageValidator()
-    validator.admit(frame(56))
+    validator.validate(frame(56))
     for sequence in (2**40, 2**30, 2**41):
         with pytest.raises(WireError, match="far ahead"):
-            validator.admit(frame(sequence))
-    validator.admit(frame(57))
+            validator.validate(frame(sequence))
+    validator.validate(frame(57))
     assert validator.dropped == 0
 
 
 def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
     validator = MessageValidator()
-    validator.admit(frame(56))
+    validator.validate(frame(56))
     for k, epoch in enumerate((2**40, 2**41, 2**42)):
         with pytest.raises(WireError, match="far ahead"):
-            validator.admit(frame(500 + k, epoch=epoch))
-    validator.admit(frame(57))
+            validator.validate(frame(500 + k, epoch=epoch))
+    validator.validate(frame(57))
 
 
 def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
     """Epochs on one key, operators, reasons: each bounded, and who speaks all the time is not forgotten for them."""
     validator, manual = MessageValidator(), BY_TYPE[Manual]
     for k in range(MOST_SOURCES + 500):
-        validator.admit(frame(0, epoch=k))
-        validator.admit(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
+        validator.validate(frame(0, epoch=k))
+        validator.validate(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
         letters = "".join(chr(ord("a") + int(digit)) for digit in str(k))
         with pytest.raises(WireError, match="unknown field"):
-            validator.admit(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
+            validator.validate(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
     assert len(validator._sources) == MOST_SOURCES
-    assert len(validator.refused) == MOST_KINDS + 1
+    assert len(validator.rejected_by_reason) == MOST_KINDS + 1
     assert validator.rejected == MOST_SOURCES + 500
     assert len(validator._sources[TOPIC.key].former) == MOST_SOURCES
     with pytest.raises(WireError, match="former epoch"):
-        validator.admit(frame(1, epoch=MOST_SOURCES))
+        validator.validate(frame(1, epoch=MOST_SOURCES))
 
 
 def test_keys_are_counted_apart() -> None:
     validator = MessageValidator()
-    validator.admit(frame(5, key="status/a"))
-    validator.admit(frame(0, key="status/b"))
+    validator.validate(frame(5, key="status/a"))
+    validator.validate(frame(0, key="status/b"))
     assert validator.dropped == 0
 
 
@@ -143,18 +143,18 @@ def test_refusals_are_counted_by_kind_not_by_value_so_that_the_count_stays_small
     for i in range(100):
         for bad in (frame(i, depth_m=2e4 + i), Frame(TOPIC, TOPIC.key, b"", 0), Frame(None, "who/knows", b"", 0)):
             with pytest.raises(WireError):
-                validator.admit(bad)
+                validator.validate(bad)
     assert validator.rejected == 300
-    assert len(validator.refused) == 3
-    assert validator.refused["depth_m"] == 100
+    assert len(validator.rejected_by_reason) == 3
+    assert validator.rejected_by_reason["depth_m"] == 100
 
 
 def test_a_refused_frame_does_not_move_the_sequence() -> None:
     validator = MessageValidator()
-    validator.admit(frame(0))
+    validator.validate(frame(0))
     with pytest.raises(WireError):
-        validator.admit(frame(900, depth_m=float("nan")))
-    validator.admit(frame(1))
+        validator.validate(frame(900, depth_m=float("nan")))
+    validator.validate(frame(1))
     assert validator.dropped == 0
 
 
@@ -186,15 +186,15 @@ def test_on_a_key_on_which_operators_command_each_is_a_source_of_its_own() -> No
 
     validator = MessageValidator()
     for sequence, epoch in ((0, 1), (7, 2), (1, 1), (8, 2)):
-        validator.admit(by_hand(sequence, epoch))
+        validator.validate(by_hand(sequence, epoch))
     for sequence, epoch in ((1, 1), (8, 2)):
         with pytest.raises(WireError, match="out of order"):
-            validator.admit(by_hand(sequence, epoch))
+            validator.validate(by_hand(sequence, epoch))
     assert (validator.received, validator.dropped, validator.rejected) == (4, 0, 2)
 
 
 def test_what_is_turned_back_after_it_was_let_in_is_counted_as_refused() -> None:
     validator = MessageValidator()
-    validator.admit(frame(0))
-    validator.turn_back("no time yet: it would be late")
-    assert (validator.received, validator.rejected, dict(validator.refused)) == (0, 1, {"no time yet": 1})
+    validator.validate(frame(0))
+    validator.reject("no time yet: it would be late")
+    assert (validator.received, validator.rejected, dict(validator.rejected_by_reason)) == (0, 1, {"no time yet": 1})

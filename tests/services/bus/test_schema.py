@@ -105,7 +105,7 @@ def problems_of_field(name: str, value: Any, schema: dict[str, Any], at: str) ->
     "signal", [PLAN, ESTIMATE, FULL_ESTIMATE, PING, BEAMS, TIMING, RECORD], ids=lambda signal: type(signal).__name__
 )
 def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Message) -> None:
-    recorded = msgspec.json.decode(msgspec.json.encode(wire.plain(signal, HEADER)))
+    recorded = msgspec.json.decode(msgspec.json.encode(wire.to_map(signal, HEADER)))
     assert problems(recorded, msgspec.json.decode(schema.text(type(signal)))) == []
 
 
@@ -124,7 +124,7 @@ def test_a_message_as_it_is_recorded_obeys_its_schema(signal: Message) -> None:
     ],
 )
 def test_a_message_that_is_not_what_it_should_be_breaks_its_schema(change: dict[str, Any], problem: str) -> None:
-    message = wire.plain(PLAN, HEADER) | change
+    message = wire.to_map(PLAN, HEADER) | change
     found = problems(message, schema.schema(Plan))
     assert found
     assert problem in found[0]
@@ -137,7 +137,7 @@ def test_the_schema_makes_optional_what_the_decoder_does_not_need(signal: Messag
     for name in list(message):
         rest = {k: v for k, v in message.items() if k != name}
         try:
-            wire.typed(kind, rest)
+            wire.from_map(kind, rest)
         except wire.WireError:
             assert problems(rest, schema.schema(kind)) == [f"$.{name} is missing"]
         else:
@@ -169,9 +169,9 @@ def test_the_bounds_of_the_schema_are_those_of_the_door(signal: Message) -> None
         beyond = value + (1 if bound == "maximum" else -1) * max(1, abs(value) // 1000)
         assert problems(message | {name: value}, schema.schema(kind)) == []
         assert problems(message | {name: beyond}, schema.schema(kind)) != []
-        wire.typed(kind, message | {name: value})
+        wire.from_map(kind, message | {name: value})
         with pytest.raises(wire.WireError, match=name):
-            wire.typed(kind, message | {name: beyond})
+            wire.from_map(kind, message | {name: beyond})
         seen += 1
     assert seen >= 12
 

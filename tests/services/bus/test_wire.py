@@ -25,7 +25,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.validation import refusal
 from services.bus.topics import TOPICS
-from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, plain, unpack
+from services.bus.wire import MAX_PAYLOAD_BYTES, Header, WireError, crc, decode, encode, header_of, to_map, unpack
 from tests.services.bus.messages import EXAMPLES, HEADER
 
 
@@ -54,7 +54,7 @@ def test_what_is_decoded_is_what_was_sent_to_the_last_bit(signal: Message) -> No
 @pytest.mark.parametrize("signal", EXAMPLES, ids=lambda s: type(s).__name__)
 def test_the_map_that_travels_survives_strict_json_unchanged(signal: Message) -> None:
     """A recording keeps the map as JSON: no NaN in it, and nothing that JSON would change."""
-    message = plain(signal, HEADER)
+    message = to_map(signal, HEADER)
     assert list(message)[:3] == ["epoch", "sequence", "sent_monotonic_us"]
     assert json.loads(json.dumps(message, allow_nan=False)) == json.loads(msgspec.json.encode(message))
     assert unpack(encode(signal, HEADER)) == json.loads(json.dumps(message, allow_nan=False))
@@ -62,7 +62,7 @@ def test_the_map_that_travels_survives_strict_json_unchanged(signal: Message) ->
 
 def test_a_beam_without_return_is_null_on_the_wire_and_nan_inside() -> None:
     ping = next(e for e in EXAMPLES if isinstance(e, AdcpPing))
-    message = plain(ping, HEADER)
+    message = to_map(ping, HEADER)
     assert message["beam_velocity_mps"][0][0] is None
     assert math.isnan(decode(AdcpPing, encode(ping, HEADER))[0].beam_velocity_mps[0, 0])
 
@@ -120,7 +120,7 @@ def test_rubbish_is_refused_by_reason(payload: bytes, reason: str) -> None:
 
 
 def changed(signal: Message, **fields: Any) -> bytes:
-    return msgpack.packb(plain(signal, HEADER) | fields)  # type: ignore[no-any-return]
+    return msgpack.packb(to_map(signal, HEADER) | fields)  # type: ignore[no-any-return]
 
 
 DEPTH = PressureDepth(t_ns=0, depth_m=12.5)

@@ -14,7 +14,7 @@ import pytest
 
 from ltv_mpc.messages import AdcpPing, Applied, CycleTiming, Estimate, Message, Plan
 from services.bus.topics import key_of
-from services.bus.wire import Header, plain
+from services.bus.wire import Header, to_map
 from services.recording import export
 from services.recording.export import Format
 from tests.services.bus.messages import EXAMPLES
@@ -60,7 +60,7 @@ def test_every_kind_of_message_comes_back_bit_for_bit_with_its_types(form: Forma
     for kind, signal in LATEST.items():
         name = files[key_of(kind, "plant")]
         (row,) = rows(tmp_path, name) if form == "csv" else pq.read_table(tmp_path / name).to_pylist()
-        travels = plain(signal, Header(epoch=epochs[kind], sequence=0))
+        travels = to_map(signal, Header(epoch=epochs[kind], sequence=0))
         expected = leaves(json.loads(json.dumps(travels)), "")
         times = {"published_s": T_NS / 1e9, "published_ns": T_NS}
         if isinstance(expected.get("t_ns"), int):

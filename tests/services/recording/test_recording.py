@@ -68,7 +68,7 @@ def test_mcaps_own_reader_finds_channels_schemas_times_checksums_and_metadata(pa
         )
         assert message.log_time == message.publish_time == i * 1_000_000
         assert message.sequence == wire.crc(wire.encode(depth(i), header(i)))
-        assert msgspec.json.decode(message.data) == wire.plain(depth(i), header(i))
+        assert msgspec.json.decode(message.data) == wire.to_map(depth(i), header(i))
 
 
 def test_what_every_node_writes_has_a_channel_for_each_node_and_one_schema(path: Path) -> None:
@@ -149,7 +149,7 @@ def test_a_damaged_chunk_ends_the_reading_and_is_not_believed(path: Path) -> Non
     got = [message.plain for message in recording]
     assert recording.cut
     assert 0 < len(got) < 3000
-    assert got == [wire.plain(depth(i), header(i)) for i in range(len(got))]
+    assert got == [wire.to_map(depth(i), header(i)) for i in range(len(got))]
 
 
 @pytest.mark.parametrize("message", [b"[1]", b"null", b"{", b'{"x":"\xff"}', b"[" * 100_000])

@@ -21,8 +21,8 @@ KEY = "sensor/depth"
 
 def put(writer: SegmentWriter, sequence: int) -> None:
     header = wire.Header(epoch=7, sequence=sequence, sent_monotonic_us=0)
-    message = wire.plain(PressureDepth(t_ns=sequence, depth_m=1.0), header)
-    writer.write_plain(KEY, PressureDepth, message, sequence, wire.crc(wire.packed(message)))
+    message = wire.to_map(PressureDepth(t_ns=sequence, depth_m=1.0), header)
+    writer.write_plain(KEY, PressureDepth, message, sequence, wire.crc(wire.pack(message)))
 
 
 def sequences(path: Path) -> list[int]:

@@ -29,7 +29,7 @@ def rewritten(
     out: Path,
     change: Change,
     *,
-    spell: Callable[[Plain], bytes] = wire.packed,
+    spell: Callable[[Plain], bytes] = wire.pack,
     keep_crc: bool = False,
 ) -> Path:
     """``out``, with every message as ``change`` leaves it, under the CRC of the frame that ``spell`` makes of it.

@@ -16,9 +16,9 @@ from services.tools import lockstep_run
 def locked_run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Three seconds after one afloat; a plan arrives 0.4 s after its cycle began."""
     settings = ["run.duration_s=3", "run.compute_delay_s=0.4", "run.seed=3"]
-    situation = resolve("descent", [Override("test", settings)])
-    run = folder.make("descent", situation.files, out=tmp_path_factory.mktemp("replay") / "run")
-    lockstep_run.run(situation, run)
+    run_config = resolve("descent", [Override("test", settings)])
+    run = folder.make("descent", run_config.files, out=tmp_path_factory.mktemp("replay") / "run")
+    lockstep_run.run(run_config, run)
     return run
 
 

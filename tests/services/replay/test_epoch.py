@@ -16,9 +16,9 @@ from tests.stepping import OneByOne
 
 def depth(sequence: int) -> tuple[StoredMessage, Header]:
     signal, header = PressureDepth(t_ns=sequence, depth_m=1.0), Header(epoch=7, sequence=sequence)
-    plain = wire.plain(signal, header)
+    plain = wire.to_map(signal, header)
     stored = StoredMessage(
-        "sensor/depth", PressureDepth, sequence, wire.crc(wire.packed(plain)), msgspec.json.encode(plain)
+        "sensor/depth", PressureDepth, sequence, wire.crc(wire.pack(plain)), msgspec.json.encode(plain)
     )
     return stored, header
 

@@ -52,9 +52,9 @@ SPELLINGS: tuple[Callable[[Any], bytes], ...] = (
 def test_a_frame_is_found_by_its_own_checksum_and_means_what_it_meant_at_the_door(
     signal: Message, tmp_path: Path
 ) -> None:
-    kind, plain = type(signal), wire.plain(signal, HEADER) if not isinstance(signal, StepRecord) else None
+    kind, plain = type(signal), wire.to_map(signal, HEADER) if not isinstance(signal, StepRecord) else None
     if plain is None:  # its epoch is its sender's
-        plain = wire.plain(signal, msgspec.structs.replace(HEADER, epoch=signal.epoch))  # type: ignore[attr-defined]
+        plain = wire.to_map(signal, msgspec.structs.replace(HEADER, epoch=signal.epoch))  # type: ignore[attr-defined]
     for i, spell in enumerate(SPELLINGS):
         payload = spell(plain)
         try:
@@ -76,8 +76,8 @@ def test_a_frame_is_found_by_its_own_checksum_and_means_what_it_meant_at_the_doo
 def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording: Path, tmp_path: Path) -> None:
     """Somebody's estimates, nanoseconds since 1970, whole numbers without a point; no plant, no sensors."""
     run = engine.Run(recording)
-    situation = run.situation
-    node = ControllerNode(situation.vehicle, situation.reference, situation.scenario.controller)
+    run_config = run.run_config
+    node = ControllerNode(run_config.vehicle, run_config.reference, run_config.scenario.controller)
     began, own, theirs = 1_763_000_000_123_456_789, 5, 6
     path = tmp_path / "run.mcap"
     metadata = {name: text for name, text in run.metadata.items() if name != "start_ns"}
@@ -90,7 +90,7 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
 
     with RunWriter(path, start_ns=began, metadata=metadata) as writer:
         for step in range(12):
-            t_ns = began + step * situation.scenario.controller.period_ns
+            t_ns = began + step * run_config.scenario.controller.period_ns
             heard: list[Message] = [
                 msgspec.structs.replace(Estimate.at_rest(north_m=0.5 * step, heading_rad=1.0), t_ns=t_ns - 7_000_001)
             ]
@@ -98,7 +98,7 @@ def test_a_controller_on_a_foreign_clock_replays_by_its_recorded_times(recording
             arrivals, entries = [], []
             for signal in heard:
                 key = key_of(type(signal), "")
-                payload = SPELLINGS[1](wire.plain(signal, wire.Header(epoch=theirs, sequence=numbered(key))))
+                payload = SPELLINGS[1](wire.to_map(signal, wire.Header(epoch=theirs, sequence=numbered(key))))
                 understood, header = wire.decode(type(signal), payload)
                 arrivals.append(ReceivedMessage(understood, header.epoch, header.sequence, t_ns))
                 entries.append(InboxEntry(key=key, crc=wire.crc(payload), received_t_ns=t_ns, **_named(header)))

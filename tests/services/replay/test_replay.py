@@ -20,7 +20,7 @@ from services.replay import nodes
 from services.replay import replay as engine
 from services.replay.comparison import NOT_MADE, NOT_RECORDED
 from services.replay.verdict import NodeVerdict, Verdict
-from services.run.provenance import made_by
+from services.run.provenance import provenance_table
 from tests.services.replay.altered import Plain, messages, rewritten, without
 from tests.services.words import status
 
@@ -91,7 +91,7 @@ def test_the_same_values_in_another_spelling_are_another_frame(recording: Path, 
     """JSON cannot tell: the checksum of what travelled does."""
 
     def backwards(message: Plain) -> bytes:
-        return wire.packed(dict(reversed(message.items())) if "solve" in message else message)
+        return wire.pack(dict(reversed(message.items())) if "solve" in message else message)
 
     out = rewritten(recording, tmp_path / "run.mcap", lambda _, plain: [plain], spell=backwards)
     difference = replayed(out, only="controller").first_difference
@@ -140,7 +140,7 @@ def test_what_an_injector_has_harmed_is_compared_with_what_was_said_and_given(
             if stored.key != "plan" or plain["sequence"] not in (2, 4):
                 writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
                 continue
-            payload = wire.packed(plain)
+            payload = wire.pack(plain)
             text = base64.b64encode(payload).decode()
             handed = InjectorFrame(t_ns=stored.t_ns, key="plan", crc=wire.crc(payload), payload_base64=text)
             writer.write("inject", handed, wire.Header(epoch=9, sequence=count), stored.t_ns)
@@ -175,11 +175,11 @@ def test_after_a_gap_a_node_is_compared_again_from_its_next_start(recording: Pat
         if "inbox" in plain:
             frames = ((entry, crc_of[entry["key"], entry["sequence"]]) for entry in plain["inbox"])
             plain["inbox"] = [entry | {"epoch": 2, "crc": crc} for entry, crc in frames]
-        crc_of[stored.key, plain["sequence"]] = wire.crc(wire.packed(plain))
+        crc_of[stored.key, plain["sequence"]] = wire.crc(wire.pack(plain))
         return plain
 
     # Of one node: what acts on a plan names the plan's epoch, which would be another.
-    node = nodes.make(engine.Run(recording).situation, "estimator")
+    node = nodes.make(engine.Run(recording).run_config, "estimator")
     own = {key_of(kind, node.name) for kind in (*node.reads, *node.writes, StepRecord)}
     aboard = [(stored, plain) for stored, plain in messages(recording) if stored.key in own]
     out = tmp_path / "run.mcap"
@@ -269,7 +269,7 @@ def test_steps_known_only_from_the_process_report_are_run_and_not_compared(recor
 
 def test_a_run_made_elsewhere_says_what_is_otherwise_here(recording: Path, tmp_path: Path) -> None:
     run = engine.Run(recording)
-    scenario = run.metadata["scenario.toml"].replace(made_by()["processor"], "Motorola 6502")
+    scenario = run.metadata["scenario.toml"].replace(provenance_table()["processor"], "Motorola 6502")
     run.metadata = dict(run.metadata) | {"scenario.toml": scenario}
     out = tmp_path / "run.mcap"
     with RunWriter(out, start_ns=0, metadata=run.metadata) as writer:
@@ -278,7 +278,7 @@ def test_a_run_made_elsewhere_says_what_is_otherwise_here(recording: Path, tmp_p
             writer.write_plain(stored.key, stored.kind, plain, stored.t_ns)
     verdict = replayed(out, only="controller")
     assert [(entry.what, entry.run, entry.here) for entry in verdict.elsewhere] == [
-        ("processor", "Motorola 6502", made_by()["processor"])
+        ("processor", "Motorola 6502", provenance_table()["processor"])
     ]
 
 

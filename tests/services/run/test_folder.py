@@ -80,9 +80,9 @@ def test_a_root_that_cannot_be_made_is_refused_in_words() -> None:
 
 
 def test_the_summary_is_json_with_nulls_the_water_a_prior_and_neither_leaves_a_draft() -> None:
-    situation = resolve("descent")
+    run_config = resolve("descent")
     nothing = Messages(published=0, dropped=0, rejected=0)
-    summary = summarise(situation, RunMetrics(situation.vehicle), mode=LOCKSTEP, messages=nothing)
+    summary = summarise(run_config, RunMetrics(run_config.vehicle), mode=LOCKSTEP, messages=nothing)
     made = folder.make("descent", FILES, out=Path("here"))
     made.write_result(summary, None)
     read = json.loads(made.summary.read_text())

@@ -10,7 +10,7 @@ from ltv_mpc.messages import CycleTiming, Estimate, PressureDepth, RejectedFrame
 from services.bus import wire
 from services.recording.writer import RunWriter
 from services.run.run_config import Override, resolve
-from services.run.summary import of_recording
+from services.run.summary import summarise_recording
 from sim.evaluation.summary import Messages, Summary
 from tests.services.words import status
 
@@ -46,9 +46,9 @@ def summary(tmp_path: Path) -> Summary:
         ):
             writer.write(node, signal, wire.Header(epoch=epoch, sequence=sequence, sent_monotonic_us=5), 0)
         # An estimate that no node would let in: it counts as published and is not graded.
-        rubbish = wire.plain(ESTIMATE, wire.Header(epoch=13, sequence=1, sent_monotonic_us=5)) | {"north_m": None}
+        rubbish = wire.to_map(ESTIMATE, wire.Header(epoch=13, sequence=1, sent_monotonic_us=5)) | {"north_m": None}
         writer.write_plain("estimate", Estimate, rubbish, 0)
-    return of_recording(resolve("descent", [Override("test", ["run.speed=10"])]), path)[0]
+    return summarise_recording(resolve("descent", [Override("test", ["run.speed=10"])]), path)[0]
 
 
 def test_gaps_of_the_sequences_are_dropped_messages(summary: Summary) -> None:

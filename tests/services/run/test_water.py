@@ -22,9 +22,9 @@ from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
-from services.run.summary import of_recording
-from services.run.water import Learned, told
+from services.run.run_config import Override, RunConfig, resolve
+from services.run.summary import summarise_recording
+from services.run.water import EstimatedCurrent, load_prior
 from services.tools import lockstep_run
 
 DURATION = "run.duration_s=30"
@@ -32,7 +32,7 @@ BELOW_FIRST_PING = slice(30, 34)
 """Depths that 30 s show well and the first pings do not: 30 m along a beam reach to 28 m, from 6 m of depth to 34."""
 
 
-def situation(*settings: str) -> Situation:
+def run_config(*settings: str) -> RunConfig:
     return resolve("descent", [Override("test", settings)])
 
 
@@ -45,13 +45,13 @@ class Visit(NamedTuple):
     belief: Belief
 
 
-def visit(here: Situation) -> Visit:
+def visit(here: RunConfig) -> Visit:
     """Run it without a recording, which would take most of the time."""
     nodes = make_nodes(here)
     said: dict[type[Message], Any] = {}
     for node in nodes:
         listen(node, said)
-    learned = Learned()
+    learned = EstimatedCurrent()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lockstep_run, "make_nodes", lambda _, **_every: nodes)
         lockstep_run._go(here, None, None, lambda: False, learned)
@@ -75,8 +75,8 @@ def listen(node: Node, said: dict[type[Message], Any]) -> None:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Situation, RunFolder]:
-    here = situation("run.duration_s=10", "run.seed=4")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFolder]:
+    here = run_config("run.duration_s=10", "run.seed=4")
     place = folder.make("descent", here.files, out=tmp_path_factory.mktemp("run") / "first")
     lockstep_run.run(here, place)
     return here, place
@@ -95,9 +95,9 @@ def estimate(first_m: float, sd_mps: float, *, known: bool = True) -> Estimate:
 
 
 def heard(*estimates: Estimate) -> WaterPrior | None:
-    learned = Learned()
+    learned = EstimatedCurrent()
     for each in estimates:
-        learned.hear(each)
+        learned.update(each)
     return learned.prior()
 
 
@@ -131,7 +131,7 @@ def test_without_an_estimate_or_its_standard_deviations_nothing_was_learned() ->
 
 
 def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(
-    recorded: tuple[Situation, RunFolder],
+    recorded: tuple[RunConfig, RunFolder],
 ) -> None:
     here, place = recorded
     saved = read_prior(place.currents)
@@ -141,14 +141,14 @@ def test_a_run_saves_its_last_profile_and_its_recording_yields_the_same(
     np.testing.assert_array_equal(saved.depth_m, end.current.depth_m)
     np.testing.assert_array_equal(saved.north_mps, end.current.north_mps)
     np.testing.assert_array_equal(saved.sd_mps, end.current.sd_mps)
-    _, again = of_recording(here, place.recording)
+    _, again = summarise_recording(here, place.recording)
     assert again is not None
     assert msgspec.json.encode(again.north_mps.tolist()) == msgspec.json.encode(saved.north_mps.tolist())
     assert again.sd_common_mps == saved.sd_common_mps
 
 
 def test_a_run_that_is_given_the_state_learns_nothing(tmp_path: Path) -> None:
-    here = situation("run.duration_s=0.5", "run.perfect_state=true")
+    here = run_config("run.duration_s=0.5", "run.perfect_state=true")
     place = folder.make("descent", here.files, out=tmp_path / "r")
     lockstep_run.run(here, place)
     assert place.summary.exists()
@@ -158,7 +158,7 @@ def test_a_run_that_is_given_the_state_learns_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("sensors", ["paper", "realistic"])
 def test_the_saved_shared_error_is_the_filters_covariance_between_depths(sensors: str) -> None:
     """The mean covariance of two depths that were seen; what the file says of it comes from the velocity alone."""
-    there = visit(situation(f"sensors={sensors}", DURATION, "run.seed=4"))
+    there = visit(run_config(f"sensors={sensors}", DURATION, "run.seed=4"))
     shared = []
     for axis in (there.belief.layout.north, there.belief.layout.east):
         P = there.belief.P[axis, axis][5:25, 5:25]
@@ -172,20 +172,20 @@ def test_the_saved_shared_error_is_the_filters_covariance_between_depths(sensors
 
 def test_the_estimator_starts_from_the_file_and_so_does_whoever_reads_its_estimates(tmp_path: Path) -> None:
     """The shear of the first visit is in the second one's estimates before its own pings can have seen it."""
-    first = visit(situation(DURATION, "run.seed=4"))
+    first = visit(run_config(DURATION, "run.seed=4"))
     write_profile(tmp_path / "known.csv", first.saved)
     settings = ("run.duration_s=0.1", "run.seed=9")
-    told = visit(situation(*settings, f"estimator.water_prior={tmp_path / 'known.csv'}")).estimate.current
-    alone = visit(situation(*settings)).estimate.current
-    assert told is not None
-    assert told.sd_mps is not None
+    informed = visit(run_config(*settings, f"estimator.water_prior={tmp_path / 'known.csv'}")).estimate.current
+    alone = visit(run_config(*settings)).estimate.current
+    assert informed is not None
+    assert informed.sd_mps is not None
     assert alone is not None
     assert alone.sd_mps is not None
     deep = BELOW_FIRST_PING
     shear = np.diff(first.saved.north_mps[deep])
-    np.testing.assert_allclose(np.diff(told.north_mps[deep]), shear, atol=0.25 * np.abs(shear).max())
+    np.testing.assert_allclose(np.diff(informed.north_mps[deep]), shear, atol=0.25 * np.abs(shear).max())
     assert np.abs(np.diff(alone.north_mps[deep]) - shear).max() > 0.5 * np.abs(shear).max()
-    assert (told.sd_mps[deep] < 0.5 * alone.sd_mps[deep]).all()
+    assert (informed.sd_mps[deep] < 0.5 * alone.sd_mps[deep]).all()
 
 
 def test_the_folder_holds_the_prior_and_runs_again_without_the_file_it_came_from(
@@ -219,7 +219,7 @@ def test_the_process_reads_the_prior_beside_its_settings(tmp_path: Path, monkeyp
     given: list[WaterPrior | None] = []
 
     def main(config: process.Config) -> int:
-        given.append(told(config.settings))
+        given.append(load_prior(config.settings))
         return 0
 
     monkeypatch.setattr(process, "main", main)
@@ -234,7 +234,7 @@ def test_the_process_reads_the_prior_beside_its_settings(tmp_path: Path, monkeyp
 def test_a_profile_without_standard_deviations_is_no_prior(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text("depth_m,v_north_mps,u_east_mps\n0,0,0\n")
     with pytest.raises(ConfigError, match="line 1: missing column sd_mps: a prior needs it"):
-        situation(f"estimator.water_prior={tmp_path / 'c.csv'}")
+        run_config(f"estimator.water_prior={tmp_path / 'c.csv'}")
 
 
 # --- what it is good for ------------------------------------------------------------------------------------------
@@ -246,14 +246,14 @@ def test_a_place_seen_before_makes_the_velocity_surer_and_no_surer_than_it_is(tm
     Drift itself is luck over two seeds; over ten of 200 s it fell by a third, as the velocity's error does.
     """
     for seed in (0, 1):
-        first = situation(DURATION, f"run.seed={seed}")
+        first = run_config(DURATION, f"run.seed={seed}")
         write_profile(tmp_path / "known.csv", visit(first).saved)
         write_profile(tmp_path / "true.csv", first.water.profile(0))
         again = (DURATION, f"run.seed={100 + seed}", "water.kind=measured", f"water.file={tmp_path / 'true.csv'}")
         prior = (f"estimator.water_prior={tmp_path / 'known.csv'}", "estimator.water_prior_change_sd_mps=0")
         sd = {}
         for name, settings in (("alone", again), ("told", (*again, *prior))):
-            there = visit(situation(*settings))
+            there = visit(run_config(*settings))
             assert there.estimate.covariance is not None
             assert there.estimate.t_ns == there.truth.t_ns
             estimated = np.array([there.estimate.velocity_north_mps, there.estimate.velocity_east_mps])

@@ -17,7 +17,7 @@ from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDep
 from services.bus.outbox import Outbox
 from services.bus.session import BusOptions, open_session
 from services.bus.topics import BY_TYPE
-from services.bus.wire import Header, encode, plain
+from services.bus.wire import Header, encode, to_map
 from services.recording import segments
 from services.recording.reader import RecordedMessage, Recording
 from services.recording.segments import SegmentWriter
@@ -79,7 +79,7 @@ def record(path: Path, port: int, say: Callable[[Outbox, Callable[[bytes], None]
 
 
 def depth(sequence: int, sent_us: int) -> bytes:
-    message = plain(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=0, sent_monotonic_us=0))
+    message = to_map(PressureDepth(t_ns=0, depth_m=1.0), Header(epoch=EPOCH, sequence=0, sent_monotonic_us=0))
     return bytes(msgpack.packb(message | {"sequence": sequence, "sent_monotonic_us": sent_us}))
 
 

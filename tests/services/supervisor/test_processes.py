@@ -21,7 +21,7 @@ from services.recording.loss_accounting import LossAccounting
 from services.recording.reader import Recording
 from services.replay import replay
 from services.run import folder
-from services.run.run_config import Override, Situation, resolve
+from services.run.run_config import Override, RunConfig, resolve
 from services.supervisor import supervisor
 from services.supervisor.screen import LiveView
 
@@ -53,7 +53,7 @@ class Screen:
         self.closed = True
 
 
-def situation(duration_s: float, speed: float = 10.0) -> Situation:
+def run_config(duration_s: float, speed: float = 10.0) -> RunConfig:
     settings = (f"run.duration_s={duration_s}", f"run.speed={speed}", "run.compute_delay_s=0.05")
     return resolve("descent", [Override("test", settings)])
 
@@ -136,7 +136,7 @@ def launcher(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
 
 
 def test_a_run_of_processes_records_every_message_and_leaves_no_process(tmp_path: Path) -> None:
-    s = situation(3.0)
+    s = run_config(3.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
     screen = Screen()
     outcome = supervisor.run(s, run, screen)
@@ -184,7 +184,7 @@ def test_the_estimator_starts_from_the_prior_and_the_run_saves_its_profile(tmp_p
 
 
 def test_the_death_of_the_world_ends_the_run_and_it_is_named_with_its_last_lines(tmp_path: Path) -> None:
-    s = situation(600.0)
+    s = run_config(600.0)
     run = folder.make("test", s.files, out=tmp_path / "run")
 
     def kill_the_sensors() -> None:
@@ -300,7 +300,7 @@ def test_a_killed_or_hung_process_continues_where_it_was_and_the_run_completes(t
 
 
 def test_a_child_that_never_starts_fails_the_run_with_the_reason_it_gave(tmp_path: Path) -> None:
-    s = situation(3.0)
+    s = run_config(3.0)
     wrong = structs.replace(s.scenario.controller, horizon_s=-1.0)
     s = replace(s, scenario=structs.replace(s.scenario, controller=wrong))
     run = folder.make("test", s.files, out=tmp_path / "run")

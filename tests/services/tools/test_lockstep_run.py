@@ -20,8 +20,8 @@ from services.recording.reader import RecordedMessage, Recording
 from services.run import folder
 from services.run.folder import RunFolder
 from services.run.nodes import make_nodes
-from services.run.run_config import Override, Situation, resolve
-from services.run.summary import of_recording
+from services.run.run_config import Override, RunConfig, resolve
+from services.run.summary import summarise_recording
 from services.tools import lockstep_run
 from sim.evaluation.summary import Summary
 from tests.stepping import step
@@ -39,14 +39,14 @@ lockstep_run.run(situation, folder.make("descent", situation.files, out=Path(sys
 """
 
 
-def situation(*settings: str) -> Situation:
+def run_config(*settings: str) -> RunConfig:
     return resolve("descent", [Override("test", settings)])
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Situation, RunFolder, Summary]:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunConfig, RunFolder, Summary]:
     """Six seconds with every node and a delay."""
-    here = situation("run.duration_s=6", "run.compute_delay_s=0.71", "run.seed=3")
+    here = run_config("run.duration_s=6", "run.compute_delay_s=0.71", "run.seed=3")
     place = folder.make("descent", here.files, out=tmp_path_factory.mktemp("run") / "out")
     return here, place, lockstep_run.run(here, place)
 
@@ -64,7 +64,7 @@ def test_two_processes_with_other_hash_seeds_and_folders_write_the_same_bytes(
     assert digests[0] == digests[1]
 
 
-def test_nothing_measured_is_in_the_recording(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+def test_nothing_measured_is_in_the_recording(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     _, place, _ = recorded
     cycles = 0
     for message in Recording(place.recording):
@@ -77,7 +77,7 @@ def test_nothing_measured_is_in_the_recording(recorded: tuple[Situation, RunFold
     assert cycles >= 6
 
 
-def test_the_metadata_hold_all_that_the_run_was_made_of(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+def test_the_metadata_hold_all_that_the_run_was_made_of(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     here, place, _ = recorded
     recording = Recording(place.recording)
     next(iter(recording))
@@ -87,7 +87,7 @@ def test_the_metadata_hold_all_that_the_run_was_made_of(recorded: tuple[Situatio
 
 
 def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
-    recorded: tuple[Situation, RunFolder, Summary],
+    recorded: tuple[RunConfig, RunFolder, Summary],
 ) -> None:
     here, place, summary = recorded
     losses, times = LossAccounting(), []
@@ -102,7 +102,7 @@ def test_messages_are_in_order_of_time_without_a_gap_and_all_are_counted(
 
 
 def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
-    recorded: tuple[Situation, RunFolder, Summary],
+    recorded: tuple[RunConfig, RunFolder, Summary],
 ) -> None:
     """Each record finds the frames of its inbox by key, epoch, sequence and crc, and they make the same outputs."""
     here, place, _ = recorded
@@ -127,7 +127,7 @@ def test_a_recording_replays_through_fresh_nodes_byte_for_byte(
                 assert record.node == "controller"  # which alone takes time in lock step
                 continue
             header = wire.Header(epoch=1, sequence=sequence, sent_monotonic_us=0)
-            assert msgspec.json.encode(wire.plain(signal, header)) == msgspec.json.encode(was.plain), (key, sequence)
+            assert msgspec.json.encode(wire.to_map(signal, header)) == msgspec.json.encode(was.plain), (key, sequence)
     assert min(steps.values()) >= 9
     assert steps["plant"] == steps["sensors"] == 701
 
@@ -139,7 +139,7 @@ def inbox(record: StepRecord, frames: dict[tuple[str, int, int], RecordedMessage
         yield ReceivedMessage(signal, entry.epoch, entry.sequence, entry.received_t_ns)
 
 
-def test_a_step_is_on_record_before_its_outputs(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+def test_a_step_is_on_record_before_its_outputs(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     _, place, _ = recorded
     at: dict[str, int] = {}
     for message in Recording(place.recording):
@@ -152,7 +152,7 @@ def test_a_step_is_on_record_before_its_outputs(recorded: tuple[Situation, RunFo
 
 
 def test_what_caused_a_step_is_the_key_of_the_last_entry_of_its_inbox(
-    recorded: tuple[Situation, RunFolder, Summary],
+    recorded: tuple[RunConfig, RunFolder, Summary],
 ) -> None:
     _, place, _ = recorded
     causes: dict[str, set[str]] = {}
@@ -168,7 +168,7 @@ def test_what_caused_a_step_is_the_key_of_the_last_entry_of_its_inbox(
 
 
 def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(
-    recorded: tuple[Situation, RunFolder, Summary],
+    recorded: tuple[RunConfig, RunFolder, Summary],
 ) -> None:
     _, place, summary = recorded
     assert msgspec.json.decode(place.summary.read_bytes(), type=Summary) == summary
@@ -180,14 +180,14 @@ def test_the_summary_on_disk_is_the_one_returned_and_says_what_was_asked_for(
     assert summary.cycles == sum(summary.qp_status.values()) == sum(summary.plan_origin.values())
 
 
-def test_recording_changes_nothing_of_the_run(recorded: tuple[Situation, RunFolder, Summary]) -> None:
+def test_recording_changes_nothing_of_the_run(recorded: tuple[RunConfig, RunFolder, Summary]) -> None:
     here, _, summary = recorded
     alone = lockstep_run.run(here)
     assert msgspec.structs.replace(alone, messages=summary.messages) == summary
 
 
 def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing(tmp_path: Path) -> None:
-    here = situation("run.duration_s=2", "run.perfect_state=true")
+    here = run_config("run.duration_s=2", "run.perfect_state=true")
     _, sensors, _ = make_nodes(here, unread=False)
     assert sensors.writes == (Estimate,)
     place = folder.make("descent", here.files, out=tmp_path / "run")
@@ -198,17 +198,17 @@ def test_what_nobody_reads_is_measured_for_a_recording_alone_and_changes_nothing
 
 def test_progress_is_told_in_vehicle_time_from_the_start_on() -> None:
     told: list[int] = []
-    lockstep_run.run(situation("run.duration_s=2", "run.perfect_state=true"), progress=told.append)
+    lockstep_run.run(run_config("run.duration_s=2", "run.perfect_state=true"), progress=told.append)
     assert told == [-1_000_000_000, 0, 1_000_000_000, 2_000_000_000]
 
 
 def test_a_run_whose_end_is_not_on_the_plants_grid_is_complete_all_the_same() -> None:
-    summary = lockstep_run.run(situation("run.duration_s=1.234", "run.perfect_state=true"))
+    summary = lockstep_run.run(run_config("run.duration_s=1.234", "run.perfect_state=true"))
     assert summary.duration_s == 1.234
 
 
 def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> None:
-    here = situation("run.duration_s=2", "run.perfect_state=true")
+    here = run_config("run.duration_s=2", "run.perfect_state=true")
     assert [node.name for node in make_nodes(here)] == ["plant", "sensors", "controller"]
     summary = lockstep_run.run(here)
     assert summary.localisation_error_absolute_m.max == 0.0
@@ -216,11 +216,11 @@ def test_with_known_state_there_is_no_estimator_and_no_localisation_error() -> N
 
 
 def test_the_summary_of_a_recording_is_that_of_the_run_itself(
-    recorded: tuple[Situation, RunFolder, Summary],
+    recorded: tuple[RunConfig, RunFolder, Summary],
 ) -> None:
     """But for what only processes have: a speed, and wall times."""
     here, place, summary = recorded
-    again, _ = of_recording(here, place.recording)
+    again, _ = summarise_recording(here, place.recording)
     assert again.mode == "services"
     assert set(again.stages_us) == {"age", "transport", "apply"}
     lockstep = msgspec.structs.replace(

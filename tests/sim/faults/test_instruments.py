@@ -7,13 +7,13 @@ import pytest
 
 from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Message, PressureDepth, TdcpFix, Truth
 from ltv_mpc.node import Inbox, OnMessage
-from sim.faults.instruments import Broken, FailingSensors, Failure
-from sim.faults.interval import Spell
+from sim.faults.instruments import Failure, FaultySensors, SensorFault
+from sim.faults.interval import Interval
 from sim.faults.readings import READINGS
 from tests.stepping import OneByOne, step
 
 MS, S = 1_000_000, 1_000_000_000
-SPELL = Spell(S, 2 * S)
+INTERVAL = Interval(S, 2 * S)
 PERIOD_NS = 100 * MS
 
 
@@ -31,7 +31,7 @@ class Healthy(OneByOne):
 
 def said(failure: Failure, size: float = 1.0) -> list[tuple[int, PressureDepth]]:
     """What the gauge says, and when; the compass is well."""
-    sensors = FailingSensors(Healthy(), [Broken(PressureDepth, failure, SPELL, size, seed=3)])
+    sensors = FaultySensors(Healthy(), [SensorFault(PressureDepth, failure, INTERVAL, size, seed=3)])
     result = []
     for t in range(0, 4 * S, PERIOD_NS):
         signals = step(sensors, t, [])
@@ -41,7 +41,7 @@ def said(failure: Failure, size: float = 1.0) -> list[tuple[int, PressureDepth]]
 
 
 def during(messages: list[tuple[int, PressureDepth]]) -> list[PressureDepth]:
-    return [x for t, x in messages if SPELL.holds(t)]
+    return [x for t, x in messages if INTERVAL.contains(t)]
 
 
 @pytest.mark.parametrize("failure", Failure)
@@ -76,7 +76,7 @@ def test_slow_says_one_of_several():
 
 
 def test_delayed_says_everything_late_and_stamped_right():
-    late = [(t, x) for t, x in said(Failure.DELAYED, 0.25) if SPELL.holds(x.t_ns)]
+    late = [(t, x) for t, x in said(Failure.DELAYED, 0.25) if INTERVAL.contains(x.t_ns)]
     assert [x.t_ns for _, x in late] == list(range(S, 2 * S, PERIOD_NS))
     assert {t - x.t_ns for t, x in late} == {300 * MS}  # at the next step of the sensors
 

@@ -10,13 +10,13 @@ import pytest
 from ltv_mpc.messages import Estimate, ImuSample, Message, MessageFault, PressureDepth, RejectedFrame
 from ltv_mpc.node import Grid, Inbox, OnMessage, ReceivedMessage
 from ltv_mpc.validation import refusal
-from sim.faults.interval import Spell
-from sim.faults.message_faults import Harmed, Transit
+from sim.faults.interval import Interval
+from sim.faults.message_faults import MessageFaultInterval, MessageFaults
 from sim.scheduler import Delivery, LockStep
 from tests.stepping import OneByOne
 
 MS, S = 1_000_000, 1_000_000_000
-SPELL = Spell(S, 2 * S)
+INTERVAL = Interval(S, 2 * S)
 PERIOD_NS = 100 * MS
 
 
@@ -30,11 +30,15 @@ def by_validation(_: str, delivery: Delivery) -> ReceivedMessage | str:
     return refusal(delivery.message.message) or delivery.message
 
 
-def transit(harm: MessageFault, size: float = 1.0, kind: type[Message] = PressureDepth) -> Transit:
-    return Transit([Harmed((kind,), harm, SPELL, size, seed=4)], encode=lambda _: bytes(range(60)), admit=by_validation)
+def message_faults(harm: MessageFault, size: float = 1.0, kind: type[Message] = PressureDepth) -> MessageFaults:
+    return MessageFaults(
+        [MessageFaultInterval((kind,), harm, INTERVAL, size, seed=4)],
+        encode=lambda _: bytes(range(60)),
+        admit=by_validation,
+    )
 
 
-def through(way: Transit, *, until_ns: int = 3 * S) -> list[Delivery]:
+def through(way: MessageFaults, *, until_ns: int = 3 * S) -> list[Delivery]:
     """All that comes of ten messages a second."""
     times = range(0, until_ns, PERIOD_NS)
     return [
@@ -48,43 +52,43 @@ def sequences(deliveries: list[Delivery]) -> list[int]:
 
 @pytest.mark.parametrize("harm", MessageFault)
 def test_outside_its_spell_and_on_other_keys_every_message_arrives_as_it_was_sent(harm):
-    way = transit(harm, kind=ImuSample)
+    way = message_faults(harm, kind=ImuSample)
     assert [(d.at_ns, d.message.message.t_ns, d.payload) for d in through(way)] == [
         (t, t, None) for t in range(0, 3 * S, PERIOD_NS)
     ]
-    outside = [d for d in through(transit(harm)) if d.message.sequence < 10 or d.message.sequence > 20]
+    outside = [d for d in through(message_faults(harm)) if d.message.sequence < 10 or d.message.sequence > 20]
     assert [(d.at_ns, d.message.message.t_ns, d.payload) for d in outside] == [
         (t, t, None) for t in [*range(0, S, PERIOD_NS), *range(2 * S + PERIOD_NS, 3 * S, PERIOD_NS)]
     ]
 
 
 def test_a_share_of_the_messages_is_lost():
-    way = transit(MessageFault.LOSS, 0.5)
+    way = message_faults(MessageFault.LOSS, 0.5)
     came = sequences(through(way))
     assert 0 < way.harmed[0] < 10
     assert len(came) == 30 - way.harmed[0]
-    assert sequences(through(transit(MessageFault.LOSS, 1.0))) == [*range(10), *range(20, 30)]
+    assert sequences(through(message_faults(MessageFault.LOSS, 1.0))) == [*range(10), *range(20, 30)]
 
 
 def test_a_delayed_message_arrives_later_and_is_the_same():
-    came = through(transit(MessageFault.DELAY, 0.25))
+    came = through(message_faults(MessageFault.DELAY, 0.25))
     assert [d.at_ns - d.message.message.t_ns for d in came] == [0] * 10 + [250 * MS] * 10 + [0] * 10
 
 
 def test_a_reordered_message_comes_right_after_its_successor():
-    way = transit(MessageFault.REORDER, 1.0)
+    way = message_faults(MessageFault.REORDER, 1.0)
     assert sequences(through(way))[10:20] == [11, 10, 13, 12, 15, 14, 17, 16, 19, 18]
     assert way.harmed == [5]
 
 
 def test_a_duplicate_comes_twice():
-    way = transit(MessageFault.DUPLICATE, 1.0)
+    way = message_faults(MessageFault.DUPLICATE, 1.0)
     assert sequences(through(way))[10:16] == [10, 10, 11, 11, 12, 12]
     assert way.harmed == [10]
 
 
 def test_damage_flips_a_few_bits_of_the_bytes():
-    for delivery in through(transit(MessageFault.CORRUPTION, 1.0))[10:20]:
+    for delivery in through(message_faults(MessageFault.CORRUPTION, 1.0))[10:20]:
         flipped = sum((a ^ b).bit_count() for a, b in zip(delivery.payload, range(60), strict=True))
         assert 1 <= flipped <= 8
 
@@ -98,7 +102,7 @@ def test_damage_flips_a_few_bits_of_the_bytes():
     ],
 )
 def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal):
-    way = transit(MessageFault.NOT_A_NUMBER, kind=type(signal))
+    way = message_faults(MessageFault.NOT_A_NUMBER, kind=type(signal))
     for sequence in range(20):
         (came,) = way.carry("a", "b", ReceivedMessage(signal, 1, sequence, S))
         assert "must be from" in refusal(came.message.message)
@@ -106,13 +110,13 @@ def test_what_is_no_number_is_refused_for_it_in_whatever_field(signal):
 
 
 def test_a_stale_publisher_repeats_itself_with_new_numbers():
-    came = through(transit(MessageFault.STALE))
+    came = through(message_faults(MessageFault.STALE))
     assert sequences(came) == list(range(30))
     assert [d.message.message.t_ns for d in came[10:20]] == [S] * 10
 
 
 def test_a_jumped_clock_moves_the_stamps_and_nothing_else():
-    came = through(transit(MessageFault.CLOCK_JUMP, -3600.0))
+    came = through(message_faults(MessageFault.CLOCK_JUMP, -3600.0))
     assert [d.message.message.t_ns - d.at_ns for d in came[10:20]] == [-3600 * S] * 10
     assert [d.message.message.depth_m for d in came] == pytest.approx(np.arange(30) * 0.1)
 
@@ -143,14 +147,14 @@ class Listener(OneByOne):
         return []
 
 
-def in_lockstep(way: Transit | None) -> Listener:
+def in_lockstep(way: MessageFaults | None) -> Listener:
     listener = Listener()
     LockStep([Speaker(), listener], start_ns=0, between=way).advance(3 * S)
     return listener
 
 
 def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives():
-    heard = in_lockstep(transit(MessageFault.DELAY, 0.25)).heard
+    heard = in_lockstep(message_faults(MessageFault.DELAY, 0.25)).heard
     assert heard[:10] == [(t, i) for i, t in enumerate(range(0, S, PERIOD_NS))]
     assert (S + 250 * MS, 10) in heard
     assert (S, 10) not in heard
@@ -158,18 +162,18 @@ def test_in_lock_step_a_delayed_message_is_heard_when_it_arrives():
 
 
 def test_in_lock_step_what_the_door_refuses_is_told_and_not_heard():
-    listener = in_lockstep(transit(MessageFault.CORRUPTION, 1.0))
+    listener = in_lockstep(message_faults(MessageFault.CORRUPTION, 1.0))
     assert [sequence for _, sequence in listener.heard] == [*range(10), *range(20, 31)]
     assert listener.rejected == 10
 
 
 def test_without_faults_a_way_between_the_nodes_changes_nothing():
-    way = Transit([], encode=lambda _: b"", admit=by_validation)
+    way = MessageFaults([], encode=lambda _: b"", admit=by_validation)
     assert in_lockstep(way).heard == in_lockstep(None).heard
 
 
 def test_numbers_that_are_none_are_all_met():
-    way = transit(MessageFault.NOT_A_NUMBER)
+    way = message_faults(MessageFault.NOT_A_NUMBER)
     values = {
         str(way.carry("a", "b", ReceivedMessage(depth(S), 1, i, S))[0].message.message.depth_m) for i in range(60)
     }

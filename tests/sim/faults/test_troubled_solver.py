@@ -8,10 +8,17 @@ import pytest
 from ltv_mpc.control import controller
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Solve, SolveStatus
-from sim.faults.interval import Spell
-from sim.faults.solver import Now, SolverRaised, Trouble, Troubled, TroubledSolver, troubled
+from sim.faults.interval import Interval
+from sim.faults.solver import (
+    FaultySolver,
+    InjectedSolverError,
+    SolverClock,
+    SolverFault,
+    SolverFaultInterval,
+    inject_solver_faults,
+)
 
-SPELL = Spell(100, 200)
+INTERVAL = Interval(100, 200)
 GOOD = SolverResult(np.ones((3, 2)), Solve(status=SolveStatus.SOLVED))
 
 
@@ -23,31 +30,31 @@ class Good:
         return "forgotten"
 
 
-def answer(trouble: Trouble, t_ns: int) -> SolverResult:
-    now = Now()
+def answer(fault: SolverFault, t_ns: int) -> SolverResult:
+    now = SolverClock()
     now.t_ns = t_ns
-    return TroubledSolver(Good(), [Troubled(trouble, SPELL)], now).solve()
+    return FaultySolver(Good(), [SolverFaultInterval(fault, INTERVAL)], now).solve()
 
 
-@pytest.mark.parametrize("trouble", Trouble)
+@pytest.mark.parametrize("fault", SolverFault)
 @pytest.mark.parametrize("t_ns", [99, 200])
-def test_outside_its_spell_the_answer_is_the_solvers_own(trouble, t_ns):
-    assert answer(trouble, t_ns) is GOOD
+def test_outside_its_spell_the_answer_is_the_solvers_own(fault, t_ns):
+    assert answer(fault, t_ns) is GOOD
 
 
 def test_in_its_spell_there_is_no_finite_command():
-    for trouble, status in ((Trouble.FAILS, SolveStatus.FAILED), (Trouble.LIES, SolveStatus.SOLVED)):
-        commands, solve = answer(trouble, 150)
+    for fault, status in ((SolverFault.FAILS, SolveStatus.FAILED), (SolverFault.LIES, SolveStatus.SOLVED)):
+        commands, solve = answer(fault, 150)
         assert np.isnan(commands).all()
         assert solve.status is status
-    with pytest.raises(SolverRaised):
-        answer(Trouble.RAISES, 150)
+    with pytest.raises(InjectedSolverError):
+        answer(SolverFault.RAISES, 150)
 
 
 def test_solvers_made_while_it_lasts_are_in_trouble_and_those_made_after_are_not(monkeypatch):
     monkeypatch.setattr(controller, "make", lambda *_: Good())
-    with troubled([Troubled(Trouble.FAILS, SPELL)], Now()):
+    with inject_solver_faults([SolverFaultInterval(SolverFault.FAILS, INTERVAL)], SolverClock()):
         made = controller.make("vehicle", "config")
-        assert isinstance(made, TroubledSolver)
+        assert isinstance(made, FaultySolver)
         assert made.reset_warm_start() == "forgotten"
     assert isinstance(controller.make("vehicle", "config"), Good)

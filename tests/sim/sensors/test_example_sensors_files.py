@@ -13,7 +13,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, BottomTrack, LblRange, Truth, UsblFix
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
-from sim.scenario import Scenario, overridden
+from sim.scenario import Scenario, with_overrides
 from sim.sensors.node import Sensors
 from sim.water import make
 from tests.stepping import step
@@ -62,7 +62,7 @@ def test_the_example_of_an_own_profiler_differs_where_it_says_so():
     ],
 )
 def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
-    scenario = overridden(Scenario.load("hover"), ["water.bottom_m=35"])
+    scenario = with_overrides(Scenario.load("hover"), ["water.bottom_m=35"])
     node = Sensors(scenario, load(name), make(scenario.water, 0))
     seen = 0
     for k, t in enumerate(range(-1_000_000_000, 12_000_000_000, 50_000_000)):

@@ -28,7 +28,7 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
-from sim.scenario import Scenario, overridden
+from sim.scenario import Scenario, with_overrides
 from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.node import Sensors
 from sim.water import make
@@ -68,7 +68,7 @@ BED = BottomTracking(
 
 
 def scenario(*settings: str) -> Scenario:
-    return overridden(Scenario.load("descent"), ["run.seed=4", *settings])
+    return with_overrides(Scenario.load("descent"), ["run.seed=4", *settings])
 
 
 def truths(from_ns=-S, until_ns=3 * S, step_ns=10 * MS, depth=20.0) -> list[Truth]:

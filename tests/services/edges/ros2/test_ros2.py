@@ -116,8 +116,8 @@ def test_whatever_the_bytes_are_they_are_a_message_or_an_error_with_a_reason() -
                 broken[rng.integers(0, len(broken))] = rng.integers(0, 256)
         edge = Edge()
         if edge.odometry(bytes(broken), 0) is None:
-            assert (edge.refused, edge.taken) == (1, 0)
-            assert edge.why
+            assert (edge.rejected, edge.accepted) == (1, 0)
+            assert edge.reason
 
 
 @pytest.mark.parametrize("payload", [b"", b"\0\1\0\0", b"\0\7\0\0" + bytes(720), odometry()[:-9], bytes(70_000)])
@@ -246,7 +246,7 @@ def test_what_is_no_attitude_another_frame_or_no_number_is_refused(fields: dict[
 def test_what_no_vehicle_can_do_becomes_no_estimate(fields: dict[str, Any]) -> None:
     edge = Edge()
     assert edge.odometry(odometry(**fields), 0) is None
-    assert edge.refused == 1
+    assert edge.rejected == 1
 
 
 # --- time and thrust -------------------------------------------------------------------------------------------------
@@ -267,9 +267,9 @@ def test_the_time_is_that_of_the_least_delayed_of_the_last_messages() -> None:
     clock = StampedClock()
     assert clock.read(0) is None
     for k, delay_us in enumerate((400, 100, 900)):
-        clock.heard(5 * SECOND_NS + k * 1_000_000, k * 1_000 + delay_us)
+        clock.update(5 * SECOND_NS + k * 1_000_000, k * 1_000 + delay_us)
     assert clock.read(10_000) == 5 * SECOND_NS + 10_000_000 - 100_000
-    clock.heard(36 * SECOND_NS, 31_000_000 + 5_000)  # the others are older than 30 s
+    clock.update(36 * SECOND_NS, 31_000_000 + 5_000)  # the others are older than 30 s
     assert clock.read(31_005_000) == 36 * SECOND_NS
 
 

@@ -12,7 +12,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from services.tools.campaign.campaign import plan
 from services.tools.campaign.design import Point, points
 from services.tools.campaign.file import load
-from services.tools.campaign.trial import situation
+from services.tools.campaign.trial import run_config
 
 GRID = """
 title = "t"
@@ -94,12 +94,12 @@ def test_a_factor_scales_what_a_point_has_otherwise_by_its_power(tmp_path: Path)
     assert made.factors(point) == {"vehicle.dry_mass_kg": 8.0, "vehicle.thruster.port.arm_m": 2.0}
     settings = {**made.settings(point), "reference.descent_rate_mps": 0.1}
     assert "size" not in settings
-    here = situation(made.base, settings, made.factors(point), 0)
+    here = run_config(made.base, settings, made.factors(point), 0)
     assert here.vehicle.dry_mass_kg == 8.0 * Vehicle.load("surface").dry_mass_kg
     assert here.vehicle.thruster.port.arm_m == 0.6
     assert here.scenario.water.sd_mps == 0.05
     assert here.reference.descent_rate_mps == 0.1
-    of_water = situation(made.base, settings, {"water.sd_mps": 2.0}, 0)
+    of_water = run_config(made.base, settings, {"water.sd_mps": 2.0}, 0)
     assert of_water.scenario.water.sd_mps == 0.1
     trial = next(made.trials())
     assert set(trial.varied) == set(made.campaign.varied)

@@ -112,7 +112,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scenario: str) -> None:
     job = Job(scenario, ("sensors=realistic", "run.seed=5"))
     watched = descend(job)
-    summary = lockstep_run.run(job.situation())
+    summary = lockstep_run.run(job.run_config())
     assert summary.localisation_error_m.final == pytest.approx(float(np.hypot(*watched.drift_m)), rel=1e-12)
     assert watched.missed == 0
     assert watched.min_eigenvalue > 0
@@ -132,7 +132,7 @@ def test_a_watched_run_is_the_same_run_and_its_drift_is_that_of_the_grader(scena
 
 def test_the_vehicle_s_distance_from_the_line_is_that_of_a_run_s_summary(scenario: str) -> None:
     job = Job(scenario, ("sensors=paper", "run.seed=2"))
-    assert descend(job).true_error_m == pytest.approx(lockstep_run.run(job.situation()).true_error_m.mean, rel=0.05)
+    assert descend(job).true_error_m == pytest.approx(lockstep_run.run(job.run_config()).true_error_m.mean, rel=0.05)
 
 
 def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario: str) -> None:
@@ -147,12 +147,12 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
             if isinstance(message.message, CompassHeading) and self.truth is not None:
                 headings.append(wrap_angle(message.message.heading_rad - self.truth.attitude_rad[2]))
 
-    situation = Job(scenario, ("sensors=realistic", "run.seed=5")).situation()
-    probe = Ears(situation)
+    run_config = Job(scenario, ("sensors=realistic", "run.seed=5")).run_config()
+    probe = Ears(run_config)
     probe.descend()
     assert probe.truth is not None
     true = probe.true_state(probe.truth)
-    sd = situation.suite.compass.heading_sd_rad / math.sqrt(len(headings))
+    sd = run_config.suite.compass.heading_sd_rad / math.sqrt(len(headings))
     assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
     filter_ = probe.estimator.filter
     assert filter_ is not None

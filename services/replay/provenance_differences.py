@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from services.replay.verdict import Elsewhere
-from services.run.provenance import made_by
+from services.run.provenance import provenance_table
 from services.run.run_config import ORIGIN
 
 ABSENT = "not said"
@@ -16,7 +16,7 @@ ABSENT = "not said"
 
 def elsewhere(made: Mapping[str, str] | None) -> tuple[Elsewhere, ...]:
     """Each entry of a run's [made_by] that differs here."""
-    run, here = dict(made or {}), made_by()
+    run, here = dict(made or {}), provenance_table()
     run.pop(ORIGIN, None)
     return tuple(
         Elsewhere(what=name, run=run.get(name, ABSENT), here=here.get(name, ABSENT))

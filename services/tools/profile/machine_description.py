@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from importlib import metadata
 
-from services.run.provenance import made_by
+from services.run.provenance import provenance_table
 
 Machine = dict[str, str | int | list[float]]
 
@@ -17,7 +17,7 @@ SOLVERS = ("daqp", "piqp", "qpsolvers")
 def machine(load_before: list[float], packages: Iterable[str] = SOLVERS) -> Machine:
     """Describe this machine; ``load_before`` is the result of ``load`` before the measurement."""
     return {
-        **made_by(),
+        **provenance_table(),
         **{package: version(package) for package in packages},
         "cores": os.cpu_count() or 1,
         "load_before": load_before,
