@@ -21,4 +21,4 @@ def make_nodes(run_config: RunConfig, *, unread: bool = True) -> list[Node]:
     if not scenario.run.perfect_state:  # else the sensors themselves write the estimate
         aboard.insert(0, Estimator(run_config.suite, scenario.estimator, run_config.prior))
     read = None if unread else frozenset(kind for node in aboard for kind in node.reads)
-    return [plant, Sensors(scenario, run_config.suite, run_config.water, heard=read), *aboard]
+    return [plant, Sensors(scenario, run_config.suite, run_config.water, needed=read), *aboard]

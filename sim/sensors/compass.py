@@ -6,17 +6,17 @@ from ltv_mpc.frames import roll_pitch_heading, wrap_angle
 from ltv_mpc.localisation.sensors.compass import Compass
 from ltv_mpc.messages import CompassHeading
 from sim.random_streams import Stream, generator
-from sim.sensors.drift import Drift
+from sim.sensors.gauss_markov import GaussMarkovBias
 from sim.sensors.vehicle_state import VehicleState
 
 
 class MagneticCompass:
-    """Tilt-compensated: roll and pitch do not enter."""
+    """Tilt-compensated compass: roll and pitch do not enter."""
 
     def __init__(self, settings: Compass, seed: int) -> None:
-        """Bias and noise are drawn from the compass's own stream."""
+        """Draw the first bias from the compass's own stream."""
         self._sd, self._draws = settings.heading_sd_rad, generator(seed, Stream.COMPASS)
-        self._bias = Drift(settings.bias_sd_rad, settings.bias_tau_s, 1, self._draws)
+        self._bias = GaussMarkovBias(settings.bias_sd_rad, settings.bias_tau_s, 1, self._draws)
         self._last_ns: int | None = None
 
     @property
@@ -25,7 +25,7 @@ class MagneticCompass:
         return float(self._bias.value[0])
 
     def sample(self, now: VehicleState) -> list[CompassHeading]:
-        """Heading now."""
+        """Return the heading now."""
         noise = self._sd * float(self._draws.standard_normal())
         bias = self._bias.value if self._last_ns is None else self._bias.advance((now.t_ns - self._last_ns) * 1e-9)
         self._last_ns = now.t_ns

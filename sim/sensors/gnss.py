@@ -1,4 +1,4 @@
-"""Satellite position and velocity, while the vehicle is afloat: t <= 0.
+"""Satellite position and velocity, while the vehicle is at the surface: t <= 0.
 
 p_m = p + R l + N(0, sd_p^2),  v_m = v + R (w x l) + N(0, sd_v^2),  north and east, white from fix to fix
 """
@@ -12,14 +12,14 @@ from sim.sensors.vehicle_state import VehicleState
 
 
 class GnssReceiver:
-    """Of its antenna, at lever arm l of the vehicle."""
+    """Satellite receiver with its antenna at lever arm l of the vehicle."""
 
     def __init__(self, settings: Gnss, seed: int) -> None:
-        """Noise is drawn from the receiver's own stream."""
+        """Create a receiver that draws its noise from a stream of its own."""
         self._settings, self._draws = settings, generator(seed, Stream.GNSS)
 
     def sample(self, now: VehicleState) -> list[GnssFix]:
-        """A fix, as long as there are satellites."""
+        """Return a fix while the vehicle is at the surface."""
         if now.t_ns > 0:
             return []
         lever = self._settings.lever_arm_m

@@ -1,6 +1,6 @@
 """Strapdown inertial unit: the increments between two instants, as means over their interval, with its errors.
 
-Inertial attitude over dt, with the Earth's rate W (NED; zero where the unit is said not to sense it):
+Inertial attitude over dt, with the Earth's rate W (NED; zero if the unit does not sense it):
     w = log(R1^T exp(W dt) R2) / dt                                   mean angular rate, body
     R_mid = exp(-W dt/2) R1 exp(w dt/2)
     f = R_mid^T ((v2 - v1) / dt - g + 2 W x (v1 + v2) / 2)            mean specific force, body
@@ -25,25 +25,42 @@ from ltv_mpc.localisation.sensors.imu import Imu
 from ltv_mpc.messages import Array, ImuSample, Triple
 from ltv_mpc.so3 import Matrix3
 from sim.random_streams import Stream, generator
-from sim.sensors.drift import Drift
+from sim.sensors.gauss_markov import GaussMarkovBias
 from sim.sensors.vehicle_state import VehicleState
 
 
 class _End(NamedTuple):
-    """To which the last sample reached."""
+    """End of the last sample's interval."""
 
     t_ns: int
     rotation: Array
     velocity_mps: Triple
 
 
+class _Motion(NamedTuple):
+    """Attitudes (K+1, 3, 3), body to NED, and velocities (K+1, 3) (m/s, NED) at instants ``dt`` (s) apart."""
+
+    R: Array
+    v: Array
+    dt: float
+
+
+class _Errors(NamedTuple):
+    """Errors of three gyros and three accelerometers, (6,) each."""
+
+    walks: Array  # random walks: densities of the white noise
+    bias: Array  # updated in place
+    decay: Array  # of the biases over dt
+    new_sd: Array  # of the new part of the biases over dt
+
+
 class InertialUnit:
-    """Its first instant only starts the first interval."""
+    """Inertial unit. Its first instant only starts the first interval."""
 
     def __init__(self, settings: Imu, latitude_rad: float, seed: int) -> None:
-        """Biases and noise are drawn from the unit's own stream."""
+        """Draw the first biases from the unit's own stream."""
         self._draws = generator(seed, Stream.IMU)
-        self._bias = Drift(
+        self._bias = GaussMarkovBias(
             np.repeat([settings.gyro_bias_sd_radps, settings.accelerometer_bias_sd_mps2], 3),
             np.repeat([settings.gyro_bias_tau_s, settings.accelerometer_bias_tau_s], 3),
             6,
@@ -55,7 +72,7 @@ class InertialUnit:
 
     @property
     def has_begun(self) -> bool:
-        """Its first interval has."""
+        """True if the first interval has begun."""
         return self._last is not None
 
     @property
@@ -69,7 +86,7 @@ class InertialUnit:
         return self._bias.value[3:].copy()
 
     def sample(self, now: VehicleState) -> list[ImuSample]:
-        """The mean over the interval that ends now."""
+        """Return the mean over the interval that ends now."""
         before, here = self._last, _End(now.t_ns, now.rotation, now.velocity_mps)
         if before is None:
             self._last = here
@@ -78,24 +95,15 @@ class InertialUnit:
         return self.samples([before.t_ns, here.t_ns], rotation, velocity)
 
     def samples(self, t_ns: Sequence[int], rotation: Array, velocity_mps: Sequence[Triple]) -> list[ImuSample]:
-        """The means from each of these K + 1 instants to the next, all of one length; once it has begun.
+        """Return the means over K intervals of one length, between K + 1 instants.
 
-        ``rotation`` (K+1, 3, 3), body to world. The first instant is that to which the last sample reached.
+        The first instant is the end of the last sample; ``rotation`` is (K+1, 3, 3), body to world.
         """
         interval_ns = t_ns[1] - t_ns[0]
         dt = interval_ns * 1e-9
-        kept, fresh = self._bias.shares(dt)
-        rows = measured(
-            rotation,
-            np.array(velocity_mps),
-            self._earth_rate,
-            dt,
-            self._walks,
-            self._bias.value,
-            kept,
-            fresh,
-            self._draws.standard_normal((len(t_ns) - 1, 12)),
-        ).tolist()
+        motion = _Motion(rotation, np.array(velocity_mps), dt)
+        errors = _Errors(self._walks, self._bias.value, *self._bias.coefficients(dt))
+        rows = measured(motion, self._earth_rate, errors, self._draws.standard_normal((len(t_ns) - 1, 12))).tolist()
         self._last = _End(t_ns[-1], rotation[-1], velocity_mps[-1])
         return [
             ImuSample(t_ns=end_ns, interval_ns=interval_ns, angular_rate_radps=(p, q, r), specific_force_mps2=(x, y, z))
@@ -105,7 +113,7 @@ class InertialUnit:
 
 @jit
 def increments(R1: Matrix3, v1: Array, R2: Matrix3, v2: Array, W: Array, dt: float) -> tuple[Triple, Triple]:
-    """Error-free mean angular rate and specific force between two instants."""
+    """Return the error-free mean angular rate (rad/s) and specific force (m/s2) between two instants, body axes."""
     turn = so3.log(so3.multiply(so3.transpose(R1), so3.multiply(so3.exp(dt * W[0], dt * W[1], dt * W[2]), R2)))
     w = turn[0] / dt, turn[1] / dt, turn[2] / dt
     R_mid = so3.strapdown(R1, (W[0], W[1], W[2]), w, 0.5 * dt)
@@ -122,22 +130,19 @@ def increments(R1: Matrix3, v1: Array, R2: Matrix3, v2: Array, W: Array, dt: flo
 
 
 @jit
-def measured(
-    R: Array, v: Array, W: Array, dt: float, walks: Array, bias: Array, kept: Array, fresh: Array, draws: Array
-) -> Array:
-    """``increments`` from each of K + 1 instants dt apart to the next, with their errors, (K, 6).
+def measured(motion: _Motion, W: Array, errors: _Errors, draws: Array) -> Array:
+    """Return the ``increments`` of each of K intervals with their errors, (K, 6).
 
-    ``bias`` goes on in place by its shares of dt (``Drift.shares``); draws (K, 12): of white noise, then of what is new
-    in the bias.
+    ``draws`` (K, 12) are standard normal: six for the white noise, then six for the new part of the biases.
     """
-    K = len(draws)
+    K, dt, walks, bias = len(draws), motion.dt, errors.walks, errors.bias
     means = np.empty((K, 6))
-    here = so3.read(R[0])
+    here = so3.read(motion.R[0])
     for k in range(K):
-        before, here = here, so3.read(R[k + 1])
-        w, f = increments(before, v[k], here, v[k + 1], W, dt)
+        before, here = here, so3.read(motion.R[k + 1])
+        w, f = increments(before, motion.v[k], here, motion.v[k + 1], W, dt)
         for i in range(6):
-            bias[i] = kept[i] * bias[i] + fresh[i] * draws[k, 6 + i]
+            bias[i] = errors.decay[i] * bias[i] + errors.new_sd[i] * draws[k, 6 + i]
             mean = w[i] if i < 3 else f[i - 3]
             means[k, i] = mean + walks[i] / math.sqrt(dt) * draws[k, i] + bias[i]
     return means

@@ -1,66 +1,42 @@
-"""All sensors of the vehicle as one node: truth in, measurements out, each sensor on its own grid of time.
+"""All sensors of the vehicle as one node: truth in, measurements out, each sensor on its own time grid.
 
-A sensor's sample times are whole multiples of its period, whatever the truth's are; the truth is interpolated to them.
+A sensor samples at whole multiples of its period, independent of the times of the truths: the truth is interpolated.
 The first truth only opens the first interval, which is closed on both sides.
-A message is kept until it arrives, its sensor's latency after it is valid, and is published at the first truth that is
-not before that: with no latency at the truth that closes its interval. What is published at one truth is in the order
-of validity; of one validity, in the order of the list of sensors. What has not arrived when the run ends is lost.
+A message is stored until it arrives, its sensor's latency after it is valid, and is published with the first truth that
+is not before its arrival: without latency, with the truth that closes its interval. The messages of one truth are
+published in order of validity; those of one validity in the order of ``SIMULATED``. Messages that have not arrived when
+the run ends are lost.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from heapq import heapify, heappush, heapreplace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ltv_mpc.localisation.sensor_config import SensorConfig
-from ltv_mpc.messages import (
-    AdcpPing,
-    BottomTrack,
-    CompassHeading,
-    Estimate,
-    GnssFix,
-    ImuSample,
-    LblRange,
-    Message,
-    PressureDepth,
-    TdcpFix,
-    Truth,
-    UsblFix,
-)
+from ltv_mpc.localisation.sensors import BY_NAME
+from ltv_mpc.localisation.sensors.settings import latency_ns
+from ltv_mpc.messages import Estimate, Message, Truth
 from ltv_mpc.node import Due, Inbox, OnMessage
 from sim.scenario import Scenario
-from sim.sensors.adcp import Instrument, Profiler
-from sim.sensors.bottom_track import BottomTracker
-from sim.sensors.compass import MagneticCompass
-from sim.sensors.gnss import GnssReceiver
+from sim.sensors import SIMULATED
 from sim.sensors.imu import InertialUnit
-from sim.sensors.lbl import AcousticTransceiver, arrival_ns
 from sim.sensors.perfect import PerfectState
-from sim.sensors.pressure import PressureGauge
-from sim.sensors.tdcp import CarrierPhaseReceiver
-from sim.sensors.usbl import ShipTransceiver
-from sim.sensors.vehicle_state import Motion, VehicleState, through
+from sim.sensors.simulated import Environment, InterrogatingSensor, SimulatedSensor
+from sim.sensors.vehicle_state import Motion, motions_between
 from sim.water import WaterColumn
 
 
-class Sensor(Protocol):
-    """Something that measures at an instant."""
-
-    def sample(self, now: VehicleState) -> Sequence[Message]:
-        """What it says, if anything."""
-        ...
-
-
 class _Mounted(NamedTuple):
-    """A sensor that samples at k x ``period_ns``, which need not divide the truth's."""
+    """A sensor that samples at k x ``period_ns``, which need not divide the period of the truth."""
 
-    sensor: Sensor
+    sensor: SimulatedSensor
     period_ns: int
     latency_ns: int
 
 
-class _OnTheWay(NamedTuple):
+class _UnderWay(NamedTuple):
     """A message that has not been published yet."""
 
     t_ns: int  # of validity
@@ -70,7 +46,7 @@ class _OnTheWay(NamedTuple):
 
 
 class Sensors:
-    """Reads ``Truth``; writes the messages of every sensor there is, and ``Estimate`` where a perfect one is wanted."""
+    """Node that reads ``Truth`` and writes the messages of every sensor, or ``Estimate`` for a perfect state."""
 
     name = "sensors"
     schedule = OnMessage((Truth,))
@@ -82,57 +58,48 @@ class Sensors:
         suite: SensorConfig,
         water: WaterColumn,
         *,
-        heard: frozenset[type[Message]] | None = None,
+        needed: frozenset[type[Message]] | None = None,
     ) -> None:
-        """Each sensor draws from its own stream of the scenario's seed.
+        """Create the sensors whose messages are in ``needed``; None: all.
 
-        So those whose messages are not among ``heard`` may be left out, and what the others say stays the same.
+        Each sensor draws from its own stream of the scenario's seed, so a missing sensor does not change the others.
         """
-        seed, bottom_m = scenario.run.seed, scenario.water.bottom_m
+        environment = Environment(suite, scenario.run.seed, water, scenario.water.bottom_m)
         writes: list[type[Message]] = []
-        # In this order they speak at one instant: the IMU's interval is over before anyone measures at its end.
         self._mounted: list[_Mounted] = []
-
-        def mount(kind: type[Message], period_ns: int, sensor: Sensor, latency_ns: int = 0) -> None:
-            if heard is not None and kind not in heard:
-                return
-            writes.append(kind)
-            self._mounted.append(_Mounted(sensor, period_ns, latency_ns))
-
-        imu, gnss, tdcp, adcp = suite.imu, suite.gnss, suite.tdcp, suite.adcp
-        instrument = Instrument(adcp, seed)
-        mount(ImuSample, imu.period_ns, InertialUnit(imu, suite.latitude_rad, seed))
-        mount(GnssFix, gnss.period_ns, GnssReceiver(gnss, seed), gnss.latency_ns)
-        mount(TdcpFix, tdcp.period_ns, CarrierPhaseReceiver(tdcp, seed, gnss.lever_arm_m), tdcp.latency_ns)
-        mount(AdcpPing, adcp.period_ns, Profiler(instrument, water, seed, bottom_m), adcp.latency_ns)
-        if (bed := suite.bottom_track) is not None:
-            mount(BottomTrack, bed.period_ns, BottomTracker(bed, instrument, bottom_m, seed), bed.latency_ns)
-        mount(PressureDepth, suite.pressure.period_ns, PressureGauge(suite.pressure, seed), suite.pressure.latency_ns)
-        mount(CompassHeading, suite.compass.period_ns, MagneticCompass(suite.compass, seed), suite.compass.latency_ns)
-        if (usbl := suite.usbl) is not None:
-            mount(UsblFix, usbl.period_ns, ShipTransceiver(usbl, seed), usbl.latency_ns)
-        self._lbl: AcousticTransceiver | None = None
-        if (lbl := suite.lbl) is not None:
-            self._lbl = AcousticTransceiver(lbl, seed)
-            mount(LblRange, lbl.period_ns, self._lbl)
-        if scenario.run.perfect_state:
+        self._by_name: dict[str, SimulatedSensor] = {}
+        for name, make in SIMULATED.items():
+            settings, message = getattr(suite, name), BY_NAME[name].message
+            if settings is not None and (needed is None or message in needed):
+                sensor = self._by_name[name] = make(settings, environment)
+                self._mounted.append(_Mounted(sensor, settings.period_ns, latency_ns(settings) or 0))
+                writes.append(message)
+        if scenario.run.perfect_state and (needed is None or Estimate in needed):
             estimator = scenario.estimator
-            mount(Estimate, estimator.estimate_period_ns, PerfectState(estimator, water))
+            perfect = PerfectState(estimator, water)
+            self._mounted.append(_Mounted(perfect, estimator.estimate_period_ns, 0))
+            writes.append(Estimate)
         self.writes: tuple[type[Message], ...] = tuple(writes)
-        self._on_the_way: list[_OnTheWay] = []
+        self._interrogating = [x for x in self._by_name.values() if isinstance(x, InterrogatingSensor)]
+        self._under_way: list[_UnderWay] = []
         self._last: Truth | None = None
-        self._motion: Motion | None = None  # the newest that was looked at
+        self._motion: Motion | None = None  # the newest that was computed
         self._due: list[tuple[int, int]] = []  # heap of each sensor's next sample: its time, the sensor's order
 
     @property
-    def sensors(self) -> tuple[Sensor, ...]:
-        """The sensors, in the order in which they speak at one instant."""
+    def by_name(self) -> Mapping[str, SimulatedSensor]:
+        """Sensors by their name in the registry, in the order in which they publish at one instant."""
+        return self._by_name
+
+    @property
+    def sensors(self) -> tuple[SimulatedSensor, ...]:
+        """All sensors, that of a perfect state included, in the order in which they publish at one instant."""
         return tuple(mounted.sensor for mounted in self._mounted)
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """What has arrived since the last truth, in order of validity.
+        """Return the messages that have arrived since the last truth, in order of validity.
 
-        Where the inertial unit measures at every truth, its samples are made at once.
+        If the inertial unit measures at every truth, its samples are computed at once.
         """
         if len(due) == 1:  # as in a process, where looking for several costs more than it saves
             return [self._step(due[0][1])]
@@ -142,34 +109,34 @@ class Sensors:
             return [self._step(inbox) for _, inbox in due]
         assert self._last is not None
         ends = [self._last, *truths]
-        motions = through(ends, self._motion)
+        motions = motions_between(ends, self._motion)
         samples = imu.samples([end.t_ns for end in ends], motions.rotation, [end.velocity_mps for end in ends])
         self._last, self._motion = truths[-1], motions[len(truths) - 1]
         self._due = [(t_ns, order) for t_ns, order in self._due if order]
         heapify(self._due)
-        signals: list[list[Message]] = []
+        messages: list[list[Message]] = []
         for k, sample in enumerate(samples):
             t_ns = sample.t_ns
-            if self._on_the_way or (self._due and self._due[0][0] <= t_ns):
-                self._on_the_way.append(_OnTheWay(t_ns, 0, t_ns, sample))
+            if self._under_way or (self._due and self._due[0][0] <= t_ns):
+                self._under_way.append(_UnderWay(t_ns, 0, t_ns, sample))
                 self._sample(motions[k], t_ns)
-                signals.append(self._arrived(t_ns))
+                messages.append(self._arrived(t_ns))
             else:
-                signals.append([sample])
+                messages.append([sample])
         heappush(self._due, (truths[-1].t_ns + self._mounted[0].period_ns, 0))
-        return signals
+        return messages
 
     def _step(self, inbox: Inbox) -> list[Message]:
-        signals: list[Message] = []
+        messages: list[Message] = []
         for arrival in inbox:
             if isinstance(arrival.message, Truth) and (self._last is None or arrival.message.t_ns > self._last.t_ns):
-                signals += self._measure(arrival.message)
-        return signals
+                messages += self._measure(arrival.message)
+        return messages
 
     def _is_measured_at(self, truths: Sequence[Truth], imu: InertialUnit) -> bool:
-        """At each of them, and nowhere else, the inertial unit, the first of the sensors, is due."""
+        """Return True if the inertial unit, the first of the sensors, is due at each truth and at no other time."""
         period_ns, last = self._mounted[0].period_ns, self._last
-        if last is None or self._lbl is not None or not imu.has_begun:
+        if last is None or self._interrogating or not imu.has_begun:
             return False
         first_ns = last.t_ns + period_ns
         stamps = [truth.t_ns for truth in truths]
@@ -181,28 +148,29 @@ class Sensors:
             periods = [mounted.period_ns for mounted in self._mounted]
             self._due = [(-(-truth.t_ns // period) * period, order) for order, period in enumerate(periods)]
             heapify(self._due)
-            return []  # whatever of it is due comes with the next truth
-        if self._lbl is not None or (self._due and self._due[0][0] <= truth.t_ns):
-            self._motion = through([last, truth], self._motion)[0]
+            return []  # measurements that are due now follow with the next truth
+        if self._interrogating or (self._due and self._due[0][0] <= truth.t_ns):
+            self._motion = motions_between([last, truth], self._motion)[0]
             self._sample(self._motion, truth.t_ns)
-        return self._arrived(truth.t_ns) if self._on_the_way else []
+        return self._arrived(truth.t_ns) if self._under_way else []
 
     def _sample(self, motion: Motion, until_ns: int) -> None:
-        """Every sample up to ``until_ns``, in order of time, then of the sensors."""
-        due, on_the_way = self._due, self._on_the_way
+        """Take every sample up to ``until_ns``, in order of time, then of the sensors."""
+        due, under_way = self._due, self._under_way
         while due and due[0][0] <= until_ns:
             t, order = due[0]
-            sensor, period_ns, latency_ns = self._mounted[order]
+            sensor, period_ns, latency = self._mounted[order]
             heapreplace(due, (t + period_ns, order))
-            for said in sensor.sample(motion.at(t)):
-                on_the_way.append(_OnTheWay(t, order, t + latency_ns, said))
-        if self._lbl is not None:
-            answers = self._lbl.answers(motion, until_ns)
-            on_the_way += [_OnTheWay(x.t_ns, len(self._mounted), arrival_ns(x), x) for x in answers]
+            for message in sensor.sample(motion.at(t)):
+                under_way.append(_UnderWay(t, order, t + latency, message))
+        for order, interrogating in enumerate(self._interrogating, len(self._mounted)):
+            answers = interrogating.answers(motion, until_ns)
+            under_way += [_UnderWay(x.t_ns, order, interrogating.arrival_ns(x), x) for x in answers]
 
     def _arrived(self, until_ns: int) -> list[Message]:
-        here = [message for message in self._on_the_way if message.arrival_ns <= until_ns]
-        self._on_the_way = [message for message in self._on_the_way if message.arrival_ns > until_ns]
+        """Return the messages that have arrived by ``until_ns``, and forget them."""
+        here = [x for x in self._under_way if x.arrival_ns <= until_ns]
+        self._under_way = [x for x in self._under_way if x.arrival_ns > until_ns]
         if len(here) > 1:
-            here.sort(key=lambda message: message[:2])
-        return [message.message for message in here]
+            here.sort(key=lambda x: x[:2])
+        return [x.message for x in here]

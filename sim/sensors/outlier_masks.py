@@ -1,14 +1,16 @@
-"""Which numbers of a sensor's last messages were made wild: whoever judges a filter leaves them out."""
+"""Record of the measurements that were made outliers, so that an evaluation of the filter can leave them out."""
 
 from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 Mask = npt.NDArray[np.bool_]
 
-KEPT = 1024
-"""Messages that are remembered: all that can be on their way at the shortest period and the longest latency."""
+MAX_MASKS = 1024
+"""More than the messages that can be under way at the shortest period and the longest latency."""
 
 
 class OutlierMasks:
@@ -18,11 +20,18 @@ class OutlierMasks:
         self._masks: dict[int, Mask] = {}
 
     def put(self, t_ns: int, mask: Mask) -> None:
-        """Of the message of ``t_ns``; the shape is that of its measurements."""
+        """Store the mask of the message of ``t_ns``; its shape is that of the measurements."""
         self._masks[t_ns] = mask
-        if len(self._masks) > KEPT:
+        if len(self._masks) > MAX_MASKS:
             del self._masks[next(iter(self._masks))]
 
     def at(self, t_ns: int) -> Mask | None:
-        """The mask, or None where there was no such message or it is long ago."""
+        """Return the mask of the message of ``t_ns``; None if there was no such message or it is too old."""
         return self._masks.get(t_ns)
+
+
+@runtime_checkable
+class HasOutliers(Protocol):
+    """A simulated sensor that has outliers."""
+
+    outlier_masks: OutlierMasks

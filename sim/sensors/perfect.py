@@ -1,4 +1,4 @@
-"""The truth as an estimate: what a controller does when localisation is not the question."""
+"""Perfect estimate: the true state in place of an estimator, for runs in which localisation is not the question."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from sim.water import WaterColumn
 
 
 class PerfectState:
-    """State without error, and the true current in the estimator's cells with a standard deviation of 0."""
+    """State without error, and the true current at the estimator's grid points with a standard deviation of 0."""
 
     def __init__(self, settings: EstimatorConfig, water: WaterColumn) -> None:
-        """Depths 0, cell, 2 cell, ... down to the first at or below the deepest."""
+        """Set the grid: depths 0, cell, 2 cell, ... down to the first at or below the deepest."""
         self._water = water
         cells = math.ceil(settings.deepest_m / settings.cell_m - 1e-9)
         self._depth = settings.cell_m * np.arange(cells + 1, dtype=np.float64)
         self._sd = np.zeros(cells + 1)
 
     def sample(self, now: VehicleState) -> list[Estimate]:
-        """The truth now."""
+        """Return the true state now."""
         current = self._water.over(self._depth, now.t_ns)
         return [
             Estimate(

@@ -1,4 +1,4 @@
-"""Time-differenced carrier phase: the antenna's change of position since the epoch before, while afloat: t <= 0.
+"""Time-differenced carrier phase: the antenna's displacement since the last epoch, at the surface: t <= 0.
 
 d_m = a(t) - a(t - period) + N(0, sd^2),  a = p + R l,  north and east, white from fix to fix
 """
@@ -12,16 +12,16 @@ from sim.sensors.vehicle_state import VehicleState
 
 
 class CarrierPhaseReceiver:
-    """Two epochs make the first fix: a surface phase of 1 s at 1 Hz has one, at t = 0."""
+    """Carrier phase receiver. Its first message needs two epochs: a surface phase of 1 s at 1 Hz has one, at t = 0."""
 
     def __init__(self, settings: Tdcp, seed: int, antenna_m: Triple = (0.0, 0.0, 0.0)) -> None:
-        """Noise is drawn from its own stream; ``antenna_m`` is the satellite receiver's lever arm."""
+        """Create a receiver that draws its noise from a stream of its own; ``antenna_m`` is the GNSS lever arm."""
         self._sd, self._draws = settings.displacement_sd_m, generator(seed, Stream.TDCP)
         self._antenna = antenna_m
         self._last: tuple[int, Triple] | None = None
 
     def sample(self, now: VehicleState) -> list[TdcpFix]:
-        """The way since the last epoch, as long as there are satellites."""
+        """Return the displacement since the last epoch while the vehicle is at the surface."""
         if now.t_ns > 0:
             return []
         here = now.point_m(self._antenna)

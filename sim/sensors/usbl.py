@@ -1,11 +1,11 @@
-"""Ultra-short baseline: a ship at the surface measures where the vehicle's beacon is, and sends it down.
+"""Ultra-short baseline: a ship at the surface measures the position of the vehicle's beacon, and sends it down.
 
 Beacon  a = p + R l;  ship S = [north, east, 0], known without error
-Truth   a north and east; its depth the vehicle knows better
-Errors  + N(0, sd_p^2 + (sd_bearing |a - S|)^2)        north and east, white: an angle's grows with the slant range
-        +- outlier                                     on a share of either: a reflection taken for the beacon
-Lost    a share of the fixes; all while the beacon is out of the water
-The message arrives ``latency_ns`` after its validity: the sound's way up, the ship's sums, and the telegram down.
+Truth   a, north and east; the vehicle knows its depth better
+Errors  + N(0, sd_p^2 + (sd_bearing |a - S|)^2)        north and east, white; the angle's part grows with the range
+        +- outlier                                     on a share of the fixes: a reflection instead of the beacon
+Lost    a share of the fixes; all fixes while the beacon is out of the water
+The message arrives ``latency_ns`` after its validity: sound on its way up, processing on the ship, transmission down.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from sim.sensors.vehicle_state import VehicleState
 
 
 class ShipTransceiver:
-    """``outlier_masks`` has the outliers (2,) of each fix."""
+    """USBL transceiver on a ship. ``outlier_masks`` holds the outliers (2,) of each fix."""
 
     def __init__(self, settings: Usbl, seed: int) -> None:
-        """Noise, gaps and outliers are drawn at each fix."""
+        """Create a transceiver that draws noise, losses and outliers from a stream of its own."""
         self._settings, self._draws = settings, generator(seed, Stream.USBL)
         self.outlier_masks = OutlierMasks()
 
     def sample(self, now: VehicleState) -> list[UsblFix]:
-        """Where the ship takes the beacon to be now."""
+        """Return the position of the beacon as the ship measures it now."""
         settings = self._settings
-        # Everything is drawn at every fix, so that no setting moves another's numbers.
+        # Everything is drawn at every fix, so that no setting changes the random numbers of another.
         noise = self._draws.standard_normal(2)
         lost = self._draws.random() < settings.missing_share
         wild = self._draws.random(2)

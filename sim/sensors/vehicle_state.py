@@ -1,4 +1,4 @@
-"""The true motion at any instant between two truths.
+"""True motion at any instant between two truths.
 
 Over the interval h between two truths: R(t1 + s h) = R1 exp(s phi), phi = log(R1^T R2), so the body's angular rate is
 w = phi / h; position and velocity are linear (at 100 Hz and 0.3 m/s2 that is off by less than 4 um and 4 um/s).
@@ -21,7 +21,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 class VehicleState(msgspec.Struct, frozen=True, eq=False):
-    """Where the vehicle is and how it moves. ``rotation`` is body to world, ``angular_rate_radps`` in body axes."""
+    """True pose and motion. ``rotation`` is body to world, ``angular_rate_radps`` in body axes."""
 
     t_ns: int
     position_m: Triple
@@ -31,20 +31,20 @@ class VehicleState(msgspec.Struct, frozen=True, eq=False):
     heading_rate_radps: float
 
     def point_m(self, lever_m: Triple) -> Triple:
-        """Where the vehicle's point ``lever_m`` (FRD) is: p + R l, NED."""
+        """Return the position of the vehicle's point ``lever_m`` (FRD): p + R l, NED."""
         if lever_m == _ORIGIN:
             return self.position_m
         return _plus(self.position_m, self.rotation @ np.array(lever_m))
 
     def point_velocity_mps(self, lever_m: Triple) -> Triple:
-        """How it moves over ground: v + R (w x l), NED."""
+        """Return the velocity over ground of the vehicle's point ``lever_m``: v + R (w x l), NED."""
         if lever_m == _ORIGIN:
             return self.velocity_mps
         return _plus(self.velocity_mps, self.rotation @ np.cross(self.angular_rate_radps, lever_m))
 
 
 class Motion(NamedTuple):
-    """Between two truths."""
+    """Motion between two truths."""
 
     earlier: Truth
     later: Truth
@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     rate: Array  # (3,) phi / h
 
     def at(self, t_ns: int) -> VehicleState:
-        """The instant ``t_ns``, from that of the earlier truth to that of the later one."""
+        """Return the state at ``t_ns``, between the times of the two truths."""
         a, b = self.earlier, self.later
         if t_ns == b.t_ns:
             return VehicleState(t_ns, b.position_m, b.velocity_mps, self.R2, self.rate, b.yaw_rate_radps)
@@ -63,14 +63,14 @@ class Motion(NamedTuple):
             t_ns,
             _mix(a.position_m, b.position_m, s),
             _mix(a.velocity_mps, b.velocity_mps, s),
-            turned(self.R1, self.phi, s),
+            interpolated_rotation(self.R1, self.phi, s),
             self.rate,
             a.yaw_rate_radps + s * (b.yaw_rate_radps - a.yaw_rate_radps),
         )
 
 
 class Motions:
-    """From each of K + 1 truths to the next: a motion is made when it is asked for."""
+    """Motions between K + 1 successive truths. A motion is computed when it is indexed."""
 
     def __init__(self, truths: Sequence[Truth], rotation: Array, phi: Array, rate: Array) -> None:
         """``rotation`` (K+1, 3, 3), ``phi`` and ``rate`` (K, 3) as in ``Motion``."""
@@ -81,22 +81,23 @@ class Motions:
         return len(self._phi)
 
     def __getitem__(self, k: int) -> Motion:
-        """From truth k to the next, k >= 0."""
+        """Return the motion from truth k to the next, k >= 0."""
         if k >= len(self):
             raise IndexError(k)
         R = self.rotation
         return Motion(self.truths[k], self.truths[k + 1], R[k], R[k + 1], self._phi[k], self._rate[k])
 
 
-def through(truths: Sequence[Truth], before: Motion | None = None) -> Motions:
-    """From each truth to the next, which must be after it. ``before``: the motion that ended with the first, if it is
-    at hand.
+def motions_between(truths: Sequence[Truth], before: Motion | None = None) -> Motions:
+    """Return the motions from each truth to the next, which must be later.
+
+    ``before`` is the motion that ended with the first truth, if it is known: its rotation is then not computed again.
     """
     first = truths[0]
     R1 = before.R2 if before is not None and before.later is first else rotation(*first.attitude_rad)
     attitude = np.array([truth.attitude_rad for truth in truths[1:]])
     t_ns = np.array([truth.t_ns for truth in truths])
-    return Motions(truths, *turned_through(R1, attitude, (t_ns[1:] - t_ns[:-1]) * 1e-9))
+    return Motions(truths, *rotations_and_rates(R1, attitude, (t_ns[1:] - t_ns[:-1]) * 1e-9))
 
 
 def _plus(a: Triple, b: Array) -> Triple:
@@ -109,8 +110,11 @@ def _mix(a: Triple, b: Triple, s: float) -> Triple:
 
 
 @jit
-def turned_through(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, Array]:
-    """R1 and then R of each attitude (K, 3), together (K+1, 3, 3); phi = log(R_k^T R_k+1) and w = phi / h, (K, 3)."""
+def rotations_and_rates(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, Array]:
+    """Return rotations (K+1, 3, 3), phi = log(R_k^T R_k+1) (K, 3) and w = phi / h (K, 3).
+
+    The rotations are R1 and those of the attitudes (K, 3); ``h`` (K,) are the intervals (s).
+    """
     K = len(h)
     R, phi, w = np.empty((K + 1, 3, 3)), np.empty((K, 3)), np.empty((K, 3))
     here = so3.read(R1)
@@ -125,6 +129,6 @@ def turned_through(R1: Array, attitude: Array, h: Array) -> tuple[Array, Array, 
 
 
 @jit
-def turned(R1: Array, phi: Array, s: float) -> Array:
-    """R1 exp(s phi), shape (3, 3)."""
+def interpolated_rotation(R1: Array, phi: Array, s: float) -> Array:
+    """Return R1 exp(s phi), (3, 3)."""
     return R1 @ rotation_exp(s * phi)

@@ -33,8 +33,8 @@ from services.tools.faults import schedule
 from tests.docs.pages import NAMES, ROOT, Command, blocks, commands, prose, spoken
 
 RUN_HERE = {"sh", "python", "toml"}
-SHOWN = {"text", "{toctree}", "{eval-rst}", "{include}"}
-"""Outputs, equations and drawings; the site's own directives."""
+SHOWN = {"text", "diff", "{toctree}", "{eval-rst}", "{include}"}
+"""Outputs, equations and drawings; changes of the code (test_add_sensor.py builds them); the site's own directives."""
 
 UNTIL_STOPPED = "a process that runs until it is stopped; tests/system, tests/services/launch start it"
 MINUTES = "takes minutes; a short one is run by"

@@ -42,6 +42,7 @@ SENSORS: tuple[AnySensor, ...] = tuple(
 """Every sensor that the estimator knows, in the order of the registry."""
 
 BY_MESSAGE: Mapping[type[Any], AnySensor] = {sensor.message: sensor for sensor in SENSORS}
+BY_NAME: Mapping[str, AnySensor] = {sensor.name: sensor for sensor in SENSORS}
 
 
 def fitted(tables: SensorTables) -> Iterator[tuple[AnySensor, SensorSettings]]:

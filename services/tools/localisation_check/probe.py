@@ -29,13 +29,10 @@ from sim.evaluation.consistency import TrueState, drawn, nees, nodes_around, squ
 from sim.evaluation.cramer_rao_bound import Trajectory, bound
 from sim.scheduler import LockStep
 from sim.sensors.adcp import Profiler, beams
-from sim.sensors.bottom_track import BottomTracker
 from sim.sensors.compass import MagneticCompass
 from sim.sensors.imu import InertialUnit
-from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.node import Sensors
-from sim.sensors.outlier_masks import OutlierMasks
-from sim.sensors.usbl import ShipTransceiver
+from sim.sensors.outlier_masks import HasOutliers
 
 LOOK_NS = 1_000_000_000
 TRACK_NS = 100_000_000
@@ -43,9 +40,6 @@ TRACK_NS = 100_000_000
 
 EIGENVALUE_NS = 10_000_000_000
 """Between two looks at the least eigenvalue, which takes as long as ten of the other looks."""
-
-_WILD = {Profiler: "adcp", BottomTracker: "bottom_track", ShipTransceiver: "usbl", AcousticTransceiver: "lbl"}
-"""Sensors that have outliers, by their name in a verdict."""
 
 N = TypeVar("N")
 
@@ -133,10 +127,8 @@ class Probe:
         units = sensors.sensors
         self.imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
         self._compass = _the(MagneticCompass, units)
-        self._injected: dict[str, OutlierMasks] = {
-            _WILD[type(unit)]: unit.outlier_masks
-            for unit in units
-            if isinstance(unit, Profiler | BottomTracker | ShipTransceiver | AcousticTransceiver)
+        self._outlier_masks = {
+            name: unit.outlier_masks for name, unit in sensors.by_name.items() if isinstance(unit, HasOutliers)
         }
         config = run_config.scenario.estimator
         self._grid, self._cell_m = grid(config), config.cell_m
@@ -253,7 +245,7 @@ class Probe:
     def _judge(self, verdict: Innovations) -> None:
         """Record the NIS of one message before the gate; simulated outliers are left out."""
         good = np.ones(len(verdict.residual), dtype=bool)
-        outlier_masks = self._injected.get(verdict.sensor)
+        outlier_masks = self._outlier_masks.get(verdict.sensor)
         if outlier_masks is not None and (wild := outlier_masks.at(verdict.t_ns)) is not None:
             good = ~(wild.ravel()[verdict.indices] if wild.size > 1 else wild)
         if good.any():

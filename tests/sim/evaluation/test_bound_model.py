@@ -23,7 +23,7 @@ from sim.evaluation.cramer_rao_bound.model import (
     ErrorModel,
     Instant,
 )
-from sim.sensors.adcp import beam_velocities, beams
+from sim.sensors.adcp import Transducer, Water, beam_velocities, beams
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
@@ -109,19 +109,15 @@ def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
         M = rotation_exp(e[MOUNTING]) @ rotation(*adcp.mounting_rad)
         column = water + np.column_stack([e[WATER : WATER + 21], e[WATER + 21 :]])
         turned = rotation_exp(e[ATTITUDE]) @ R
-        b = beam_velocities(
-            float(p[2] + e[2]),
-            tuple((v + e[VELOCITY]).tolist()),
-            turned,
-            np.zeros(3),
-            np.array(adcp.lever_arm_m),
-            np.ascontiguousarray(beams(adcp.beam_angle_rad) @ M.T),
-            ranges,
-            depths,
-            column,
-            column,
-            0.0,
+        transducer = Transducer(
+            depth_m=float(p[2] + e[2]),
+            velocity_mps=tuple((v + e[VELOCITY]).tolist()),
+            R=turned,
+            rate_radps=np.zeros(3),
+            lever_m=np.array(adcp.lever_arm_m),
+            beams=np.ascontiguousarray(beams(adcp.beam_angle_rad) @ M.T),
         )
+        b = beam_velocities(transducer, ranges, Water(depths, column, column, 0.0))
         biases = e[BEAM_BIAS][:, None] + e[NEAR_BIAS][:, None] * np.exp(-ranges / adcp.near_bias_length_m)
         return (b + biases).ravel()
 

@@ -27,7 +27,7 @@ from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import Plant
 from sim.scenario import Scenario
 from sim.sensors.node import Sensors
-from sim.sensors.vehicle_state import through
+from sim.sensors.vehicle_state import motions_between
 from sim.water import make
 from tests.stepping import step
 
@@ -128,10 +128,10 @@ def test_a_slower_truth_gives_the_same_sample_times():
 def test_between_two_truths_the_attitude_turns_about_one_axis_and_the_rest_is_linear():
     world = truths(scenario(), -900 * MS)
     a, b, c = world[2], world[3], world[4]
-    instant = through([a, c])[0].at(b.t_ns)
+    instant = motions_between([a, c])[0].at(b.t_ns)
     np.testing.assert_allclose(instant.position_m, b.position_m, atol=1e-6)
     np.testing.assert_allclose(instant.velocity_mps, b.velocity_mps, atol=1e-5)
-    exact = through([a, b])[0].at(b.t_ns)
+    exact = motions_between([a, b])[0].at(b.t_ns)
     np.testing.assert_allclose(instant.rotation, exact.rotation, atol=5e-6)
     # The body's rate by Euler's equations from rates of roll, pitch, heading
     roll, pitch, _ = b.attitude_rad

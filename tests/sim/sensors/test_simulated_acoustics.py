@@ -14,9 +14,9 @@ from ltv_mpc import frames
 from ltv_mpc.localisation.sensors.lbl import Lbl
 from ltv_mpc.localisation.sensors.usbl import Usbl
 from ltv_mpc.messages import Truth
-from sim.sensors.lbl import AcousticTransceiver, arrival_ns
+from sim.sensors.lbl import AcousticTransceiver
 from sim.sensors.usbl import ShipTransceiver
-from sim.sensors.vehicle_state import VehicleState, through
+from sim.sensors.vehicle_state import VehicleState, motions_between
 
 MS, S = 1_000_000, 1_000_000_000
 LBL = Lbl(
@@ -74,7 +74,7 @@ def said_along(settings, *, seed=1, step_ns=10 * MS, until_s=3.0):
     said = []
     called_ns = 123 * MS
     for at in range(0, round(until_s * S), step_ns):
-        (motion,) = through([path(at / S), path((at + step_ns) / S)])
+        (motion,) = motions_between([path(at / S), path((at + step_ns) / S)])
         if at < called_ns <= at + step_ns:
             assert transceiver.sample(motion.at(called_ns)) == []
         said += [(at + step_ns, message) for message in transceiver.answers(motion, at + step_ns)]
@@ -93,7 +93,7 @@ def test_the_sound_returns_to_where_the_vehicle_is_by_then(step_ns):
         home = brentq(lambda t, P=P, since=reached: c * (t - since) - np.linalg.norm(head(t) - P), 0.2, 3.0, xtol=1e-14)
         assert message.travel_time_s == pytest.approx(home - 0.123, abs=2e-9)
         assert message.t_ns == pytest.approx(0.5e9 * (0.123 + home), abs=5)
-        assert arrival_ns(message) == pytest.approx(home * 1e9, abs=5)
+        assert transceiver.arrival_ns(message) == pytest.approx(home * 1e9, abs=5)
         assert at_ns - step_ns < home * 1e9 <= at_ns
     near, far = said[0][1], said[1][1]
     assert (near.transponder, far.transponder) == (1, 0)
@@ -114,7 +114,7 @@ def calls(settings, count, *, seed=1):
     transceiver = AcousticTransceiver(settings, seed)
     heard = np.full((count, len(settings.transponders_m)), np.nan)
     wild = np.zeros_like(heard, dtype=bool)
-    (still,) = through([truth(0), truth(2 * S)])
+    (still,) = motions_between([truth(0), truth(2 * S)])
     for k in range(count):
         transceiver.sample(still.at(0))
         for message in transceiver.answers(still, 2 * S):
@@ -167,13 +167,13 @@ def test_a_tenth_of_the_answers_is_lost_and_a_twentieth_longer_but_never_shorter
 
 def test_no_range_with_the_head_out_of_water_or_from_a_far_transponder():
     out = AcousticTransceiver(LBL, 1)
-    (world,) = through([truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3))])
+    (world,) = motions_between([truth(0, position=(0.0, 0.0, 0.3)), truth(S, position=(0.0, 0.0, 0.3))])
     out.sample(world.at(0))  # 0.4 m above the origin, at 0.3 m
     assert out.answers(world, S) == []
     far = msgspec.structs.replace(LBL, **PERFECT, transponders_m=((46_000.0, 0.0, 60.0), (100.0, 0.0, 60.0)))
     transceiver = AcousticTransceiver(far, 1)
-    transceiver.sample(through([truth(0), truth(S)])[0].at(0))
-    motions = through([truth(k * S) for k in range(71)])
+    transceiver.sample(motions_between([truth(0), truth(S)])[0].at(0))
+    motions = motions_between([truth(k * S) for k in range(71)])
     said = [x for motion in motions for x in transceiver.answers(motion, motion.later.t_ns)]
     assert [message.transponder for message in said] == [1]
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from ltv_mpc import frames, so3
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from sim.attitude import Attitude
-from sim.sensors.drift import Drift
+from sim.sensors.gauss_markov import GaussMarkovBias
 from sim.sensors.imu import InertialUnit, increments
 from sim.sensors.vehicle_state import VehicleState
 
@@ -131,7 +131,7 @@ def test_over_many_units_the_biases_have_the_tables_size(suite):
 
 def test_a_drift_keeps_its_size_and_forgets_with_its_time_constant():
     draws = np.random.default_rng(2)
-    drift = Drift(0.3, 100.0, 20_000, draws)
+    drift = GaussMarkovBias(0.3, 100.0, 20_000, draws)
     first = drift.value.copy()
     for _ in range(10):
         drift.advance(10.0)
