@@ -560,7 +560,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         no_screening("stale"),
         (CLOCK_BACK,),
         (*ERRORS, "no estimate"),
-        ("sensor_screening.py:SensorScreening._went_back",),
+        ("sensor_screening.py:SensorScreening._is_stale",),
     ),
     *of(
         "window of depths",

@@ -1,8 +1,8 @@
-"""A filter's belief as a message, and back: what a process that is started anew goes on from.
+"""Checkpoint: a filter's belief as a message, and back. A restarted process continues from it.
 
-Whole     the states with their covariance, and what belongs to the water beside them (``column.py``).
-Left out  what forgets within seconds or says only how well it goes: snapshots to go back to, sums of innovations, the
-          health's windows. A filter that goes on from a checkpoint gathers them anew.
+Included      the states with their covariance, and the data of the water beside them (``column.py``)
+Not included  data that lose their meaning within seconds or only rate the filter: snapshots, sums of innovations, the
+              windows of the health monitor. A filter that continues from a checkpoint collects them again.
 """
 
 from __future__ import annotations
@@ -26,14 +26,28 @@ from ltv_mpc.messages import DroppedGridPoint, EstimatorState, to_wire
 
 
 def settings_of(suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:
-    """CRC-32 of all that decides which states there are and what they mean."""
-    own = msgspec.structs.replace(config, water_prior="")  # where it was read is nobody's business, what it says is
+    """Return the CRC-32 of all settings that decide which states exist and what they mean.
+
+    Parameters
+    ----------
+    suite : settings of the sensors.
+    config : settings of the filter.
+    prior : water known from an earlier dive; None: that of ``config``.
+    """
+    own = msgspec.structs.replace(config, water_prior="")  # the profile itself counts, not its path
     known = None if prior is None else asdict(prior)
     return zlib.crc32(msgspec.json.encode((suite, own, known), enc_hook=to_wire))
 
 
 def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> EstimatorState:
-    """Of this instant."""
+    """Return the checkpoint of a filter.
+
+    Parameters
+    ----------
+    filter_ : filter; it is not changed.
+    settings : result of ``settings_of``.
+    restarts : number of reinitialisations so far.
+    """
     belief = filter_.propagated_belief()
     column = belief.column
     return EstimatorState(
@@ -55,7 +69,13 @@ def checkpoint_of(filter_: ErrorStateFilter, settings: int, restarts: int) -> Es
 def belief_of(
     checkpoint: EstimatorState, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None
 ) -> Belief | None:
-    """The belief that ``checkpoint`` was made of; None where it is of other settings, or of no filter."""
+    """Return the belief of a checkpoint; None if its settings differ or its sizes do not fit.
+
+    Parameters
+    ----------
+    checkpoint : message of an earlier process.
+    suite, config, prior : settings as in ``settings_of``.
+    """
     layout = Layout.of(suite, config)
     n, cells = layout.size, layout.north.stop - layout.north.start
     seen, dropped, links = (

@@ -1,4 +1,4 @@
-"""[estimator]: what the filter assumes of the water, and how often it speaks."""
+"""[estimator]: assumptions of the filter about the water, and the rate of its estimates."""
 
 from __future__ import annotations
 
@@ -11,28 +11,26 @@ from ltv_mpc import config
 
 
 class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of the localisation filter; the sensors' own numbers are in the sensors file."""
+    """Settings of the localisation filter; those of the sensors are in the sensors file."""
 
     estimate_period_ns: Annotated[int, Meta(ge=10_000_000, le=10_000_000_000)] = 100_000_000
     current_sd_mps: Annotated[float, Meta(gt=0, le=5)] = 0.04  # prior of the Gauss-Markov profile
-    current_mean_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.1  # prior of what all depths have in common
+    current_mean_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.1  # prior of the part that all depths share
     current_correlation_length_m: Annotated[float, Meta(gt=0, le=1000)] = 8.0
     current_change_mps_per_rts: Annotated[float, Meta(ge=0, le=1)] = 0.0  # slow random walk of each cell in time
     cell_m: Annotated[float, Meta(gt=0, le=100)] = 1.0
     deepest_m: Annotated[float, Meta(gt=0, le=2000)] = 70.0
-    # How far behind the vehicle, above or below, cells are kept, besides those that a beam or a plan may reach. 70 m is
-    # all that a descent to 40 m ever sees. Cost grows as the square of what is kept.
+    # Distance above or below the vehicle over which cells are kept, beside those that a beam or a plan may reach. 70 m
+    # covers a whole descent to 40 m. The cost grows with the square of the number of cells.
     kept_m: Annotated[float, Meta(ge=0, le=2000)] = 70.0
     water_prior: str = ""  # a profile saved earlier, CSV with sd_mps and sd_common_mps; empty: the prior above
-    # By how much the water may have changed since, at each depth: an assumption, a quarter of current_sd_mps.
+    # Change of the water since that profile, at each depth: an assumption, a quarter of current_sd_mps.
     water_prior_change_sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.01
-    adapts_to_water: bool = (
-        True  # grants water that changes in unforeseen ways a walk of its own (``process_noise.py``)
-    )
-    afloat_acceleration_sd_mps2: Annotated[float, Meta(ge=0, le=10)] = 0.005  # horizontal, while it levels itself
+    adapts_to_water: bool = True  # inflates the process noise of water that changes unexpectedly (``process_noise.py``)
+    afloat_acceleration_sd_mps2: Annotated[float, Meta(ge=0, le=10)] = 0.005  # horizontal, during levelling
     gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
 
     @classmethod
     def load(cls, path: str) -> EstimatorConfig:
-        """A TOML file that holds the [estimator] table alone. Raises ``ConfigError``."""
+        """Read a TOML file that holds the [estimator] table alone. Raises ``ConfigError``."""
         return config.load(path, cls, what="estimator settings", package="ltv_mpc.localisation.settings")

@@ -1,19 +1,19 @@
-"""Health of the filter and of each sensor, from the innovations as they were before the gate.
+"""Health of the filter and of each sensor, from the innovations before the gate.
 
-Window  the last 10 s of each sensor: its rows, how many of them passed, and of those  x = r_i^2 / S_ii
-NIS     mean x of the rows that passed over what chi-square truncated at the gate g has,
-            E[x | x <= g] = F_3(g) / F_1(g),   F_k the distribution of chi-square of k degrees of freedom
-        so that outliers do not make a good sensor look bad: they count as refused.
-Band    of a sensor: chi-square of N degrees of freedom over N, at 1e-6 on either side. Rows of one message share the
-        vehicle's error; the sum of their x has the variance 2 sum rho_ij^2, rho their correlation in S, so that m rows
-        count as  N = m^2 / sum_ij rho_ij^2  independent ones (of a profiler some 50 of 56, 1500 in the window);
-        messages of a consistent filter are independent. One false alarm in a week.
-        Ranges and fixes from a ship come seldom and carry a second-order variance: for them only too large is wrong.
-Refused more than half of the rows of the window, of at least two messages.
-Filter  inconsistent when what ties its velocity or its depth down (profiler, bottom track, pressure) is refused, or
-        has innovations ``GROSS_NIS`` times as large as said, or two sensors at once are: then it is not the sensor that
-        is wrong; or it is, and the filter has no business without it. The compass alone is not reason enough, gyros are
-        better. Nor is a profiler a quarter noisier than its file says: that is the sensor's flag.
+Window        the last 10 s of each sensor: its rows, how many of them passed, and of those  x = r_i^2 / S_ii
+NIS           the mean x of the rows that passed, over its expectation for chi-square truncated at the gate g,
+                  E[x | x <= g] = F_3(g) / F_1(g),   F_k the distribution of chi-square of k degrees of freedom
+              Outliers count as rejected, so that they do not make a good sensor look bad.
+Limits        of a sensor's NIS: chi-square of N degrees of freedom over N, at 1e-6 on either side. The rows of one
+              message share the vehicle's error. The sum of their x has the variance 2 sum rho_ij^2, rho their
+              correlation in S, so that m rows count as  N = m^2 / sum_ij rho_ij^2  independent ones (of a profiler some
+              50 of 56, 1500 in the window). Messages of a consistent filter are independent. One false alarm a week.
+              Sensors that are not continuous have the upper limit alone (``sensors/sensor.py``).
+Rejected      A sensor is rejected if more than half of the rows in the window, of two messages or more, fail the gate.
+Inconsistent  The filter is inconsistent if an essential sensor (profiler, bottom track, pressure) is rejected, or its
+              NIS is above ``GROSS_NIS``, or if this is so of two sensors at once. Then the filter is wrong, or it
+              cannot do without the sensor. The compass alone is not sufficient, because gyros are better. A profiler
+              that is a quarter noisier than its file states is not sufficient either: its own status shows it.
 """
 
 from __future__ import annotations
@@ -38,19 +38,21 @@ from ltv_mpc.messages import Array, FilterStatus, SensorReport, SensorStatus
 WINDOW_NS = 10_000_000_000
 SILENT_PERIODS = 3
 MIN_MESSAGES = 3
-"""Messages below which a mean is not judged."""
+"""Minimum number of messages for which a mean is tested."""
 FALSE_ALARM = 1e-6
 GROSS_NIS = 2.3
-"""Upper end of the band of thirty messages, a window of pings, were all rows of a message one."""
+"""Upper limit of the NIS of thirty messages, a window of pings, if the rows of each counted as one."""
 ONLY_TOO_LARGE = frozenset(s.name for s in SENSORS if s.availability is not Availability.CONTINUOUS)
 ESSENTIAL = frozenset(s.name for s in SENSORS if s.is_essential)
 NOT_REJECTED = ("used", "deweighted", "late_applied")
-"""The first counts what the others do."""
+"""Outcomes of measurements that are used; the first counts the others too."""
 AT_SURFACE = frozenset(s.name for s in SENSORS if s.availability is Availability.SURFACE)
-"""Silent by design once the descent has begun."""
+"""Sensors whose silence is normal once the descent has begun."""
 
 
-class _Judged(NamedTuple):
+class _Record(NamedTuple):
+    """Innovations of one message."""
+
     t_ns: int
     rows: int
     passed: int
@@ -59,36 +61,50 @@ class _Judged(NamedTuple):
 
 
 class HealthMonitor:
-    """Hears every verdict once; asked once a second."""
+    """Monitor of the innovations, evaluated once a second."""
 
     def __init__(self, suite: SensorConfig, gate_probability: float) -> None:
-        """Sensors that ``suite`` does not have are not reported."""
+        """Create a monitor of the sensors that the vehicle has.
+
+        Parameters
+        ----------
+        suite : settings of the sensors.
+        gate_probability : probability with which a correct row passes the filter's gate.
+        """
         gate = float(chdtri(1, 1.0 - gate_probability))
         self._expected = float(chdtr(3, gate) / chdtr(1, gate))
         self._silent_ns = _silent_after(suite)
-        self._window: dict[str, deque[_Judged]] = {name: deque() for name in self._silent_ns}
+        self._window: dict[str, deque[_Record]] = {name: deque() for name in self._silent_ns}
         self._last_ns: dict[str, int] = {}
         self._reported: Mapping[str, int] = {}
-        self.broken = False  # a covariance of innovations was not positive definite: the filter's own is not either
+        self.broken = False
+        """True if a covariance of innovations was not positive definite, so that of the filter is not either."""
 
-    def observe(self, verdict: Innovations) -> None:
-        """What came of one message."""
-        window = self._window.get(verdict.sensor)
+    def observe(self, innovations: Innovations) -> None:
+        """Record the innovations of one message."""
+        window = self._window.get(innovations.sensor)
         if window is None:
             return
-        self.broken = self.broken or not verdict.definite
-        passed, squares, pairs = _judged(verdict.residual, verdict.S, verdict.accepted)
-        window.append(_Judged(verdict.t_ns, len(verdict.residual), passed, squares, pairs))
-        self._last_ns[verdict.sensor] = max(verdict.t_ns, self._last_ns.get(verdict.sensor, verdict.t_ns))
+        self.broken = self.broken or not innovations.definite
+        passed, squares, pairs = _statistics(innovations.residual, innovations.S, innovations.accepted)
+        window.append(_Record(innovations.t_ns, len(innovations.residual), passed, squares, pairs))
+        t_ns = innovations.t_ns
+        self._last_ns[innovations.sensor] = max(t_ns, self._last_ns.get(innovations.sensor, t_ns))
 
     def reset(self) -> None:
-        """The filter has begun anew: what the old one said of the sensors does not count."""
+        """Forget all innovations, because they belong to a filter that has been replaced."""
         self.broken = False
         for window in self._window.values():
             window.clear()
 
     def sensors(self, t_ns: int, account: Mapping[str, int]) -> tuple[SensorReport, ...]:
-        """One report a sensor at ``t_ns``; ``account`` counts from the beginning (``Estimator.account``)."""
+        """Return one report a sensor.
+
+        Parameters
+        ----------
+        t_ns : time of the report (ns).
+        account : counts by "<sensor>.<outcome>" since the start (``Estimator.account``).
+        """
         new: dict[str, dict[str, int]] = {name: {} for name in self._window}
         for key, count in account.items():
             name, _, what = key.partition(".")
@@ -119,8 +135,9 @@ class HealthMonitor:
         window = self._window[name]
         rows = passed = 0
         squares = pairs = 0.0
-        for _, of_one, through, their_squares, their_pairs in window:
-            rows, passed, squares, pairs = rows + of_one, passed + through, squares + their_squares, pairs + their_pairs
+        for record in window:
+            rows, passed = rows + record.rows, passed + record.passed
+            squares, pairs = squares + record.squares, pairs + record.pairs
         nis = squares / passed / self._expected if passed else None
         last_ns = self._last_ns.get(name)
         if last_ns is None or t_ns - last_ns > self._silent_ns[name]:
@@ -136,8 +153,8 @@ class HealthMonitor:
 
 
 @jit
-def _judged(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
-    """Of a message's rows: how many passed, the sum of their x, and of rho_ij^2 over all their pairs."""
+def _statistics(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
+    """Return how many rows of a message passed, the sum of their x, and the sum of rho_ij^2 over their pairs."""
     weight = np.zeros(len(residual))
     for i in range(len(residual)):
         if accepted[i]:
@@ -157,13 +174,13 @@ def _judged(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple
 
 
 def band(independent: float) -> tuple[float, float]:
-    """Of a mean over this many independent squares."""
+    """Return the lower and upper limit of the NIS for a mean over this many independent squares."""
     low, high = chdtri(independent, 1.0 - FALSE_ALARM), chdtri(independent, FALSE_ALARM)
     return float(low) / independent, float(high) / independent
 
 
 def filter_status(reports: tuple[SensorReport, ...]) -> tuple[FilterStatus, str]:
-    """The filter's status by its sensors', and why in words."""
+    """Return the status of the filter and the reason, from the reports of its sensors."""
     wrong = [r for r in reports if _is_gross(r)]
     if any(r.sensor in ESSENTIAL for r in wrong) or len(wrong) > 1:
         return FilterStatus.INCONSISTENT, "; ".join(_words(r) for r in wrong)
@@ -178,8 +195,8 @@ def _is_gross(report: SensorReport) -> bool:
 
 def _words(report: SensorReport) -> str:
     if report.status is SensorStatus.REJECTED:
-        return f"{report.sensor}: most of it fails the gate"
-    return f"{report.sensor}: squared innovations {report.nis:.2g} times what is said"
+        return f"{report.sensor}: more than half of its measurements fail the gate"
+    return f"{report.sensor}: mean squared innovation {report.nis:.2g} times the expected value"
 
 
 def _silent_after(suite: SensorConfig) -> dict[str, int]:

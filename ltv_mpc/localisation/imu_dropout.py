@@ -1,19 +1,20 @@
-"""Over a time of which the inertial unit said nothing: lost samples, or those that came too late.
+"""IMU dropout: the filter bridges times without inertial samples, because samples are lost or arrive too late.
 
-Bridged  up to ``MAX_BRIDGED_NS``: the sample after the gap stands for it too. Specific force and rate of turn are held
-         to have walked up to it at random, so T before it they were off by q_f T and q_r T, and over the gap
+Bridge   For up to ``MAX_BRIDGED_NS`` the sample after the gap stands for the gap too. Specific force and angular rate
+         are modelled as random walks: at T before the sample their variances are q_f T and q_r T. So over the gap
              P_vv += q_f T^3/3,  P_phi,phi += q_r T^3/3
-Coasted  beyond: nobody knows how the vehicle went on. Its velocity walks, its heading turns as the mean of the rates
-         before and after (as none, beyond ``MAX_TURN_S``), its level stays as it was or nearly so:
+Coast    Beyond that the motion is unknown. The velocity is a random walk. The heading turns at the mean of the rates
+         before and after the gap (not at all beyond ``MAX_TURN_S``), and the level nearly stays:
              p := p + T v,  P_pp += q_v T^3/3,  P_pv += q_v T^2/2,  P_vv += q_v T
              P_level += q_l T,  P_heading += q_r min(T, MAX_TURN_S)^2/12 T
-         No tilt becomes velocity, since no specific force was measured. Biases go on as ever.
-Levelled by the first sample after ``MIN_LEVELLED_NS`` of it: a vehicle that hardly accelerates feels what holds it up,
+         Tilt does not become velocity, because no specific force was measured. Biases change as always.
+Level    The first sample after ``MIN_LEVELLED_NS`` of coasting levels the filter. A vehicle that hardly accelerates
+         measures gravity,
              (R f)_i = a_i,  a_i ~ N(0, 0.2^2 m2/s4),  north and east:  -(R f)_i = (phi x R f)_i - (R db_a)_i - a_i
-         After 8 s the level is open by 6 deg, 1 m/s2: strapdown integration takes that for motion before a ping comes,
-         and what pings then tell of both at once is no longer linear (0.5 m off became 25 m within 15 s).
-So what is measured within a gap, and after it, finds a filter that is as unsure as it must be, and passes the gate.
-Source   Bar-Shalom, Li & Kirubarajan 2001, sections 6.2.2 (white noise acceleration) and 6.2.3 (its walk).
+         After 8 s the level is uncertain by 6 deg, 1 m/s2. Strapdown integration would take that for motion before a
+         ping arrives, and the measurement of both together is no longer linear (an error of 0.5 m became 25 m in 15 s).
+So measurements within a gap and after it meet a filter that is as uncertain as it must be, and pass the gate.
+Source   Bar-Shalom, Li & Kirubarajan 2001, sections 6.2.2 (white noise acceleration) and 6.2.3 (its random walk).
 """
 
 from __future__ import annotations
@@ -35,28 +36,51 @@ LEVEL_WALK = 0.04**2  # rad2/s: roll and pitch in a light sea
 
 MAX_BRIDGED_NS = 100_000_000
 MIN_LEVELLED_NS = 1_000_000_000
-"""After less the level is known as well as this would tell."""
+"""Minimum time of coasting after which a sample levels the filter: before, the level is known as well as that."""
 
-ACCELERATION_SD_MPS2 = 0.2  # of the vehicle when it is levelled
+ACCELERATION_SD_MPS2 = 0.2  # of the vehicle during levelling
 MAX_TURN_S = 4.0
-"""For longer no vehicle turns as it did; beyond, the rate of turn is one of 0.1 rad/s either way."""
+"""Time for which a turn is assumed to continue; after it the rate of turn is unknown, 0.1 rad/s either way."""
 
 
 def gap_before_ns(sample: ImuSample, t_ns: int) -> int:
-    """How much time from ``t_ns`` on (ns) ``sample`` does not cover; 0 where that is less than half of what it does."""
+    """Return the time between ``t_ns`` and the interval of a sample (ns); 0 if less than half of that interval.
+
+    Parameters
+    ----------
+    sample : inertial sample after ``t_ns``.
+    t_ns : time of the filter (ns).
+    """
     gap_ns = sample.t_ns - sample.interval_ns - t_ns
     return gap_ns if 2 * gap_ns > sample.interval_ns else 0
 
 
 def inflate(Q: Array, seconds: float, gap_s: float) -> None:
-    """Noise of a bridged stretch of ``seconds``, the gap being ``gap_s`` from its beginning; Q (15, 15), in place."""
+    """Add the noise of a bridged part of a gap.
+
+    Parameters
+    ----------
+    Q : (15, 15) process noise of the core states, changed in place.
+    seconds : length of the part (s).
+    gap_s : length of the whole gap (s).
+    """
     vv, aa = np.arange(VELOCITY.start, VELOCITY.stop), np.arange(ATTITUDE.start, ATTITUDE.stop)
     Q[vv, vv] += FORCE_WALK * gap_s**2 / 3.0 * seconds
     Q[aa, aa] += TURN_WALK * gap_s**2 / 3.0 * seconds
 
 
 def coast(x: Array, R: Array, Phi: Array, Q: Array, seconds: float, gap_s: float, turn_radps: float, imu: Imu) -> None:
-    """``seconds`` of a gap of ``gap_s``, in place: as ``preintegration.integrate``. ``turn_radps``: of the heading."""
+    """Propagate a part of a gap, in place, as ``preintegration.integrate`` propagates a sample.
+
+    Parameters
+    ----------
+    x, R : states, and attitude (3, 3), body to NED.
+    Phi, Q : (15, 15) transition and process noise since the covariance was propagated.
+    seconds : length of the part (s).
+    gap_s : length of the whole gap (s).
+    turn_radps : mean rate of the heading over the gap (rad/s).
+    imu : settings of the inertial unit, for its biases.
+    """
     x[POSITION] += seconds * x[VELOCITY]
     if gap_s <= MAX_TURN_S:
         R[:, :] = rotation_exp(np.array([0.0, 0.0, seconds * turn_radps])) @ R
@@ -85,7 +109,13 @@ _LEVEL = np.array([[*range(ATTITUDE.start, ATTITUDE.stop), *range(ACCELEROMETER_
 
 
 def level(belief: Belief, force: Triple) -> Rows:
-    """Two rows: what the specific force (m/s2, body) after a gap says of the vehicle's level."""
+    """Return the two rows by which a specific force levels the filter after a gap.
+
+    Parameters
+    ----------
+    belief : the filter's belief.
+    force : specific force (m/s2, body).
+    """
     f = belief.R @ (np.array(force) - belief.x[ACCELEROMETER_BIAS])
     return Rows(
         state=np.repeat(_LEVEL, 2, axis=0),

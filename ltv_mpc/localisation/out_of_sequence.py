@@ -1,15 +1,16 @@
-"""Measurements that arrive after their time: the filter goes back to it and does everything since once more.
+"""Out-of-sequence measurements: the filter returns to the time of a late measurement and repeats its work since.
 
-Kept    snapshots of the filter, and after each what was done to it, over the last ``REACH_NS``:
-            snapshot_0, done, done, ..., snapshot_1, done, ...      done: a move by a sample, or a correction
-Late    the newest snapshot at or before the message's time is restored, its successors are forgotten; what follows is
-        done again, the message after all that is of its own instant, the move across its time split there, and new
-        snapshots are taken on the way. These are the operations that the same messages cause in order, one by one, so
-        the belief is the same bit for bit.
-Said    once: what was judged when it came is corrected with again but not counted or observed again, though the gate
-        may decide differently now. Only the late message itself is heard.
-Cost    A snapshot copies the covariance, a late message repeats as much of the filter's work as lies between the
-        snapshot and now: the copying falls with the spacing, the repeating grows by half of it.
+Buffer  snapshots of the filter, and after each the operations on it, over the last ``REACH_NS``:
+            snapshot_0, operation, operation, ..., snapshot_1, operation, ...
+        An operation is a propagation by a sample, or a correction.
+Late    The newest snapshot at or before the message's time is restored, and its successors are dropped. The operations
+        since are repeated: the message follows all those of its own instant, the propagation across its time is split
+        there, and new snapshots are taken on the way. The same messages cause these operations if they arrive in order,
+        so the belief is the same bit for bit.
+Counts  Every measurement is counted and observed once. A repeated correction is neither counted nor observed, although
+        the gate may now decide differently.
+Cost    A snapshot copies the covariance. A late message repeats the filter's work since the snapshot. With a longer
+        spacing the cost of copying falls, and that of repeating grows by half of the spacing.
 """
 
 from __future__ import annotations
@@ -29,24 +30,24 @@ from ltv_mpc.messages import Array, ImuSample
 from ltv_mpc.node import Progress, no_progress
 
 REACH_NS = 1_250_000_000
-"""A message that is later is dropped: the longest latency that a sensors file may have, and a quarter for the bus."""
+"""Maximum age of a measurement: the longest latency that a sensors file may have, and a quarter for the bus."""
 
-_OFTEN_NS = 250_000_000
-_SELDOM_NS = 1_000_000_000
+_SHORT_SPACING_NS = 250_000_000
+_LONG_SPACING_NS = 1_000_000_000
 
 
-class Done(NamedTuple):
-    """Moved to ``t_ns`` by a sample, or corrected there."""
+class Operation(NamedTuple):
+    """Propagation to ``t_ns`` by a sample, or correction at ``t_ns`` by a measurement."""
 
     t_ns: int
-    what: ImuSample | Measurement
+    message: ImuSample | Measurement
 
 
 class _Segment(NamedTuple):
-    """From a snapshot to the next one."""
+    """Snapshot, and the operations up to the next one."""
 
     snapshot: Snapshot
-    done: list[Done]
+    operations: list[Operation]
 
     @property
     def t_ns(self) -> int:
@@ -54,7 +55,12 @@ class _Segment(NamedTuple):
 
 
 def is_duplicate(one: ImuSample | Measurement, other: ImuSample | Measurement) -> bool:
-    """Two messages of one sensor and time, of which the second says nothing new."""
+    """Return True if two messages have the same sensor, source and validity time.
+
+    Parameters
+    ----------
+    one, other : messages of any sensors.
+    """
     if type(one) is not type(other) or one.t_ns != other.t_ns:
         return False
     source = BY_MESSAGE[type(one)].source
@@ -62,130 +68,164 @@ def is_duplicate(one: ImuSample | Measurement, other: ImuSample | Measurement) -
 
 
 def snapshot_spacing_ns(suite: SensorConfig) -> int:
-    """Between two snapshots: longer where only a bus makes messages late."""
+    """Return the time between two snapshots (ns): longer if only a bus makes messages late."""
     late = any(
         sensor.availability is Availability.INTERMITTENT or latency_ns(settings) != 0
         for sensor, settings in fitted(suite)
     )
-    return _OFTEN_NS if late else _SELDOM_NS
+    return _SHORT_SPACING_NS if late else _LONG_SPACING_NS
 
 
 class MeasurementBuffer:
-    """Moves and corrects a filter, and can do so in the past."""
+    """Buffer of a filter's past, by which late measurements correct it at their own time."""
 
     def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, progress: Progress = no_progress) -> None:
-        """``progress`` is called with every move, of which a way back may take a thousand."""
+        """Create a buffer that begins at the filter's time.
+
+        Parameters
+        ----------
+        filter_ : filter to propagate and to correct.
+        spacing_ns : time between two snapshots (ns).
+        progress : called with every propagation, as a sign of life; a late message may need a thousand.
+        """
         self.filter = filter_
         self._progress = progress
         self._spacing_ns = spacing_ns
         self._segments = [_Segment(filter_.snapshot(), [])]
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """As ``ErrorStateFilter.advance``."""
+        """Propagate the filter (``ErrorStateFilter.advance``), and take a snapshot if one is due.
+
+        Parameters
+        ----------
+        t_ns : time to propagate to (ns).
+        sample : inertial sample that covers this time.
+        """
         now_ns = self.filter.belief.t_ns
         segments = self._segments
-        # Taken on leaving an instant: it then holds all corrections of it.
+        # A snapshot is taken when the filter leaves an instant: it then holds all corrections of that instant.
         if now_ns - segments[-1].t_ns >= self._spacing_ns:
             segments.append(_Segment(self.filter.snapshot(), []))
             while len(segments) > 1 and segments[1].t_ns <= now_ns - BACK_NS:
                 del segments[0]
         self._progress()
         self.filter.advance(t_ns, sample)
-        segments[-1].done.append(Done(t_ns, sample))
+        segments[-1].operations.append(Operation(t_ns, sample))
 
     def count_contiguous(self, samples: Sequence[ImuSample]) -> int:
-        """As ``ErrorStateFilter.count_contiguous``, until a snapshot is to be taken."""
+        """Return the number of samples that follow each other before the next snapshot is due."""
         return self.filter.count_contiguous(samples, self._segments[-1].t_ns + self._spacing_ns)
 
     def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
-        """As ``ErrorStateFilter.advance_batch``."""
+        """Integrate samples that follow each other (``ErrorStateFilter.advance_batch``).
+
+        Parameters
+        ----------
+        samples : (K,) inertial samples, as many as ``count_contiguous`` returned.
+        measured : (K, 6) their angular rates (rad/s) and specific forces (m/s2), body axes.
+
+        Returns
+        -------
+        The number of samples that were integrated: fewer than K if the belief ceased to be finite.
+        """
         self._progress()
         done = self.filter.advance_batch(samples, measured)
-        self._segments[-1].done.extend([Done(sample.t_ns, sample) for sample in samples[:done]])
+        self._segments[-1].operations.extend([Operation(sample.t_ns, sample) for sample in samples[:done]])
         return done
 
     def correct(self, message: Measurement) -> None:
-        """As ``ErrorStateFilter.correct``: of the filter's own instant."""
+        """Correct the filter by a measurement of its own instant (``ErrorStateFilter.correct``)."""
         self.filter.correct(message)
-        self._segments[-1].done.append(Done(message.t_ns, message))
+        self._segments[-1].operations.append(Operation(message.t_ns, message))
 
     def use(self, message: Measurement) -> None:
-        """Correct by a message of the filter's own instant, or of one before it within reach."""
+        """Correct the filter by a measurement of its own instant, or of an earlier one within reach."""
         if message.t_ns == self.filter.belief.t_ns:
             self.correct(message)
         else:
             self.insert(message)
 
     def contains(self, message: Measurement) -> bool:
-        """One of its kind and time has been used."""
+        """Return True if a measurement of the same sensor, source and time has been used."""
         for segment in reversed(self._segments):
-            for done in reversed(segment.done):
-                if done.t_ns < message.t_ns:
+            for operation in reversed(segment.operations):
+                if operation.t_ns < message.t_ns:
                     return False
-                if is_duplicate(done.what, message):
+                if is_duplicate(operation.message, message):
                     return True
         return False
 
     def is_within_reach(self, t_ns: int) -> bool:
-        """A message of this time, before the filter's, can still be used. Of the oldest instant nothing is known."""
+        """Return True if a measurement of ``t_ns`` (ns), before the filter's time, can still be used.
+
+        The oldest instant is out of reach, because the operations before its snapshot are not known.
+        """
         return t_ns >= self.filter.belief.t_ns - REACH_NS and t_ns > self._segments[0].t_ns
 
     def insert(self, message: Measurement) -> None:
-        """Correct by a message of a time before the filter's, within reach."""
+        """Correct the filter at an earlier time within reach, and repeat the operations since."""
         segments = self._segments
         first = max(i for i, segment in enumerate(segments) if segment.t_ns <= message.t_ns)
-        again = [done for segment in segments[first:] for done in segment.done]
+        since = [operation for segment in segments[first:] for operation in segment.operations]
         del segments[first + 1 :]
-        segments[first].done.clear()
+        segments[first].operations.clear()
         self.filter.restore(segments[first].snapshot)
 
-        after = next(i for i, done in enumerate(again) if done.t_ns > message.t_ns)  # a move: only they pass time
-        with _uncounted(self.filter):
-            self._repeat(again[:after])
-        across = again[after].what
+        # A later time is reached by propagation alone.
+        after = next(i for i, operation in enumerate(since) if operation.t_ns > message.t_ns)
+        with _without_counting(self.filter):
+            self._repeat(since[:after])
+        across = since[after].message
         if self.filter.belief.t_ns < message.t_ns and isinstance(across, ImuSample):
             self.advance(message.t_ns, across)
         self.correct(message)
-        with _uncounted(self.filter):
-            self._repeat(again[after:])
+        with _without_counting(self.filter):
+            self._repeat(since[after:])
 
     def adapt(self) -> NoiseLevel:
-        """Grant the water what the last ping showed that it needs, from ``BACK_NS`` ago, or as far as it reaches; or
-        make up for what it has done, from now on: behind this nothing goes back.
+        """Adapt the process noise of the water to the change that the last ping has shown.
+
+        The noise is inflated from ``BACK_NS`` ago on, or from the oldest snapshot, and the operations since are
+        repeated. If the change began before that, its effect on the belief is compensated instead, and the buffer
+        begins again at the present: no later measurement reaches behind it.
+
+        Returns
+        -------
+        The level that the noise has been inflated to; ``NONE`` if nothing has changed.
         """
         filter_ = self.filter
-        water, belief = filter_.process_noise, filter_.belief
+        noise, belief = filter_.process_noise, filter_.belief
         now_ns = belief.t_ns
-        began = water.detect_onset(belief)
-        if began is not None and began.is_old:
-            began.compensate(belief)
-            water.reset_tests(belief)
-            water.inflate(NoiseLevel.FAST, water.inflation_end_ns(NoiseLevel.FAST, now_ns), now_ns)
+        onset = noise.detect_onset(belief)
+        if onset is not None and onset.is_old:
+            onset.compensate(belief)
+            noise.reset_tests(belief)
+            noise.inflate(NoiseLevel.FAST, noise.inflation_end_ns(NoiseLevel.FAST, now_ns), now_ns)
             self._segments[:] = [_Segment(filter_.snapshot(), [])]
             return NoiseLevel.FAST
-        change = water.required_level(now_ns, began)
-        if change is not NoiseLevel.NONE:
-            until_ns = water.inflation_end_ns(change, now_ns)
+        level = noise.required_level(now_ns, onset)
+        if level is not NoiseLevel.NONE:
+            until_ns = noise.inflation_end_ns(level, now_ns)
             first = max((i for i, s in enumerate(self._segments) if s.t_ns <= now_ns - BACK_NS), default=0)
-            again = [done for segment in self._segments[first:] for done in segment.done]
+            since = [operation for segment in self._segments[first:] for operation in segment.operations]
             filter_.restore(self._segments[first].snapshot)
-            filter_.process_noise.inflate(change, until_ns, now_ns)
+            filter_.process_noise.inflate(level, until_ns, now_ns)
             self._segments[first:] = [_Segment(filter_.snapshot(), [])]
-            with _uncounted(filter_):
-                self._repeat(again)
-        return change
+            with _without_counting(filter_):
+                self._repeat(since)
+        return level
 
-    def _repeat(self, again: list[Done]) -> None:
-        for t_ns, what in again:
-            if isinstance(what, ImuSample):
-                self.advance(t_ns, what)
+    def _repeat(self, operations: list[Operation]) -> None:
+        for t_ns, message in operations:
+            if isinstance(message, ImuSample):
+                self.advance(t_ns, message)
             else:
-                self.correct(what)
+                self.correct(message)
 
 
 @contextmanager
-def _uncounted(filter_: ErrorStateFilter) -> Iterator[None]:
-    """What the filter does within is neither counted nor observed."""
+def _without_counting(filter_: ErrorStateFilter) -> Iterator[None]:
+    """Suspend the account and the observers of a filter."""
     account, observers = filter_.account, filter_.observers
     filter_.account, filter_.observers = Counter(), []
     try:

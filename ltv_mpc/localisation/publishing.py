@@ -1,9 +1,9 @@
-"""What is published of a filter: where the vehicle is and how it moves, how sure of that, and the water about it.
+"""Publishing: when estimates and checkpoints are published, and how an estimate is computed from a filter.
 
 Rate        w = w_m - b_g - R^T W                              against NED, body axes; W: the Earth's
             heading' = (w_y sin roll + w_z cos roll) / cos pitch
-Covariance  J P J^T of [n, e, v_n, v_e, heading, heading'], J by the fifteen core states; the gyros' white noise is new
-            in each sample, and is added to that of heading'
+Covariance  J P J^T of [n, e, v_n, v_e, heading, heading'], J by the fifteen core states. The white noise of the gyros
+            is new in each sample, so it is added to the variance of heading'.
 """
 
 from __future__ import annotations
@@ -164,7 +164,13 @@ class CheckpointSchedule:
 
 
 def estimate(filter_: ErrorStateFilter, depth_m: Array) -> Estimate:
-    """At the time of its belief. ``depth_m`` is the water's grid."""
+    """Return the estimate of a filter at the time of its belief.
+
+    Parameters
+    ----------
+    filter_ : the active filter; it is not changed.
+    depth_m : (G,) grid of the water (m).
+    """
     belief = filter_.belief
     heading, yaw_rate, covariance = _angles(
         belief.x,
@@ -192,8 +198,10 @@ def estimate(filter_: ErrorStateFilter, depth_m: Array) -> Estimate:
 
 @jit
 def _angles(x: Array, R: Array, rate: Triple, W: Array, C: Array, noise: float) -> tuple[float, float, Array]:
-    """Heading, its rate, and the covariance (6, 6), of x, R, the measured rate, the core's covariance C (15, 15) and
-    the variance of the gyros' white noise.
+    """Return heading, heading rate and the covariance (6, 6).
+
+    ``rate`` is the measured angular rate, W the Earth's, C (15, 15) the covariance of the core states and ``noise`` the
+    variance of the gyros' white noise.
     """
     roll, pitch, heading = roll_pitch_heading(R)
     w = np.empty(3)

@@ -1,18 +1,18 @@
-"""A filter as it was when it began to be doubted goes on unheard beside the one in use: it may have been right.
+"""Shadow filter: a copy of the filter, taken when innovations first became inconsistent, that may replace it.
 
-Innovations out of their band do not say whose fault it is. A profiler that is wrong for ten seconds is refused, and the
-vehicle is known by its inertial unit, well; but what is granted to the water or the unit meanwhile, or a new filter
-that is unsure of its velocity, may believe it. So a twin that grants nothing is given everything that is heard from
-the first doubt on: where what ties velocity and depth down agrees with it again while the filter in use is doubted or
-new, it was the instrument, and the twin takes its place.
+Inconsistent innovations do not show which side is wrong. If a profiler is wrong for ten seconds it is rejected, and the
+inertial unit alone determines the vehicle well. But a filter whose process noise is inflated meanwhile, or a new filter
+with an uncertain velocity, may believe the profiler. So a copy receives the same measurements from the first
+inconsistency on, and never inflates its noise. If the essential sensors agree with the copy again while the active
+filter is inconsistent or new, the sensor was wrong, and the copy takes over. Benefit: docs/notes/ablation.md.
 
-Agrees  of each tie the last ``MIN_AGREEING`` messages have passed the gate, ``MIN_ACCEPTED`` of their rows, within
-        ``MAX_AGE_NS``, and at least one had not before. A filter that was wrong does not come to that by waiting: what
-        it refuses cannot correct it. One whose innovations are too large, and pass, has refused nothing and has
-        nothing to come back to.
-Worth   more than the one in use it is only where it has come to something else, and is about as sure of its velocity.
-        What was granted before the doubt it has too: a filter that begins anew with the water as it was known may well
-        be the better one then.
+Agreement  Of each essential sensor the last ``MIN_AGREEING`` messages pass the gate with ``MIN_ACCEPTED`` of their
+           rows, within ``MAX_AGE_NS``, and at least one message did not pass before. A filter that was wrong does not
+           reach this by waiting, because a measurement that it rejects cannot correct it. If innovations are too large
+           but pass, nothing has been rejected, and there is nothing to return to.
+Better     The copy replaces the active filter only if its state differs and its velocity is about as certain. It also
+           has the noise that was inflated before the first inconsistency; a filter that was reinitialised with the
+           water as it was known may then be the better one.
 """
 
 from __future__ import annotations
@@ -33,56 +33,69 @@ MAX_AGE_NS = 60_000_000_000
 MIN_AGREEING = 3
 MIN_ACCEPTED = 0.8
 MAX_SD_RATIO = 2.0
-"""Times the standard deviation of the velocity of the one in use, at most."""
+"""Maximum standard deviation of the copy's velocity over that of the active filter."""
 REQUIRED = ("adcp", "pressure")
-"""A bottom that is out of range is not asked."""
+"""Essential sensors that must have agreed; the bottom may be out of range."""
 
 
 class ShadowFilter:
-    """Stands at the same time as the filter in use, step by step."""
+    """Copy of a filter that follows the active one step by step."""
 
     def __init__(self, filter_: ErrorStateFilter, spacing_ns: int, past_beliefs: PastBeliefs) -> None:
-        """``filter_`` has begun to be doubted; ``past_beliefs``: of the restarts before it."""
-        twin = filter_.fork()
-        twin.observers.append(self._hear)
-        self._buffer = MeasurementBuffer(twin, spacing_ns)
+        """Copy a filter whose innovations have just become inconsistent.
+
+        Parameters
+        ----------
+        filter_ : the active filter.
+        spacing_ns : time between two snapshots of its buffer (ns).
+        past_beliefs : good positions and beliefs up to now, to be restored if the copy takes over.
+        """
+        copy = filter_.fork()
+        copy.observers.append(self._observe)
+        self._buffer = MeasurementBuffer(copy, spacing_ns)
         self.past_beliefs = past_beliefs
-        self._until_ns = twin.belief.t_ns + MAX_AGE_NS
-        self._has_refused = False
+        self._until_ns = copy.belief.t_ns + MAX_AGE_NS
+        self._has_rejected = False
         self._agreed: dict[str, deque[bool]] = {name: deque(maxlen=MIN_AGREEING) for name in ESSENTIAL}
 
     @property
     def filter(self) -> ErrorStateFilter:
-        """The twin."""
+        """The copy."""
         return self._buffer.filter
 
     @property
     def expired(self) -> bool:
-        """It has been refused for too long to be right yet."""
+        """True if the copy is older than ``MAX_AGE_NS``."""
         return self.filter.belief.t_ns >= self._until_ns
 
     @property
     def agrees(self) -> bool:
-        """With what it refused before."""
+        """True if the essential sensors agree with the copy, after it has rejected a message."""
         enough = all(len(self._agreed[name]) == MIN_AGREEING for name in REQUIRED)
-        return self._has_refused and enough and all(all(said) for said in self._agreed.values())
+        return self._has_rejected and enough and all(all(agreed) for agreed in self._agreed.values())
 
     def is_better_than(self, current: ErrorStateFilter) -> bool:
-        """Than the filter in use, if it agrees."""
+        """Return True if the copy, which agrees, differs from ``current`` and its velocity is about as certain."""
         own, others = (np.trace(f.core_covariance()[VELOCITY, VELOCITY]) for f in (self.filter, current))
         return bool(own <= MAX_SD_RATIO**2 * others) and not np.array_equal(self.filter.belief.x, current.belief.x)
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """As the other does."""
+        """Propagate the copy.
+
+        Parameters
+        ----------
+        t_ns : time to propagate to (ns).
+        sample : inertial sample that covers this time.
+        """
         self._buffer.advance(t_ns, sample)
 
     def use(self, message: Measurement) -> None:
-        """Of its own time or a late one, if that is after its beginning."""
+        """Correct the copy by a measurement of its own time, or by a late one that it can still use."""
         if message.t_ns == self.filter.belief.t_ns or self._buffer.is_within_reach(message.t_ns):
             self._buffer.use(message)
 
-    def _hear(self, verdict: Innovations) -> None:
-        if verdict.sensor in self._agreed and len(verdict.accepted):
-            passed = float(verdict.accepted.mean()) if verdict.definite else 0.0
-            self._agreed[verdict.sensor].append(passed >= MIN_ACCEPTED)
-            self._has_refused = self._has_refused or 2.0 * passed < 1.0
+    def _observe(self, innovations: Innovations) -> None:
+        if innovations.sensor in self._agreed and len(innovations.accepted):
+            passed = float(innovations.accepted.mean()) if innovations.definite else 0.0
+            self._agreed[innovations.sensor].append(passed >= MIN_ACCEPTED)
+            self._has_rejected = self._has_rejected or 2.0 * passed < 1.0

@@ -169,7 +169,7 @@ class Supervision:
         sensors = self._monitor.sensors(t_ns, account)
         status, why = filter_status(sensors)
         if filter_.process_noise.is_inconsistent(t_ns) and status is FilterStatus.NOMINAL:
-            status, why = FilterStatus.INCONSISTENT, "adcp: water moves past the vehicle as no water does"
+            status, why = FilterStatus.INCONSISTENT, "adcp: the water's relative velocity changes faster than water can"
         # The status that is reported may depend on what this second begins, but not the other way round.
         walk = filter_.process_noise.walk_mps_per_rts(t_ns)
         self._react(filter_, status)
@@ -195,18 +195,18 @@ class Supervision:
         """Return the report: a restart goes before the status by the sensors."""
         t_ns = filter_.belief.t_ns
         if self._warm_started_ns is not None and t_ns - self._warm_started_ns < RESTARTED_NS:
-            status, why = FilterStatus.RESTARTED, why or "went on from a checkpoint"
+            status, why = FilterStatus.RESTARTED, why or "restarted from a checkpoint"
         elif self._returned_ns is not None and t_ns - self._returned_ns < RESTARTED_NS:
-            status, why = FilterStatus.RESTARTED, why or "went back to what it was before it was doubted"
+            status, why = FilterStatus.RESTARTED, why or "the shadow filter has replaced the active filter"
         elif self._reinitialisation.recent(t_ns):
-            status, why = FilterStatus.RESTARTED, why or "began anew from its last good position"
+            status, why = FilterStatus.RESTARTED, why or "reinitialised at its last good position"
         elif status is FilterStatus.NOMINAL and walk > 0.0:
             status, why = (
                 FilterStatus.UNEXPECTED_CURRENT,
-                f"water that changes: granted {1e3 * walk:.2g} mm/s per sqrt(s)",
+                f"changing water: process noise inflated to {1e3 * walk:.2g} mm/s per sqrt(s)",
             )
             if filter_.process_noise.level(t_ns) is NoiseLevel.FAST_AND_IMU:
-                why = "water that changes for longer than a front, or a gyro's fault: both are allowed for"
+                why = "water changes for longer than a front, or a gyro has failed: process noise of both inflated"
         return LocalisationReport(
             t_ns=t_ns,
             status=status,

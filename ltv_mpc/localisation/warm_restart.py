@@ -1,18 +1,19 @@
-"""A filter that goes on from a checkpoint, over a time in which nothing was heard.
+"""Warm restart: a filter continues from a checkpoint over a time without measurements.
 
-Until   the last estimate, where one is known: the filter was at work, only its covariance is not kept so often. Its
-        position, velocity and heading are the state's; their errors have gone on as the checkpoint's do,
-            p := p + v t,  others as they were;  where the estimate says a larger variance, by that much more.
-        Without an estimate the gap begins at the checkpoint.
-Gap     of T, to the first inertial sample. The vehicle went on, nobody knows how: its velocity and its rate of turn
-        walk at random, q_v = (0.1 m/s)^2/s and q_r = (0.1 rad/s)^2/s, which is what thrusters can do and more:
-            p := p + T v,  P_pp += q_v T^3/3,  P_pv += q_v T^2/2,  P_vv += q_v T
-            heading := heading + T (r_0 + r_1) / 2,  P += q_r T^3/12     the rate of turn is known at both ends
-        so a velocity that is measured after it tells of the way within it.
-Level   anew, from the accelerometers over 0.2 s as afloat (``alignment.py``), with a = 0.1 m/s2 of motion:
-            phi = T_l (R (b_a + n) + a);  b_a is the checkpoint's, and so phi hangs on all that b_a hangs on.
-Biases  decay and grow as first-order Gauss-Markov, the water walks, over the whole time since the checkpoint.
-Source  Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2 (white noise acceleration), Groves 2013, section 5.6.
+Estimate  Up to the last estimate, if one is known, the filter was at work; only its covariance is saved less often.
+          Position, velocity and heading are those of the estimate. Their errors are propagated from the checkpoint,
+              p := p + v t,  the others unchanged;  a variance is raised to that of the estimate if that is larger.
+          Without an estimate the gap begins at the checkpoint.
+Gap       of T, up to the first inertial sample. The motion is unknown: velocity and rate of turn are random walks,
+          q_v = (0.1 m/s)^2/s and q_r = (0.1 rad/s)^2/s, which is more than thrusters can do:
+              p := p + T v,  P_pp += q_v T^3/3,  P_pv += q_v T^2/2,  P_vv += q_v T
+              heading := heading + T (r_0 + r_1) / 2,  P += q_r T^3/12     the rate of turn is known at both ends
+          So a velocity measured after the gap also tells the displacement within it.
+Level     from the accelerometers over 0.2 s as at the surface (``alignment.py``), with a = 0.1 m/s2 of motion:
+              phi = T_l (R (b_a + n) + a);  b_a is the checkpoint's, so phi is correlated with all that b_a is
+Biases    decay and grow as first-order Gauss-Markov processes over the whole time since the checkpoint; the water is a
+          random walk.
+Source    Bar-Shalom, Li & Kirubarajan 2001, section 6.2.2 (white noise acceleration), Groves 2013, section 5.6.
 """
 
 from __future__ import annotations
@@ -36,78 +37,86 @@ from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, Estimate, ImuSample
 
 MAX_ESTIMATE_LEAD_NS = 30_000_000_000
-"""An estimate that is so much newer than the checkpoint is not of the filter that made it."""
+"""Maximum time from the checkpoint to an estimate of the same filter."""
 
-_MOST_HEARD = 6000
+_MAX_MESSAGES = 6000
 
 Message: TypeAlias = ImuSample | Measurement
 
 
 class WarmRestart:
-    """Gathers messages until the belief can be levelled; then what ``Alignment`` gives."""
+    """Collector of messages until the belief can be levelled, with the interface of ``Alignment``."""
 
     def __init__(self, suite: SensorConfig, config: EstimatorConfig, belief: Belief, estimate: Estimate | None) -> None:
-        """``belief`` is the checkpoint's."""
+        """Create a warm restart that has received no messages yet.
+
+        Parameters
+        ----------
+        suite : settings of the sensors.
+        config : settings of the filter.
+        belief : that of the checkpoint.
+        estimate : the last estimate that is known; None: only the checkpoint is.
+        """
         self._suite, self._config = suite, config
         self._belief = belief
         newer_ns = -1 if estimate is None else estimate.t_ns - belief.t_ns
         self._estimate = estimate if 0 <= newer_ns <= MAX_ESTIMATE_LEAD_NS else None
         self._since_ns = belief.t_ns if self._estimate is None else self._estimate.t_ns
-        self._heard: list[Message] = []  # by time, then arrival
+        self._messages: list[Message] = []  # by time, then arrival
 
     @property
     def waiting_for(self) -> str:
-        """In words; empty when the belief can be made."""
+        """Sensors that are missing, as text; empty when the belief can be computed."""
         samples = self._samples()
         return "" if samples and samples[-1].t_ns - samples[0].t_ns >= LEVELLING_NS else "imu"
 
     def take(self, message: Message) -> None:
-        """One message, in order of arrival."""
+        """Store a message. Messages come in order of arrival."""
         if message.t_ns > self._since_ns:
-            bisect.insort(self._heard, message, key=lambda m: m.t_ns)
-            del self._heard[:-_MOST_HEARD]
+            bisect.insort(self._messages, message, key=lambda m: m.t_ns)
+            del self._messages[:-_MAX_MESSAGES]
 
     def belief(self) -> tuple[Belief, list[Message]]:
-        """The belief at the first sample's time, and what is to be applied to it since."""
+        """Return the belief at the first sample's time, and the messages to be applied to it."""
         samples = self._samples()
         if self.waiting_for:
-            raise RuntimeError(f"cannot go on: waiting for {self.waiting_for}")
+            raise RuntimeError(f"cannot restart: waiting for {self.waiting_for}")
         start_ns = samples[0].t_ns
         belief = self._belief.copy()
-        heading, turn_radps = self._until_the_gap(belief)
+        heading, turn_radps = self._advance_to_estimate(belief)
         gap_s = (start_ns - belief.t_ns) * 1e-9
-        _drift(belief, gap_s)
+        _propagate_gap(belief, gap_s)
         turn_after = samples[0].angular_rate_radps[2] - float(belief.x[GYRO_BIAS.stop - 1])
         heading += gap_s * 0.5 * (turn_radps + turn_after)
         belief.P[DOWN, DOWN] += TURN_WALK * gap_s**3 / 12.0
-        self._age(belief, (start_ns - self._belief.t_ns) * 1e-9)
+        self._propagate_slow_states(belief, (start_ns - self._belief.t_ns) * 1e-9)
         self._level(belief, samples, heading)
         belief.t_ns = start_ns
-        return belief, [m for m in self._heard if m.t_ns > start_ns or (m.t_ns == start_ns and m is not samples[0])]
+        return belief, [m for m in self._messages if m.t_ns > start_ns or (m.t_ns == start_ns and m is not samples[0])]
 
     def _samples(self) -> list[ImuSample]:
-        """Those that level it."""
-        samples = [m for m in self._heard if isinstance(m, ImuSample)]
+        """Return the samples that level the belief."""
+        samples = [m for m in self._messages if isinstance(m, ImuSample)]
         return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
-    def _until_the_gap(self, belief: Belief) -> tuple[float, float]:
-        """``belief`` to the last estimate's time; its heading (rad) and rate of turn (rad/s)."""
+    def _advance_to_estimate(self, belief: Belief) -> tuple[float, float]:
+        """Move the belief to the last estimate's time; return its heading (rad) and rate of turn (rad/s)."""
         estimate = self._estimate
         if estimate is None:
             return roll_pitch_heading(belief.R)[2], 0.0
         x, P = belief.x, belief.P
-        _carry(P, (estimate.t_ns - belief.t_ns) * 1e-9)
+        _propagate_position(P, (estimate.t_ns - belief.t_ns) * 1e-9)
         x[POSITION] = estimate.north_m, estimate.east_m, estimate.depth_m if estimate.depth_m is not None else x[2]
         x[VELOCITY] = estimate.velocity_north_mps, estimate.velocity_east_mps, estimate.velocity_down_mps or 0.0
         if estimate.covariance is not None:
-            told = np.diagonal(estimate.covariance)[:5]
-            places = np.array([POSITION.start, POSITION.start + 1, VELOCITY.start, VELOCITY.start + 1, DOWN])
-            P[places, places] = np.maximum(P[places, places], told)
+            reported = np.diagonal(estimate.covariance)[:5]
+            indices = np.array([POSITION.start, POSITION.start + 1, VELOCITY.start, VELOCITY.start + 1, DOWN])
+            P[indices, indices] = np.maximum(P[indices, indices], reported)
         belief.t_ns = estimate.t_ns
         return estimate.heading_rad, estimate.yaw_rate_radps
 
     def _level(self, belief: Belief, samples: Sequence[ImuSample], heading: float) -> None:
-        """Roll and pitch anew, the heading as given; R is that of the first sample's end."""
+        """Set roll and pitch from the samples, and the given heading, at the end of the first sample."""
         imu, P = self._suite.imu, belief.P
         force, seconds = _specific_force(samples)
         f = force - belief.x[ACCELEROMETER_BIAS]
@@ -118,13 +127,13 @@ class WarmRestart:
         J = T_l @ belief.R
         rows = J @ P[ACCELEROMETER_BIAS, :]
         noise = imu.velocity_random_walk_mps_per_rts**2 / seconds + ACCELERATION_SD_MPS2**2
-        own = J @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ J.T + noise * T_l @ T_l.T
+        level = J @ P[ACCELEROMETER_BIAS, ACCELEROMETER_BIAS] @ J.T + noise * T_l @ T_l.T
         P[LEVEL, :] = rows
         P[:, LEVEL] = rows.T
-        P[LEVEL, LEVEL] = 0.5 * (own + own.T)
+        P[LEVEL, LEVEL] = 0.5 * (level + level.T)
 
-    def _age(self, belief: Belief, seconds: float) -> None:
-        """Biases and water over the time since the checkpoint."""
+    def _propagate_slow_states(self, belief: Belief, seconds: float) -> None:
+        """Propagate biases and water over the time since the checkpoint."""
         imu, compass = self._suite.imu, self._suite.compass
         for states, sd, tau_s in (
             (GYRO_BIAS, imu.gyro_bias_sd_radps, imu.gyro_bias_tau_s),
@@ -135,27 +144,27 @@ class WarmRestart:
             belief.x[states] *= keep
             belief.P[states, :] *= keep
             belief.P[:, states] *= keep
-            places = np.arange(states.start, states.stop)
-            belief.P[places, places] += sd**2 * (1.0 - keep * keep)
+            indices = np.arange(states.start, states.stop)
+            belief.P[indices, indices] += sd**2 * (1.0 - keep * keep)
         current_model.add_random_walk(belief, self._config, seconds)
 
 
 LEVEL = slice(ATTITUDE.start, ATTITUDE.stop - 1)
 DOWN = ATTITUDE.stop - 1
-"""Of the errors in attitude: two of the level, and the heading's."""
+"""Indices of the errors in attitude: two of the level, and that of the heading."""
 
 
-def _carry(P: Array, seconds: float) -> None:
-    """dp := dp + t dv."""
+def _propagate_position(P: Array, seconds: float) -> None:
+    """Propagate the covariance of the position: dp := dp + t dv."""
     P[POSITION, :] += seconds * P[VELOCITY, :]
     P[:, POSITION] += seconds * P[:, VELOCITY]
 
 
-def _drift(belief: Belief, seconds: float) -> None:
-    """Position and velocity over a gap."""
+def _propagate_gap(belief: Belief, seconds: float) -> None:
+    """Propagate position and velocity over a gap."""
     belief.x[POSITION] += seconds * belief.x[VELOCITY]
     P = belief.P
-    _carry(P, seconds)
+    _propagate_position(P, seconds)
     for p, v in zip(range(POSITION.start, POSITION.stop), range(VELOCITY.start, VELOCITY.stop), strict=True):
         P[p, p] += VELOCITY_WALK * seconds**3 / 3.0
         P[p, v] += VELOCITY_WALK * seconds**2 / 2.0
@@ -164,7 +173,10 @@ def _drift(belief: Belief, seconds: float) -> None:
 
 
 def _specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
-    """Mean over the samples after the first in the body's axes of that one's end (m/s2), and their time (s)."""
+    """Return the mean specific force of the samples after the first (m/s2), and their time (s).
+
+    The force is in the body axes at the end of the first sample.
+    """
     total, turned, seconds = np.zeros(3), np.eye(3), 0.0
     for sample in samples[1:]:
         dt = sample.interval_ns * 1e-9

@@ -71,7 +71,7 @@ def test_a_sensor_that_mostly_fails_the_gate_is_rejected_the_profiler_with_filte
     assert said["adcp"].status is SensorStatus.REJECTED
     status, why = filter_status(tuple(said.values()))
     assert status is FilterStatus.INCONSISTENT
-    assert "adcp: most of it fails the gate" in why
+    assert "adcp: more than half of its measurements fail the gate" in why
 
 
 def test_one_rejected_sensor_is_a_sensor_fault_and_two_are_a_filter_fault():

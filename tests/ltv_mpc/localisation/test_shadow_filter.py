@@ -15,7 +15,7 @@ from tests.stepping import step
 
 SUITE = SensorConfig.load("realistic")
 SECOND = 1_000_000_000
-BACK = "went back to what it was before it was doubted"
+BACK = "the shadow filter has replaced the active filter"
 
 
 class Said:
