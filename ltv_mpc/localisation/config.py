@@ -32,5 +32,10 @@ class EstimatorConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     @classmethod
     def load(cls, path: str) -> EstimatorConfig:
-        """Read a TOML file that holds the [estimator] table alone. Raises ``ConfigError``."""
+        """Read a TOML file that holds the [estimator] table alone. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        path : of the file.
+        """
         return config.load(path, cls, what="estimator settings", package="ltv_mpc.localisation.settings")

@@ -81,7 +81,12 @@ class HealthMonitor:
         """True if a covariance of innovations was not positive definite, so that of the filter is not either."""
 
     def observe(self, innovations: Innovations) -> None:
-        """Record the innovations of one message."""
+        """Record the innovations of one message.
+
+        Parameters
+        ----------
+        innovations : of one message, before the gate.
+        """
         window = self._window.get(innovations.sensor)
         if window is None:
             return

@@ -51,6 +51,7 @@ class _Segment(NamedTuple):
 
     @property
     def t_ns(self) -> int:
+        """Time of the snapshot (ns)."""
         return self.snapshot.belief.t_ns
 
 
@@ -113,7 +114,12 @@ class MeasurementBuffer:
         segments[-1].operations.append(Operation(t_ns, sample))
 
     def count_contiguous(self, samples: Sequence[ImuSample]) -> int:
-        """Return the number of samples that follow each other before the next snapshot is due."""
+        """Return the number of samples that follow each other before the next snapshot is due.
+
+        Parameters
+        ----------
+        samples : inertial samples in order of arrival.
+        """
         return self.filter.count_contiguous(samples, self._segments[-1].t_ns + self._spacing_ns)
 
     def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
@@ -134,19 +140,34 @@ class MeasurementBuffer:
         return done
 
     def correct(self, message: Measurement) -> None:
-        """Correct the filter by a measurement of its own instant (``ErrorStateFilter.correct``)."""
+        """Correct the filter by a measurement of its own instant (``ErrorStateFilter.correct``).
+
+        Parameters
+        ----------
+        message : measurement of the filter's time.
+        """
         self.filter.correct(message)
         self._segments[-1].operations.append(Operation(message.t_ns, message))
 
     def use(self, message: Measurement) -> None:
-        """Correct the filter by a measurement of its own instant, or of an earlier one within reach."""
+        """Correct the filter by a measurement of its own instant, or of an earlier one within reach.
+
+        Parameters
+        ----------
+        message : measurement of the filter's time, or of one within reach.
+        """
         if message.t_ns == self.filter.belief.t_ns:
             self.correct(message)
         else:
             self.insert(message)
 
     def contains(self, message: Measurement) -> bool:
-        """Return True if a measurement of the same sensor, source and time has been used."""
+        """Return True if a measurement of the same sensor, source and time has been used.
+
+        Parameters
+        ----------
+        message : measurement of any time.
+        """
         for segment in reversed(self._segments):
             for operation in reversed(segment.operations):
                 if operation.t_ns < message.t_ns:
@@ -156,14 +177,23 @@ class MeasurementBuffer:
         return False
 
     def is_within_reach(self, t_ns: int) -> bool:
-        """Return True if a measurement of ``t_ns`` (ns), before the filter's time, can still be used.
+        """Return True if a measurement of an earlier time can still be used.
 
         The oldest instant is out of reach, because the operations before its snapshot are not known.
+
+        Parameters
+        ----------
+        t_ns : validity time of the measurement, before the filter's time (ns).
         """
         return t_ns >= self.filter.belief.t_ns - REACH_NS and t_ns > self._segments[0].t_ns
 
     def insert(self, message: Measurement) -> None:
-        """Correct the filter at an earlier time within reach, and repeat the operations since."""
+        """Correct the filter at an earlier time within reach, and repeat the operations since.
+
+        Parameters
+        ----------
+        message : measurement of an earlier time within reach.
+        """
         segments = self._segments
         first = max(i for i, segment in enumerate(segments) if segment.t_ns <= message.t_ns)
         since = [operation for segment in segments[first:] for operation in segment.operations]

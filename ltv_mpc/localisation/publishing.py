@@ -44,7 +44,7 @@ class EstimateSchedule:
     """
 
     def __init__(self, suite: SensorConfig, period_ns: int) -> None:
-        """Create a schedule that has not begun.
+        """Create a schedule without a start time.
 
         Parameters
         ----------

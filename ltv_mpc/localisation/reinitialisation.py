@@ -114,11 +114,21 @@ class Reinitialisation:
         return self._inconsistent_since_ns is not None
 
     def became_inconsistent(self, t_ns: int) -> bool:
-        """Return True if the innovations became inconsistent at this second, ``t_ns``."""
+        """Return True if the innovations became inconsistent at this second, ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : time of the report (ns).
+        """
         return self._inconsistent_since_ns == t_ns
 
     def recent(self, t_ns: int) -> bool:
-        """Return True if a new filter has started within the last ``RESTARTED_NS`` before ``t_ns``."""
+        """Return True if a new filter has started within the last ``RESTARTED_NS`` before ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : time of the report (ns).
+        """
         return self._last_ns is not None and t_ns - self._last_ns < RESTARTED_NS
 
     def watch(self, belief: Belief, status: FilterStatus, *, broken: bool = False) -> bool:
@@ -143,11 +153,21 @@ class Reinitialisation:
         return self._inconsistent_since_ns is not None and t_ns - self._inconsistent_since_ns >= MAX_INCONSISTENT_NS
 
     def is_belief_due(self, t_ns: int) -> bool:
-        """Return True if the whole belief of a consistent filter is to be stored at ``t_ns``."""
+        """Return True if the whole belief of a consistent filter is to be stored at ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : time of the report (ns).
+        """
         return not self.is_inconsistent and (not self._beliefs or t_ns - self._beliefs[-1].t_ns >= BELIEF_NS)
 
     def store(self, belief: Belief) -> None:
-        """Store a belief whose covariance stands at its time."""
+        """Store a belief whose covariance stands at its time.
+
+        Parameters
+        ----------
+        belief : of a consistent filter.
+        """
         self._beliefs.append(belief)
 
     def begin(self, now_ns: int, recent: Sequence[ImuSample | Measurement]) -> Alignment:
@@ -194,7 +214,12 @@ class Reinitialisation:
         return PastBeliefs(tuple(self._positions), tuple(self._beliefs), self._last_ns)
 
     def restore(self, past_beliefs: PastBeliefs) -> None:
-        """Continue from stored positions and beliefs, because the filter to which they belong has taken over."""
+        """Continue from stored positions and beliefs, because the filter to which they belong has taken over.
+
+        Parameters
+        ----------
+        past_beliefs : result of ``past_beliefs`` before the reinitialisation.
+        """
         self._positions = deque(past_beliefs.positions, maxlen=_MAX_POSITIONS)
         self._beliefs = deque(past_beliefs.beliefs, maxlen=self._beliefs.maxlen)
         self._last_ns, self._inconsistent_since_ns = past_beliefs.last_ns, None

@@ -27,10 +27,17 @@ class SensorConfig(SensorTables, frozen=True, kw_only=True):
 
     @classmethod
     def load(cls, name: str) -> SensorConfig:
-        """Read a shipped sensors file by name (``"paper"``, ``"realistic"``), or a TOML file by path.
+        """Read a sensors file.
 
         A file may name a shipped file as its ``base``: its own keys then replace those of the base, table by table.
-        Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        name : of a shipped file (``"paper"``, ``"realistic"``), or path of a TOML file.
+
+        Raises
+        ------
+        ConfigError : if the file cannot be read, or does not fit.
         """
         path = config.find(name, what="sensors", package=_PACKAGE)
         table = config.read_toml(path, what="sensors")

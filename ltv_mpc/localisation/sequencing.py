@@ -35,11 +35,22 @@ class FollowsFilter(Protocol):
     """A second filter that receives the same samples and measurements as the active one."""
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """Propagate to ``t_ns`` by the rates of ``sample``."""
+        """Propagate to ``t_ns`` by the rates of ``sample``.
+
+        Parameters
+        ----------
+        t_ns : time to propagate to (ns).
+        sample : inertial sample that covers this time.
+        """
         ...
 
     def use(self, message: Measurement) -> None:
-        """Correct by a measurement, at its own time."""
+        """Correct by a measurement, at its own time.
+
+        Parameters
+        ----------
+        message : measurement of the filter's time or of an earlier one.
+        """
         ...
 
 

@@ -75,7 +75,12 @@ class ShadowFilter:
         return self._has_rejected and enough and all(all(agreed) for agreed in self._agreed.values())
 
     def is_better_than(self, current: ErrorStateFilter) -> bool:
-        """Return True if the copy, which agrees, differs from ``current`` and its velocity is about as certain."""
+        """Return True if the copy, which agrees, differs from ``current`` and its velocity is about as certain.
+
+        Parameters
+        ----------
+        current : the active filter, at the same time.
+        """
         own, others = (np.trace(f.core_covariance()[VELOCITY, VELOCITY]) for f in (self.filter, current))
         return bool(own <= MAX_SD_RATIO**2 * others) and not np.array_equal(self.filter.belief.x, current.belief.x)
 
@@ -90,7 +95,12 @@ class ShadowFilter:
         self._buffer.advance(t_ns, sample)
 
     def use(self, message: Measurement) -> None:
-        """Correct the copy by a measurement of its own time, or by a late one that it can still use."""
+        """Correct the copy by a measurement of its own time, or by a late one that it can still use.
+
+        Parameters
+        ----------
+        message : measurement that the active filter uses too.
+        """
         if message.t_ns == self.filter.belief.t_ns or self._buffer.is_within_reach(message.t_ns):
             self._buffer.use(message)
 

@@ -170,7 +170,7 @@ class Supervision:
         status, why = filter_status(sensors)
         if filter_.process_noise.is_inconsistent(t_ns) and status is FilterStatus.NOMINAL:
             status, why = FilterStatus.INCONSISTENT, "adcp: the water's relative velocity changes faster than water can"
-        # The status that is reported may depend on what this second begins, but not the other way round.
+        # The noise is read first: the reaction of this second must not change it in this second's report.
         walk = filter_.process_noise.walk_mps_per_rts(t_ns)
         self._react(filter_, status)
         return self._published(filter_, status, why, walk, sensors)

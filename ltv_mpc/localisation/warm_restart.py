@@ -8,7 +8,7 @@ Gap       of T, up to the first inertial sample. The motion is unknown: velocity
           q_v = (0.1 m/s)^2/s and q_r = (0.1 rad/s)^2/s, which is more than thrusters can do:
               p := p + T v,  P_pp += q_v T^3/3,  P_pv += q_v T^2/2,  P_vv += q_v T
               heading := heading + T (r_0 + r_1) / 2,  P += q_r T^3/12     the rate of turn is known at both ends
-          So a velocity measured after the gap also tells the displacement within it.
+          So a velocity measured after the gap also determines the displacement within it.
 Level     from the accelerometers over 0.2 s as at the surface (``alignment.py``), with a = 0.1 m/s2 of motion:
               phi = T_l (R (b_a + n) + a);  b_a is the checkpoint's, so phi is correlated with all that b_a is
 Biases    decay and grow as first-order Gauss-Markov processes over the whole time since the checkpoint; the water is a
@@ -71,7 +71,12 @@ class WarmRestart:
         return "" if samples and samples[-1].t_ns - samples[0].t_ns >= LEVELLING_NS else "imu"
 
     def take(self, message: Message) -> None:
-        """Store a message. Messages come in order of arrival."""
+        """Store a message. Messages come in order of arrival.
+
+        Parameters
+        ----------
+        message : inertial sample or measurement.
+        """
         if message.t_ns > self._since_ns:
             bisect.insort(self._messages, message, key=lambda m: m.t_ns)
             del self._messages[:-_MAX_MESSAGES]

@@ -1,4 +1,4 @@
-"""The estimator process: where the vehicle is and how the water moves, from sensor messages alone."""
+"""Estimator process: it estimates the vehicle's state and the water's motion from sensor messages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the estimator process needs to start."""
+    """Settings of the estimator process."""
 
     bus: BusOptions
     sensors: str = "paper"  # NAME or FILE
@@ -34,7 +34,7 @@ class Config(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def main(config: Config) -> int:
-    """Publish an estimate each period, from whatever measures."""
+    """Run the estimator until it is stopped; return the exit code."""
     suite, settings = SensorConfig.load(config.sensors), config.settings
     prior = load_prior(settings)
     warm_up(suite, settings)
@@ -56,7 +56,7 @@ def warm_up(suite: SensorConfig, config: EstimatorConfig) -> None:
     late = [s.at_rest(second // 2, x) for s, x in fitted(suite) if s.availability is not Availability.SURFACE]
     for message in (*start, *samples[:-1], *end, samples[-1], *late):
         estimator.steps([(message.t_ns, [ReceivedMessage(message, 1, 0, message.t_ns)])])
-    for states in (2, 8):  # many rows of few states, and of many: whichever this ping was not
+    for states in (2, 8):  # the covariance update has two branches: more rows than states, or fewer
         place, one = np.arange(8)[:, None] % states, np.ones((8, 1))
         update_covariance(
             np.eye(8), Rows(state=place, partial=one, residual=np.zeros(8), variance=np.ones(8)), math.inf

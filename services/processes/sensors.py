@@ -1,4 +1,4 @@
-"""The sensors process: what the simulated sensors make of the true state."""
+"""Sensors process: simulated measurements of the true state."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from sim.sensors.node import Sensors
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the sensors process needs to start."""
+    """Settings of the sensors process."""
 
     bus: BusOptions
     scenario: str  # NAME or FILE
 
 
 def main(config: Config) -> int:
-    """Answer each true state with what is measured at its time."""
+    """Run the sensors until they are stopped; return the exit code."""
     run_config = resolve(config.scenario)
     warm_up(run_config)
     return serve(
@@ -33,7 +33,7 @@ def main(config: Config) -> int:
 
 
 def warm_up(run_config: RunConfig) -> None:
-    """Have all compiled code loaded: 1.4 s at rest for sensors that are thrown away, each speaking once at least."""
+    """Load all compiled code: run 1.4 s of a vehicle at rest through sensors that are then discarded."""
     sensors = _make(run_config)
     still = (0.0, 0.0, 0.0)
     for t_ns in range(-1_000_000_000, 400_000_000, PERIOD_NS):

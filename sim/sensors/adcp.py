@@ -13,7 +13,7 @@ Errors  + b_i + n_i exp(-r_j / length)           of each beam, constant through 
         +- outlier                               on a share of the cells; a share of the beams gives nothing (NaN)
 
 M_err is the remaining error of the mounting: the instrument is misaligned by m ~ N(0, mounting_sd^2) about each body
-axis, is calibrated to m + k with k ~ N(0, known_to^2), and is turned back by that, M_err = exp(m) exp(-(m + k)).
+axis, is calibrated to m + k with k ~ N(0, known_to^2), and is corrected by that, M_err = exp(m) exp(-(m + k)).
 The mean current of a cell is taken at its centre. With cells of 1 m in a column of 1 m steps and 8 m of correlation
 length the two differ by at most 9 % of the current's sd, 1.2 mm/s along a beam, where the white noise is 10 to 19.
 """

@@ -19,7 +19,7 @@ Indices: TypeAlias = npt.NDArray[np.int64]
 
 
 class Rows(NamedTuple):
-    """m scalar measurements of one instant, each of which depends on at most w states."""
+    """Set of m scalar measurements of one instant, each of which depends on at most w states."""
 
     state: Indices  # (m, w)
     partial: Array  # (m, w)
@@ -27,7 +27,12 @@ class Rows(NamedTuple):
     variance: Array  # (m,)
 
     def dense(self, size: int) -> Array:
-        """Return the measurement matrix H, (m, n), for a state of ``size`` n."""
+        """Return the measurement matrix H, (m, n), for a state of ``size`` n.
+
+        Parameters
+        ----------
+        size : number of states n.
+        """
         H = np.zeros((len(self.residual), size))
         for i, (state, partial) in enumerate(zip(self.state, self.partial, strict=True)):
             np.add.at(H[i], state, partial)
