@@ -1,21 +1,25 @@
-"""Every message, one struct each: type, bounds, unit and meaning of each field.
+"""Messages on the bus: type, bounds, unit and meaning of each field.
 
-Frames: world NED (north, east, down), body FRD (forward, starboard, down). SI units and radians, also on the wire.
-Times: ``t_ns`` is vehicle time in integer nanoseconds, 0 at the start of the descent (negative while afloat before it).
-Thrusts are in the order port, starboard, vertical (N). The signal's TYPE is the port: a node names the types it reads.
-The key, rate, delivery and writer of each are in ``services/bus/topics.py``.
+Frames  world NED (north, east, down); body FRD (forward, starboard, down). SI units and radians, also on the wire.
+Times   ``t_ns`` is vehicle time in integer nanoseconds, 0 at the start of the descent, negative while the vehicle is
+        still afloat before it.
+Thrusts in the order port, starboard, vertical (N).
 
-This is the only description of a message. ``validation.py`` compiles its checks from the annotations; the wire's
-decoder, JSON Schemas, protocol page and recording channels come from them too. Each number has the quantity's bounds
-(``ge``, ``le``) and unit; each field has a ``description``. An array is described by the list that it is on the wire:
-``Meta(extra={"wire": list[list[Force]]})`` is a matrix of forces, and ``None`` in it is a missing value, NaN inside.
+A message's TYPE is the port: a node lists the types it reads and writes. ``services/bus/topics.py`` gives each type its
+key, period, delivery and writer. The sections below follow the writer: plant, sensors, estimator, controller,
+actuators, operator, every process, clock.
+
+This file is the only description of the messages. ``validation.py`` compiles its checks from the annotations; the
+decoder of the wire, the JSON Schemas, the protocol page and the channels of a recording also come from them. Each
+number carries the bounds of its quantity (``ge``, ``le``) and its unit, each field a ``description``. An array is
+annotated with the list that represents it on the wire: ``Meta(extra={"wire": list[list[Force]]})`` is a matrix of
+forces. ``None`` in such a list is a missing value, which is NaN in the array.
 """
 
 from __future__ import annotations
 
-import contextlib
 import enum
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import msgspec
 import numpy as np
@@ -27,12 +31,13 @@ Times: TypeAlias = npt.NDArray[np.int64]
 Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
 
-# --- quantities: bounds of plausibility for any vehicle on earth; a vehicle's own limits (box, slew) belong to its node
+# --- quantities: bounds that hold for any vehicle on earth; the limits of one vehicle (box, slew) belong to its nodes
 
-MAX_EXACT_INTEGER = 2**53 - 1  # larger integers are not exact in JavaScript
+MAX_EXACT_INTEGER = 2**53 - 1
+"""Largest integer that JavaScript represents exactly."""
 MAX_TRAVEL_TIME_S = 60.0
 
-# 126 years either way: Unix time too.
+# +-126 years: Unix time fits too.
 Time: TypeAlias = Annotated[int, Meta(ge=-(4 * 10**18), le=4 * 10**18, extra={"unit": "ns"})]
 Duration: TypeAlias = Annotated[int, Meta(ge=0, le=MAX_EXACT_INTEGER, extra={"unit": "ns"})]
 Interval: TypeAlias = Annotated[int, Meta(ge=1, le=MAX_EXACT_INTEGER, extra={"unit": "ns"})]
@@ -65,16 +70,16 @@ Share: TypeAlias = Annotated[float, Meta(ge=0.0, le=1.0, extra={"unit": "share"}
 Dimensionless: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e12, extra={"unit": "dimensionless"})]
 SpeedOfTime: TypeAlias = Annotated[float, Meta(ge=0.01, le=1000.0, extra={"unit": "vehicle s per s"})]
 MessageFaultSize: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "share or s"})]
-# Finite also where a solve failed.
+# Finite even if the solve failed.
 Residual: TypeAlias = Annotated[float, Meta(ge=0.0, le=1e300, extra={"unit": "dimensionless"})]
 VehicleState: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6, extra={"unit": "m, m/s, rad, rad/s"})]
 FilterState: TypeAlias = Annotated[float, Meta(ge=-1e9, le=1e9, extra={"unit": "m, m/s, rad, rad/s, m/s2, share"})]
 Covariance: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of m, m/s, rad, rad/s"})]
 RotationEntry: TypeAlias = Annotated[float, Meta(ge=-1.0001, le=1.0001, extra={"unit": "dimensionless"})]
 ModelProduct: TypeAlias = Annotated[float, Meta(ge=-1e12, le=1e12, extra={"unit": "squares of noise deviations"})]
-# A reference is parsed within a cycle.
+# Bounded because a reference is parsed within a control cycle.
 ReferenceText: TypeAlias = Annotated[str, Meta(max_length=65_536)]
-# A restarted process is given them by a pipe.
+# Bounded because a restarted process receives them through a pipe.
 Durations: TypeAlias = Annotated[tuple[Duration, ...], Meta(max_length=1000)]
 
 Positions: TypeAlias = tuple[Position, Position, Position]
@@ -86,7 +91,7 @@ Forces: TypeAlias = tuple[Force, Force, Force]
 ForceRates: TypeAlias = tuple[ForceRate, ForceRate, ForceRate]
 Shares: TypeAlias = tuple[Share, Share, Share]
 
-# --- arrays, each described by the list that it is on the wire; null in it is NaN inside ------------------------------
+# --- arrays, annotated with the list that represents them on the wire; null on the wire is NaN in the array ----------
 
 Depths: TypeAlias = Annotated[Array, Meta(extra={"wire": list[Depth]})]
 SlantRanges: TypeAlias = Annotated[Array, Meta(extra={"wire": list[SlantRange]})]
@@ -106,7 +111,7 @@ ModelProductMatrix: TypeAlias = Annotated[Array, Meta(extra={"wire": list[list[M
 Knots: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Time]})]
 Indices: TypeAlias = Annotated[Times, Meta(extra={"wire": list[Index]})]
 
-# --- fields that mean the same in several messages -------------------------------------------------------------------
+# --- fields with the same meaning in several messages ----------------------------------------------------------------
 
 ValidityTime: TypeAlias = Annotated[Time, Meta(description="time of validity")]
 PublicationTime: TypeAlias = Annotated[Time, Meta(description="time of publication")]
@@ -115,20 +120,23 @@ East: TypeAlias = Annotated[Position, Meta(description="position east of the ori
 VelocityNorth: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, north")]
 VelocityEast: TypeAlias = Annotated[Speed, Meta(description="velocity over ground, east")]
 YawRate: TypeAlias = Annotated[AngularRate, Meta(description="rate of turn about the down axis, positive to starboard")]
+ReferenceProgress: TypeAlias = Annotated[
+    Share | None, Meta(description="completed share of the reference; null if the reference has no end")
+]
 Crc: TypeAlias = Annotated[Identifier, Meta(description="CRC-32 of the payload")]
-Publisher: TypeAlias = Annotated[str, Meta(description="node that publishes this")]
+Publisher: TypeAlias = Annotated[str, Meta(description="node that publishes this message")]
 Key: TypeAlias = Annotated[str, Meta(description="key of the message, without the namespace")]
-Why: TypeAlias = Annotated[str, Meta(description="reason in words; empty where there is none")]
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, eq=False, forbid_unknown_fields=True, gc=False):
-    """A message. Arrays are numpy arrays inside and lists on the wire. Nothing in it leads back to it: it needs no
-    collector of cycles.
+    """Base class of all messages. Arrays are numpy arrays in memory and lists on the wire.
+
+    ``gc=False``: no field of a message can refer back to it, so the cycle collector need not track it.
     """
 
 
 class Health(enum.StrEnum):
-    """How well the inputs of the controller, or the plans of the actuators, keep up."""
+    """Timeliness of inputs: of the estimates for the controller, of the plans for the actuators."""
 
     NOMINAL = "nominal"
     DEGRADED = "degraded"
@@ -136,104 +144,34 @@ class Health(enum.StrEnum):
     FAILSAFE = "failsafe"
 
 
-# --- the world: written by the plant, read by sensors, recorder and displays, never aboard ---------------------------
+# --- written by the plant of a simulation: the true state; no process aboard the vehicle reads it ---------------------
 
 
 class Truth(Message, frozen=True, kw_only=True, eq=False):
-    """The true state of the vehicle."""
+    """True state of the simulated vehicle."""
 
     t_ns: ValidityTime
     position_m: Annotated[Positions, Meta(description="north, east, down")]
     velocity_mps: Annotated[Speeds, Meta(description="over ground: north, east, down")]
     attitude_rad: Annotated[Angles, Meta(description="roll, pitch, heading")]
     water_velocity_mps: Annotated[
-        Speeds, Meta(description="through the water: surge, sway, heave, in the level heading frame")
+        Speeds, Meta(description="velocity through the water: surge, sway, heave, in the level heading frame")
     ]
     yaw_rate_radps: YawRate
     current_mps: Annotated[
-        tuple[WaterSpeed, WaterSpeed], Meta(description="water at the vehicle over ground: north, east")
+        tuple[WaterSpeed, WaterSpeed], Meta(description="velocity of the water at the vehicle over ground: north, east")
     ]
     thrust_N: Annotated[Forces, Meta(description="delivered: port, starboard, vertical")]
 
 
-class Disturbance(Message, frozen=True, kw_only=True, eq=False):
-    """What acts on the simulated vehicle besides water and propellers, from its arrival on until ``end_t_ns``.
-
-    A new one takes the old one's place; nothing aboard reads it.
-    """
-
-    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
-    thrust_scale: Annotated[
-        Shares, Meta(description="delivered thrust over that of the propellers: port, starboard, vertical")
-    ] = (1.0, 1.0, 1.0)
-    force_N: Annotated[Forces, Meta(description="on the vehicle: north, east, down")] = (0.0, 0.0, 0.0)
-    yaw_moment_Nm: Annotated[Moment, Meta(description="about down, positive to starboard")] = 0.0
-
-
-class MessageFault(enum.StrEnum):
-    """What may happen to a message on its way, where faults are injected."""
-
-    LOSS = "loss"
-    DELAY = "delay"
-    REORDER = "reorder"  # it comes right after its successor
-    DUPLICATE = "duplicate"
-    CORRUPTION = "corruption"  # a few bits of the frame are turned
-    NOT_A_NUMBER = "not_a_number"  # NaN or an infinity in one of its numbers
-    STALE = "stale"  # its sender says again what it said before
-    CLOCK_JUMP = "clock_jump"  # its stamps are those of a clock that has jumped
-
-
-class Injection(Message, frozen=True, kw_only=True, eq=False):
-    """A fault for the messages of one key, asked of `ltv-mpc inject`; nothing aboard reads it.
-
-    ``size`` is the share of the messages that meets it; of "delay" seconds, of "clock_jump" seconds ahead of the time,
-    of "stale" nothing.
-    """
-
-    key: Annotated[str, Meta(description="key of the messages that are harmed")]
-    fault: Annotated[MessageFault, Meta(description="what happens to them")]
-    start_t_ns: Annotated[Time, Meta(description="vehicle time at which it begins; immediately where that is past")]
-    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
-    size: Annotated[
-        MessageFaultSize,
-        Meta(description="share of the messages; delay: seconds; clock_jump: seconds ahead of the time; stale: unused"),
-    ] = 1.0
-    seed: Annotated[
-        Identifier, Meta(description="seed of the random draws: which messages, which bits, which numbers")
-    ] = 0
-
-
-class Applied(Message, frozen=True, kw_only=True, eq=False):
-    """What the thrusters do, and which plan they follow: the actuators' report to the controller."""
-
-    t_ns: Annotated[Time, Meta(description="time of validity and of publication")]
-    thrust_N: Annotated[Forces, Meta(description="delivered, after lag and saturation: port, starboard, vertical")]
-    command_N: Annotated[Forces, Meta(description="command in force: port, starboard, vertical")]
-    command_slew_N_per_s: Annotated[
-        ForceRates, Meta(description="largest rate of change of the command since the last report; 0: unknown")
-    ]
-    plan_epoch: Annotated[Identifier, Meta(description="epoch of the newest accepted plan; 0 before the first")]
-    plan_sequence: Annotated[
-        SequenceOrNone, Meta(description="sequence of the newest accepted plan; -1 before the first")
-    ]
-    plan_cycle_t_ns: Annotated[Time, Meta(description="cycle_t_ns of the newest accepted plan; 0 before the first")]
-    plan_received_t_ns: Annotated[Time, Meta(description="arrival of the newest accepted plan; 0 before the first")]
-    plan_late: Annotated[bool, Meta(description="that plan arrived after its own first knot: a deadline miss")]
-    plans_late: Annotated[Count, Meta(description="late plans so far")]
-    plans_rejected: Annotated[
-        Count, Meta(description="plans not followed so far: outside box or slew, out of order, of a second commander")
-    ]
-    health: Annotated[
-        Health,
-        Meta(description="how well plans keep up: degraded when two are missing, failsafe at the last one's end"),
-    ] = Health.NOMINAL
-
-
-# --- sensors ---------------------------------------------------------------------------------------------------------
+# --- written by the sensors, read by the estimator -------------------------------------------------------------------
 
 
 class ImuSample(Message, frozen=True, kw_only=True, eq=False):
-    """Increments of a strapdown IMU divided by the interval that ends at ``t_ns``: means over it, body frame."""
+    """Mean angular rate and specific force of a strapdown IMU, in the body frame.
+
+    Each is the increment over the interval that ends at ``t_ns``, divided by the length of that interval.
+    """
 
     t_ns: Annotated[Time, Meta(description="end of the interval")]
     interval_ns: Annotated[Interval, Meta(description="length of the interval")]
@@ -242,7 +180,7 @@ class ImuSample(Message, frozen=True, kw_only=True, eq=False):
 
 
 class GnssFix(Message, frozen=True, kw_only=True, eq=False):
-    """Position and velocity over ground, at the surface."""
+    """Position and velocity over ground from satellite navigation, at the surface."""
 
     t_ns: ValidityTime
     north_m: North
@@ -263,12 +201,12 @@ class TdcpFix(Message, frozen=True, kw_only=True, eq=False):
 class AdcpPing(Message, frozen=True, kw_only=True, eq=False):
     """Velocity of the water relative to the transducer along each beam, positive away from the vehicle.
 
-    ``range_m`` (K,) is the slant range of each cell's centre; ``beam_velocity_mps`` is (4, K); NaN (null on the wire)
-    where a beam has no return.
+    ``range_m`` (K,) is the slant range to the centre of each cell. ``beam_velocity_mps`` is (4, K); it is NaN (null on
+    the wire) where a beam has no return.
     """
 
     t_ns: ValidityTime
-    range_m: Annotated[SlantRanges, Meta(description="slant range of each cell's centre, increasing")]
+    range_m: Annotated[SlantRanges, Meta(description="slant range to the centre of each cell, increasing")]
     beam_velocity_mps: Annotated[
         BeamSpeedRows,
         Meta(description="4 x K, of the water along each beam, positive away from the vehicle; null: no return"),
@@ -283,7 +221,7 @@ class PressureDepth(Message, frozen=True, kw_only=True, eq=False):
 
 
 class CompassHeading(Message, frozen=True, kw_only=True, eq=False):
-    """True heading from a magnetic compass, deviation and declination already taken off, (-pi, pi]."""
+    """True heading from a magnetic compass, corrected for deviation and declination, in (-pi, pi]."""
 
     t_ns: ValidityTime
     heading_rad: Annotated[Angle, Meta(description="true heading, corrected for deviation and declination")]
@@ -292,39 +230,43 @@ class CompassHeading(Message, frozen=True, kw_only=True, eq=False):
 class BottomTrack(Message, frozen=True, kw_only=True, eq=False):
     """Velocity of the sea bed relative to the transducer along each beam, positive away from the vehicle.
 
-    ``range_m`` (4,) is the slant range to the bottom; both are NaN (null on the wire) for a beam that has not found it.
+    ``range_m`` (4,) is the slant range to the bottom. Both fields are NaN (null on the wire) for a beam without a
+    bottom return.
     """
 
     t_ns: ValidityTime
-    range_m: Annotated[SlantRangesOrNone, Meta(description="slant range to the bottom by beam; null: not found")]
+    range_m: Annotated[SlantRangesOrNone, Meta(description="slant range to the bottom by beam; null: no return")]
     beam_velocity_mps: Annotated[
-        BeamSpeeds, Meta(description="of the bottom along each beam, positive away from the vehicle; null: not found")
+        BeamSpeeds, Meta(description="of the bottom along each beam, positive away from the vehicle; null: no return")
     ]
 
 
 class LblRange(Message, frozen=True, kw_only=True, eq=False):
-    """Two-way travel time to a transponder: half of it is a range, at the middle between interrogation and reply."""
+    """Two-way travel time to a transponder of a long baseline.
+
+    Half of it is the range, valid at the middle between interrogation and reply.
+    """
 
     t_ns: Annotated[Time, Meta(description="middle between interrogation and reply")]
     transponder: Annotated[Index, Meta(description="index in the sensors file, from 0")]
     travel_time_s: Annotated[
-        TravelTime, Meta(description="two-way travel time without the transponder's turn-around time")
+        TravelTime, Meta(description="two-way travel time, without the turn-around time of the transponder")
     ]
 
 
 class UsblFix(Message, frozen=True, kw_only=True, eq=False):
-    """Position over ground that a ship measured acoustically and sent down; it arrives later than it is valid."""
+    """Position over ground that a ship measured acoustically and sent down. It arrives after its time of validity."""
 
     t_ns: ValidityTime
     north_m: North
     east_m: East
 
 
-# --- aboard ----------------------------------------------------------------------------------------------------------
+# --- written by the estimator: the estimate for the controller, a report for people, its state for a restart ---------
 
 
 class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
-    """Horizontal water velocity over depth; linear between depths, constant beyond both ends. All arrays (K,)."""
+    """Horizontal water velocity over depth: linear between the depths, constant beyond both ends. Arrays are (K,)."""
 
     depth_m: Annotated[Depths, Meta(description="K depths, increasing; linear between them, constant beyond both ends")]
     north_mps: Annotated[WaterSpeeds, Meta(description="velocity of the water over ground at each depth, north")]
@@ -335,7 +277,7 @@ class CurrentProfile(Message, frozen=True, kw_only=True, eq=False):
 
 
 class Estimate(Message, frozen=True, kw_only=True, eq=False):
-    """Where the vehicle is and how it moves over ground.
+    """Estimated position and motion of the vehicle over ground.
 
     ``covariance`` is (6, 6) over north, east (m), velocity north, east (m/s), heading (rad), yaw rate (rad/s).
     """
@@ -347,8 +289,8 @@ class Estimate(Message, frozen=True, kw_only=True, eq=False):
     yaw_rate_radps: YawRate
     velocity_north_mps: VelocityNorth
     velocity_east_mps: VelocityEast
-    depth_m: Annotated[Depth | None, Meta(description="depth below the surface; left out by surface craft")] = None
-    velocity_down_mps: Annotated[Speed | None, Meta(description="sinking speed; 0 is assumed without it")] = None
+    depth_m: Annotated[Depth | None, Meta(description="depth below the surface; omitted by surface craft")] = None
+    velocity_down_mps: Annotated[Speed | None, Meta(description="sinking speed; 0 is assumed if omitted")] = None
     covariance: Annotated[
         CovarianceMatrix | None,
         Meta(description="6 x 6 of north, east, velocity north, velocity east, heading, yaw rate"),
@@ -361,7 +303,14 @@ class Estimate(Message, frozen=True, kw_only=True, eq=False):
     def at_rest(
         cls, *, north_m: float = 0.0, east_m: float = 0.0, heading_rad: float = 0.0, depth_m: float | None = None
     ) -> Estimate:
-        """A vehicle that does not move over ground, at t = 0."""
+        """Return the estimate of a vehicle at rest over ground at t = 0.
+
+        Parameters
+        ----------
+        north_m, east_m : position (m).
+        heading_rad : true heading (rad), clockwise from north.
+        depth_m : depth below the surface (m), or None for surface craft.
+        """
         return cls(
             t_ns=0,
             north_m=north_m,
@@ -376,28 +325,31 @@ class Estimate(Message, frozen=True, kw_only=True, eq=False):
 
 
 class FilterStatus(enum.StrEnum):
-    """How far the localisation filter can be believed."""
+    """Consistency of the localisation filter."""
 
     NOMINAL = "nominal"
-    UNEXPECTED_CURRENT = "unexpected_current"  # water that nothing foretold: it has been granted a walk
-    INCONSISTENT = "inconsistent"  # its innovations are larger or smaller than it says
-    RESTARTED = "restarted"  # begun anew from its last good position, less than the grace time ago
+    UNEXPECTED_CURRENT = "unexpected_current"  # the current changes unpredicted: its process noise is inflated
+    INCONSISTENT = "inconsistent"  # innovations larger or smaller than their covariance
+    RESTARTED = "restarted"  # reinitialised from the last good position, within the grace time
 
 
 class SensorStatus(enum.StrEnum):
-    """What the filter thinks of one sensor."""
+    """Consistency of one sensor with the localisation filter."""
 
     OK = "ok"
-    SILENT = "silent"  # nothing for several of its periods
-    REJECTED = "rejected"  # most of what it says fails the innovation gate
-    INCONSISTENT = "inconsistent"  # passes the gate, but its innovations are larger or smaller than said
+    SILENT = "silent"  # no message for several of its periods
+    REJECTED = "rejected"  # most of its measurements fail the innovation gate
+    INCONSISTENT = "inconsistent"  # passes the gate, but its innovations do not match their covariance
 
 
 class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One sensor since the last report. ``nis``: mean over the window, per degree of freedom, before the gate."""
+    """Use of one sensor by the filter since the last report.
+
+    ``nis`` is the mean over the window, per degree of freedom, before the gate.
+    """
 
     sensor: Annotated[str, Meta(description="name in the sensors file")]
-    status: Annotated[SensorStatus, Meta(description="the filter's verdict on the sensor")]
+    status: Annotated[SensorStatus, Meta(description="consistency of the sensor with the filter")]
     used: Annotated[Count, Meta(description="scalar measurements that corrected the filter since the last report")]
     rejected: Annotated[
         dict[str, Count],
@@ -411,253 +363,29 @@ class SensorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class LocalisationReport(Message, frozen=True, kw_only=True, eq=False):
-    """The localisation filter's word about itself and its sensors."""
+    """Health report of the localisation filter and its sensors."""
 
     t_ns: ValidityTime
-    status: Annotated[FilterStatus, Meta(description="how far the filter can be believed")]
+    status: Annotated[FilterStatus, Meta(description="consistency of the filter")]
     why: Annotated[str, Meta(description="reason of the status; empty while nominal")]
     restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
     water_walk_mps_per_rts: Annotated[
-        RandomWalk, Meta(description="random walk added to the water's, because innovations require it; 0: none")
+        RandomWalk,
+        Meta(description="random walk added to that of the current because the innovations require it; 0: none"),
     ]
     sensors: Annotated[tuple[SensorReport, ...], Meta(description="one report for each sensor")]
 
 
-class PlanOrigin(enum.StrEnum):
-    """Where a plan's thrusts come from: the rungs of the ladder, best first."""
-
-    SOLVED = "solved"  # by the QP
-    SHIFTED = "shifted"  # the previous plan, brought to the new grid
-    ZERO = "zero"  # lateral thrusts to zero at the slew limit
-    MANUAL = "manual"  # by hand: what the pilot's messages ask for, met at the slew limit
-
-
-class SolveStatus(enum.StrEnum):
-    """How a solve ended, one vocabulary for every solver."""
-
-    SOLVED = "solved"
-    ITERATION_LIMIT = "iteration_limit"
-    INFEASIBLE = "infeasible"
-    NON_FINITE = "non_finite"  # the solver returned NaN or infinity
-    FAILED = "failed"
-    NOT_RUN = "not_run"  # no solve was asked for
-
-
-class Authority(enum.StrEnum):
-    """Who commands the thrusters."""
-
-    DISARMED = "disarmed"
-    CONTROLLER = "controller"
-    MANUAL = "manual"
-    STOPPED = "stopped"
-
-
-class Action(enum.StrEnum):
-    """What an operator may ask of the controller."""
-
-    ARM = "arm"  # the controller takes the thrusters; its reference begins anew
-    DISARM = "disarm"  # thrusts to zero, until armed
-    STOP = "stop"  # thrusts to zero from wherever it is, until armed
-    MANUAL = "manual"  # the pilot takes the thrusters: they follow the ``manual`` messages
-    RELEASE = "release"  # the pilot hands them back to the controller
-    FOLLOW = "follow"  # another reference
-    HOLD = "hold"  # the reference "here"
-
-
-class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the controller knows of one input."""
-
-    input: Annotated[str, Meta(description="key of the input")]
-    alive: Annotated[bool, Meta(description="a message arrived lately")]
-    valid: Annotated[bool, Meta(description="the newest message is current by its own stamp")]
-    rate: Annotated[bool, Meta(description="at most half of the recent messages are missing")]
-    age_ns: Annotated[Time | None, Meta(description="age of the newest message; null before the first")]
-    period_ns: Annotated[Duration, Meta(description="median spacing of the stamps; 0 before the second")]
-    rejected: Annotated[Count, Meta(description="messages not used so far: out of order or implausible")]
-
-
-class Solve(Message, frozen=True, kw_only=True, eq=False):
-    """The solver's account of one solve; residuals are those of the scaled problem."""
-
-    status: Annotated[SolveStatus, Meta(description="how the solve ended")]
-    iterations: Annotated[Count, Meta(description="iterations of the solver")] = 0
-    primal_residual: Annotated[Residual, Meta(description="primal residual of the scaled problem")] = 0.0
-    dual_residual: Annotated[Residual, Meta(description="dual residual of the scaled problem")] = 0.0
-    why: Why = ""
-
-
-class Plan(Message, frozen=True, kw_only=True, eq=False):
-    """Thrusts to come: piecewise linear through knots, enough to run the actuators to its end without another word.
-
-    ``t_ns`` (N+1,) knots; the plan takes effect at the first. ``thrust_N`` (N+1, 3) commands. ``states`` (N+1, 6)
-    predicted n, e (m), u, v (m/s, relative to the water), heading (rad), yaw rate (rad/s).
-    """
-
-    cycle_t_ns: Annotated[Time, Meta(description="start of the cycle that made the plan")]
-    t_ns: Annotated[Knots, Meta(description="N + 1 knots, increasing; the plan takes effect at the first")]
-    thrust_N: Annotated[ForceRows, Meta(description="(N + 1) x 3, commands at the knots: port, starboard, vertical")]
-    states: Annotated[
-        VehicleStateRows,
-        Meta(description="(N + 1) x 6, predicted: north, east, surge, sway (through the water), heading, yaw rate"),
-    ]
-    origin: Annotated[PlanOrigin, Meta(description="where the thrusts come from, best first")]
-    solve: Annotated[Solve, Meta(description="the solver's account")]
-    why: Annotated[str, Meta(description="reason of the origin, where it is not solved")] = ""
-    authority: Annotated[Authority, Meta(description="who commands the thrusters")] = Authority.CONTROLLER
-    health: Annotated[Health, Meta(description="how well the controller's inputs keep up")] = Health.NOMINAL
-    estimate_t_ns: Annotated[Time, Meta(description="t_ns of the estimate that the plan is built on")] = 0
-    expected_delay_ns: Annotated[Duration, Meta(description="from the start of the cycle to the first knot")] = 0
-    reference_m: Annotated[
-        tuple[Position, Position] | None,
-        Meta(description="north, east of the target at the first knot; null before the reference"),
-    ] = None
-    reference_depth_m: Annotated[
-        Depth | None, Meta(description="depth at which the reference ends; null where none is wanted")
-    ] = None
-    progress: Annotated[Share | None, Meta(description="share of the path behind the target")] = None
-    cross_track_m: Annotated[
-        Position | None, Meta(description="distance from the path at the first knot, positive to starboard")
-    ] = None
-    remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
-
-    def thrust_at(self, t_ns: int) -> Array:
-        """Commanded thrust (3,) at ``t_ns``, linear between knots, constant beyond both ends."""
-        i = int(np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2))
-        t0, t1 = int(self.t_ns[i]), int(self.t_ns[i + 1])
-        s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0)
-        thrust: Array = self.thrust_N[i] + s * (self.thrust_N[i + 1] - self.thrust_N[i])
-        return thrust
-
-
-# --- who is in charge -------------------------------------------------------------------------------------------------
-
-
-class Command(Message, frozen=True, kw_only=True, eq=False):
-    """What an operator asks: answered by an ``Acknowledgement`` of the same ``command_id``."""
-
-    command_id: Annotated[
-        Identifier, Meta(description="the sender's choice, repeated in the answer; 48 random bits are unique")
-    ]
-    action: Annotated[Action, Meta(description="requested action")]
-    reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
-
-
-class Manual(Message, frozen=True, kw_only=True, eq=False):
-    """Thrusts that a pilot asks for. They count for a second from their arrival, then the thrusters go to zero."""
-
-    thrust_N: Annotated[
-        Forces, Meta(description="wanted: port, starboard, vertical; valid for a second from its arrival")
-    ]
-
-
-class Acknowledgement(Message, frozen=True, kw_only=True, eq=False):
-    """The controller's answer to a ``Command``."""
-
-    t_ns: Annotated[Time, Meta(description="time of the controller's decision")]
-    command_id: Annotated[Identifier, Meta(description="command_id of the command that this answers")]
-    accepted: Annotated[bool, Meta(description="the command was carried out")]
-    authority: Annotated[Authority, Meta(description="who commands the thrusters after it")]
-    why: Annotated[str, Meta(description="reason of the refusal; empty where it was accepted")]
-
-
-# --- how the run itself goes: times, records, faults -----------------------------------------------------------------
-
-
-class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
-    """What one controller cycle cost, measured by whoever called it (zero work in lock step, where the delay is set).
-
-    ``stage_us`` is wall time by name: predict, linearise, build, update, solve, read, publish. ``compute_ns`` is
-    vehicle time from the start of the cycle to its plan's publication, ``compute_wall_ns`` the same on the wall.
-    """
-
-    t_ns: Annotated[Time, Meta(description="start of the cycle")]
-    compute_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, vehicle time")]
-    compute_wall_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, wall time")]
-    estimate_age_ns: Annotated[Time, Meta(description="age of the estimate at the start of the cycle")]
-    stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by stage")]
-
-
-class RejectedFrame(Message, frozen=True, kw_only=True, eq=False):
-    """A frame that was refused at a node's door."""
-
-    t_ns: Annotated[Time, Meta(description="time of arrival")]
-    node: Publisher
-    key: Key
-    reason: Annotated[str, Meta(description="reason in words: the field and its bound")]
-    crc: Crc
-    payload_base64: Annotated[str, Meta(description="what arrived, at most 3072 bytes of it")]
-
-
-class InjectorFrame(Message, frozen=True, kw_only=True, eq=False):
-    """A frame between `ltv-mpc inject` and the node under test that is not what travels on its key for all others.
-
-    What the node is given in the place of a message that was harmed, or what it said itself before that was harmed.
-    """
-
-    t_ns: Annotated[Time, Meta(description="time at which the injector received it")]
-    key: Annotated[str, Meta(description="key on which the node under test was given it, or published it")]
-    crc: Crc
-    payload_base64: Annotated[str, Meta(description="the whole frame")]
-
-
-class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where and when a reference began, and how the vehicle moved then."""
-
-    t_ns: Annotated[Time, Meta(description="time at which the reference began")]
-    north_m: North
-    east_m: East
-    depth_m: Annotated[Depth, Meta(description="depth below the surface")]
-    heading_rad: Annotated[Angle, Meta(description="true heading, clockwise from north seen from above")]
-    velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="over ground: north, east")]
-
-
-class ControllerState(Message, frozen=True, kw_only=True, eq=False):
-    """State of a controller between two cycles: who is in charge, what is followed, the last plan, what was learned.
-
-    The controller publishes it at each change of the first two, and every 5 s. A new controller that takes the place
-    of a dead one is given it as its first message; its supervisor has put in the plan that is in force by then.
-    """
-
-    t_ns: PublicationTime
-    authority: Annotated[Authority, Meta(description="who commands the thrusters")] = Authority.DISARMED
-    reference_toml: Annotated[
-        ReferenceText,
-        Meta(description="reference that is followed, as a reference file holds it; empty: the one of the start"),
-    ] = ""
-    reference_start: Annotated[
-        ReferenceStart | None, Meta(description="where the reference began; null before it is in force")
-    ] = None
-    schedule_t_ns: Annotated[Time, Meta(description="when schedule_s was right: the first knot of the last plan")] = 0
-    schedule_s: Annotated[ScheduleTime, Meta(description="time of the target on the reference's own schedule")] = 0.0
-    schedule_rate: Annotated[
-        Share, Meta(description="rate of the schedule's time to the vehicle's; below 1 the target waits")
-    ] = 1.0
-    progress: Annotated[
-        Share | None, Meta(description="share of the reference behind the target; null where it has no end")
-    ] = None
-    depth_integral_N: Annotated[
-        Force, Meta(description="integral of the depth law: the vertical thrust that keeps a depth")
-    ] = 0.0
-    plan_delays_ns: Annotated[
-        Durations, Meta(description="of the last plans: from the start of the cycle to arrival at the actuators")
-    ] = ()
-    cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
-    model_products: Annotated[
-        ModelProductMatrix | None, Meta(description="4 x 4, summed: missing impulse, those of port, starboard, drag")
-    ] = None
-    plan: Annotated[
-        Plan | None, Meta(description="last plan that was sent; after a restart, the one in force at the actuators")
-    ] = None
-    estimate: Annotated[Estimate | None, Meta(description="newest estimate")] = None
-
-
 class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is known of a depth whose water is no state any more: ``Link`` of ``localisation/column.py``, flat."""
+    """Conditional distribution of the current at a depth that left the state vector of the filter.
 
-    grid_point: Annotated[Index, Meta(description="index in the grid of depths, from 0 at the surface")]
+    These are the fields of a ``Link`` in ``localisation/water/column.py``.
+    """
+
+    grid_point: Annotated[Index, Meta(description="index in the depth grid, from 0 at the surface")]
     velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="velocity of the water over ground: north, east")]
     conditioning_states: Annotated[
-        FilterStates, Meta(description="q states at that time, to which the regression refers")
+        FilterStates, Meta(description="q states at that time, on which the velocity is conditioned")
     ]
     regression: Annotated[FilterStateRows, Meta(description="2 x q, regression of the velocity on those states")]
     covariance: Annotated[CovarianceMatrix, Meta(description="2 x 2, covariance of the velocity given those states")]
@@ -668,165 +396,160 @@ class DroppedGridPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         CovarianceMatrix, Meta(description="2 x 2, covariance of the position given those states, at that time")
     ]
     walk_variance_m2ps2: Annotated[
-        SpeedVariance, Meta(description="variance gained by the random walk up to that time")
+        SpeedVariance, Meta(description="variance gained through the random walk up to that time")
     ]
 
 
 class EstimatorState(Message, frozen=True, kw_only=True, eq=False):
-    """State of the localisation filter: its belief, n states in the order of ``localisation/state.py``.
+    """State of the localisation filter, n states in the order of ``localisation/filter/state.py``.
 
-    ``covariance`` holds the lower triangle row by row, (n (n + 1) / 2,). Other settings of sensors or filter may mean
-    other states, so a state belongs to the ``settings`` it was made with: their CRC-32. The estimator publishes it
-    every 5 s; a new estimator that takes the place of a dead one is given it as its first message.
+    The state vector depends on the settings of sensors and filter, so a state is valid only with the settings whose
+    CRC-32 is ``settings_crc``. The estimator publishes its state every 5 s. An estimator that replaces a dead one
+    receives the newest state as its first message.
     """
 
     t_ns: ValidityTime
     settings_crc: Annotated[
-        Identifier, Meta(description="CRC-32 of the settings of sensors and filter, with which alone it is valid")
+        Identifier, Meta(description="CRC-32 of the settings of sensors and filter; the state is valid only with them")
     ]
-    x: Annotated[FilterStates, Meta(description="n states, in the filter's order")]
+    x: Annotated[FilterStates, Meta(description="n states, in the order of the filter")]
     attitude: Annotated[RotationMatrix, Meta(description="3 x 3, body to north, east, down")]
     mounting: Annotated[RotationMatrix, Meta(description="3 x 3, profiler to body")]
     covariance: Annotated[
         Covariances, Meta(description="of the states: lower triangle, row by row, n (n + 1) / 2 numbers")
     ]
     epoch_t_ns: Annotated[Time, Meta(description="satellite epoch whose position is among the states")]
-    first_grid_point: Annotated[Index, Meta(description="first depth of the window whose water is among the states")]
-    measured_grid_points: Annotated[Indices, Meta(description="depths of the grid at which the profiler has measured")]
+    first_grid_point: Annotated[
+        Index, Meta(description="first point of the depth grid whose current is among the states")
+    ]
+    measured_grid_points: Annotated[
+        Indices, Meta(description="points of the depth grid at which the profiler has measured")
+    ]
     dropped_grid_points: Annotated[
-        tuple[DroppedGridPoint, ...], Meta(description="what is known of depths that are no states any more")
+        tuple[DroppedGridPoint, ...], Meta(description="conditional distributions of grid points that left the states")
     ]
     walk_variance_m2ps2: Annotated[
-        SpeedVariance, Meta(description="variance that each depth has gained by the random walk")
+        SpeedVariance, Meta(description="variance that each grid point has gained through the random walk")
     ]
     restarts: Annotated[Count, Meta(description="restarts of the filter so far")]
-    estimate: Annotated[Estimate | None, Meta(description="after a restart, the newest estimate")] = None
+    estimate: Annotated[
+        Estimate | None, Meta(description="newest published estimate, which the supervisor adds for a restart")
+    ] = None
 
 
-class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):
-    """One entry of a step's inbox as the record keeps it: enough to find the frame again."""
-
-    key: Key
-    epoch: Annotated[Identifier, Meta(description="epoch of the message's header")]
-    sequence: Annotated[Count, Meta(description="sequence of the message's header")]
-    crc: Crc
-    received_t_ns: Annotated[Time, Meta(description="time of arrival")]
+# --- written by the controller: plans, replies to commands, its status, its state for a restart ----------------------
 
 
-class StepRecord(Message, frozen=True, kw_only=True, eq=False):
-    """One step of one node, published before the step's outputs: what an exact replay needs."""
+class PlanOrigin(enum.StrEnum):
+    """Origin of the thrusts of a plan: the fallback levels, best first."""
 
-    node: Publisher
-    epoch: Annotated[Identifier, Meta(description="start of the sender that this is, as in the header")]
-    step: Annotated[Count, Meta(description="number of this node's step, from 0")]
-    t_ns: Annotated[Time, Meta(description="time of the step")]
-    cause: Annotated[str, Meta(description="grid, cycle, or the key of the message that caused the step")]
-    inbox: Annotated[tuple[InboxEntry, ...], Meta(description="messages given to the step, in order")]
+    SOLVED = "solved"  # by the QP
+    SHIFTED = "shifted"  # the previous plan, resampled on the new grid
+    ZERO = "zero"  # lateral thrusts to zero at the slew limit
+    MANUAL = "manual"  # thrusts of the pilot, reached at the slew limit
 
 
-class ClockState(enum.StrEnum):
-    """What vehicle time does."""
+class SolveStatus(enum.StrEnum):
+    """Outcome of a solve, the same words for every solver."""
 
-    WAITING = "waiting"
-    RUNNING = "running"
-    PAUSED = "paused"
+    SOLVED = "solved"
+    ITERATION_LIMIT = "iteration_limit"
+    INFEASIBLE = "infeasible"
+    NON_FINITE = "non_finite"  # the solver returned NaN or infinity
+    FAILED = "failed"
+    NOT_RUN = "not_run"  # this cycle does not solve
 
 
-class Clock(Message, frozen=True, kw_only=True, eq=False):
-    """Vehicle time = vehicle_ns + (monotonic - at_monotonic) x speed_num / speed_den while running.
+class Authority(enum.StrEnum):
+    """Source of the thrust commands."""
 
-    Monotonic times are the host's CLOCK_MONOTONIC in microseconds: below 2^53 for 285 years, so every language reads
-    them exactly.
+    DISARMED = "disarmed"
+    CONTROLLER = "controller"
+    MANUAL = "manual"
+    STOPPED = "stopped"
+
+
+class Solve(Message, frozen=True, kw_only=True, eq=False):
+    """Result of one solve; residuals are those of the scaled problem."""
+
+    status: Annotated[SolveStatus, Meta(description="outcome of the solve")]
+    iterations: Annotated[Count, Meta(description="iterations of the solver")] = 0
+    primal_residual: Annotated[Residual, Meta(description="primal residual of the scaled problem")] = 0.0
+    dual_residual: Annotated[Residual, Meta(description="dual residual of the scaled problem")] = 0.0
+    why: Annotated[str, Meta(description="reason of a failure; empty if there is none")] = ""
+
+
+class Plan(Message, frozen=True, kw_only=True, eq=False):
+    """Future thrusts, piecewise linear between knots. Without another plan the actuators can follow it to its end.
+
+    ``t_ns`` (N+1,) are the knots; the plan takes effect at the first. ``thrust_N`` (N+1, 3) are the commands at the
+    knots. ``states`` (N+1, 6) are the predicted n, e (m), u, v (m/s, through the water), heading (rad), yaw rate
+    (rad/s).
     """
 
-    clock_epoch: Annotated[Identifier, Meta(description="which start of the time-keeper this is")]
-    clock_sequence: Annotated[Count, Meta(description="number of the announcement; a repetition keeps its number")]
-    host_boot_id: Annotated[
-        str, Meta(description="boot of the time-keeper's host, within which monotonic times are comparable")
+    cycle_t_ns: Annotated[Time, Meta(description="start of the cycle that computed the plan")]
+    t_ns: Annotated[Knots, Meta(description="N + 1 knots, increasing; the plan takes effect at the first")]
+    thrust_N: Annotated[ForceRows, Meta(description="(N + 1) x 3, commands at the knots: port, starboard, vertical")]
+    states: Annotated[
+        VehicleStateRows,
+        Meta(description="(N + 1) x 6, predicted: north, east, surge, sway (through the water), heading, yaw rate"),
     ]
-    at_monotonic_us: Annotated[MonotonicTime, Meta(description="CLOCK_MONOTONIC from which this holds")]
-    vehicle_ns: Annotated[Time, Meta(description="vehicle time at that instant")]
-    speed_num: Annotated[PositiveInteger, Meta(description="speed in force, numerator")]
-    speed_den: Annotated[PositiveInteger, Meta(description="speed in force, denominator")]
-    requested_speed: Annotated[
-        SpeedOfTime, Meta(description="requested vehicle seconds per wall second; a slow machine is given fewer")
-    ]
-    state: Annotated[ClockState, Meta(description="what vehicle time does from then on")]
-
-
-class ClockCommand(Message, frozen=True, kw_only=True, eq=False):
-    """How vehicle time shall go on, asked of the simulated vehicle that keeps it."""
-
-    paused: Annotated[bool, Meta(description="vehicle time is to stand still")]
-    speed: Annotated[SpeedOfTime, Meta(description="vehicle seconds per second of the wall")]
-
-
-class ClockMode(enum.StrEnum):
-    """By what a process knows the time."""
-
-    SHARED = "shared"  # the ``clock`` topic, or a clock of its own that nobody else's stamps are held against
-    TWO_WAY = "two-way"  # the other side's clock, by an exchange
-    ONE_WAY = "one-way"  # the other side's clock, by its stamps alone: behind by an unknown delay
-
-
-class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
-    """One process's word about itself: that it is ready, what it counts, what it waits for."""
-
-    node: Publisher
-    t_ns: PublicationTime
-    ready: Annotated[bool, Meta(description="the node can do its work")]
-    waiting_for: Annotated[str, Meta(description="what the node waits for, in words; empty where nothing")]
-    steps: Annotated[Count, Meta(description="steps so far")]
-    published: Annotated[Count, Meta(description="messages published so far, on all keys")]
-    received: Annotated[Count, Meta(description="messages accepted so far")]
-    dropped: Annotated[Count, Meta(description="messages that never arrived so far, by gaps in the sequences")]
-    rejected: Annotated[Count, Meta(description="messages refused so far")]
-    step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")]
-    min_queue_delay_us: Annotated[
-        WholeWallTime, Meta(description="least wall time that a message waited since the last status: a standing queue")
-    ] = 0
-    finished: Annotated[bool, Meta(description="the node has done all its work; this is its last status")] = False
-
-
-class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
-    """How the controller fares: its inputs, its cycles, who is in charge. Times are those of the last 10 s."""
-
-    t_ns: PublicationTime
-    estimate_age_ns: Annotated[Time | None, Meta(description="age of the newest estimate; null before the first")]
-    applied_age_ns: Annotated[
-        Time | None, Meta(description="age of the actuators' newest report; null: plans count as followed")
-    ]
-    cycle_median_us: Annotated[
-        WallTime | None, Meta(description="from the start of a cycle to its plan, median of 10 s; null: no cycle")
-    ]
-    cycle_p99_us: Annotated[WallTime | None, Meta(description="99th percentile of the same")]
-    received: Annotated[Count, Meta(description="messages accepted so far")]
-    dropped: Annotated[Count, Meta(description="messages that never arrived so far, by gaps in the sequences")]
-    rejected: Annotated[dict[str, Count], Meta(description="messages refused so far, by reason")]
-    clock: Annotated[ClockMode, Meta(description="how the controller knows your time")]
-    clock_error_ns: Annotated[
-        Duration | None, Meta(description="bound of the clock's error; null: one-way, where it is unknown")
-    ]
-    authority: Annotated[Authority, Meta(description="who commands the thrusters")]
-    health: Annotated[Health, Meta(description="how well the controller's inputs keep up")]
-    error_m: Annotated[
-        Position | None,
-        Meta(description="horizontal, from the newest estimate to the reference; null: nothing is followed"),
-    ]
-    progress: Annotated[
-        Share | None, Meta(description="share of the reference behind the target; null where it has no end")
+    origin: Annotated[PlanOrigin, Meta(description="origin of the thrusts, best first")]
+    solve: Annotated[Solve, Meta(description="result of the solve")]
+    why: Annotated[str, Meta(description="reason of the origin, if it is not solved")] = ""
+    authority: Annotated[Authority, Meta(description="source of the thrust commands")] = Authority.CONTROLLER
+    health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")] = Health.NOMINAL
+    estimate_t_ns: Annotated[Time, Meta(description="t_ns of the estimate on which the plan is based")] = 0
+    expected_delay_ns: Annotated[Duration, Meta(description="from the start of the cycle to the first knot")] = 0
+    reference_m: Annotated[
+        tuple[Position, Position] | None,
+        Meta(description="north, east of the target at the first knot; null before the reference starts"),
     ] = None
-    inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose ages count")] = ()
+    reference_depth_m: Annotated[
+        Depth | None, Meta(description="depth at which the reference ends; null if it has no depth")
+    ] = None
+    progress: Annotated[Share | None, Meta(description="share of the path that the target has completed")] = None
+    cross_track_m: Annotated[
+        Position | None, Meta(description="distance from the path at the first knot, positive to starboard")
+    ] = None
+    remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
+
+    def thrust_at(self, t_ns: int) -> Array:
+        """Return the commanded thrust (3,) in N at ``t_ns``: linear between knots, constant beyond both ends."""
+        i = int(np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2))
+        t0, t1 = int(self.t_ns[i]), int(self.t_ns[i + 1])
+        s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0)
+        thrust: Array = self.thrust_N[i] + s * (self.thrust_N[i + 1] - self.thrust_N[i])
+        return thrust
 
 
-class Kill(Message, frozen=True, kw_only=True, eq=False):
-    """End one process of a simulation without warning, to see what the others do: asked of its launcher."""
+class Acknowledgement(Message, frozen=True, kw_only=True, eq=False):
+    """Reply of the controller to a ``Command``."""
 
-    node: Annotated[str, Meta(description="node whose process is ended")]
+    t_ns: Annotated[Time, Meta(description="time of the decision")]
+    command_id: Annotated[Identifier, Meta(description="command_id of the command")]
+    accepted: Annotated[bool, Meta(description="the command was carried out")]
+    authority: Annotated[Authority, Meta(description="source of the thrust commands after it")]
+    why: Annotated[str, Meta(description="reason of the rejection; empty if the command was accepted")]
+
+
+class CycleTiming(Message, frozen=True, kw_only=True, eq=False):
+    """Computing time of one controller cycle, measured by its caller.
+
+    It is zero in lock step, where the delay is a setting. ``stage_us`` is wall time by stage: predict, linearise,
+    build, update, solve, read, publish. ``compute_ns`` is vehicle time from the start of the cycle to the publication
+    of its plan, ``compute_wall_ns`` the same in wall time.
+    """
+
+    t_ns: Annotated[Time, Meta(description="start of the cycle")]
+    compute_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, vehicle time")]
+    compute_wall_ns: Annotated[Duration, Meta(description="from the start of the cycle to publication, wall time")]
+    estimate_age_ns: Annotated[Time, Meta(description="age of the estimate at the start of the cycle")]
+    stage_us: Annotated[dict[str, WallTime], Meta(description="wall time by stage")]
 
 
 class ModelCheck(Message, frozen=True, kw_only=True, eq=False):
-    """How far the vehicle does what its model says: the motion from one estimate to the next, seen less foreseen."""
+    """Consistency of the vehicle with its model: observed minus predicted motion between two estimates."""
 
     t_ns: PublicationTime
     residual_N: Annotated[Force, Meta(description="surge force, observed minus predicted, mean since the last message")]
@@ -834,63 +557,343 @@ class ModelCheck(Message, frozen=True, kw_only=True, eq=False):
         Moment, Meta(description="yaw moment, observed minus predicted, mean since the last message")
     ]
     evidence: Annotated[
-        Dimensionless, Meta(description="log-likelihood ratio of lost thrust, beyond what model mismatch explains")
+        Dimensionless, Meta(description="log-likelihood ratio of a thrust loss that model mismatch does not explain")
     ]
     thrust_loss: Annotated[
         tuple[Share, Share], Meta(description="most likely lost share of the thrust: port, starboard")
     ]
-    alarm: Annotated[bool, Meta(description="the vehicle does not move as its model says")]
+    alarm: Annotated[bool, Meta(description="the vehicle does not move as its model predicts")]
     why: Annotated[str, Meta(description="reason of the alarm")]
 
 
+class InputReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """State of one input of the controller."""
+
+    input: Annotated[str, Meta(description="key of the input")]
+    alive: Annotated[bool, Meta(description="a message arrived recently")]
+    valid: Annotated[bool, Meta(description="the stamp of the newest message is current")]
+    rate: Annotated[bool, Meta(description="at most half of the recent messages are missing")]
+    age_ns: Annotated[Time | None, Meta(description="age of the newest message; null before the first")]
+    period_ns: Annotated[Duration, Meta(description="median spacing of the stamps; 0 before the second")]
+    rejected: Annotated[Count, Meta(description="messages rejected so far: out of order or implausible")]
+
+
+class ClockMode(enum.StrEnum):
+    """Source of vehicle time in a process."""
+
+    SHARED = "shared"  # the ``clock`` topic, or the own clock if no stamps of others are compared with it
+    TWO_WAY = "two-way"  # the clock of the other side, by a two-way exchange
+    ONE_WAY = "one-way"  # the clock of the other side, by its stamps alone: behind by an unknown delay
+
+
+class ControllerStatus(Message, frozen=True, kw_only=True, eq=False):
+    """Status of the controller: inputs, cycle times, authority. Times are those of the last 10 s."""
+
+    t_ns: PublicationTime
+    estimate_age_ns: Annotated[Time | None, Meta(description="age of the newest estimate; null before the first")]
+    applied_age_ns: Annotated[
+        Time | None,
+        Meta(description="age of the newest applied message; null before the first: plans are assumed to be followed"),
+    ]
+    cycle_median_us: Annotated[
+        WallTime | None, Meta(description="from the start of a cycle to its plan, median of 10 s; null: no cycle")
+    ]
+    cycle_p99_us: Annotated[WallTime | None, Meta(description="99th percentile of the same")]
+    received: Annotated[Count, Meta(description="messages accepted so far")]
+    dropped: Annotated[Count, Meta(description="messages lost so far, by gaps in the sequences")]
+    rejected: Annotated[dict[str, Count], Meta(description="messages rejected so far, by reason")]
+    clock: Annotated[ClockMode, Meta(description="source of vehicle time in the controller")]
+    clock_error_ns: Annotated[
+        Duration | None, Meta(description="bound of the clock error; null: one-way, where it is unknown")
+    ]
+    authority: Annotated[Authority, Meta(description="source of the thrust commands")]
+    health: Annotated[Health, Meta(description="timeliness of the inputs of the controller")]
+    error_m: Annotated[
+        Position | None,
+        Meta(description="horizontal distance of the newest estimate from the reference; null: no reference in force"),
+    ]
+    progress: ReferenceProgress = None
+    inputs: Annotated[tuple[InputReport, ...], Meta(description="inputs whose age is monitored")] = ()
+
+
+class ReferenceStart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Time, position and motion of the vehicle at the start of a reference."""
+
+    t_ns: Annotated[Time, Meta(description="time at which the reference started")]
+    north_m: North
+    east_m: East
+    depth_m: Annotated[Depth, Meta(description="depth below the surface")]
+    heading_rad: Annotated[Angle, Meta(description="true heading, clockwise from north seen from above")]
+    velocity_mps: Annotated[tuple[Speed, Speed], Meta(description="over ground: north, east")]
+
+
+class ControllerState(Message, frozen=True, kw_only=True, eq=False):
+    """State of a controller between two cycles: authority, reference, last plan, learned delays and model products.
+
+    The controller publishes it every 5 s and at each change of authority or reference. A controller that replaces a
+    dead one receives the newest state as its first message; the supervisor has replaced ``plan`` by the plan that is
+    in force at that time.
+    """
+
+    t_ns: PublicationTime
+    authority: Annotated[Authority, Meta(description="source of the thrust commands")] = Authority.DISARMED
+    reference_toml: Annotated[
+        ReferenceText,
+        Meta(description="current reference, in the format of a reference file; empty: the reference of the start"),
+    ] = ""
+    reference_start: Annotated[
+        ReferenceStart | None, Meta(description="start of the reference; null before it is in force")
+    ] = None
+    schedule_t_ns: Annotated[
+        Time, Meta(description="time at which schedule_s was valid: first knot of the last plan")
+    ] = 0
+    schedule_s: Annotated[ScheduleTime, Meta(description="time of the target on the schedule of the reference")] = 0.0
+    schedule_rate: Annotated[
+        Share, Meta(description="rate of schedule time to vehicle time; below 1 the target waits")
+    ] = 1.0
+    progress: ReferenceProgress = None
+    depth_integral_N: Annotated[
+        Force, Meta(description="integral of the depth law: the vertical thrust that holds a depth")
+    ] = 0.0
+    plan_delays_ns: Annotated[
+        Durations, Meta(description="of the last plans: from the start of the cycle to arrival at the actuators")
+    ] = ()
+    cycle_times_ns: Annotated[Durations, Meta(description="of the last cycles: computing time alone")] = ()
+    model_products: Annotated[
+        ModelProductMatrix | None,
+        Meta(description="4 x 4 sums of products of missing impulse, port impulse, starboard impulse and drag"),
+    ] = None
+    plan: Annotated[
+        Plan | None, Meta(description="last plan sent; after a restart, the plan in force at the actuators")
+    ] = None
+    estimate: Annotated[Estimate | None, Meta(description="newest estimate")] = None
+
+
+# --- written by the actuators ----------------------------------------------------------------------------------------
+
+
+class Applied(Message, frozen=True, kw_only=True, eq=False):
+    """Report of the actuators to the controller: the thrusts they deliver and the plan they follow."""
+
+    t_ns: Annotated[Time, Meta(description="time of validity and of publication")]
+    thrust_N: Annotated[Forces, Meta(description="delivered, after lag and saturation: port, starboard, vertical")]
+    command_N: Annotated[Forces, Meta(description="command in force: port, starboard, vertical")]
+    command_slew_N_per_s: Annotated[
+        ForceRates, Meta(description="largest rate of change of the command since the last report; 0: unknown")
+    ]
+    plan_epoch: Annotated[Identifier, Meta(description="epoch of the newest accepted plan; 0 before the first")]
+    plan_sequence: Annotated[
+        SequenceOrNone, Meta(description="sequence of the newest accepted plan; -1 before the first")
+    ]
+    plan_cycle_t_ns: Annotated[Time, Meta(description="cycle_t_ns of the newest accepted plan; 0 before the first")]
+    plan_received_t_ns: Annotated[Time, Meta(description="arrival of the newest accepted plan; 0 before the first")]
+    plan_late: Annotated[bool, Meta(description="that plan arrived after its own first knot: a deadline miss")]
+    plans_late: Annotated[Count, Meta(description="late plans so far")]
+    plans_rejected: Annotated[
+        Count,
+        Meta(description="plans rejected so far: outside box or slew limit, out of order, or of a second controller"),
+    ]
+    health: Annotated[
+        Health,
+        Meta(description="timeliness of the plans: degraded if two are missing, failsafe at the end of the last one"),
+    ] = Health.NOMINAL
+
+
+# --- written by the operator: commands to the controller, disturbances and faults for a simulation --------------------
+
+
+class Action(enum.StrEnum):
+    """Command of an operator to the controller."""
+
+    ARM = "arm"  # the controller takes the thrusters; its reference starts again
+    DISARM = "disarm"  # thrusts to zero until armed
+    STOP = "stop"  # thrusts to zero in every state, until armed
+    MANUAL = "manual"  # the pilot takes the thrusters: they follow the ``manual`` messages
+    RELEASE = "release"  # the pilot returns the thrusters to the controller
+    FOLLOW = "follow"  # another reference
+    HOLD = "hold"  # hold the current position
+
+
+class Command(Message, frozen=True, kw_only=True, eq=False):
+    """Command of an operator. The controller replies with an ``Acknowledgement`` of the same ``command_id``."""
+
+    command_id: Annotated[
+        Identifier, Meta(description="chosen by the sender, repeated in the reply; 48 random bits are unique")
+    ]
+    action: Annotated[Action, Meta(description="requested action")]
+    reference_toml: Annotated[ReferenceText, Meta(description="for follow: contents of a reference file, TOML")] = ""
+
+
+class Manual(Message, frozen=True, kw_only=True, eq=False):
+    """Thrusts that a pilot requests. They are valid for 1 s after arrival, then the thrusts return to zero."""
+
+    thrust_N: Annotated[Forces, Meta(description="requested: port, starboard, vertical; valid for 1 s after arrival")]
+
+
+class ClockCommand(Message, frozen=True, kw_only=True, eq=False):
+    """Command to pause vehicle time or change its speed. The simulated vehicle, which keeps the time, reads it."""
+
+    paused: Annotated[bool, Meta(description="vehicle time stands still")]
+    speed: Annotated[SpeedOfTime, Meta(description="vehicle seconds per wall second")]
+
+
+class Disturbance(Message, frozen=True, kw_only=True, eq=False):
+    """External force, moment and thrust loss that act on the simulated vehicle.
+
+    It acts from its arrival until ``end_t_ns`` and replaces the one before it. No process aboard the vehicle reads it.
+    """
+
+    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
+    thrust_scale: Annotated[
+        Shares, Meta(description="ratio of delivered thrust to that of the propellers: port, starboard, vertical")
+    ] = (1.0, 1.0, 1.0)
+    force_N: Annotated[Forces, Meta(description="on the vehicle: north, east, down")] = (0.0, 0.0, 0.0)
+    yaw_moment_Nm: Annotated[Moment, Meta(description="about down, positive to starboard")] = 0.0
+
+
+class Kill(Message, frozen=True, kw_only=True, eq=False):
+    """Command to the supervisor of a simulation to kill one process, to test the reaction of the others."""
+
+    node: Annotated[str, Meta(description="node whose process is killed")]
+
+
+class MessageFault(enum.StrEnum):
+    """Kind of fault that `ltv-mpc inject` applies to a message on its way."""
+
+    LOSS = "loss"
+    DELAY = "delay"
+    REORDER = "reorder"  # delivered after its successor
+    DUPLICATE = "duplicate"
+    CORRUPTION = "corruption"  # a few bits of the frame are flipped
+    NOT_A_NUMBER = "not_a_number"  # one of its numbers becomes NaN or infinity
+    STALE = "stale"  # the sender repeats an old message
+    CLOCK_JUMP = "clock_jump"  # its stamps come from a clock that has jumped
+
+
+class Injection(Message, frozen=True, kw_only=True, eq=False):
+    """Request to `ltv-mpc inject` for a fault in the messages of one key. No process aboard the vehicle reads it.
+
+    ``size`` is the share of the affected messages, except for "delay" (seconds), "clock_jump" (seconds ahead of the
+    true time) and "stale" (unused).
+    """
+
+    key: Annotated[str, Meta(description="key of the affected messages")]
+    fault: Annotated[MessageFault, Meta(description="kind of fault")]
+    start_t_ns: Annotated[Time, Meta(description="vehicle time at which it starts; immediately if that is past")]
+    end_t_ns: Annotated[Time, Meta(description="vehicle time at which it ends")]
+    size: Annotated[
+        MessageFaultSize,
+        Meta(description="share of the messages; delay: seconds; clock_jump: seconds ahead of the time; stale: unused"),
+    ] = 1.0
+    seed: Annotated[
+        Identifier, Meta(description="seed of the random draws: which messages, which bits, which numbers")
+    ] = 0
+
+
+class InjectorFrame(Message, frozen=True, kw_only=True, eq=False):
+    """Frame on the link between `ltv-mpc inject` and the node under test that differs from the frame on the bus.
+
+    On this link the node receives the altered frames, and publishes the original of a frame that the injector alters.
+    """
+
+    t_ns: Annotated[Time, Meta(description="time at which the injector received it")]
+    key: Annotated[str, Meta(description="key on which the node under test received or published it")]
+    crc: Crc
+    payload_base64: Annotated[str, Meta(description="the whole frame")]
+
+
+# --- written by every process: status, events, rejected frames, a record of each step --------------------------------
+
+
+class NodeStatus(Message, frozen=True, kw_only=True, eq=False):
+    """Status of one process: readiness, counters, and what it waits for."""
+
+    node: Publisher
+    t_ns: PublicationTime
+    ready: Annotated[bool, Meta(description="the node can do its work")]
+    waiting_for: Annotated[str, Meta(description="what the node waits for; empty if nothing")]
+    steps: Annotated[Count, Meta(description="steps so far")]
+    published: Annotated[Count, Meta(description="messages published so far, on all keys")]
+    received: Annotated[Count, Meta(description="messages accepted so far")]
+    dropped: Annotated[Count, Meta(description="messages lost so far, by gaps in the sequences")]
+    rejected: Annotated[Count, Meta(description="messages rejected so far")]
+    step_us: Annotated[WallTime, Meta(description="mean wall time of a step since the last status")]
+    min_queue_delay_us: Annotated[
+        WholeWallTime,
+        Meta(description="smallest wall time that a message waited since the last status; above 0: a standing queue"),
+    ] = 0
+    finished: Annotated[bool, Meta(description="the node has done all its work; this is its last status")] = False
+
+
 class RunEvent(Message, frozen=True, kw_only=True, eq=False):
-    """Something worth a mark on the time axis: a phase, a loss, a restart."""
+    """Event to be marked on the time axis: a phase, a loss, a restart."""
 
     t_ns: Annotated[Time, Meta(description="time of the event")]
     node: Publisher
     kind: Annotated[str, Meta(description="one word")]
-    text: Annotated[str, Meta(description="in words")]
+    text: Annotated[str, Meta(description="description of the event")]
 
 
-def to_wire(value: Any) -> Any:
-    """For encoders: numpy arrays as nested lists with null for NaN, numpy scalars as plain numbers."""
-    if isinstance(value, np.ndarray):
-        plain = value.tolist()
-        if value.dtype.kind == "f" and np.isnan(value).any():
-            plain = _null_for_nan(plain)
-        return plain
-    if isinstance(value, np.generic):
-        return value.item()
-    raise NotImplementedError(f"{type(value).__name__} does not travel")
+class RejectedFrame(Message, frozen=True, kw_only=True, eq=False):
+    """Frame that the message validation of a node rejected."""
+
+    t_ns: Annotated[Time, Meta(description="time of arrival")]
+    node: Publisher
+    key: Key
+    reason: Annotated[str, Meta(description="field and bound that it violates")]
+    crc: Crc
+    payload_base64: Annotated[str, Meta(description="first bytes of the frame, at most 3072")]
 
 
-def _null_for_nan(plain: Any) -> Any:
-    if isinstance(plain, list):
-        return [_null_for_nan(x) for x in plain]
-    return None if plain != plain else plain
+class InboxEntry(msgspec.Struct, frozen=True, array_like=False, kw_only=True, forbid_unknown_fields=True):
+    """Reference to one message in the inbox of a step, sufficient to find its frame in the recording."""
+
+    key: Key
+    epoch: Annotated[Identifier, Meta(description="epoch in the header of the message")]
+    sequence: Annotated[Count, Meta(description="sequence in the header of the message")]
+    crc: Crc
+    received_t_ns: Annotated[Time, Meta(description="time of arrival")]
 
 
-def from_wire(kind: type, value: Any) -> Any:
-    """For decoders: nested lists to float64 arrays (null to NaN), or int64 arrays where all are integers.
+class StepRecord(Message, frozen=True, kw_only=True, eq=False):
+    """Record of one step of a node, published before the outputs of the step. An exact replay needs it."""
 
-    Raises ``ValueError`` where the rows differ in length or an entry is no number.
+    node: Publisher
+    epoch: Annotated[Identifier, Meta(description="epoch of the node, as in its headers")]
+    step: Annotated[Count, Meta(description="number of the step, from 0")]
+    t_ns: Annotated[Time, Meta(description="time of the step")]
+    cause: Annotated[str, Meta(description="grid, cycle, or the key of the message that caused the step")]
+    inbox: Annotated[tuple[InboxEntry, ...], Meta(description="messages that the step received, in order")]
+
+
+# --- written by the clock master -------------------------------------------------------------------------------------
+
+
+class ClockState(enum.StrEnum):
+    """State of vehicle time."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    PAUSED = "paused"
+
+
+class Clock(Message, frozen=True, kw_only=True, eq=False):
+    """Relation of vehicle time to monotonic time.
+
+    While running, vehicle time = vehicle_ns + (monotonic - at_monotonic) x speed_num / speed_den. Monotonic times are
+    CLOCK_MONOTONIC of the host in microseconds: below 2^53 for 285 years, so every language reads them exactly.
     """
-    if kind is not np.ndarray and getattr(kind, "__origin__", None) is not np.ndarray:
-        raise NotImplementedError(f"{kind} does not travel")
-    if getattr(kind, "__args__", (None, None))[1] == np.dtype[np.int64]:
-        if not isinstance(value, list) or not all(type(x) is int for x in value):
-            raise ValueError("expected a list of integers")
-        return np.array(value, dtype=np.int64)
-    if isinstance(value, list) and _all_numbers(value):
-        with contextlib.suppress(ValueError):  # rows that differ in length
-            return np.array(value, dtype=np.float64)  # null to NaN
-    raise ValueError("expected a list of numbers, rows of one length")
 
-
-_NUMBERS = {int, float, type(None)}
-
-
-def _all_numbers(rows: list[Any]) -> bool:
-    """Whether a list, or a list of such lists, holds numbers and null alone; true and false are none."""
-    kinds = set(map(type, rows))
-    return all(map(_all_numbers, rows)) if kinds == {list} else kinds <= _NUMBERS
+    clock_epoch: Annotated[Identifier, Meta(description="identifies one start of the clock master")]
+    clock_sequence: Annotated[Count, Meta(description="number of the announcement; a repetition keeps its number")]
+    host_boot_id: Annotated[
+        str, Meta(description="boot of the host of the clock master; monotonic times are comparable within one boot")
+    ]
+    at_monotonic_us: Annotated[MonotonicTime, Meta(description="CLOCK_MONOTONIC from which this relation holds")]
+    vehicle_ns: Annotated[Time, Meta(description="vehicle time at that instant")]
+    speed_num: Annotated[PositiveInteger, Meta(description="speed in force, numerator")]
+    speed_den: Annotated[PositiveInteger, Meta(description="speed in force, denominator")]
+    requested_speed: Annotated[
+        SpeedOfTime, Meta(description="requested vehicle seconds per wall second; the speed in force may be lower")
+    ]
+    state: Annotated[ClockState, Meta(description="state of vehicle time from then on")]

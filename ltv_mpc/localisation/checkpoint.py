@@ -13,6 +13,7 @@ from dataclasses import asdict
 import msgspec
 import numpy as np
 
+from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.currents import WaterPrior
 from ltv_mpc.localisation.adaptive.failure_signatures import FailureSignatures
 from ltv_mpc.localisation.config import EstimatorConfig
@@ -22,7 +23,7 @@ from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.water.column import Link, WaterColumn
 from ltv_mpc.localisation.water.current_model import node_prior
 from ltv_mpc.localisation.water.grid_window import conditioning_states
-from ltv_mpc.messages import DroppedGridPoint, EstimatorState, to_wire
+from ltv_mpc.messages import DroppedGridPoint, EstimatorState
 
 
 def settings_of(suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None) -> int:

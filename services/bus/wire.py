@@ -17,7 +17,8 @@ import msgpack
 import msgspec
 from msgspec import Meta
 
-from ltv_mpc.messages import Count, Message, MonotonicTime, from_wire, to_wire
+from ltv_mpc.array_encoding import from_wire, to_wire
+from ltv_mpc.messages import Count, Message, MonotonicTime
 from ltv_mpc.validation import refusal
 
 S = TypeVar("S", bound=Message)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from msgspec import Meta
 
+from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.messages import (
     AdcpPing,
     BottomTrack,
@@ -20,7 +21,6 @@ from ltv_mpc.messages import (
     Estimate,
     Message,
     Plan,
-    to_wire,
 )
 from ltv_mpc.validation import RELATIONS, Bounds, bounds, refusal, validator
 from services.bus.topics import TOPICS

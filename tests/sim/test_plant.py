@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from ltv_mpc.messages import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth, to_wire
+from ltv_mpc.array_encoding import to_wire
+from ltv_mpc.messages import Applied, Plan, PlanOrigin, Solve, SolveStatus, Truth
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.vehicle.parameters import Vehicle
 from sim.plant import PERIOD_NS, Plant

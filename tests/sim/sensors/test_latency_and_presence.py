@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from ltv_mpc.array_encoding import to_wire
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors.bottom_track import BottomTracking
 from ltv_mpc.localisation.sensors.lbl import Lbl
@@ -24,7 +25,6 @@ from ltv_mpc.messages import (
     TdcpFix,
     Truth,
     UsblFix,
-    to_wire,
 )
 from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.validation import refusal
