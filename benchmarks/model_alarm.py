@@ -207,7 +207,7 @@ class Kept(msgspec.Struct, kw_only=True):
     """Seed and time (s)."""
     losses: list[Loss] = []
     evidence: list[float] = []
-    """The largest of each nominal run (nats): what ``ALARM`` has to be above."""
+    """The largest of each nominal run (nats): what ``ALARM_NATS`` has to be above."""
 
 
 def opened(path: Path | None, asked: Kept) -> Kept:

@@ -23,7 +23,7 @@ from ltv_mpc.control.solvers.osqp import OsqpSolver
 from ltv_mpc.control.vertical import VerticalLaw
 from ltv_mpc.messages import Estimate, MessageFault, Plan
 from ltv_mpc.references import follower
-from ltv_mpc.safety import health, model_check
+from ltv_mpc.safety import health, thrust_loss_detector
 from ltv_mpc.safety.estimate_gate import EstimateGate
 from ltv_mpc.safety.input_monitor import InputMonitor
 from ltv_mpc.safety.plan_gate import PlanGate, PlanVerdict
@@ -381,24 +381,24 @@ MECHANISMS: tuple[Mechanism, ...] = (
         without((health, "timeout_ns", seconds_alone), (controller, "timeout_ns", seconds_alone)),
         EVENT,
     ),
-    row("plan gate", CORRUPT_PLAN, without((PlanGate, "_judge", accept)), LOCKED),
-    row("plan gate", INTRUDED, without((PlanGate, "_judge", accept)), LOCKED),
+    row("plan gate", CORRUPT_PLAN, without((PlanGate, "_check", accept)), LOCKED),
+    row("plan gate", INTRUDED, without((PlanGate, "_check", accept)), LOCKED),
     row(
         "thrust-loss detector",
         LOSS,
-        without((model_check, "weigh", no_evidence)),
+        without((thrust_loss_detector, "evaluate", no_evidence)),
         ("losses detected (%)", "delay, median (s)"),
     ),
     row(
         "what was learned before",
         LOSS,
-        without((model_check, "learn", nothing)),
+        without((thrust_loss_detector, "accumulate", nothing)),
         ("losses detected (%)", "delay, median (s)"),
     ),
     row(
         "what was learned before",
         MISMATCH,
-        without((model_check, "learn", nothing)),
+        without((thrust_loss_detector, "accumulate", nothing)),
         ("false alarms", "largest evidence (nats)"),
     ),
     row("leash and current", SQUARE, without((follower, "go_on", unleashed)), PATH),

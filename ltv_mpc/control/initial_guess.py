@@ -21,7 +21,7 @@ from ltv_mpc.control.problem_data import Constants, Objective, stage_length
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.flow import advance_by, lag_table
-from ltv_mpc.vehicle.resistance import steady
+from ltv_mpc.vehicle.resistance import steady_speed
 
 APPROACH_S = 4.0
 """T_p: an error is to be gone in about the length of a horizon. Like the other two of the paper's vehicle: another's
@@ -54,7 +54,7 @@ def steering_guess(X: Array, U: Array, C: Array, target: Array, astern: bool, mo
     C (N+1, 2) current at the knots; ``target`` (N+1, 2) as in ``Solver``.
     """
     N, p, o = len(target) - 1, c.p, c.objective
-    fastest = steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
+    fastest = steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     sign = -1.0 if astern else 1.0
     total, h = 0.0, stage_length(o, 1) * c.stage_s
     lag = lag_table(h, p)

@@ -35,7 +35,7 @@ from ltv_mpc.references import Hold, Reference, Timed
 from ltv_mpc.safety.command_arbiter import CommandArbiter, CommandResult
 from ltv_mpc.safety.health import report_health, worst
 from ltv_mpc.safety.input_monitor import InputMonitor
-from ltv_mpc.safety.model_check import ModelMonitor
+from ltv_mpc.safety.model_monitor import ModelMonitor
 from ltv_mpc.vehicle.parameters import Vehicle
 
 MAX_HOLD_DEPTH_M = 11_000.0

@@ -32,7 +32,7 @@ import numpy as np
 from ltv_mpc.control.config import ControllerConfig, ResolvedConfig, Weights
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
-from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady
+from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
 
 
 class Scales(NamedTuple):
@@ -56,9 +56,9 @@ def characteristic_scales(vehicle: Vehicle) -> Scales:
     p = vehicle.coefficients()
     port, starboard = vehicle.thrusters[:2]
     push = port.max_N + starboard.max_N
-    speed = min(steady(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
+    speed = min(steady_speed(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
     couple = weaker_couple(vehicle, p)
-    rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
+    rate = min(steady_speed(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
     turn = math.sqrt(1.0 / rate**2 + 2.0 * p.inertia_yaw / couple)
     return Scales(speed, p.mass_surge * speed / push + turn + max(p.lag_port, p.lag_starboard))
 

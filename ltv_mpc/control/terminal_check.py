@@ -25,7 +25,7 @@ from ltv_mpc.control.problem_data import Constants
 from ltv_mpc.control.scaling import PAPER_SCALES
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
-from ltv_mpc.vehicle.resistance import steady
+from ltv_mpc.vehicle.resistance import steady_speed
 
 NEAR_LENGTHS, SLOW_RATIO = 0.1, 0.1
 MAX_TAIL_TIMES = 200.0
@@ -57,14 +57,14 @@ def check_terminal(X: Array, C: Array, target: Array, c: Constants) -> TerminalC
     N, o, p = len(target) - 1, c.objective, c.p
     dn, de = target[N - 1, 0] - X[N, 0], target[N - 1, 1] - X[N, 1]
     d = math.sqrt(dn * dn + de * de)
-    T, ahead = TIME_S * c.time_ratio, steady(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
+    T, ahead = TIME_S * c.time_ratio, steady_speed(o.high[0] + o.high[1], p.linear_surge, p.quadratic_surge)
     if d <= NEAR_LENGTHS * ahead * T:
         return TerminalCheck(False, 0.0)
     en, ee = dn / d, de / d
     bn, be = target[N, 0] - C[N, 0], target[N, 1] - C[N, 1]
     s = closing_speed(en, ee, bn, be, ahead)
     if math.cos(X[N, 4]) * (en * s + bn) + math.sin(X[N, 4]) * (ee * s + be) < 0.0:
-        astern = steady(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge)
+        astern = steady_speed(max(-o.low[0] - o.low[1], 0.0), p.linear_surge, p.quadratic_surge)
         s = closing_speed(en, ee, bn, be, astern)
     t = MAX_TAIL_TIMES * T
     if s * t > d:

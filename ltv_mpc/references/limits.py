@@ -24,7 +24,7 @@ import numpy as np
 
 from ltv_mpc.messages import Array
 from ltv_mpc.vehicle.parameters import Vehicle
-from ltv_mpc.vehicle.resistance import steady
+from ltv_mpc.vehicle.resistance import steady_speed
 
 SHARE = 0.8
 """Of each thruster's limits, for what lasts."""
@@ -94,7 +94,7 @@ def limits_of(vehicle: Vehicle) -> Limits:
 
 def _held(force: float, linear: float, quadratic: float) -> float:
     """The speed that ``force`` holds; at most 100 where nothing resists."""
-    return min(steady(force, linear, quadratic), 100.0)
+    return min(steady_speed(force, linear, quadratic), 100.0)
 
 
 def _turning_speeds(vehicle: Vehicle, cruise: float) -> Array:

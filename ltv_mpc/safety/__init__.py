@@ -1,1 +1,1 @@
-"""What stands between a plan and the actuators, whatever the controller does."""
+"""Checks between estimates, controller and actuators: gates, input monitors, command arbiter, model monitor."""

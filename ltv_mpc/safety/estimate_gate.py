@@ -1,22 +1,22 @@
-"""What a controller asks of an estimate before it plans on it.
+"""Estimate gate: reject estimates that the vehicle cannot have reached, before the controller uses them.
 
-An estimate is believed if
+An estimate is accepted if
 
     every number is finite
     |velocity over ground|  <=  2 x top speed through the water + 3 m/s of current
     |yaw rate|              <=  3 x the steady rate at full opposite thrusts + 0.5 rad/s
     |sinking speed|         <=  2 x the steady rate at full thrust and net buoyancy + 1 m/s
 
-and if, dt after the last one believed, it is where it can be: with s the standard deviations of both by their
-covariance (5 m and 0.5 rad without one),
+and if it is reachable from the last accepted one, a time dt before. With s the sum of the standard deviations of both
+estimates, from their covariances (5 m and 0.5 rad for an estimate without covariance):
 
     |p - (p0 + v0 dt)|      <=  speed bound x dt + 1 m, or 5 s
     |psi - (psi0 + r0 dt)|  <=  yaw rate bound x dt + 0.5 rad, or 5 s
     |z - z0|                <=  sinking bound x dt + 2 m
 
-A filter may be right and jump all the same, after a fix that ends a long drift. So a jump is refused once: the second
-of two estimates that agree with each other is believed. In place of a refused one stands the last one believed, which
-is as old as it is: whoever says nonsense for long is the same as silent.
+A correct filter can also jump, after a fix that ends a long drift. Therefore a jump is rejected only once: the second
+of two successive estimates that are consistent with each other is accepted. While estimates are rejected, the last
+accepted one stays in use and ages, so a source of implausible estimates has the same effect as a silent one.
 """
 
 from __future__ import annotations
@@ -27,17 +27,20 @@ from typing import NamedTuple
 
 from ltv_mpc.messages import Estimate
 from ltv_mpc.vehicle.parameters import Vehicle
-from ltv_mpc.vehicle.resistance import steady
+from ltv_mpc.vehicle.resistance import steady_speed
 
 CURRENT_MPS = 3.0
 JUMP_M, JUMP_RAD, JUMP_DEPTH_M = 1.0, 0.5, 2.0
 SIGMAS = 5.0
 UNKNOWN_SD_M, UNKNOWN_SD_RAD = 5.0, 0.5
-"""Of an estimate without a covariance: as a plain satellite fix."""
+"""Standard deviations of an estimate without covariance: those of a plain satellite fix."""
+
+NOT_FINITE = "a number is not finite"
+JUMPED = "jumped farther than the vehicle can move"
 
 
 class Bounds(NamedTuple):
-    """What a vehicle's motion stays within."""
+    """Bounds of a vehicle's motion."""
 
     speed_mps: float  # over ground
     yaw_rate_radps: float
@@ -45,7 +48,7 @@ class Bounds(NamedTuple):
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> Bounds:
-        """By what its thrusters do against its damping at most, widened as above."""
+        """Return the steady speeds at full thrust against the damping, widened as in the module docstring."""
         port, starboard, vertical = vehicle.thrusters
         surge = max(port.max_N + starboard.max_N, -port.min_N - starboard.min_N)
         yaw = max(
@@ -55,59 +58,60 @@ class Bounds(NamedTuple):
         sinking = 0.0
         if vehicle.heave is not None:
             heave = max(vertical.max_N, -vertical.min_N) + abs(vehicle.net_buoyancy_N)
-            sinking = steady(heave, vehicle.heave.linear_damping_kgps, vehicle.heave.quadratic_damping_kgpm)
-        top = steady(surge, vehicle.surge.linear_damping_kgps, vehicle.surge.quadratic_damping_kgpm)
-        turning = steady(yaw, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2)
+            sinking = steady_speed(heave, vehicle.heave.linear_damping_kgps, vehicle.heave.quadratic_damping_kgpm)
+        top = steady_speed(surge, vehicle.surge.linear_damping_kgps, vehicle.surge.quadratic_damping_kgpm)
+        turning = steady_speed(yaw, vehicle.yaw.linear_damping_Nms, vehicle.yaw.quadratic_damping_kgm2)
         return cls(2.0 * top + CURRENT_MPS, 3.0 * turning + 0.5, 2.0 * sinking + 1.0)
 
 
 class EstimateGate:
-    """The newest estimate that is believed."""
+    """Filter for incoming estimates that keeps the newest accepted one."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.rejected: Counter[str] = Counter()
-        """Estimates that were not believed, by reason."""
+        """Number of rejected estimates, by reason."""
         self.accepted: Estimate | None = None
+        """Newest accepted estimate."""
         self._bounds = Bounds.of(vehicle)
-        self._jumped: Estimate | None = None  # refused last, for a jump
+        self._jumped: Estimate | None = None  # the last estimate, if it was rejected as a jump
 
     def check(self, estimate: Estimate) -> str:
-        """Why ``estimate`` is not believed; empty where it is, and was before."""
+        """Return the reason why ``estimate`` is rejected; empty if it is accepted now or was before."""
         if estimate is self.accepted:
             return ""
         if self._jumped is not None and estimate is self._jumped:
             return JUMPED
-        doubt = self._doubt(estimate)
-        if doubt:
+        reason = self._out_of_bounds(estimate)
+        if reason:
             self._jumped = None
         elif self.accepted is not None and self._jumps(self.accepted, estimate):
             before, self._jumped = self._jumped, estimate
             if before is None or before.t_ns == estimate.t_ns or self._jumps(before, estimate):
-                doubt = JUMPED
-        if doubt:
-            self.rejected[doubt] += 1
-            return doubt
+                reason = JUMPED
+        if reason:
+            self.rejected[reason] += 1
+            return reason
         self.accepted, self._jumped = estimate, None
         return ""
 
-    def _doubt(self, e: Estimate) -> str:
-        """What no vehicle of its kind can be; written so that NaN is outside."""
+    def _out_of_bounds(self, e: Estimate) -> str:
+        """Return which bound the estimate exceeds; the comparisons are written so that NaN exceeds every bound."""
         bounds = self._bounds
         vn, ve = e.velocity_north_mps, e.velocity_east_mps
         if not math.isfinite(e.north_m + e.east_m + e.heading_rad + vn + ve + e.yaw_rate_radps):
-            return "a number is not finite"
+            return NOT_FINITE
         if not vn * vn + ve * ve <= bounds.speed_mps * bounds.speed_mps:
-            return "velocity over ground beyond what the vehicle can do"
+            return "velocity over ground above what the vehicle can reach"
         if not abs(e.yaw_rate_radps) <= bounds.yaw_rate_radps:
-            return "yaw rate beyond what the vehicle can do"
+            return "yaw rate above what the vehicle can reach"
         if not math.isfinite(e.depth_m or 0.0):
-            return "a number is not finite"
+            return NOT_FINITE
         if not abs(e.velocity_down_mps or 0.0) <= bounds.sinking_mps:
-            return "sinking speed beyond what the vehicle can do"
+            return "sinking speed above what the vehicle can reach"
         return ""
 
     def _jumps(self, old: Estimate, new: Estimate) -> bool:
-        """Whether the vehicle cannot have got from ``old`` to ``new``."""
+        """Return True if the vehicle cannot have moved from ``old`` to ``new`` in the time between them."""
         bounds = self._bounds
         dt = abs(new.t_ns - old.t_ns) * 1e-9
         off_n = new.north_m - old.north_m - old.velocity_north_mps * dt
@@ -126,10 +130,7 @@ class EstimateGate:
         return abs(new.depth_m - old.depth_m) > bounds.sinking_mps * dt + JUMP_DEPTH_M
 
 
-JUMPED = "a jump that the vehicle cannot have made"
-
-
-def _sd(estimate: Estimate, at: tuple[int, ...], unknown: float) -> float:
-    """Standard deviation by the covariance's diagonal."""
+def _sd(estimate: Estimate, indices: tuple[int, ...], unknown: float) -> float:
+    """Return the standard deviation of some states, from the diagonal of the covariance."""
     P = estimate.covariance
-    return unknown if P is None else math.sqrt(sum(max(float(P[i, i]), 0.0) for i in at))
+    return unknown if P is None else math.sqrt(sum(max(float(P[i, i]), 0.0) for i in indices))

@@ -1,22 +1,23 @@
-"""How well the inputs keep up: pure functions of ages, all in the vehicle's time.
+"""Health of the inputs: thresholds on the age of estimates, actuator reports and plans, in vehicle time.
 
-Of the controller, by the age of the newest estimate that it believes and the period T at which estimates come:
+Controller, by the age of the newest accepted estimate and the period T of the estimates:
 
-    degraded   age > max(3 T, 0.5 s), or there is none yet     what is done stays the same, and is said
-    hold       age > max(4 T, 1.5 s)                           lateral thrusts to zero, the depth kept: origin "zero"
-    failsafe   age > max(6 T, 3.0 s)                           lateral thrusts to zero, the vertical one to the
+    degraded   age > max(3 T, 0.5 s), or no estimate yet       control continues, and the plan reports it
+    hold       age > max(4 T, 1.5 s)                           lateral thrusts to zero, depth held: origin "zero"
+    failsafe   age > max(6 T, 3.0 s)                           lateral thrusts to zero, vertical thrust to the
                                                                vehicle's ``failsafe_vertical_N``: origin "zero"
 
-and degraded as well while the actuators, having reported before, are silent for max(3 T, 0.5 s) of their own period.
-The multiples of T let a slow publisher be nominal: one that comes each second is degraded after two that are missing,
-held after three, given up after five. They take over from the seconds at 6, 2.7 and 2 Hz.
+The controller is also degraded while the actuators, having reported before, are silent for max(3 T, 0.5 s) with T
+their own period. The multiples of T make a slow publisher nominal: one that sends once a second is degraded after two
+missing messages, held after three, failsafe after five. They exceed the fixed times below 6, 2.7 and 2 Hz.
 
-Of the actuators, by the time since the newest plan was accepted and the period at which plans come:
+Actuators, by the time since the last accepted plan and the period T of the plans:
 
-    degraded   two planned replacements are missing (2.5 T), or there is no plan yet     the plan is followed to its end
-    failsafe   the plan is at its end                                                    thrusts ramp to rest
+    degraded   two planned replacements are missing (2.5 T), or no plan yet     the last plan is followed to its end
+    failsafe   the last plan is at its end                                      thrusts ramp to rest
 
-A pause of the clock freezes every age. An age below zero is a stamp from the future, and as wrong as one of the past.
+A pause of the clock freezes every age. A negative age comes from a stamp in the future. It is as wrong as a stamp of
+the past, so the absolute value counts.
 """
 
 from __future__ import annotations
@@ -31,23 +32,23 @@ from ltv_mpc.messages import Health
 DEGRADED_PERIODS, HOLD_PERIODS, FAILSAFE_PERIODS = 3, 4, 6
 
 REPLACEMENTS_MISSING = 2.5
-"""Plan periods without a plan: the second replacement was due half a period ago."""
+"""Silence in plan periods at which a commander counts as lost: its second replacement is half a period overdue."""
 
 MIN_PLAN_TIMEOUT_NS = 500_000_000
-"""A shorter silence of the plans is the way's, not the commander's."""
+"""Shortest silence that counts as a loss of the commander; a shorter one can be a delay of the link."""
 
 WORST_FIRST = (Health.FAILSAFE, Health.HOLD, Health.DEGRADED, Health.NOMINAL)
 
 
 class Ages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """[controller.ages]: how old the newest estimate may be, in vehicle seconds; a slow publisher is given more."""
+    """[controller.ages]: largest ages of the newest estimate, in vehicle seconds; they grow for a slow publisher."""
 
     degraded_s: Annotated[float, Meta(gt=0, le=60)] = 0.5
     hold_s: Annotated[float, Meta(gt=0, le=60)] = 1.5
     failsafe_s: Annotated[float, Meta(gt=0, le=60)] = 3.0
 
     def problem(self) -> tuple[str, str] | None:
-        """Field and bound where the thresholds contradict each other."""
+        """Return the field and the bound it violates if the thresholds are not in order, else None."""
         if self.hold_s < self.degraded_s:
             return "hold_s", f"must be >= degraded_s = {self.degraded_s:g}"
         if self.failsafe_s < self.hold_s:
@@ -58,14 +59,26 @@ class Ages(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 DEFAULT_AGES = Ages()
 
 
-def timeout_ns(periods: float, period_ns: int, least_s: float) -> int:
-    """So old an input may become: so many of its periods (0: not known), and not less than ``least_s``."""
-    return max(round(periods * period_ns), round(least_s * 1e9))
+def timeout_ns(periods: float, period_ns: int, min_s: float) -> int:
+    """Return the age (ns) at which an input times out: ``periods`` of its own, at least a fixed time.
+
+    Parameters
+    ----------
+    periods : number of periods.
+    period_ns : period of the input (ns); 0 if unknown.
+    min_s : smallest timeout (s).
+    """
+    return max(round(periods * period_ns), round(min_s * 1e9))
 
 
 def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> Health:
-    """Of the controller, by the age of the newest estimate (None: there is none) and the period of estimates (0: not
-    known).
+    """Return the health of the controller by its estimates.
+
+    Parameters
+    ----------
+    age_ns : age of the newest accepted estimate (ns); None before the first.
+    period_ns : period of the estimates (ns); 0 if unknown.
+    ages : thresholds.
     """
     if age_ns is None:
         return Health.DEGRADED
@@ -78,15 +91,27 @@ def health(*, age_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> 
 
 
 def report_health(*, silent_ns: int | None, period_ns: int, ages: Ages = DEFAULT_AGES) -> Health:
-    """Of the controller, by how long the actuators have been silent (None: they never said anything, as they may)."""
+    """Return the health of the controller by the reports of the actuators.
+
+    Parameters
+    ----------
+    silent_ns : time since the last report (ns); None if there was none, which is allowed.
+    period_ns : period of the reports (ns); 0 if unknown.
+    ages : thresholds.
+    """
     if silent_ns is None or silent_ns <= timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s):
         return Health.NOMINAL
     return Health.DEGRADED
 
 
 def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Health:
-    """Of the actuators, by the time since a plan was accepted last (None: never), the period of plans (0: not known),
-    and how long the newest still lasts.
+    """Return the health of the actuators by the plans they accept.
+
+    Parameters
+    ----------
+    silent_ns : time since the last accepted plan (ns); None before the first.
+    period_ns : period of the plans (ns); 0 if unknown.
+    left_ns : time to the end of the newest plan (ns); negative after it.
     """
     if silent_ns is None:
         return Health.DEGRADED
@@ -96,10 +121,10 @@ def plan_health(*, silent_ns: int | None, period_ns: int, left_ns: int) -> Healt
 
 
 def plan_timeout_ns(period_ns: int) -> int:
-    """So long after its last plan a commander counts as there."""
+    """Return the time (ns) after its last plan for which a commander counts as present."""
     return max(round(REPLACEMENTS_MISSING * period_ns), MIN_PLAN_TIMEOUT_NS)
 
 
 def worst(*of: Health) -> Health:
-    """The worst of them."""
+    """Return the worst of several states."""
     return next(health for health in WORST_FIRST if health in of)

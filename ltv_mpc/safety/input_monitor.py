@@ -1,10 +1,11 @@
-"""What a receiver knows of one input: alive, valid, in time; its source, order and period.
+"""Monitoring of one input: order and source of its messages, their period, and whether they are up to date.
 
-    alive    it was heard lately
-    valid    what was heard last is of now, by its own stamp
-    rate     of what came lately no more than half was missing, by the median spacing
+    alive    a message was received recently
+    valid    the stamp of the newest message is close to the receiver's time
+    rate     at most half of the recent messages are missing, by the median spacing of their stamps
 
-Times are the receiver's: its clock runs by the monotonic one of its machine, so a jump of the wall's changes nothing.
+Times are those of the receiver, whose clock follows the monotonic clock of its host. A jump of the wall clock has no
+effect.
 """
 
 from __future__ import annotations
@@ -14,32 +15,32 @@ from typing import NamedTuple
 
 from ltv_mpc.safety.health import DEFAULT_AGES, DEGRADED_PERIODS, Ages, timeout_ns
 
-REMEMBERED = 9
-"""Spacings of which the period is the median: one that was lost, or came in a burst, does not move it."""
+SPACINGS = 9
+"""Number of spacings in the median, so that a lost message or a burst does not change the period."""
 
-MOST_MISSING = 2.0
-"""Mean spacing over the median one, beyond which the rate is not kept."""
+MAX_MEAN_OVER_MEDIAN = 2.0
+"""Ratio of mean to median spacing above which ``rate`` is false: more than half of the messages are missing."""
 
-SET_BACK_NS = 10_000_000_000
-"""A stamp that is so much older than the one before means that the sender's clock was set back."""
+CLOCK_SET_BACK_NS = 10_000_000_000
+"""Step backwards between two stamps from which the sender's clock counts as set back."""
 
-AHEAD_NS = 1_000_000_000
-"""What is stamped further ahead of its arrival is of a clock that has jumped; believed, it would make all that is true
-look old until its time has come. Another computer's clock is known to half a second while it is first heard through
-delays that jump.
+MAX_STAMP_AHEAD_NS = 1_000_000_000
+"""Largest lead of a stamp over its arrival. A stamp farther ahead comes from a clock that jumped; if accepted, it would
+make every correct message look old until its time has come. The offset to another host's clock is known to 0.5 s while
+its first messages arrive through delays that jump.
 """
 
 
 class Period:
-    """The time between two messages of a kind."""
+    """Spacing between successive stamps of one kind of message."""
 
     def __init__(self) -> None:
         self._last_ns: int | None = None
-        self._spacings: deque[int] = deque(maxlen=REMEMBERED)
-        self._median_ns: int | None = 0  # None: not worked out since the last
+        self._spacings: deque[int] = deque(maxlen=SPACINGS)
+        self._median_ns: int | None = 0  # None: not computed since the last stamp
 
     def add(self, t_ns: int) -> None:
-        """One more, newer than the last."""
+        """Add the stamp of a message, newer than the last."""
         if self._last_ns is not None:
             self._spacings.append(max(t_ns - self._last_ns, 0))
             self._median_ns = None
@@ -47,33 +48,36 @@ class Period:
 
     @property
     def median_ns(self) -> int:
-        """0 before the second."""
+        """Median spacing (ns); 0 before the second stamp."""
         if self._median_ns is None:
             self._median_ns = sorted(self._spacings)[len(self._spacings) // 2]
         return self._median_ns
 
     @property
     def mean_ns(self) -> float:
-        """0 before the second."""
+        """Mean spacing (ns); 0 before the second stamp."""
         return sum(self._spacings) / len(self._spacings) if self._spacings else 0.0
 
 
 class InputState(NamedTuple):
-    """Of one input, at one time."""
+    """State of one input at one time."""
 
     alive: bool
     valid: bool
     rate: bool
-    age_ns: int | None  # of what was heard last, by its stamp; None before the first
+    age_ns: int | None  # age of the newest message by its stamp; None before the first
     period_ns: int  # median spacing of the stamps; 0 before the second
 
 
 class InputMonitor:
-    """One input: who sends it, in which order, and when it was heard last."""
+    """Order and timeliness of one input.
+
+    A source is identified by its epoch, which each start of a process draws at random.
+    """
 
     def __init__(self) -> None:
         self.rejected = 0
-        """Messages that came after a newer one, or are stamped later than they came: not read."""
+        """Number of messages rejected: out of order, or stamped too far ahead of their arrival."""
         self.period = Period()
         self._epoch: int | None = None
         self._sequence = -1
@@ -81,17 +85,23 @@ class InputMonitor:
         self._received_ns = 0
 
     def receive(self, *, epoch: int, sequence: int, stamp_ns: int, received_ns: int) -> bool:
-        """Whether a message is news: the next of its source, or the first of another, and of a later time, not of one
-        that is still to come.
+        """Return True if a message is accepted as the newest one.
 
-        A source is known by its epoch, which each start of a process draws anew.
+        It must be the next of its source or the first of another source, not stamped before the newest message, and
+        not stamped in the future.
+
+        Parameters
+        ----------
+        epoch, sequence : header of the message.
+        stamp_ns : time of validity of the message (ns).
+        received_ns : time of its arrival (ns).
         """
-        if stamp_ns > received_ns + AHEAD_NS:
+        if stamp_ns > received_ns + MAX_STAMP_AHEAD_NS:
             self.rejected += 1
             return False
         same = epoch == self._epoch
         older_ns = 0 if self._stamp_ns is None else self._stamp_ns - stamp_ns
-        set_back = older_ns > SET_BACK_NS
+        set_back = older_ns > CLOCK_SET_BACK_NS
         if (same and sequence <= self._sequence) or (older_ns > 0 and not set_back):
             self.rejected += 1
             return False
@@ -103,20 +113,26 @@ class InputMonitor:
         return True
 
     def silent_ns(self, t_ns: int) -> int | None:
-        """How long ago it was heard; None before the first."""
+        """Return the time (ns) since the newest message arrived; None before the first."""
         return None if self._stamp_ns is None else t_ns - self._received_ns
 
     def state_at(self, t_ns: int, ages: Ages = DEFAULT_AGES) -> InputState:
-        """What is to be said of it at ``t_ns``."""
+        """Return the state of the input.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        ages : thresholds; ``degraded_s`` is the shortest timeout.
+        """
         period_ns = self.period.median_ns
         if self._stamp_ns is None:
             return InputState(False, False, False, None, period_ns)
-        patience = timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s)
+        timeout = timeout_ns(DEGRADED_PERIODS, period_ns, ages.degraded_s)
         age_ns = t_ns - self._stamp_ns
         return InputState(
-            alive=t_ns - self._received_ns <= patience,
-            valid=abs(age_ns) <= patience,
-            rate=self.period.mean_ns <= MOST_MISSING * period_ns,
+            alive=t_ns - self._received_ns <= timeout,
+            valid=abs(age_ns) <= timeout,
+            rate=self.period.mean_ns <= MAX_MEAN_OVER_MEDIAN * period_ns,
             age_ns=age_ns,
             period_ns=period_ns,
         )

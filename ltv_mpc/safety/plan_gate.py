@@ -1,16 +1,17 @@
-"""The actuators' own gate: which plan is in force, and the command that never leaves box or slew.
+"""Plan gate of the actuators: select the plan in force and compute a command that never leaves box or slew limit.
 
-Target   T(t) = the newest accepted plan whose start has come, linear between its knots; after its last knot the
-         lateral thrusts are zero and the vertical one is the vehicle's ``failsafe_vertical_N``
+Target   T(t) = the newest accepted plan that has started, linear between its knots; after its last knot the lateral
+         thrusts are zero and the vertical one is the vehicle's ``failsafe_vertical_N``
 Command  y(t) (N), port, starboard, vertical:  y(t + dt) = y(t) + clip(T(t + dt) - y(t), -slew dt, slew dt)
 
-So a plan that starts at the command in force is followed exactly, one that comes late is met at the slew limit, and the
-end of the last plan is a ramp. A plan is refused where it leaves box or slew by itself, or comes out of order.
+A plan that starts at the command in force is followed exactly. The command approaches a late plan at the slew limit,
+and the end of the last plan is a ramp. A plan is rejected if it violates box or slew limit itself, or is out of order.
 
-One commander at a time. A commander is known by its epoch, which each start of a controller draws anew. While plans of
-one keep coming, those of every other are refused; who comes anew is accepted once two planned replacements of the one
-in force are missing (``health.plan_health``: 2.5 of its periods, at least 0.5 s), or its last plan is at its end. So a
-controller that died and was started again takes over with its first plan, and two that speak at once do not alternate.
+One commander at a time. A commander is identified by its epoch, which each start of a controller draws at random.
+While plans of one commander keep coming, those of all others are rejected. A new commander is accepted once two planned
+replacements of the plan in force are missing (``health.plan_health``: 2.5 periods, at least 0.5 s), or the plan is at
+its end. So a restarted controller takes over with its first plan, and two controllers that send at once do not
+alternate.
 """
 
 from __future__ import annotations
@@ -30,15 +31,14 @@ from ltv_mpc.safety.input_monitor import Period
 from ltv_mpc.vehicle.parameters import Vehicle
 
 TOLERANCE_N = 1e-6
-"""What rounding may add to a plan's box and to its change from knot to knot; the command itself has no such margin."""
+"""Tolerance for rounding in a plan's thrusts and in their change between knots; the command itself has no tolerance."""
 
-
-COMMANDERS = 64
-"""Of so many the last sequence is remembered: a frame of one that spoke before is not followed twice."""
+MAX_COMMANDERS = 64
+"""Number of commanders whose last sequence is remembered, so that an old frame of one of them is not followed again."""
 
 
 class PlanVerdict(enum.StrEnum):
-    """What became of a plan."""
+    """Result of the checks on a plan."""
 
     ACCEPTED = "accepted"
     LATE = "late"  # accepted after its start time: a deadline miss
@@ -48,8 +48,8 @@ class PlanVerdict(enum.StrEnum):
     OUTSIDE_SLEW = "outside_slew"
 
 
-class _Followed(NamedTuple):
-    """A plan as compiled code reads it."""
+class _TimedThrust(NamedTuple):
+    """Accepted plan in the types of the compiled code."""
 
     start_ns: int
     end_ns: int
@@ -57,88 +57,131 @@ class _Followed(NamedTuple):
     thrust_N: Array  # (M, 3)
 
 
-_NONE = _Followed(0, -1, np.empty(0, dtype=np.int64), np.empty((0, 3)))
+_NONE = _TimedThrust(0, -1, np.empty(0, dtype=np.int64), np.empty((0, 3)))
+
+
+class Commander:
+    """Controller whose plans are followed, and the last sequence of those before it."""
+
+    def __init__(self) -> None:
+        self.epoch: int | None = None
+        """Epoch of the commander; None before the first plan."""
+        self.last_sequence: dict[int, int] = {}
+        """Last accepted sequence by epoch, the most recent commander last."""
+        self._accepted_ns = 0
+        self._period = Period()  # of its cycles
+
+    def accept(self, epoch: int, sequence: int, cycle_ns: int, t_ns: int) -> None:
+        """Record an accepted plan.
+
+        Parameters
+        ----------
+        epoch, sequence : header of the plan.
+        cycle_ns : start of the cycle that computed it (ns).
+        t_ns : time of acceptance (ns).
+        """
+        if epoch != self.epoch:
+            self.epoch, self._period = epoch, Period()
+        self.last_sequence.pop(epoch, None)
+        self.last_sequence[epoch] = sequence
+        if len(self.last_sequence) > MAX_COMMANDERS:
+            del self.last_sequence[next(iter(self.last_sequence))]
+        self._accepted_ns = t_ns
+        self._period.add(cycle_ns)
+
+    def health(self, t_ns: int, left_ns: int) -> Health:
+        """Return the timeliness of the plans.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        left_ns : time to the end of the newest plan (ns); negative after it.
+        """
+        silent_ns = None if self.epoch is None else t_ns - self._accepted_ns
+        return plan_health(silent_ns=silent_ns, period_ns=self._period.median_ns, left_ns=left_ns)
 
 
 class PlanGate:
-    """Judges plans and turns them into commands. Time only goes forward; it starts, at zero, with the first command."""
+    """Checks plans and computes the commands of the thrusters.
+
+    Time only increases. It starts with the first command, which is zero.
+    """
 
     def __init__(self, vehicle: Vehicle) -> None:
-        """Box, slew and what the vertical thruster does without a plan come from the vehicle."""
-        self._low = np.array([t.min_N for t in vehicle.thrusters])
-        self._high = np.array([t.max_N for t in vehicle.thrusters])
-        self._slew = np.array([t.slew_N_per_s for t in vehicle.thrusters])
-        self._limits = np.stack([self._low, self._high, self._slew])
+        self._limits = np.array([[t.min_N, t.max_N, t.slew_N_per_s] for t in vehicle.thrusters]).T.copy()
         self._rest = np.array([0.0, 0.0, vehicle.failsafe_vertical_N])
-        self._last_sequence: dict[int, int] = {}  # by epoch, the one accepted last at the end
-        self._epoch: int | None = None  # of the commander
-        self._accepted_ns = 0
-        self._period = Period()  # of its cycles
-        self._plans: list[_Followed] = []  # the one in force and those that wait, by start time
+        self.commander = Commander()
+        """Controller whose plans are followed."""
+        self._plans: list[_TimedThrust] = []  # the plan in force and those not started, by start time
         self._t_ns: int | None = None
         self._command: Triple = (0.0, 0.0, 0.0)
         self.plans_late = 0
+        """Number of plans accepted after their start time."""
         self.plans_rejected = 0
+        """Number of plans rejected."""
 
     def offer(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
-        """Judge a plan that arrived at ``t_ns``; if accepted it takes over at its start, or at once if that is past."""
-        verdict = self._judge(plan, epoch, sequence, t_ns)
+        """Check a plan. An accepted plan takes over at its start, or at once if that is past.
+
+        Parameters
+        ----------
+        plan : the plan.
+        epoch, sequence : its header.
+        t_ns : time of its arrival (ns).
+        """
+        verdict = self._check(plan, epoch, sequence, t_ns)
         if verdict is not PlanVerdict.ACCEPTED:
             self.plans_rejected += 1
             return verdict
-        self._accepted(epoch, sequence, plan.cycle_t_ns, t_ns)
+        self.commander.accept(epoch, sequence, plan.cycle_t_ns, t_ns)
         start_ns, end_ns = int(plan.t_ns[0]), int(plan.t_ns[-1])
-        followed = _Followed(start_ns, end_ns, plan.t_ns.astype(np.int64), plan.thrust_N.astype(np.float64, order="C"))
-        # It replaces what was to start with it or after it; what starts before stays in force until then.
-        self._plans = [p for p in self._plans if p.start_ns < start_ns] + [followed]
+        timed = _TimedThrust(start_ns, end_ns, plan.t_ns.astype(np.int64), plan.thrust_N.astype(np.float64, order="C"))
+        # replaces the plans that would start with it or after it; one that starts before stays in force until then
+        self._plans = [p for p in self._plans if p.start_ns < start_ns] + [timed]
         if t_ns > start_ns:
             self.plans_late += 1
             return PlanVerdict.LATE
         return PlanVerdict.ACCEPTED
 
     def health(self, t_ns: int) -> Health:
-        """How well the plans keep up at ``t_ns``."""
-        return plan_health(
-            silent_ns=None if self._epoch is None else t_ns - self._accepted_ns,
-            period_ns=self._period.median_ns,
-            left_ns=self._plans[-1].end_ns - t_ns if self._plans else -1,
-        )
+        """Return the timeliness of the plans at ``t_ns``."""
+        return self.commander.health(t_ns, self._plans[-1].end_ns - t_ns if self._plans else -1)
 
-    def _accepted(self, epoch: int, sequence: int, cycle_ns: int, t_ns: int) -> None:
-        if epoch != self._epoch:
-            self._epoch, self._period = epoch, Period()
-        self._last_sequence.pop(epoch, None)
-        self._last_sequence[epoch] = sequence
-        if len(self._last_sequence) > COMMANDERS:
-            del self._last_sequence[next(iter(self._last_sequence))]
-        self._accepted_ns = t_ns
-        self._period.add(cycle_ns)
-
-    def _judge(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
-        if sequence <= self._last_sequence.get(epoch, -1):
+    def _check(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
+        if sequence <= self.commander.last_sequence.get(epoch, -1):
             return PlanVerdict.OUT_OF_ORDER
-        if self._epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
+        if self.commander.epoch not in (None, epoch) and self.health(t_ns) is Health.NOMINAL:
             return PlanVerdict.SECOND_COMMANDER
         thrust, seconds = plan.thrust_N, (plan.t_ns[1:] - plan.t_ns[:-1]) * 1e-9
-        # Written so that NaN is outside.
-        if not ((thrust >= self._low - TOLERANCE_N) & (thrust <= self._high + TOLERANCE_N)).all():
+        low, high, slew = self._limits
+        # written so that NaN is outside
+        if not ((thrust >= low - TOLERANCE_N) & (thrust <= high + TOLERANCE_N)).all():
             return PlanVerdict.OUTSIDE_BOX
-        if not (np.abs(thrust[1:] - thrust[:-1]) <= seconds[:, None] * self._slew + TOLERANCE_N).all():
+        if not (np.abs(thrust[1:] - thrust[:-1]) <= seconds[:, None] * slew + TOLERANCE_N).all():
             return PlanVerdict.OUTSIDE_SLEW
         return PlanVerdict.ACCEPTED
 
     def command_at(self, t_ns: int) -> Triple:
-        """The command (N) at ``t_ns``, not before the time asked for last; linear from there to here."""
+        """Return the command (N): port, starboard, vertical.
+
+        It is linear from the last requested time to ``t_ns``, which must not be earlier.
+        """
         if t_ns != self._t_ns:
             self.commands_at([t_ns])
         return self._command
 
     def commands_at(self, times_ns: Sequence[int]) -> Array:
-        """The commands (N) at these times, (K, 3), as if each were asked for in turn."""
+        """Return the commands (N) at K increasing times, (K, 3), equal to K calls of ``command_at``.
+
+        Raises
+        ------
+        ValueError
+            If the first time is before the last requested one.
+        """
         if self._t_ns is None:
             self._t_ns = times_ns[0]
         if times_ns[0] < self._t_ns:
-            raise ValueError(f"commands at {self._t_ns} ns are out already, {times_ns[0]} ns is before")
+            raise ValueError(f"t_ns = {times_ns[0]} is before {self._t_ns}, the time of the last command")
         plans, times, y = self._plans, np.array(times_ns), np.array(self._command)
         commands = np.empty((len(times), 3))
         done = 0
@@ -166,9 +209,9 @@ def _follow(
     limits: Array,
     commands: Array,
 ) -> None:
-    """y (3,) goes from ``from_ns`` on towards one plan, or to rest before and after it, and is written at each time.
+    """Move y (3,) from ``from_ns`` towards one plan, or towards rest outside it, and store it at each time.
 
-    ``limits`` (3, 3): low, high and slew of each thruster.
+    ``limits`` (3, 3): low, high and slew of each thruster. ``commands`` (K, 3) is the output.
     """
     M = len(knots_ns)
     T = np.empty(3)

@@ -1,23 +1,25 @@
-"""Evidence for a loss of thrust, from the impulses that are missing at each cycle (``model_check.py``).
+"""Thrust loss detector: likelihood ratio for a sudden loss of thrust, from the missing impulse of each cycle.
 
-Each cycle has two rows, surge and yaw, in standard deviations of their noise e,
+``model_monitor.py`` computes the missing impulse. Each cycle has two rows, surge and yaw, in standard deviations of
+their noise e:
 
-    z = l_1 phi_1 + l_2 phi_2 + b phi_3 + e        phi: what port, starboard and drag make of each unknown
+    z = l_1 phi_1 + l_2 phi_2 + b phi_3 + e        phi: regressors of port thrust, starboard thrust and drag
 
-l_1 = c + s, l_2 = c - s and b are what the vehicle is otherwise than its model. Mass, drag and thrust that are all off
-by no more than 10 %, and two thrusters that differ by no more than ``APART`` of it, make, in units of the true mass,
+The unknowns l_1 = c + s, l_2 = c - s and b are the constant mismatch between vehicle and model. If mass, drag and
+thrust are each off by at most 10 %, and the two thrusters differ by at most ``THRUSTER_DIFFERENCE``, they are, in units
+of the true mass,
 
     c = 1 - (1 -+ 0.1) / (1 + m),   b = (1 +- 0.1) / (1 + m) - 1,   |m| <= 0.1                  (at most c = 0.18)
 
-and it stays as it is. A loss is d_1, d_2 >= 0 on top of l_1, l_2, since some cycle of the last thirty. So what the
-cycles before those said of x = [c, s, b] counts too, by a part of its weight, for their noise is not quite white:
+A loss adds d_1, d_2 >= 0 to l_1, l_2 from some cycle among the last thirty on. The cycles before that cycle also inform
+x = [c, s, b]. They count with a reduced weight, because their noise is not quite white:
 
-    f(x, d) = |z - phi' (l, b) - phi' d|^2 over the window + TRUST |z - phi' (l, b)|^2 over what was before
+    f(x, d) = |z - phi' (l, b) - phi' d|^2 over the window + PAST_WEIGHT |z - phi' (l, b)|^2 over the cycles before
     evidence = max over windows of (min over x of f(x, 0) - min over x, d of f(x, d)) / 2       nats
 
-a generalised likelihood ratio for a change. At first nothing is known of x but its bounds; a few seconds of thrust are
-worth more than these (docs/faults.md).
-Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); the unknowns are two losses and a drag.
+This is a generalised likelihood ratio for a change. At first only the bounds of x are known; a few seconds of thrust
+inform more than these bounds (docs/faults.md).
+Source  Willsky & Jones 1976, IEEE T-AC 21(1) (the test); here the unknowns are two losses and a drag.
 """
 
 from __future__ import annotations
@@ -27,98 +29,147 @@ import math
 import numpy as np
 
 from ltv_mpc.jit import jit
-from ltv_mpc.messages import Array
+from ltv_mpc.messages import Array, Pair
 
 MISMATCH = 0.1
-"""Of mass, drag and thrust each, either way: no alarm for that."""
+"""Largest relative error of mass, drag and thrust, in either direction, that raises no alarm."""
 
-APART = 0.05
-"""Two thrusters of one vehicle are of one make: what the model has wrong of them is mostly the same for both."""
+THRUSTER_DIFFERENCE = 0.05
+"""Largest difference of the relative thrust errors of port and starboard: both thrusters are of one make."""
 
-EDGE = 0.005
-"""And this, for what the trapezoids over dt leave out."""
+DISCRETISATION_MARGIN = 0.005
+"""Addition to ``MISMATCH`` for the error of the trapezoidal integrals over dt."""
 
-MOST_SIGMAS = 3.0
-"""Of one cycle's missing impulse: beyond it says no more."""
+MAX_SIGMAS = 3.0
+"""Bound on the missing impulse of one cycle, in standard deviations, beyond what mismatch explains."""
 
 WINDOWS = (2, 3, 4, 6, 9, 14, 20, 30)
-"""Cycles that are looked at together: a loss may have begun at any of them."""
+"""Lengths of the windows in cycles: a loss may have begun at the start of any of them."""
 
-TRUST = 0.1
-"""Weight of what was before a window."""
+PAST_WEIGHT = 0.1
+"""Weight of the cycles before a window."""
 
-REMEMBERED = 300.0
-"""Cycles after which that counts by e^-1: a minute and a half at 0.3 s."""
+MEMORY_CYCLES = 300.0
+"""Cycles after which a past cycle counts by e^-1: a minute and a half at 0.3 s."""
 
-SWEEPS, NEAR = 500, 1e-4
-"""Of coordinate descent, at most, and what one must gain to go on (f): the problem is convex, but port, starboard and
-drag may be hard to tell apart, and what the first of both minima lacks would be taken for evidence.
+MAX_SWEEPS, MIN_GAIN = 500, 1e-4
+"""Coordinate descent: largest number of sweeps, and the decrease of f below which it stops. The problem is convex, but
+port, starboard and drag may be hard to distinguish. An error in the first of both minima would count as evidence.
 """
 
-TINY = 1e-12
-"""In place of the product of a thruster that has done nothing."""
+MIN_PRODUCT = 1e-12
+"""Replacement for the product of a thruster that has not been used."""
 
 
-def _mismatches() -> tuple[Array, Array]:
-    """Least and largest (5, K) of c, s, b, d_1, d_2, by K masses."""
-    e = MISMATCH + EDGE
+def _mismatch_bounds() -> tuple[Array, Array]:
+    """Return the lower and upper bounds (5, K) of c, s, b, d_1, d_2 for K masses."""
+    e = MISMATCH + DISCRETISATION_MARGIN
     m = np.linspace(-e, e, 5)
-    least, most, none = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m), np.zeros_like(m)
-    apart, all_of_it = none + 0.5 * APART, none + 1.0
-    return np.stack([1.0 - most, -apart, least - 1.0, none, none]), np.stack(
-        [1.0 - least, apart, most - 1.0, all_of_it, all_of_it]
+    low, high, zero = (1.0 - e) / (1.0 + m), (1.0 + e) / (1.0 + m), np.zeros_like(m)
+    difference, full_loss = zero + 0.5 * THRUSTER_DIFFERENCE, zero + 1.0
+    return np.stack([1.0 - high, -difference, low - 1.0, zero, zero]), np.stack(
+        [1.0 - low, difference, high - 1.0, full_loss, full_loss]
     )
 
 
-LOWEST, HIGHEST = _mismatches()
-_FARTHEST = np.maximum(HIGHEST, -LOWEST).max(axis=1)
-_REACH = np.array([_FARTHEST[0] + _FARTHEST[1], _FARTHEST[0] + _FARTHEST[1], _FARTHEST[2]])  # of l_1, l_2, b
+LOWEST, HIGHEST = _mismatch_bounds()
+_LARGEST = np.maximum(HIGHEST, -LOWEST).max(axis=1)
+_MAX_MISMATCH = np.array([_LARGEST[0] + _LARGEST[1], _LARGEST[0] + _LARGEST[1], _LARGEST[2]])  # of l_1, l_2, b
 
 _MIX = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [0, 1, -1, 0], [0, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]], dtype=np.float64)
-"""z and what goes with c, s, b, d_1, d_2, of z and the three phi."""
+"""Regressors of c, s, b, d_1, d_2 (rows 1 to 5) in terms of z and the three phi (columns); row 0 is z."""
+
+
+class ThrustLossDetector:
+    """Window of the last cycles and the products of all cycles before it, for one vehicle."""
+
+    def __init__(self) -> None:
+        self._rows = np.empty((WINDOWS[-1], 5, 2))  # newest first
+        self._cycles = 0  # number of valid rows
+        self._past = np.zeros((4, 4))
+
+    @property
+    def products(self) -> Array | None:
+        """Products of all cycles that left the window (``accumulate``), a copy; None before the first."""
+        return self._past.copy() if self._past.any() else None
+
+    def restore(self, products: Array) -> None:
+        """Continue from the ``products`` (4, 4) of another detector for the same vehicle."""
+        self._past[...] = products
+
+    def clear_window(self) -> None:
+        """Forget the cycles in the window, because the next one does not follow them."""
+        self._cycles = 0
+
+    def add(self, row: tuple[Pair, Pair, Pair, Pair, Pair], *, learn: bool) -> tuple[float, float, float]:
+        """Add a cycle and return the evidence (nats) and the most likely lost shares of port and starboard.
+
+        Parameters
+        ----------
+        row : z, port, starboard, drag, each for surge and yaw, and as in ``evaluate`` whether the yaw noise is fresh.
+        learn : add the cycle that leaves the window to the products.
+        """
+        rows = self._rows
+        if self._cycles == len(rows) and learn:
+            accumulate(self._past, rows[-1])
+        self._cycles = min(self._cycles + 1, len(rows))
+        rows[1 : self._cycles] = rows[: self._cycles - 1].copy()
+        rows[0] = row
+        return evaluate(rows[: self._cycles], self._past)
 
 
 @jit
-def _held(row: Array, axis: int, out: Array) -> None:
-    """z, phi_1, phi_2, phi_3 of a cycle's row (5, 2) into out (4,); z no further than ``MOST_SIGMAS`` outside what
-    mismatch can make: one wild estimate is no evidence, and what lasts comes as several.
+def _clip_row(row: Array, axis: int, out: Array) -> None:
+    """Write z, phi_1, phi_2, phi_3 of one axis of a cycle's row (5, 2) into out (4,), with z limited.
+
+    z exceeds what mismatch explains by at most ``MAX_SIGMAS``: one outlier of the estimate is no evidence, and a
+    lasting loss shows in several cycles.
     """
-    reach = MOST_SIGMAS
+    reach = MAX_SIGMAS
     for i in range(3):
         out[1 + i] = row[1 + i, axis]
-        reach += abs(row[1 + i, axis]) * _REACH[i]
+        reach += abs(row[1 + i, axis]) * _MAX_MISMATCH[i]
     out[0] = min(max(row[0, axis], -reach), reach)
 
 
 @jit
-def learn(known: Array, row: Array) -> None:
-    """A cycle (5, 2) that leaves the longest window, into the products (4, 4) of z and the three phi, in place."""
+def accumulate(past: Array, row: Array) -> None:
+    """Add a cycle that leaves the longest window to the products of z and the three phi, in place.
+
+    Parameters
+    ----------
+    past : (4, 4) products, which decay with ``MEMORY_CYCLES``.
+    row : (5, 2) row of the cycle, as in ``evaluate``.
+    """
     out = np.empty(4)
-    known *= 1.0 - 1.0 / REMEMBERED
+    past *= 1.0 - 1.0 / MEMORY_CYCLES
     for axis in range(2):
-        _held(row, axis, out)
+        _clip_row(row, axis, out)
         for i in range(4):
             for j in range(4):
-                known[i, j] += out[i] * out[j]
+                past[i, j] += out[i] * out[j]
 
 
 @jit
-def weigh(rows: Array, known: Array) -> tuple[float, float, float]:
-    """Evidence (nats), and the share of their thrust that port and starboard then most likely lack.
+def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
+    """Return the evidence (nats), and the most likely lost shares of the thrust of port and starboard.
 
-    ``rows`` (n, 5, 2), the newest first: z, port, starboard, drag, by surge and yaw, and 1 where the noise is new in
-    each estimate; ``known`` (4, 4) by ``learn``.
+    Parameters
+    ----------
+    rows : (n, 5, 2) cycles, the newest first: z, port, starboard, drag, each for surge and yaw. The yaw entry of the
+        last row of each is 1 if the noise of the yaw rate is new in each estimate.
+    past : (4, 4) products of the cycles before, by ``accumulate``.
     """
     n = rows.shape[0]
     surge, yaw = np.empty((n, 4)), np.empty((n, 4))
     fresh = True
     for k in range(n):
-        _held(rows[k], 0, surge[k])
-        _held(rows[k], 1, yaw[k])
+        _clip_row(rows[k], 0, surge[k])
+        _clip_row(rows[k], 1, yaw[k])
         fresh = fresh and rows[k, 4, 1] != 0.0
     if fresh:
-        yaw = whitened(yaw)
-    products, before = np.zeros((4, 4)), known.copy()
+        yaw = whiten(yaw)
+    products, before = np.zeros((4, 4)), past.copy()
     for k in range(n):
         for i in range(4):
             for j in range(4):
@@ -131,54 +182,68 @@ def weigh(rows: Array, known: Array) -> tuple[float, float, float]:
                 products[i, j] += now
                 before[i, j] -= now
         if k + 1 in WINDOWS:
-            gained, l1, l2 = _gained(products, before)
+            gained, l1, l2 = _likelihood_gain(products, before)
             if gained > most:
                 most, port, starboard = gained, l1, l2
     return most, port, starboard
 
 
 @jit
-def _gained(window: Array, known: Array) -> tuple[float, float, float]:
-    """Of one window: half of what a loss takes off the least f, and what is lost then, l + d."""
-    x, F = np.empty(5), mixed(window, known)
+def _likelihood_gain(window: Array, past: Array) -> tuple[float, float, float]:
+    """Return half of the decrease of the minimum of f by a loss in one window, and the lost shares l + d."""
+    x, F = np.empty(5), quadratic_form(window, past)
     without = with_loss = np.inf
     l1 = l2 = 0.0
     for k in range(LOWEST.shape[1]):
         x[:] = 0.0
-        without = min(without, least(F, LOWEST[:, k], HIGHEST[:, k], False, x))
-        f = least(F, LOWEST[:, k], HIGHEST[:, k], True, x)
+        without = min(without, constrained_minimum(F, LOWEST[:, k], HIGHEST[:, k], False, x))
+        f = constrained_minimum(F, LOWEST[:, k], HIGHEST[:, k], True, x)
         if f < with_loss:
             with_loss, l1, l2 = f, x[0] + x[1] + x[3], x[0] - x[1] + x[4]
     return 0.5 * (without - with_loss), max(l1, 0.0), max(l2, 0.0)
 
 
 @jit
-def mixed(window: Array, known: Array) -> Array:
-    """F (6, 6): f = [1, -x]' F [1, -x], x = [c, s, b, d_1, d_2], of products (4, 4) of z and the three phi."""
+def quadratic_form(window: Array, past: Array) -> Array:
+    """Return F (6, 6) with f = [1, -x]' F [1, -x], x = [c, s, b, d_1, d_2].
+
+    Parameters
+    ----------
+    window : (4, 4) products of z and the three phi within the window.
+    past : (4, 4) the same before it.
+    """
     F = np.zeros((6, 6))
     for i in range(6):
         for j in range(6):
-            before = TRUST if i < 4 and j < 4 else 0.0
+            before = PAST_WEIGHT if i < 4 and j < 4 else 0.0
             for k in range(4):
                 for m in range(4):
-                    F[i, j] += _MIX[i, k] * _MIX[j, m] * (window[k, m] + before * known[k, m])
+                    F[i, j] += _MIX[i, k] * _MIX[j, m] * (window[k, m] + before * past[k, m])
     return F
 
 
 @jit
-def least(F: Array, low: Array, high: Array, lost: bool, x: Array) -> float:
-    """min f over low <= x <= high (5,), without a loss unless ``lost``, from x on, in place."""
-    for _ in range(SWEEPS):
+def constrained_minimum(F: Array, low: Array, high: Array, loss: bool, x: Array) -> float:
+    """Return the minimum of f over low <= x <= high, by coordinate descent.
+
+    Parameters
+    ----------
+    F : (6, 6) quadratic form.
+    low, high : (5,) bounds of c, s, b, d_1, d_2.
+    loss : False fixes d_1 = d_2 = 0.
+    x : (5,) start; overwritten with the minimiser.
+    """
+    for _ in range(MAX_SWEEPS):
         gained = 0.0
-        for i in range(5 if lost else 3):
+        for i in range(5 if loss else 3):
             slope = F[0, 1 + i]
             for j in range(5):
                 if j != i:
                     slope -= F[1 + i, 1 + j] * x[j]
             own = F[1 + i, 1 + i]
-            to = min(max(slope / max(own, TINY), low[i]), high[i])
+            to = min(max(slope / max(own, MIN_PRODUCT), low[i]), high[i])
             gained, x[i] = gained + own * (to - x[i]) ** 2, to
-        if gained < NEAR:
+        if gained < MIN_GAIN:
             break
     f = F[0, 0]
     for i in range(5):
@@ -189,10 +254,11 @@ def least(F: Array, low: Array, high: Array, lost: bool, x: Array) -> float:
 
 
 @jit
-def whitened(y: Array) -> Array:
-    """y (n, m) whose rows have noise w_k - w_(k+1), w white, of unit variance: by the inverse of its covariance's
-    factor, L_kk = sqrt((k + 1) / 2 k), L_k(k-1) = - sqrt((k - 1) / 2 k), k = 1 .. n. The first rows do not depend on
-    how many follow.
+def whiten(y: Array) -> Array:
+    """Return rows (n, m) with white noise of unit variance, given rows y whose noise is w_k - w_(k+1), w white.
+
+    It applies the inverse of the Cholesky factor of the covariance, L_kk = sqrt((k + 1) / 2 k), L_k(k-1) =
+    - sqrt((k - 1) / 2 k), k = 1 .. n. The first rows do not depend on the number of rows that follow.
     """
     out = y.copy()
     for k in range(2, len(y) + 1):
@@ -202,7 +268,7 @@ def whitened(y: Array) -> Array:
 
 
 def warm_up() -> None:
-    """Have it compiled."""
-    rows, known = np.zeros((2, 5, 2)), np.zeros((4, 4))
-    learn(known, rows[1])
-    weigh(rows, known)
+    """Compile the kernels."""
+    rows, past = np.zeros((2, 5, 2)), np.zeros((4, 4))
+    accumulate(past, rows[1])
+    evaluate(rows, past)

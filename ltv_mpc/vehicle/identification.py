@@ -33,7 +33,7 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Times
 from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_weights
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
-from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady
+from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
 
 Known: TypeAlias = Literal["thrust", "mass"]
 KnownYaw: TypeAlias = Literal["arm", "inertia"]
@@ -378,8 +378,8 @@ def units_of(vehicle: Vehicle) -> Array:
     port, starboard = vehicle.thrusters[:2]
     push = port.max_N + starboard.max_N
     couple = port.max_N * p.arm_port + starboard.max_N * p.arm_starboard
-    speed = min(steady(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
-    rate = min(steady(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
+    speed = min(steady_speed(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
+    rate = min(steady_speed(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
     spare = {
         "linear_surge": p.quadratic_surge * speed,
         "quadratic_surge": p.linear_surge / speed,

@@ -1,4 +1,4 @@
-"""The steady speed that a hull's resistance leaves to a push, of surge, heave or turn alike."""
+"""Steady speed at which the damping of the hull balances a force (surge, heave) or a moment (yaw)."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ import math
 from ltv_mpc.jit import jit
 
 UNBRAKED_MPS, UNBRAKED_RADPS = 5.0, 5.0
-"""Where nothing brakes, or hardly, the speed that counts."""
+"""Speeds that replace the steady speed of a hull without, or almost without, damping."""
 
 
 @jit
-def steady(push: float, linear: float, quadratic: float) -> float:
-    """The speed s >= 0 at which push = linear s + quadratic s^2; infinite where nothing brakes.
+def steady_speed(push: float, linear: float, quadratic: float) -> float:
+    """Return the speed s >= 0 with push = linear s + quadratic s^2; infinity if there is no damping.
 
-    ``push`` in N or N m, ``linear`` and ``quadratic`` the coefficients that belong to it.
+    Parameters
+    ----------
+    push : force (N) or moment (N m), >= 0.
+    linear : linear damping (kg/s or N m s).
+    quadratic : quadratic damping (kg/m or kg m2).
     """
-    # the root that loses no digits where one of both is small
+    # this form of the root does not cancel if one of the coefficients is small
     root = linear + math.sqrt(linear * linear + 4.0 * quadratic * push)
     if root > 0.0:
         return 2.0 * push / root

@@ -65,10 +65,10 @@ def test_every_path_of_five_actions_from_the_start_leads_where_the_flags_say():
         arbiter, model = CommandArbiter(VEHICLE), Model()
         for action in path:
             allowed = model.may(action)
-            said = arbiter.request(action)
+            result = arbiter.request(action)
             if allowed:
                 model.do(action)
-            assert (said.authority, bool(said.why)) == (model.authority, not allowed), path
+            assert (result.authority, bool(result.why)) == (model.authority, not allowed), path
 
 
 def test_every_state_is_reached_and_every_refusal_says_why_and_changes_nothing():
@@ -76,9 +76,9 @@ def test_every_state_is_reached_and_every_refusal_says_why_and_changes_nothing()
     for path in PATHS:
         state = Authority.DISARMED
         for action in path:
-            said = next_authority(state, action)
-            assert not said.why or said.authority is state
-            state = said.authority
+            result = next_authority(state, action)
+            assert not result.why or result.authority is state
+            state = result.authority
         reached.add(state)
     assert reached == set(Authority)
     for action, state in product(Action, Authority):
@@ -116,7 +116,7 @@ def test_a_pilots_word_counts_for_a_second_and_the_plan_itself_ends_with_it():
     assert arbiter.override(5 * S + MANUAL_TIMEOUT_NS).targets(np.array([6 * S])).any()
     silent = arbiter.override(5 * S + MANUAL_TIMEOUT_NS + 1)
     assert not silent.targets(np.array([6 * S])).any()
-    assert "no word of the pilot" in silent.why
+    assert "no message of the pilot" in silent.why
 
 
 @pytest.mark.parametrize("side", range(3))

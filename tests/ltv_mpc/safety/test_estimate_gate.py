@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ltv_mpc.messages import Estimate
 from ltv_mpc.safety.estimate_gate import JUMPED, Bounds, EstimateGate
 from ltv_mpc.vehicle.parameters import Vehicle
-from ltv_mpc.vehicle.resistance import steady
+from ltv_mpc.vehicle.resistance import steady_speed
 
 PAPER = Vehicle.load("paper")
 HERE = Estimate.at_rest(north_m=1.0, east_m=2.0, heading_rad=0.5, depth_m=5.0)
@@ -41,10 +41,10 @@ def test_bounds_are_those_of_the_paper_s_vehicle_by_hand():
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-3, 1e3))
 def test_the_steady_speed_is_where_damping_takes_up_the_force(force, linear, quadratic):
-    v = steady(force, linear, quadratic)
+    v = steady_speed(force, linear, quadratic)
     assert linear * v + quadratic * v * v == pytest.approx(force, rel=1e-6, abs=1e-6)
-    assert steady(force, max(linear, 1e-3), 0.0) == force / max(linear, 1e-3)
-    assert steady(force, 0.0, 0.0) == math.inf
+    assert steady_speed(force, max(linear, 1e-3), 0.0) == force / max(linear, 1e-3)
+    assert steady_speed(force, 0.0, 0.0) == math.inf
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ltv_mpc.safety.input_monitor import SET_BACK_NS, InputMonitor, Period
+from ltv_mpc.safety.input_monitor import CLOCK_SET_BACK_NS, InputMonitor, Period
 
 MS = 1_000_000
 
@@ -63,7 +63,7 @@ def test_a_restarted_source_continues_and_one_with_its_clock_set_back_restarts()
     of = heard(0, 100, 200)
     assert of.receive(epoch=9, sequence=0, stamp_ns=900 * MS, received_ns=900 * MS)
     assert not of.receive(epoch=9, sequence=0, stamp_ns=1000 * MS, received_ns=1000 * MS)
-    assert of.receive(epoch=9, sequence=1, stamp_ns=900 * MS - SET_BACK_NS - 1, received_ns=1000 * MS)
+    assert of.receive(epoch=9, sequence=1, stamp_ns=900 * MS - CLOCK_SET_BACK_NS - 1, received_ns=1000 * MS)
     assert of.state_at(1000 * MS).period_ns == 0
 
 

@@ -9,16 +9,16 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from ltv_mpc.safety.thrust_loss_detector import (
-    APART,
     HIGHEST,
     LOWEST,
-    TRUST,
+    PAST_WEIGHT,
+    THRUSTER_DIFFERENCE,
     WINDOWS,
-    learn,
-    least,
-    mixed,
-    weigh,
-    whitened,
+    accumulate,
+    constrained_minimum,
+    evaluate,
+    quadratic_form,
+    whiten,
 )
 
 NOTHING = np.zeros((4, 4))
@@ -36,10 +36,10 @@ def cycles(rng: np.random.Generator, count: int, x, loss=(0.0, 0.0)) -> np.ndarr
     return rows
 
 
-def known_of(rows: np.ndarray) -> np.ndarray:
+def products_of(rows: np.ndarray) -> np.ndarray:
     known = np.zeros((4, 4))
     for row in rows:
-        learn(known, row)
+        accumulate(known, row)
     return known
 
 
@@ -51,34 +51,34 @@ def test_the_least_squares_are_those_of_another_solver(mass, lost):
     for _ in range(10):
         now, then = (np.vstack([rng.normal(size=12), rng.normal(size=(3, 12)) * [[3.0], [2.0], [1.0]]]) for _ in "ab")
         x = np.zeros(5)
-        ours = least(mixed(now @ now.T, then @ then.T), low, high, lost, x)
-        # f = |z - phi' (l, b) - phi' d|^2 + TRUST |z - phi' (l, b)|^2, l = c + s, c - s: one matrix over [c, s, b, d]
+        ours = constrained_minimum(quadratic_form(now @ now.T, then @ then.T), low, high, lost, x)
+        # f = |z - phi' (l, b) - phi' d|^2 + PAST_WEIGHT |z - phi' (l, b)|^2, l = c + s, c - s, over [c, s, b, d]
         mix = np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
-        A = np.block([[now[1:].T @ mix, now[1:3].T], [math.sqrt(TRUST) * then[1:].T @ mix, np.zeros((12, 2))]])
-        b = np.concatenate([now[0], math.sqrt(TRUST) * then[0]])
+        A = np.block([[now[1:].T @ mix, now[1:3].T], [math.sqrt(PAST_WEIGHT) * then[1:].T @ mix, np.zeros((12, 2))]])
+        b = np.concatenate([now[0], math.sqrt(PAST_WEIGHT) * then[0]])
         most = np.concatenate([high[:3], high[3:] if lost else [1e-9, 1e-9]])
         theirs = lsq_linear(A, b, (low, most), tol=1e-12)
-        assert ours == pytest.approx(2.0 * theirs.cost, rel=5e-3)  # after ``SWEEPS``
+        assert ours == pytest.approx(2.0 * theirs.cost, rel=5e-3)  # after ``MAX_SWEEPS``
         assert ours == pytest.approx(((b - A @ x) ** 2).sum(), rel=1e-9)
 
 
 def test_whitened_rows_have_independent_noise_of_unit_variance():
     n = 7
     difference = (np.eye(n, n + 1) - np.eye(n, n + 1, 1)) / math.sqrt(2.0)
-    through = whitened(difference)
+    through = whiten(difference)
     np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
 
 
 def test_nothing_is_weighed_before_two_estimates():
-    assert weigh(np.zeros((1, 5, 2)), NOTHING) == (0.0, 0.0, 0.0)
+    assert evaluate(np.zeros((1, 5, 2)), NOTHING) == (0.0, 0.0, 0.0)
 
 
 def test_a_loss_shows_sooner_on_a_vehicle_that_is_known_and_as_much_as_it_is():
     rng = np.random.default_rng(7)
     x = (0.1, 0.02, -0.05)
     lost = cycles(rng, 6, x, loss=(0.3, 0.0))
-    unknown, *_ = weigh(lost, NOTHING)
-    evidence, port, starboard = weigh(lost, known_of(cycles(rng, 200, x)))
+    unknown, *_ = evaluate(lost, NOTHING)
+    evidence, port, starboard = evaluate(lost, products_of(cycles(rng, 200, x)))
     assert evidence > 2.0 * unknown
     assert port == pytest.approx(0.4, abs=0.1)
     assert starboard == pytest.approx(0.02, abs=0.1)
@@ -88,8 +88,8 @@ def test_a_loss_shows_sooner_on_a_vehicle_that_is_known_and_as_much_as_it_is():
 def test_what_was_seen_just_before_a_loss_counts_at_once(seed):
     rng = np.random.default_rng(seed)
     before, lost = cycles(rng, 24, (0.05, 0.05, 0.0)), cycles(rng, 4, (0.05, 0.05, 0.0), loss=(0.3, 0.3))
-    alone, *_ = weigh(np.ascontiguousarray(lost[::-1]), NOTHING)
-    both, *_ = weigh(np.ascontiguousarray(np.concatenate([before, lost])[::-1]), NOTHING)
+    alone, *_ = evaluate(np.ascontiguousarray(lost[::-1]), NOTHING)
+    both, *_ = evaluate(np.ascontiguousarray(np.concatenate([before, lost])[::-1]), NOTHING)
     assert both > alone + 5.0
 
 
@@ -101,24 +101,24 @@ def test_a_vehicle_at_the_edge_of_what_is_allowed_that_stays_so_is_no_loss(edge)
     known = np.zeros((4, 4))
     window, highest = WINDOWS[-1], 0.0
     for k in range(window, len(rows)):
-        learn(known, rows[k - window])
-        highest = max(highest, weigh(np.ascontiguousarray(rows[k - window + 1 : k + 1][::-1]), known)[0])
+        accumulate(known, rows[k - window])
+        highest = max(highest, evaluate(np.ascontiguousarray(rows[k - window + 1 : k + 1][::-1]), known)[0])
     assert highest < 8.0
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_one_of_two_thrusters_lacks_is_no_mismatch(seed):
-    """Two of one make are wrong by much the same: ``APART``. With 20 % in its place this is 2 to 7 nats."""
+    """Two of one make have nearly the same error (``THRUSTER_DIFFERENCE``). With 20 % this would be 2 to 7 nats."""
     lost = cycles(np.random.default_rng(seed), 20, (0.0, 0.0, 0.0), loss=(0.3, 0.0))
-    assert weigh(lost, NOTHING)[0] > 12.0
-    apart = cycles(np.random.default_rng(seed), 20, (0.5 * APART, -0.5 * APART, 0.0))
-    assert weigh(apart, NOTHING)[0] < 6.0
+    assert evaluate(lost, NOTHING)[0] > 12.0
+    apart = cycles(np.random.default_rng(seed), 20, (0.5 * THRUSTER_DIFFERENCE, -0.5 * THRUSTER_DIFFERENCE, 0.0))
+    assert evaluate(apart, NOTHING)[0] < 6.0
 
 
 def test_one_wild_cycle_is_no_evidence():
     rng = np.random.default_rng(9)
     rows = cycles(rng, 10, (0.0, 0.0, 0.0))
-    calm, *_ = weigh(rows, NOTHING)
+    calm, *_ = evaluate(rows, NOTHING)
     rows[3, 0, 0] = 1e6
-    wild, *_ = weigh(rows, NOTHING)
+    wild, *_ = evaluate(rows, NOTHING)
     assert wild < calm + 5.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ltv_mpc.messages import Applied, CurrentProfile, Estimate, ModelCheck
-from ltv_mpc.safety.model_check import ALARM, QUIET, SETTLING_MPS, ModelMonitor
+from ltv_mpc.safety.model_monitor import ALARM_NATS, QUIET_CYCLES, SETTLING_MPS, ModelMonitor
 from ltv_mpc.safety.thrust_loss_detector import WINDOWS
 from ltv_mpc.vehicle.dynamics import derivative
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
@@ -36,8 +36,8 @@ def applied(k: int, thrust: tuple[float, float]) -> Applied:
 class Sea:
     """The equations of motion in small steps, with thrusts other than those reported."""
 
-    def __init__(self, *, thrust: Thrust = surging, true: Coefficients | None = None, settles_s: float = 0.0) -> None:
-        self.monitor = ModelMonitor(PAPER, 1e-3, settles_s=settles_s)
+    def __init__(self, *, thrust: Thrust = surging, true: Coefficients | None = None, settling_s: float = 0.0) -> None:
+        self.monitor = ModelMonitor(PAPER, 1e-3, settling_s=settling_s)
         self.share = np.ones(2)
         self.cost_Ns = 0.0
         self.words: list[ModelCheck] = []
@@ -109,7 +109,7 @@ def test_a_vehicle_that_does_as_its_model_says_leaves_no_residual_and_no_evidenc
 def test_mismatch_of_ten_per_cent_of_everything_gives_no_alarm(thrust, drag, mass):
     sea = off_by(thrust, drag, mass)
     sea.sail(12.0)
-    assert sea.monitor.evidence < 0.25 * ALARM
+    assert sea.monitor.evidence < 0.25 * ALARM_NATS
     assert not any(word.alarm for word in sea.words)
 
 
@@ -141,7 +141,7 @@ def test_an_alarm_is_said_at_once_and_ends_a_while_after_the_loss():
     assert sea.words[-1].alarm
     assert sea.words[-1].t_ns == (sea._k) * PERIOD_NS
     sea.share[:] = 1.0
-    sea.sail(0.3 * (WINDOWS[-1] + QUIET) + 3.0)
+    sea.sail(0.3 * (WINDOWS[-1] + QUIET_CYCLES) + 3.0)
     assert not sea.monitor.alarm
     assert sea.words[-1].why == ""
 
@@ -154,15 +154,15 @@ def settling(e: Estimate) -> Estimate:
     return msgspec.structs.replace(e, velocity_north_mps=north - less * cos, velocity_east_mps=east - less * sin)
 
 
-@pytest.mark.parametrize(("settles_s", "alarm"), [(5.0, False), (0.0, True)])
-def test_a_velocity_that_settles_in_the_first_seconds_of_thrust_is_no_loss(settles_s, alarm):
-    sea = Sea(settles_s=settles_s)
+@pytest.mark.parametrize(("settling_s", "alarm"), [(5.0, False), (0.0, True)])
+def test_a_velocity_that_settles_in_the_first_seconds_of_thrust_is_no_loss(settling_s, alarm):
+    sea = Sea(settling_s=settling_s)
     sea.sail(4.5, told=settling)
     assert any(word.alarm for word in sea.words) is alarm
 
 
 def test_in_the_first_seconds_of_thrust_a_loss_shows_in_the_turn():
-    sea = Sea(settles_s=5.0)
+    sea = Sea(settling_s=5.0)
     sea.sail(3.0)
     sea.share[:] = 0.7, 1.0
     sea.sail(2.0, until_alarm=True)
@@ -250,7 +250,7 @@ def test_one_that_goes_on_from_what_another_learned_knows_the_vehicle():
 def test_one_that_goes_on_does_not_wait_for_a_dive_to_settle():
     before = Sea()
     before.sail(30.0)
-    sea = Sea(settles_s=5.0)
+    sea = Sea(settling_s=5.0)
     sea.monitor.restore(before.monitor.products)
     sea.share[:] = 0.5
     sea.sail(4.0, until_alarm=True)
