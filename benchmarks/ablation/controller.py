@@ -188,19 +188,19 @@ def no_evidence(*_: Any) -> tuple[float, float, float]:
 
 # --- references ---
 
-_go_on = follower.go_on
+_advance_target = follower.advance_target
 
 
 def unleashed(table: Any, tau: float, t_ns: Any, lateral: Any, *others: Any) -> Any:
     """Let the target go on whatever the distance and the current."""
-    _, *rest = _go_on(table, tau, t_ns, lateral, *others)
+    _, *rest = _advance_target(table, tau, t_ns, lateral, *others)
     return (1.0, *rest)
 
 
 def without_against(table: Any, tau: float, t_ns: Any, lateral: Any, north: float, east: float, *others: Any) -> Any:
     """Let the target go on as if there were no current."""
     del north, east
-    return _go_on(table, tau, t_ns, lateral, 0.0, 0.0, *others)
+    return _advance_target(table, tau, t_ns, lateral, 0.0, 0.0, *others)
 
 
 def unstable_allowed(*_: Any) -> bool:
@@ -401,7 +401,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         without((thrust_loss_detector, "accumulate", nothing)),
         ("false alarms", "largest evidence (nats)"),
     ),
-    row("leash and current", SQUARE, without((follower, "go_on", unleashed)), PATH),
-    row("current in the schedule", SQUARE, without((follower, "go_on", without_against)), PATH),
-    row("current in the schedule", CALM_SQUARE, without((follower, "go_on", without_against)), PATH),
+    row("leash and current", SQUARE, without((follower, "advance_target", unleashed)), PATH),
+    row("current in the schedule", SQUARE, without((follower, "advance_target", without_against)), PATH),
+    row("current in the schedule", CALM_SQUARE, without((follower, "advance_target", without_against)), PATH),
 )

@@ -1,4 +1,4 @@
-"""Where the vehicle shall be: points, paths, tracks with times, "here"; and ``load`` for a file."""
+"""Reference trajectories: points, paths, tracks with times, "here"; ``load`` reads one from a file."""
 
 from ltv_mpc.references.geodesy import Origin, Place
 from ltv_mpc.references.shapes import Circle, Lawnmower, Line, Spiral, Waypoints

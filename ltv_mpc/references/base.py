@@ -1,4 +1,4 @@
-"""What every kind of reference has: when it begins, where the vehicle was then, and how it goes down."""
+"""Common part of all references: start time, position at the start, and descent."""
 
 from __future__ import annotations
 
@@ -12,31 +12,34 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Estimate, ReferenceStart, Times
 from ltv_mpc.references.geodesy import Depth, Origin
 
-LONGEST_BACK_S = 1.0
-"""A vehicle that drifts is where it was, less its velocity times the time since: for so long. Later, "here" is now."""
+MAX_BACKDATE_S = 1.0
+"""Longest time over which the position at the start is extrapolated back from the first estimate after it. If more time
+has passed, the reference starts at that estimate.
+"""
 
 
 class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
-    """Until ``start_s`` (vehicle time) the vehicle is left alone; without a depth the vertical thruster is not used.
+    """Base class of all references.
 
-    In depth it goes down (or up) from where the vehicle is at the start, at no more than ``descent_rate_mps``.
-    ``origin`` is where north = east = 0 is, for places given in degrees.
+    Before ``start_s`` (vehicle time) the thrusters are at rest. Without a depth the vertical thruster is not used. The
+    wanted depth changes from the depth at the start by at most ``descent_rate_mps``. ``origin`` is the position of
+    north = east = 0, for places given in degrees.
     """
 
-    start_s: Annotated[float, Meta(ge=-1e6, le=1e6)] | None = None  # at once where it is left out
+    start_s: Annotated[float, Meta(ge=-1e6, le=1e6)] | None = None  # None: at once
     depth_m: Depth | None = None
     descent_rate_mps: Annotated[float, Meta(gt=0, le=10)] = 0.2
     origin: Origin | None = None
 
     def has_started(self, t_ns: int) -> bool:
-        """Whether it is in force at ``t_ns``."""
+        """Return True if the reference is in force at ``t_ns``."""
         return self.start_s is None or t_ns >= round(self.start_s * 1e9)
 
     def anchor(self, estimate: Estimate) -> ReferenceStart:
-        """Where it begins: where the first estimate after its start says that the vehicle was at the start."""
+        """Return the start of the reference: position and motion at its start time, by the first estimate after it."""
         start_ns = estimate.t_ns if self.start_s is None else min(round(self.start_s * 1e9), estimate.t_ns)
         back_s = (estimate.t_ns - start_ns) * 1e-9
-        if back_s > LONGEST_BACK_S:
+        if back_s > MAX_BACKDATE_S:
             start_ns, back_s = estimate.t_ns, 0.0
         depth = (estimate.depth_m or 0.0) - back_s * (estimate.velocity_down_mps or 0.0)
         return ReferenceStart(
@@ -50,12 +53,20 @@ class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 @jit
-def ramp(t_ns: Times, begun_ns: int, start: float, end: float, rate: float) -> tuple[Array, Array]:
-    """Depth and speed at each time, from ``start`` at ``begun_ns`` to ``end`` at ``rate``, then at rest."""
+def ramp(t_ns: Times, start_ns: int, start: float, end: float, rate: float) -> tuple[Array, Array]:
+    """Return depth (m) and sinking speed (m/s) of a ramp from one depth to another, each (K,).
+
+    Parameters
+    ----------
+    t_ns : (K,) times (ns).
+    start_ns : time at which the ramp starts (ns).
+    start, end : depths (m); the ramp rests at ``end``.
+    rate : speed of the ramp (m/s), > 0.
+    """
     depth, speed = np.empty(len(t_ns)), np.empty(len(t_ns))
     sign = np.sign(end - start)
     for k in range(len(t_ns)):
-        way = max(float(t_ns[k] - begun_ns) * 1e-9, 0.0) * rate
+        way = max(float(t_ns[k] - start_ns) * 1e-9, 0.0) * rate
         moving = way < abs(end - start)
         depth[k] = start + sign * way if moving else end
         speed[k] = sign * rate if moving else 0.0

@@ -1,10 +1,10 @@
-"""Where a place is: metres north and east, or latitude and longitude about a stated origin.
+"""Geodesy: places in metres north and east, or in latitude and longitude relative to an origin.
 
-Local frame: the plane that touches the WGS 84 ellipsoid at the origin, north and east in it (Groves 2013, Principles of
-GNSS, inertial and multisensor integrated navigation systems, eq 2.106, 2.112, 2.150; computed by pymap3d). It is exact,
-so its distances differ from those along it by what a plane differs: a point at distance d along the ellipsoid
-lies d^3 / (6 R^2) too near, 4 mm at 10 km and 0.5 m at 50 km. North at that point is turned against the origin's by
-(l - l0) sin L, 1.6 mrad at 10 km east at 45 degrees.
+Local frame: the tangent plane of the WGS 84 ellipsoid at the origin, with its north and east (Groves 2013, Principles
+of GNSS, inertial and multisensor integrated navigation systems, eq 2.106, 2.112, 2.150; computed by pymap3d). The
+projection is exact, so distances differ from those on the ellipsoid by its curvature alone: a point at distance d along
+the ellipsoid is d^3 / (6 R^2) too near, 4 mm at 10 km and 0.5 m at 50 km. Its north is rotated against that of the
+origin by (l - l0) sin L, 1.6 mrad at 10 km east at 45 degrees.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from msgspec import Meta
 
 from ltv_mpc.messages import Pair
 
-FARTHEST_M = 50_000.0
-"""From the origin: farther away the tangent plane is no map of the sea any more."""
+MAX_DISTANCE_M = 50_000.0
+"""Largest distance from the origin at which the tangent plane is used as a map."""
 
 Metres: TypeAlias = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Latitude: TypeAlias = Annotated[float, Meta(ge=-89, le=89)]
@@ -28,14 +28,14 @@ Depth: TypeAlias = Annotated[float, Meta(ge=0, le=11_000)]
 
 
 class Origin(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where north = east = 0 is on WGS 84: the origin of the vehicle's own navigation."""
+    """Position of north = east = 0 on WGS 84: the origin of the vehicle's navigation."""
 
     latitude_deg: Latitude
     longitude_deg: Longitude
 
 
 class Place(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A place in metres, or in degrees about the origin of its file; of a waypoint also its depth."""
+    """Place in metres, or in degrees relative to the origin of the reference; a waypoint may also have a depth."""
 
     north_m: Metres | None = None
     east_m: Metres | None = None
@@ -45,7 +45,18 @@ class Place(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def local(place: Place, origin: Origin | None) -> Pair:
-    """North and east (m) of a place. Raises ``ValueError`` where it is not said, said twice, or too far away."""
+    """Return north and east (m) of a place.
+
+    Parameters
+    ----------
+    place : place in metres or in degrees.
+    origin : origin of the local frame; None is allowed for a place in metres.
+
+    Raises
+    ------
+    ValueError
+        If the place has no coordinates, has both kinds, or is farther than ``MAX_DISTANCE_M`` from the origin.
+    """
     metres, degrees = (place.north_m, place.east_m), (place.latitude_deg, place.longitude_deg)
     if metres[0] is not None and metres[1] is not None and degrees == (None, None):
         return metres[0], metres[1]
@@ -55,17 +66,23 @@ def local(place: Place, origin: Origin | None) -> Pair:
         raise ValueError("latitude_deg and longitude_deg need an [origin] with latitude_deg and longitude_deg")
     north, east = tangent_plane(degrees[0], degrees[1], origin)
     distance = math.hypot(north, east)
-    # the far side of the Earth lies near in this projection, so the angle decides first
-    if distance > FARTHEST_M or abs(degrees[0] - origin.latitude_deg) > 1.0:
+    # points on the far side of the Earth project near the origin, so the angle is checked too
+    if distance > MAX_DISTANCE_M or abs(degrees[0] - origin.latitude_deg) > 1.0:
         raise ValueError(
-            f"latitude_deg = {degrees[0]:g}, longitude_deg = {degrees[1]:g}: farther than {FARTHEST_M / 1000:g} km "
-            "from the origin"
+            f"latitude_deg = {degrees[0]:g}, longitude_deg = {degrees[1]:g}: must not be farther than "
+            f"{MAX_DISTANCE_M / 1000:g} km from the origin"
         )
     return north, east
 
 
 def tangent_plane(latitude_deg: float, longitude_deg: float, origin: Origin) -> Pair:
-    """North and east (m) of a point of the ellipsoid, degrees."""
+    """Return north and east (m) in the tangent plane of a point on the ellipsoid.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : coordinates of the point (degrees).
+    origin : point of tangency.
+    """
     north, east, _ = pymap3d.geodetic2ned(
         latitude_deg, longitude_deg, 0.0, origin.latitude_deg, origin.longitude_deg, 0.0
     )

@@ -1,12 +1,12 @@
-"""The geometry of a path: straight legs, rounded corners, bends.
+"""Path geometry: straight legs, rounded corners and smooth curves, as a chain of straight pieces between points.
 
-A path is a chain of straight pieces between points. A bend is a chain of short ones, each with its curvature; a corner
-between two straight legs is rounded by an arc that touches both, so that nobody has to stop there:
+A smooth curve is a chain of short pieces, each with its curvature. A corner between two straight legs is rounded by an
+arc tangent to both, so that the vehicle need not stop there:
 
     R = d cos(phi / 2) / (1 - cos(phi / 2)),   tangent length R tan(phi / 2)
 
-for a corner of angle phi (rad, 0 is straight on) that is cut by at most d; shorter legs get a smaller R. A corner that
-cannot be rounded is a point at which to stop and turn.
+for a corner of angle phi (rad, 0 is straight on) whose arc deviates from it by at most d; short legs get a smaller R.
+At a corner that cannot be rounded the vehicle stops and turns.
 """
 
 from __future__ import annotations
@@ -19,45 +19,58 @@ import numpy as np
 from ltv_mpc.messages import Array
 
 CHORD_RAD = math.radians(4.0)
-"""Of an arc of the path: largest change of direction between two pieces."""
+"""Largest change of direction between two pieces of an arc."""
 SAGITTA_M = 0.01
-"""And how far a piece may lie off its arc."""
-SMALLEST_RADIUS_M = 0.02
-"""A corner that would be rounded by less is one to stop at."""
+"""Largest distance of a piece from its arc."""
+MIN_RADIUS_M = 0.02
+"""Smallest radius of a rounded corner; at a sharper one the vehicle stops."""
 STRAIGHT_RAD = math.radians(1.0)
-"""A smaller change of direction is no corner."""
-MOST_POINTS = 100_000
+"""Smallest change of direction that counts as a corner."""
+MAX_POINTS = 100_000
 
 
 class Path(NamedTuple):
-    """K points and K - 1 pieces between them."""
+    """K points and the K - 1 pieces between them."""
 
     points: Array  # (K, 2) north, east (m)
-    depth: Array  # (K,) m, NaN where none is wanted
+    depth: Array  # (K,) m, NaN without a depth
     curvature: Array  # (K-1,) 1/m, 0 on a straight piece
-    turn: Array  # (K-1,) rad, the whole angle of the rounded corner that the piece belongs to, else 0
-    stop: Array  # (K,) rad, by how much to turn on the spot at that point, 0 where the path goes on
+    turn: Array  # (K-1,) rad, total angle of the rounded corner that the piece belongs to, else 0
+    stop: Array  # (K,) rad, angle of the turn on the spot at that point, 0 if the path continues without a stop
 
     @property
     def lengths(self) -> Array:
-        """(K-1,) m."""
+        """Lengths of the pieces (K-1,) in m."""
         lengths: Array = np.hypot(*np.diff(self.points, axis=0).T)
         return lengths
 
     @property
     def length_m(self) -> float:
-        """From the first point to the last."""
+        """Length from the first point to the last (m)."""
         return float(self.lengths.sum())
 
 
-def bend(points: Array, curvature: Array) -> Path:
-    """A smooth curve through points (K, 2) that lie close together, with the curvature (K-1,) of each piece."""
+def smooth_curve(points: Array, curvature: Array) -> Path:
+    """Return the path along a smooth curve.
+
+    Parameters
+    ----------
+    points : (K, 2) points close together, north and east (m).
+    curvature : (K-1,) curvature of each piece (1/m).
+    """
     K = len(points)
     return Path(points, np.full(K, np.nan), curvature, np.zeros(K - 1), np.zeros(K))
 
 
-def rounded(points: Array, depth: Array, corner_m: float) -> Path:
-    """Straight legs between points (K, 2), no two alike in a row; each corner is cut by at most ``corner_m``."""
+def round_corners(points: Array, depth: Array, corner_m: float) -> Path:
+    """Return the path of straight legs between points, with rounded corners.
+
+    Parameters
+    ----------
+    points : (K, 2) corners, north and east (m); successive ones differ.
+    depth : (K,) depth at the corners (m), NaN without a depth.
+    corner_m : largest deviation of an arc from its corner (m).
+    """
     legs = np.diff(points, axis=0)
     lengths = np.hypot(*legs.T)
     course = np.arctan2(legs[:, 1], legs[:, 0])
@@ -68,7 +81,7 @@ def rounded(points: Array, depth: Array, corner_m: float) -> Path:
         turn = abs(float(signed))
         room = 0.5 * min(lengths[k - 1], lengths[k])
         R = _radius(turn, corner_m, room)
-        if turn < STRAIGHT_RAD or R < SMALLEST_RADIUS_M:
+        if turn < STRAIGHT_RAD or R < MIN_RADIUS_M:
             out.append((points[k], depth[k], 0.0, 0.0, turn if turn >= STRAIGHT_RAD else 0.0))
             continue
         for j, point in enumerate(_arc(points[k], course[k - 1], float(signed), R)):
@@ -80,7 +93,7 @@ def rounded(points: Array, depth: Array, corner_m: float) -> Path:
 
 
 def _radius(turn: float, corner_m: float, room: float) -> float:
-    """R of the arc that rounds a corner."""
+    """Return the radius R (m) of the arc that rounds a corner."""
     half = 0.5 * turn
     if half < 1e-6 or math.cos(half) < 1e-9:
         return 0.0
@@ -88,24 +101,36 @@ def _radius(turn: float, corner_m: float, room: float) -> float:
 
 
 def _arc(corner: Array, course: float, turn: float, R: float) -> Array:
-    """Points of the arc of radius R about a corner, from a course (rad) to course + turn, both ends included."""
+    """Return points of the arc of radius R at a corner, from a course (rad) to course + turn, both ends included."""
     sign = math.copysign(1.0, turn)
     first = corner - R * math.tan(0.5 * abs(turn)) * np.array([math.cos(course), math.sin(course)])
     centre = first + sign * R * np.array([-math.sin(course), math.cos(course)])
-    at = course + turn * np.linspace(0.0, 1.0, pieces(abs(turn), R) + 1)
+    at = course + turn * np.linspace(0.0, 1.0, chord_count(abs(turn), R) + 1)
     return centre + sign * R * np.stack([np.sin(at), -np.cos(at)], axis=1)
 
 
-def pieces(turn: float, R: float) -> int:
-    """Into how many straight pieces an arc of ``turn`` rad is cut."""
+def chord_count(turn: float, R: float) -> int:
+    """Return the number of straight pieces that approximate an arc.
+
+    Parameters
+    ----------
+    turn : angle of the arc (rad), >= 0.
+    R : radius (m).
+    """
     step = min(CHORD_RAD, 2.0 * math.acos(max(1.0 - SAGITTA_M / R, 0.0))) if R > 0.0 else CHORD_RAD
     return max(1, math.ceil(turn / step))
 
 
 def with_lead_in(path: Path, start: Array, shortest_m: float) -> tuple[Path, float]:
-    """The path with a straight leg from ``start`` (2,) to its first point, and the length of what was added.
+    """Return the path preceded by a straight leg from ``start`` to its first point, and the length of that leg (m).
 
-    A leg shorter than ``shortest_m`` is left out. The corner between leg and path is one to stop at.
+    The vehicle stops at the corner between leg and path.
+
+    Parameters
+    ----------
+    path : the path.
+    start : (2,) position north and east (m).
+    shortest_m : a leg shorter than this is omitted (m).
     """
     way = path.points[0] - start
     length = float(np.hypot(*way))

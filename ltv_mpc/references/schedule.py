@@ -1,12 +1,15 @@
-"""Where the target is when: a path and a speed along it, as one table that a cycle looks things up in.
+"""Schedule of a target along a path: time-optimal speed profile under the limits of the vehicle, as a lookup table.
 
-The speed at each point of the path is at most the one that is wanted and the one that the vehicle can do there
-(``limits.py``); from point to point it changes no faster than thrust and drag allow:
+The speed at each point of the path is at most the desired speed and the speed limit of the vehicle there
+(``limits.py``). From point to point it changes no faster than thrust and drag allow:
 
     v_(i+1)^2 <= v_i^2 + 2 ds min(F_ahead, F_full - D(v_i)) / M_x       forward, from the start
     v_i^2     <= v_(i+1)^2 + 2 ds (F_astern + D(v_(i+1))) / M_x         backward, from the end, where it stops
 
-This is the time-optimal profile under these limits (Bobrow, Dubowsky & Gibson 1985, the two passes of its phase plane).
+This is the time-optimal profile under these limits (Bobrow, Dubowsky & Gibson 1985, two passes in the phase plane).
+
+Arrays of the kernels below: ``table`` (5, M) as in ``Schedule``, ``t_ns`` (N+1,) knots of a plan (ns), ``tau`` the time
+of the schedule (s) at the first knot, ``rate`` schedule seconds per vehicle second.
 """
 
 from __future__ import annotations
@@ -17,40 +20,40 @@ import numpy as np
 
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Times
-from ltv_mpc.references.limits import Limits
+from ltv_mpc.references.limits import Limits, SurgeLimits
 from ltv_mpc.references.path import Path
 
 STEP_M = 0.05
-"""Between two rows of the table, where that gives no more than ``MOST_ROWS``."""
-MOST_ROWS = 50_000
+"""Spacing of the columns of the table along the path; larger if the table would exceed ``MAX_COLUMNS``."""
+MAX_COLUMNS = 50_000
 
 CREEP_MPS = 0.05
-"""From this speed any vehicle stops within a step: drag alone would take for ever."""
-ON_ARC = 0.9
-"""Of the time of a turn: the heading leads the course, so that a part of the turn is done before the corner."""
+"""Speed from which any vehicle stops within one step; with drag alone it would never stop."""
+TURN_SHARE_ON_ARC = 0.9
+"""Share of the turning time spent on the arc of a corner; the heading leads the course, so the turn starts earlier."""
 
 TIME, WAY, NORTH, EAST, DEPTH = range(5)
-"""Rows of the table: s since the start, m along the path, m north and east, m deep (NaN: not wanted)."""
+"""Rows of the table: time since the start (s), distance along the path, north, east, depth (m; NaN: no depth)."""
 
 
 class Schedule(NamedTuple):
-    """The target's way. Between two columns of the table it moves evenly."""
+    """Motion of the target, uniform between two columns of the table."""
 
     table: Array  # (5, M)
-    lead_m: float  # of its way, what leads to the first point of the path
+    lead_m: float  # length of the leg that leads to the first point of the path
 
     @property
     def length_m(self) -> float:
-        """Of the path."""
+        """Length of the path without the leg that leads to it."""
         return float(self.table[WAY, -1]) - self.lead_m
 
     @property
     def duration_s(self) -> float:
-        """From the first point of the way to the last."""
+        """Time from the first column to the last."""
         return float(self.table[TIME, -1])
 
 
-def along(
+def fastest_schedule(
     path: Path,
     speed_mps: float,
     limits: Limits,
@@ -60,50 +63,58 @@ def along(
     lead_m: float = 0.0,
     first_turn_rad: float = 0.0,
 ) -> Schedule:
-    """The fastest schedule within the limits, from ``start_mps`` to rest; it begins with a turn on the spot."""
-    cap = np.minimum(speed_mps, fastest(path, limits, descent_rate_mps))
-    ds = max(STEP_M, path.length_m / MOST_ROWS)
+    """Return the fastest schedule within the limits; it starts with a turn on the spot and ends at rest.
+
+    Parameters
+    ----------
+    path : geometry of the path, including the leg that leads to it.
+    speed_mps : desired speed over ground (m/s).
+    limits : limits of the vehicle.
+    descent_rate_mps : largest sinking speed (m/s).
+    start_mps : speed along the path at its start (m/s).
+    lead_m : length of the leg that leads to the path (m).
+    first_turn_rad : angle of the turn on the spot at the start (rad), >= 0.
+    """
+    piece_limit = np.minimum(speed_mps, speed_limits(path, limits, descent_rate_mps))
+    ds = max(STEP_M, path.length_m / MAX_COLUMNS)
     way = np.concatenate([[0.0], np.cumsum(path.lengths)])
     parts = np.maximum(np.ceil(path.lengths / ds), 1).astype(np.int64)
-    piece = np.repeat(np.arange(len(parts)), parts)  # of each step of the table
+    piece = np.repeat(np.arange(len(parts)), parts)  # index for each step of the table
     last = np.cumsum(parts)
-    fraction = 1.0 - (last[piece] - np.arange(len(piece)) - 1) / parts[piece]  # at its end
+    fraction = 1.0 - (last[piece] - np.arange(len(piece)) - 1) / parts[piece]  # at the end of the step
     s = np.concatenate([[0.0], way[piece] + fraction * path.lengths[piece]])
-    of_step = cap[piece]
-    at = np.minimum(np.concatenate([of_step, [0.0]]), np.concatenate([[start_mps], of_step]))
+    step_limit = piece_limit[piece]
+    limit = np.minimum(np.concatenate([step_limit, [0.0]]), np.concatenate([[start_mps], step_limit]))
     waiting = np.zeros(len(s))
-    corner = np.concatenate([[0], last])  # the rows of the path's own points
+    corner = np.concatenate([[0], last])  # columns of the points of the path
     waiting[corner] = limits.turning_s(path.stop)
     waiting[0] += float(limits.turning_s(np.array(first_turn_rad)))
-    at[waiting > 0.0] = 0.0
-    _, t = profile(
-        s,
-        at,
-        limits.full_N,
-        limits.ahead_N,
-        limits.astern_N,
-        limits.mass_kg,
-        limits.linear_kgps,
-        limits.quadratic_kgpm,
-        waiting,
-    )
-    rows = np.repeat(np.arange(len(s)), 1 + (waiting > 0.0))  # where it waits it is at two times
-    again = np.concatenate([[False], rows[1:] == rows[:-1]])
-    table = np.empty((5, len(rows)))
-    table[TIME] = t[rows] - np.where(again, 0.0, waiting[rows])
-    table[WAY] = s[rows]
+    limit[waiting > 0.0] = 0.0
+    _, t = speed_profile(s, limit, waiting, limits.surge)
+    columns = np.repeat(np.arange(len(s)), 1 + (waiting > 0.0))  # two columns for a point at which the target waits
+    leaves = np.concatenate([[False], columns[1:] == columns[:-1]])
+    table = np.empty((5, len(columns)))
+    table[TIME] = t[columns] - np.where(leaves, 0.0, waiting[columns])
+    table[WAY] = s[columns]
     for row, column in ((NORTH, path.points[:, 0]), (EAST, path.points[:, 1]), (DEPTH, path.depth)):
         table[row] = np.interp(table[WAY], way, column)
     return Schedule(table, lead_m)
 
 
-def fastest(path: Path, limits: Limits, descent_rate_mps: float) -> Array:
-    """(K-1,) m/s: the most that the vehicle can do on each piece: top speed, bends, corners, and going down."""
+def speed_limits(path: Path, limits: Limits, descent_rate_mps: float) -> Array:
+    """Return the largest speed (K-1,) in m/s on each piece: by cruising speed, bends, corners and descent.
+
+    Parameters
+    ----------
+    path : geometry with K points.
+    limits : limits of the vehicle.
+    descent_rate_mps : largest sinking speed (m/s).
+    """
     speed = np.minimum(limits.cruise_mps, limits.speed_at(path.curvature))
     corner = path.turn > 0.0
-    # A rounded corner is passed in no less than it takes to turn, but for what of the turn lies before and after it.
+    # A rounded corner takes at least the turning time, except for the part of the turn before and after the arc.
     arc = path.turn[corner] / path.curvature[corner]
-    speed[corner] = np.minimum(speed[corner], arc / (ON_ARC * limits.turning_s(path.turn[corner])))
+    speed[corner] = np.minimum(speed[corner], arc / (TURN_SHARE_ON_ARC * limits.turning_s(path.turn[corner])))
     slope = np.abs(np.nan_to_num(np.diff(path.depth))) / path.lengths
     steep = slope > 0.0
     speed[steep] = np.minimum(speed[steep], descent_rate_mps / slope[steep])
@@ -111,25 +122,21 @@ def fastest(path: Path, limits: Limits, descent_rate_mps: float) -> Array:
 
 
 @jit
-def profile(
-    s: Array,
-    cap: Array,
-    full: float,
-    ahead: float,
-    astern: float,
-    mass: float,
-    linear: float,
-    quadratic: float,
-    waiting: Array,
-) -> tuple[Array, Array]:
-    """Speeds (M,) m/s at s (M,) m, none above ``cap`` (M,), and the times (M,) s at which it goes on from there.
+def speed_profile(s: Array, limit: Array, waiting: Array, surge: SurgeLimits) -> tuple[Array, Array]:
+    """Return the speeds (M,) in m/s, and the times (M,) in s at which the target leaves each point.
 
-    It waits ``waiting`` (M,) s where that is not 0. Forces in N, drag (linear + quadratic v) v.
+    Parameters
+    ----------
+    s : (M,) distance along the path (m).
+    limit : (M,) speed limit (m/s).
+    waiting : (M,) time at rest at each point (s).
+    surge : forces, mass and drag along the path.
     """
     M = len(s)
-    v, t = cap.copy(), np.empty(M)
+    v, t = limit.copy(), np.empty(M)
+    mass, linear, quadratic, astern = surge.mass_kg, surge.linear_kgps, surge.quadratic_kgpm, surge.astern_N
     for i in range(M - 1):
-        push = min(ahead, max(full - (linear + quadratic * v[i]) * v[i], 0.0))
+        push = min(surge.ahead_N, max(surge.full_N - (linear + quadratic * v[i]) * v[i], 0.0))
         v[i + 1] = min(v[i + 1], np.sqrt(v[i] * v[i] + 2.0 * (s[i + 1] - s[i]) * push / mass))
     for i in range(M - 2, -1, -1):
         pull = astern + (linear + quadratic * v[i + 1]) * v[i + 1]
@@ -138,15 +145,15 @@ def profile(
     t[0] = waiting[0]
     for i in range(M - 1):
         ds = s[i + 1] - s[i]
-        # from rest to rest over ds it takes 2 sqrt(ds / a)
-        speed = max(v[i] + v[i + 1], np.sqrt(ds * min(ahead, astern) / mass), CREEP_MPS)
+        # a step from rest to rest takes 2 sqrt(ds / a)
+        speed = max(v[i] + v[i + 1], np.sqrt(ds * min(surge.ahead_N, astern) / mass), CREEP_MPS)
         t[i + 1] = t[i] + 2.0 * ds / speed + waiting[i + 1]
     return v, t
 
 
 @jit
 def _interval(table: Array, tau: float) -> tuple[int, float, float]:
-    """The interval of the table that a time lies in, the part of it that is past, and its length (s)."""
+    """Return the interval of the table that contains a time, the elapsed share of it, and its length (s)."""
     M = table.shape[1]
     i = min(max(np.searchsorted(table[0], tau, side="right") - 1, 0), M - 2)
     length = table[0, i + 1] - table[0, i]
@@ -155,18 +162,30 @@ def _interval(table: Array, tau: float) -> tuple[int, float, float]:
 
 
 @jit
-def where(table: Array, tau: float) -> tuple[float, float, float]:
-    """Way along the path (m), north and east (m) at a time of the schedule."""
+def target_at(table: Array, tau: float) -> tuple[float, float, float]:
+    """Return distance along the path, north and east of the target (m).
+
+    Parameters
+    ----------
+    table : (5, M) table of the schedule.
+    tau : time of the schedule (s).
+    """
     i, part, _ = _interval(table, tau)
     s, n, e = table[1], table[2], table[3]
     return s[i] + part * (s[i + 1] - s[i]), n[i] + part * (n[i + 1] - n[i]), e[i] + part * (e[i + 1] - e[i])
 
 
 @jit
-def look_ahead(table: Array, tau: float, rate: float, t_ns: Times, target: Array) -> None:
-    """The target at the knots, into ``target`` (N+1, 2): positions (m) at knots 1 .. N, then the velocity (m/s) at N.
+def fill_targets(table: Array, tau: float, rate: float, t_ns: Times, target: Array) -> None:
+    """Write the target at the knots of a plan.
 
-    Knots t_ns (N+1,); at the first the schedule's time is ``tau``, and it goes on at ``rate`` seconds a second.
+    Parameters
+    ----------
+    table : (5, M) table of the schedule.
+    tau : time of the schedule at the first knot (s).
+    rate : schedule seconds per vehicle second.
+    t_ns : (N+1,) knots (ns).
+    target : (N+1, 2) output, north and east: positions (m) at knots 1 .. N, then the velocity (m/s) at knot N.
     """
     N = len(t_ns) - 1
     for k in range(1, N + 1):
@@ -181,16 +200,24 @@ def look_ahead(table: Array, tau: float, rate: float, t_ns: Times, target: Array
 
 
 @jit
-def against(table: Array, tau: float, ahead_s: float, north: float, east: float, speed: float) -> float:
-    """The rate at which the schedule can be followed in a current (m/s) for ``ahead_s`` to come, 0 .. 1.
+def feasible_rate(table: Array, tau: float, ahead_s: float, north: float, east: float, speed: float) -> float:
+    """Return the rate, 0 .. 1, at which the vehicle can follow the schedule in a current.
 
-    The largest f <= 1 with |f v - c| <= ``speed``, the vehicle's through the water, at every velocity v wanted there;
-    where the current alone is faster, 1: then nothing can be foretold.
+    It is the largest f <= 1 with |f v - c| <= ``speed`` for each velocity v of the target in the interval. It is 1 if
+    the current alone is faster than the vehicle, because then no rate is feasible.
+
+    Parameters
+    ----------
+    table : (5, M) table of the schedule.
+    tau : start of the interval in schedule time (s).
+    ahead_s : length of the interval (s).
+    north, east : current c (m/s).
+    speed : largest speed of the vehicle through the water (m/s).
     """
     square = north * north + east * east
     if square >= speed * speed or square == 0.0:
         return 1.0
-    M, least = table.shape[1], 1.0
+    M, rate = table.shape[1], 1.0
     i, _, _ = _interval(table, tau)
     while i < M - 1 and table[0, i] <= tau + ahead_s:
         length = table[0, i + 1] - table[0, i]
@@ -199,34 +226,52 @@ def against(table: Array, tau: float, ahead_s: float, north: float, east: float,
             vv, vc = vn * vn + ve * ve, vn * north + ve * east
             # f^2 v.v - 2 f v.c + c.c = speed^2
             if vv > 0.0:
-                least = min(least, (vc + np.sqrt(vc * vc + vv * (speed * speed - square))) / vv)
+                rate = min(rate, (vc + np.sqrt(vc * vc + vv * (speed * speed - square))) / vv)
         i += 1
-    return least
+    return rate
 
 
 @jit
-def depths(
-    table: Array, tau: float, rate: float, t_ns: Times, begun_ns: int, start: float, most: float
+def depths_at(
+    table: Array, tau: float, rate: float, t_ns: Times, start_ns: int, start: float, max_rate: float
 ) -> tuple[Array, Array]:
-    """Depth (m) and sinking speed (m/s) at knots (N+1,): the path's, as far as ``most`` m/s from ``start`` allows."""
+    """Return depth (m) and sinking speed (m/s) of the target at the knots, each (N+1,).
+
+    Parameters
+    ----------
+    table : (5, M) table of the schedule.
+    tau : time of the schedule at the first knot (s).
+    rate : schedule seconds per vehicle second.
+    t_ns : (N+1,) knots (ns).
+    start_ns, start : time (ns) and depth (m) of the vehicle at the start of the reference.
+    max_rate : largest rate of change of the depth since then (m/s).
+    """
     depth, speed = np.empty(len(t_ns)), np.empty(len(t_ns))
     for k in range(len(t_ns)):
         at = tau + rate * (t_ns[k] - t_ns[0]) * 1e-9
         i, part, length = _interval(table, at)
         step = table[4, i + 1] - table[4, i]
         wanted = table[4, i] + part * step
-        way = max((t_ns[k] - begun_ns) * 1e-9, 0.0) * most
+        way = max((t_ns[k] - start_ns) * 1e-9, 0.0) * max_rate
         depth[k] = min(max(wanted, start - way), start + way)
         if depth[k] == wanted:
             speed[k] = rate * step / length if length > 0.0 and part < 1.0 else 0.0
         else:
-            speed[k] = most if wanted > start else -most
+            speed[k] = max_rate if wanted > start else -max_rate
     return depth, speed
 
 
 @jit
-def off_path(table: Array, s: float, n: float, e: float, window: float) -> float:
-    """Cross-track error (m), positive to starboard: of a position from the nearest point within ``window`` m of s."""
+def cross_track_error(table: Array, s: float, n: float, e: float, window: float) -> float:
+    """Return the cross-track error (m), positive to starboard: the distance of a position from the path.
+
+    Parameters
+    ----------
+    table : (5, M) table of the schedule.
+    s : distance of the target along the path (m).
+    n, e : position (m).
+    window : only the path within this distance of ``s`` counts (m).
+    """
     M = table.shape[1]
     way, north, east = table[1], table[2], table[3]
     first = max(int(np.searchsorted(way, s - window)) - 1, 0)
@@ -248,7 +293,7 @@ def off_path(table: Array, s: float, n: float, e: float, window: float) -> float
 
 
 @jit
-def go_on(
+def advance_target(
     table: Array,
     tau: float,
     t_ns: Times,
@@ -258,16 +303,28 @@ def go_on(
     leash: float,
     speed: float,
 ) -> tuple[float, float, float, float, float]:
-    """At the first of a plan's knots, where the schedule is at ``tau``: its rate (s/s) from there on, the target's way
-    along the path, north and east (m), and the vehicle's cross-track error (m; NaN where it is nowhere).
+    """Return the state of the target at the first knot of a plan.
 
-    The vehicle's state begins with ``lateral`` = n, e (m); ``north`` and ``east`` are the current (m/s); ``leash`` (m)
-    as in ``follower.py``, ``speed`` (m/s) as in ``against``.
+    Parameters
+    ----------
+    table : (5, M) table of the schedule.
+    tau : time of the schedule at the first knot (s).
+    t_ns : (N+1,) knots (ns).
+    lateral : state of the vehicle at the first knot, which starts with n, e (m).
+    north, east : current (m/s).
+    leash : distance between target and vehicle at which the target stops (m), as in ``follower.py``.
+    speed : largest speed of the vehicle through the water (m/s).
+
+    Returns
+    -------
+    rate : rate of the schedule from here on (s/s).
+    way, n, e : distance along the path, north and east of the target (m).
+    cross : cross-track error of the vehicle (m), positive to starboard; NaN if its position is not finite.
     """
-    way, n, e = where(table, tau)
+    way, n, e = target_at(table, tau)
     distance = np.hypot(n - lateral[0], e - lateral[1])
     if not np.isfinite(distance):
         return 0.0, way, n, e, np.nan
     rate = min(max(2.0 - 2.0 * distance / leash, 0.0), 1.0)
-    rate = min(rate, against(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, north, east, speed))
-    return rate, way, n, e, off_path(table, way, lateral[0], lateral[1], 2.0 * leash)
+    rate = min(rate, feasible_rate(table, tau, float(t_ns[-1] - t_ns[0]) * 1e-9, north, east, speed))
+    return rate, way, n, e, cross_track_error(table, way, lateral[0], lateral[1], 2.0 * leash)

@@ -1,9 +1,9 @@
-"""A track with times of its own, from a table of comma-separated values.
+"""Timed track, from a table of comma-separated values.
 
-Columns t_s, north_m, east_m, and depth_m if wanted, in any order; or latitude_deg and longitude_deg instead of north_m
-and east_m, about the reference's [origin]. Lines that begin with # are comments. Times increase; between two rows the
-target moves evenly. A row that cannot be reached in time (top speed, curvature of the track) is reached as soon as can
-be, and all later ones later by as much.
+Columns t_s, north_m, east_m, and optionally depth_m, in any order; or latitude_deg and longitude_deg instead of north_m
+and east_m, relative to the [origin] of the reference. Lines that start with # are comments. Times increase, and the
+target moves uniformly between two rows. A row that the vehicle cannot reach in time (cruising speed, curvature of the
+track) is reached as soon as possible, and all later rows are delayed by the same time.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Array, ReferenceStart
 from ltv_mpc.references.base import BaseReference
 from ltv_mpc.references.geodesy import Place, local
-from ltv_mpc.references.limits import limits_of
+from ltv_mpc.references.limits import path_limits
 from ltv_mpc.references.path import Path as Track
 from ltv_mpc.references.path import with_lead_in
-from ltv_mpc.references.schedule import TIME, Schedule, along
+from ltv_mpc.references.schedule import TIME, Schedule, fastest_schedule
 from ltv_mpc.references.shapes import LEAD_IN_M
 from ltv_mpc.vehicle.parameters import Vehicle
 
@@ -33,42 +33,48 @@ Row: TypeAlias = Annotated[tuple[float, ...], Meta(min_length=3, max_length=4)]
 
 METRES = ("north_m", "east_m")
 DEGREES = ("latitude_deg", "longitude_deg")
-MOST_ROWS = 20_000
-LONGEST_S = 1e6
-EARLY = 0.99
-"""A row that needs this much more of its time is in time."""
+MAX_ROWS = 20_000
+MAX_TIME_S = 1e6
+IN_TIME = 0.99
+"""Share of the time between two rows: a step that needs at most 1 / IN_TIME of its time counts as in time."""
 
 
 class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
-    """Be at each row's place at its time; ``file`` is a CSV beside the reference's file, ``rows`` the same inline.
+    """Track with a time for each row; ``file`` is a CSV in the folder of the reference file, ``rows`` the same inline.
 
-    ``rows``: t_s since the start, north_m, east_m, and depth_m in all of them or in none.
+    ``rows``: t_s since the start, north_m, east_m, and depth_m in all rows or in none.
     """
 
     file: str = ""
-    rows: Annotated[tuple[Row, ...], Meta(max_length=MOST_ROWS)] = ()
+    rows: Annotated[tuple[Row, ...], Meta(max_length=MAX_ROWS)] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself."""
+        """Reject rows that are out of bounds or out of order, and fields that contradict each other."""
         if bool(self.file) == bool(self.rows):
-            raise ValueError("give either file, a CSV, or rows")
+            raise ValueError("give either file (a CSV) or rows")
         if not self.rows:
             return
         if len(self.rows) < 2 or len({len(row) for row in self.rows}) > 1:
             raise ValueError("rows: at least 2, all with the same number of columns")
         for k, row in enumerate(self.rows):
-            _checked(dict(zip(("t_s", *METRES, "depth_m"), row, strict=False)), f"rows[{k}] ")
+            _check_bounds(dict(zip(("t_s", *METRES, "depth_m"), row, strict=False)), f"rows[{k}] ")
         t = [row[0] for row in self.rows]
         late = next((k for k in range(1, len(t)) if t[k] <= t[k - 1]), None)
         if late is not None:
             raise ValueError(f"rows[{late}] t_s = {t[late]:g}: must be later than the row before it, {t[late - 1]:g} s")
         if self.depth_m is not None and len(self.rows[0]) == 4:
-            raise ValueError("depth_m is given for the whole track and in its rows: leave one of them out")
+            raise ValueError("depth_m is given for the whole track and in its rows: remove one of them")
 
     def schedule(self, vehicle: Vehicle, anchor: ReferenceStart | None = None) -> Schedule:
-        """The rows in time, stretched where the vehicle cannot be so fast; led to the first from ``anchor``."""
+        """Return the schedule of the rows, delayed where the vehicle is not fast enough.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle, which limit the speed.
+        anchor : start of the reference, from which a straight leg leads to the first row; None: start at that row.
+        """
         table, length = self._table(vehicle)
-        if table[TIME, 0] > 0.0:  # until then the target stands at the first row
+        if table[TIME, 0] > 0.0:  # until then the target rests at the first row
             first = table[:, :1].copy()
             first[TIME] = 0.0
             table, length = np.concatenate([first, table], axis=1), np.concatenate([[0.0], length])
@@ -80,9 +86,9 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         if lead_m == 0.0:
             return Schedule(table, 0.0)
         leg = Track(moved.points[:2], moved.depth[:2], np.zeros(1), np.zeros(1), np.zeros(2))
-        limits = limits_of(vehicle)
-        lead = along(leg, limits.cruise_mps, limits, descent_rate_mps=self.descent_rate_mps).table
-        # It comes to the first row at that row's time, or as soon after it as can be.
+        limits = path_limits(vehicle)
+        lead = fastest_schedule(leg, limits.cruise_mps, limits, descent_rate_mps=self.descent_rate_mps).table
+        # the target reaches the first row at its time, or as soon as possible after it
         begin = max(float(table[TIME, 0]), float(lead[TIME, -1]))
         lead[TIME] += begin - lead[TIME, -1]
         table[TIME] += begin - table[TIME, 0]
@@ -91,7 +97,7 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         return Schedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """What the vehicle cannot do of it, and what it does instead."""
+        """Return a sentence about the rows that the vehicle cannot reach in time."""
         table, _ = self._table(vehicle)
         t = np.array([row[0] for row in self.rows])
         late = table[TIME] - t
@@ -99,20 +105,20 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
             return []
         step = np.diff(late)
         return [
-            f"{np.count_nonzero(step > 1e-6)} of {len(step)} rows ask for more than the vehicle can do "
-            f"({limits_of(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = "
-            f"{t[1:][step > 1e-6][0]:g}; the last is reached {late[-1]:.1f} s late"
+            f"{np.count_nonzero(step > 1e-6)} of {len(step)} rows cannot be reached in time (the vehicle does "
+            f"{path_limits(vehicle).cruise_mps:.2f} m/s straight on, less in bends): the first at t_s = "
+            f"{t[1:][step > 1e-6][0]:g}; the last row is reached {late[-1]:.1f} s late"
         ]
 
     def _table(self, vehicle: Vehicle) -> tuple[Array, Array]:
-        """The schedule's table (5, M), and the lengths (M-1,) of its steps."""
+        """Return the table (5, M) of the schedule, and the lengths (M-1,) of its steps (m)."""
         rows = np.array(self.rows)
         steps = np.diff(rows[:, 1:3], axis=0)
         length = np.hypot(*steps.T)
-        limits = limits_of(vehicle)
+        limits = path_limits(vehicle)
         needed = length / limits.speed_at(_curvature(steps, length))
         asked = np.diff(rows[:, 0])
-        took = np.where(needed > asked / EARLY, needed, asked)
+        took = np.where(needed > asked / IN_TIME, needed, asked)
         table = np.empty((5, len(rows)))
         table[0] = rows[0, 0] + np.concatenate([[0.0], np.cumsum(took)])
         table[1] = np.concatenate([[0.0], np.cumsum(length)])
@@ -122,7 +128,10 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
 
 
 def _curvature(steps: Array, length: Array) -> Array:
-    """(M-1,) 1/m of each step: the larger of those at its ends, 2 tan(phi / 2) over the mean length of two steps."""
+    """Return the curvature (M-1,) in 1/m of each step, the larger of those at its ends.
+
+    At a corner it is 2 tan(phi / 2) over the mean length of the two steps.
+    """
     at = np.zeros(len(steps) + 1)
     moving = length > 1e-9
     course = np.arctan2(steps[:, 1], steps[:, 0])
@@ -134,7 +143,19 @@ def _curvature(steps: Array, length: Array) -> Array:
 
 
 def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
-    """The same track with the rows of its file, which is no longer named. Raises ``ConfigError``."""
+    """Return the track with the rows of its file.
+
+    Parameters
+    ----------
+    timed : track that names the file.
+    path : the file.
+    source : name of the reference, for error messages.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or a row is not valid.
+    """
     text = config.read_text(path, what="track")
     source = f"{source}: track {path.name}"
     lines = [(k, line) for k, line in enumerate(text.splitlines(), start=1) if line.strip()]
@@ -142,8 +163,8 @@ def from_csv(timed: Timed, path: Path, *, source: str) -> Timed:
     header = _header(lines[0][1], source) if lines else {}
     if len(lines) < 3:
         raise ConfigError(source, "", "needs a header and two rows of numbers")
-    if len(lines) - 1 > MOST_ROWS:
-        raise ConfigError(source, "", f"has {len(lines) - 1} rows: at most {MOST_ROWS}")
+    if len(lines) - 1 > MAX_ROWS:
+        raise ConfigError(source, "", f"has {len(lines) - 1} rows: at most {MAX_ROWS}")
     rows = tuple(_row(line, f"line {k} ", header, timed, source) for k, line in lines[1:])
     for (k, _), before, after in zip(lines[2:], rows, rows[1:], strict=False):
         if after[0] <= before[0]:
@@ -160,18 +181,16 @@ def _header(line: str, source: str) -> dict[str, int]:
     place = DEGREES if DEGREES[0] in names else METRES
     for name in ("t_s", *place):
         if name not in names:
-            problem = (
-                "the header must name t_s, north_m, east_m (or latitude_deg, longitude_deg), and depth_m if wanted"
-            )
+            problem = "the header must name t_s, north_m, east_m (or latitude_deg, longitude_deg), optionally depth_m"
             raise ConfigError(source, "", f"missing column {name}; {problem}")
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(source, "", f"column {name} stands there twice")
+            raise ConfigError(source, "", f"column {name} occurs twice")
     return {name: names.index(name) for name in ("t_s", *place, "depth_m") if name in names}
 
 
 def _row(line: str, where: str, header: dict[str, int], timed: Timed, source: str) -> tuple[float, ...]:
-    """t_s, north_m, east_m, and depth_m where there is a column of it."""
+    """Return t_s, north_m, east_m, and depth_m if there is such a column."""
     cells = next(csv.reader([line]), [])
     values: dict[str, float] = {}
     for name, position in header.items():
@@ -181,13 +200,13 @@ def _row(line: str, where: str, header: dict[str, int], timed: Timed, source: st
             )
         cell = cells[position].strip()
         try:
-            values[name] = float(cell) if "_" not in cell else math.nan  # Python reads 1_0 as ten
+            values[name] = float(cell) if "_" not in cell else math.nan  # Python accepts 1_0 as ten
         except ValueError:
             values[name] = math.nan
         if not math.isfinite(values[name]):
             raise ConfigError(source, f"{where}{name}", "must be a number", value=cell[:40])
     try:
-        _checked(values, where)
+        _check_bounds(values, where)
         if DEGREES[0] in values:
             place = Place(latitude_deg=values[DEGREES[0]], longitude_deg=values[DEGREES[1]])
             values["north_m"], values["east_m"] = local(place, timed.origin)
@@ -197,7 +216,7 @@ def _row(line: str, where: str, header: dict[str, int], timed: Timed, source: st
 
 
 _BOUNDS = {
-    "t_s": (0.0, LONGEST_S),
+    "t_s": (0.0, MAX_TIME_S),
     "north_m": (-1e6, 1e6),
     "east_m": (-1e6, 1e6),
     "latitude_deg": (-89.0, 89.0),
@@ -206,8 +225,8 @@ _BOUNDS = {
 }
 
 
-def _checked(values: dict[str, float], where: str) -> None:
-    """Every number within its bounds. Raises ``ValueError``."""
+def _check_bounds(values: dict[str, float], where: str) -> None:
+    """Raise ``ValueError`` if a number is out of bounds."""
     for name, value in values.items():
         low, high = _BOUNDS[name]
         if not low <= value <= high:

@@ -1,4 +1,4 @@
-"""The kinds of reference, each from a table whose ``kind`` names it."""
+"""Reference types, and the reader of reference files, whose ``kind`` names the type."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PACKAGE = "ltv_mpc.references.files"
 
 
 class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
-    """Stay on the vertical line through a point, in metres or in degrees about ``origin``."""
+    """Vertical line through a point, in metres or in degrees relative to ``origin``."""
 
     north_m: Metres | None = None
     east_m: Metres | None = None
@@ -25,16 +25,16 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
     longitude_deg: Longitude | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a point that is nowhere, or twice."""
+        """Reject a point without coordinates, or with both kinds."""
         self._place()
 
     def position(self, anchor: ReferenceStart) -> Pair:
-        """North and east (m)."""
+        """Return north and east (m)."""
         del anchor
         return self._place()
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """What the vehicle cannot do of it."""
+        """Return sentences about what the vehicle cannot do of this reference."""
         return _of_depth(self, vehicle)
 
     def _place(self) -> Pair:
@@ -48,14 +48,14 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
 
 
 class Hold(BaseReference, frozen=True, kw_only=True, tag="hold"):
-    """Stay on the vertical line through where the vehicle is believed to be at the start: "here"."""
+    """Vertical line through the estimated position of the vehicle at the start: "here"."""
 
     def position(self, anchor: ReferenceStart) -> Pair:
-        """North and east (m)."""
+        """Return north and east (m)."""
         return anchor.north_m, anchor.east_m
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """What the vehicle cannot do of it."""
+        """Return sentences about what the vehicle cannot do of this reference."""
         return _of_depth(self, vehicle)
 
 
@@ -67,9 +67,14 @@ Reference: TypeAlias = Point | Hold | Line | Waypoints | Lawnmower | Circle | Sp
 
 
 def load(name: str) -> Reference:
-    """A shipped reference by name (``"descent"``, ``"square"``), or a TOML file by path. Raises ``ConfigError``.
+    """Return a shipped reference by name (``"descent"``, ``"square"``), or read a TOML file by path.
 
-    A CSV that it names is read too: a path relative to the file's folder.
+    A CSV file that the reference names is read too; its path is relative to the folder of the TOML file.
+
+    Raises
+    ------
+    ConfigError
+        If the reference does not exist or is not valid.
     """
     reference: Reference = config.load(name, Reference, what="reference", package=PACKAGE)  # type: ignore[arg-type]
     if isinstance(reference, Timed) and reference.file:

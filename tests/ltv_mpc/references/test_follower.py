@@ -11,7 +11,7 @@ import pytest
 
 from ltv_mpc import Controller, CurrentProfile, Estimate, Plan, Vehicle, advance, references
 from ltv_mpc.references import Hold, Line, Place, Point, Reference, Timed, Waypoints
-from ltv_mpc.references.follower import LONGEST_STEP_S, Follower
+from ltv_mpc.references.follower import MAX_STEP_S, Follower
 
 PAPER = Vehicle.load("paper")
 LINE = Line(speed_mps=0.3, start=Place(north_m=0.0, east_m=0.0), end=Place(north_m=12.0, east_m=0.0))
@@ -98,7 +98,7 @@ def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
     for t_s in (10.3, 10.6):
         before = go(follower, t_s, *before)
     after = go(follower, 200.0, *before)
-    assert 0.0 < after[0] - before[0] <= 0.3 * LONGEST_STEP_S + 1e-9
+    assert 0.0 < after[0] - before[0] <= 0.3 * MAX_STEP_S + 1e-9
 
 
 def test_a_vehicle_elsewhere_is_led_to_the_first_point_without_progress():

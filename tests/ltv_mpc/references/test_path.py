@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ltv_mpc.references import Circle, Lawnmower, Line, Place, Spiral, Waypoints
-from ltv_mpc.references.path import SAGITTA_M, Path, rounded, with_lead_in
+from ltv_mpc.references.path import SAGITTA_M, Path, round_corners, with_lead_in
 
 HERE = Place(north_m=0.0, east_m=0.0)
 
@@ -19,7 +19,7 @@ HERE = Place(north_m=0.0, east_m=0.0)
 def corner(angle_rad: float, corner_m: float, leg_m: float = 20.0) -> Path:
     """Northwards, then turned by an angle."""
     points = np.array([[-leg_m, 0.0], [0.0, 0.0], [leg_m * math.cos(angle_rad), leg_m * math.sin(angle_rad)]])
-    return rounded(points, np.full(3, math.nan), corner_m)
+    return round_corners(points, np.full(3, math.nan), corner_m)
 
 
 def off_the_legs(path: Path, angle_rad: float) -> float:
@@ -64,7 +64,7 @@ def test_a_leg_that_is_too_short_gets_arcs_that_fit():
 
 def test_a_corner_that_may_not_be_cut_is_one_to_stop_at_and_so_is_a_way_back():
     assert corner(math.pi / 2, corner_m=0.0).stop == pytest.approx([0.0, math.pi / 2, 0.0])
-    back = rounded(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), np.full(3, math.nan), 0.4)
+    back = round_corners(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), np.full(3, math.nan), 0.4)
     assert back.stop == pytest.approx([0.0, math.pi, 0.0])
 
 

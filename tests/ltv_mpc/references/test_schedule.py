@@ -11,13 +11,23 @@ import pytest
 from ltv_mpc import references
 from ltv_mpc.messages import ReferenceStart
 from ltv_mpc.references import Circle, Line, Place, Waypoints
-from ltv_mpc.references.limits import CHANGING, SHARE, limits_of
-from ltv_mpc.references.schedule import DEPTH, EAST, NORTH, TIME, WAY, against, look_ahead, off_path, where
+from ltv_mpc.references.limits import ACCELERATION_SHARE, SUSTAINED_SHARE, path_limits
+from ltv_mpc.references.schedule import (
+    DEPTH,
+    EAST,
+    NORTH,
+    TIME,
+    WAY,
+    cross_track_error,
+    feasible_rate,
+    fill_targets,
+    target_at,
+)
 from ltv_mpc.vehicle.dynamics import rates
 from ltv_mpc.vehicle.parameters import Vehicle
 
 PAPER = Vehicle.load("paper")
-LIMITS = limits_of(PAPER)
+LIMITS = path_limits(PAPER)
 HERE = Place(north_m=0.0, east_m=0.0)
 LINE = Line(speed_mps=0.3, start=HERE, end=Place(north_m=40.0, east_m=0.0))
 
@@ -28,7 +38,7 @@ def speeds(table):
 
 def test_top_speed_is_where_drag_takes_the_thrust():
     assert LIMITS.top_mps == pytest.approx(0.5)  # 2 x 62.5 = 500 x 0.5^2
-    assert LIMITS.cruise_mps == pytest.approx(0.5 * math.sqrt(SHARE))
+    assert LIMITS.cruise_mps == pytest.approx(0.5 * math.sqrt(SUSTAINED_SHARE))
 
 
 @pytest.mark.parametrize("radius_m", [2.0, 5.0, 20.0])
@@ -46,7 +56,7 @@ def test_the_speed_of_a_bend_is_the_fastest_steady_turn_of_the_vehicle(radius_m)
         return math.hypot(u, v), math.hypot(u, v) / r
 
     # of the circles with the outer thruster at its share, the one of this radius
-    outer = SHARE * 62.5
+    outer = SUSTAINED_SHARE * 62.5
     low, high = -outer, outer  # more of the inner thruster, a wider circle
     for _ in range(14):
         inner = 0.5 * (low + high)
@@ -62,14 +72,16 @@ def test_the_schedule_starts_and_ends_at_rest_within_thrust_and_drag():
     assert v[-1] < 0.1
     middle = 0.5 * (v[1:] + v[:-1])
     a = np.diff(v) / (0.5 * (np.diff(table[TIME])[1:] + np.diff(table[TIME])[:-1]))
-    assert (500.0 * a <= np.minimum(CHANGING * 125.0, SHARE * 125.0 - 500.0 * middle**2) * 1.1 + 1.0).all()
-    assert (500.0 * a >= -(CHANGING * 125.0 + 500.0 * middle**2) * 1.1 - 1.0).all()
+    assert (
+        500.0 * a <= np.minimum(ACCELERATION_SHARE * 125.0, SUSTAINED_SHARE * 125.0 - 500.0 * middle**2) * 1.1 + 1.0
+    ).all()
+    assert (500.0 * a >= -(ACCELERATION_SHARE * 125.0 + 500.0 * middle**2) * 1.1 - 1.0).all()
 
 
 def test_a_straight_schedule_lasts_its_speed_plus_one_start_and_stop():
     """Against the closed form without drag: length / speed + v / 2 a at either end."""
     slow = Line(speed_mps=0.05, start=HERE, end=Place(north_m=40.0, east_m=0.0))
-    a = CHANGING * 125.0 / 500.0
+    a = ACCELERATION_SHARE * 125.0 / 500.0
     assert slow.schedule(PAPER).duration_s == pytest.approx(40.0 / 0.05 + 0.05 / a, abs=0.5)
 
 
@@ -81,7 +93,9 @@ def test_at_a_corner_that_may_not_be_cut_it_stands_for_as_long_as_a_turn_takes()
     # the equations of motion with F1 = -F2 at their share, there and back to rest, take about as long
     p, r, psi, t = PAPER.coefficients(), 0.0, 0.0, 0.0
     while psi < math.pi / 2:
-        push = SHARE * 62.5 if math.pi / 2 - psi > 0.5 * r * r / LIMITS.yaw_radps2 else -SHARE * 62.5
+        push = (
+            SUSTAINED_SHARE * 62.5 if math.pi / 2 - psi > 0.5 * r * r / LIMITS.yaw_radps2 else -SUSTAINED_SHARE * 62.5
+        )
         r += 0.01 * rates(0.0, 0.0, psi, r, push, -push, 0.0, 0.0, 0.0, 0.0, p)[5]
         psi, t = psi + 0.01 * r, t + 0.01
         assert t < 60.0
@@ -132,30 +146,30 @@ def test_what_is_looked_up_is_what_the_table_says_at_any_knots():
     table = circle.schedule(PAPER).table
     knots = np.array([0, 0.3, 0.6, 1.5, 4.0, 11.0]) * 1e9
     target = np.empty((6, 2))
-    look_ahead(table, 20.0, 0.5, knots.astype(np.int64), target)
+    fill_targets(table, 20.0, 0.5, knots.astype(np.int64), target)
     at = 20.0 + 0.5 * knots[1:] * 1e-9
     for column, row in ((0, NORTH), (1, EAST)):
         np.testing.assert_allclose(target[:-1, column], np.interp(at, table[TIME], table[row]), atol=1e-9)
     # half the speed, since half a second of the schedule passes in a second; the course is that of the circle
     assert math.hypot(*target[-1]) == pytest.approx(0.15, rel=0.01)
     assert abs(np.dot(target[-1], target[-2])) < 0.1 * 0.15 * 10.0
-    look_ahead(table, 1e6, 1.0, knots.astype(np.int64), target)
+    fill_targets(table, 1e6, 1.0, knots.astype(np.int64), target)
     np.testing.assert_allclose(target[-1], 0.0)
     np.testing.assert_allclose(target[:-1], np.tile(table[[NORTH, EAST], -1], (5, 1)), atol=1e-12)
-    assert where(table, 1e6)[0] == pytest.approx(table[WAY, -1])
+    assert target_at(table, 1e6)[0] == pytest.approx(table[WAY, -1])
 
 
 @pytest.mark.parametrize(("east_m", "sign"), [(0.4, 1.0), (-0.4, -1.0)])
 def test_cross_track_is_positive_to_starboard(east_m, sign):
     table = LINE.schedule(PAPER).table  # northwards
-    assert off_path(table, 10.0, 10.3, east_m, 2.0) == pytest.approx(sign * 0.4)
+    assert cross_track_error(table, 10.0, 10.3, east_m, 2.0) == pytest.approx(sign * 0.4)
 
 
 def test_a_current_takes_from_the_speed_over_ground_what_it_takes():
     table = LINE.schedule(PAPER).table  # 0.3 m/s northwards
     cruise = 0.4
-    assert against(table, 60.0, 5.0, 0.0, 0.0, cruise) == 1.0
-    assert against(table, 60.0, 5.0, 0.2, 0.0, cruise) == 1.0  # from astern
-    assert against(table, 60.0, 5.0, -0.2, 0.0, cruise) == pytest.approx(0.2 / 0.3)
-    assert against(table, 60.0, 5.0, 0.0, 0.3, cruise) == pytest.approx(math.sqrt(0.16 - 0.09) / 0.3)
-    assert against(table, 60.0, 5.0, -0.5, 0.0, cruise) == 1.0  # nothing can be foretold
+    assert feasible_rate(table, 60.0, 5.0, 0.0, 0.0, cruise) == 1.0
+    assert feasible_rate(table, 60.0, 5.0, 0.2, 0.0, cruise) == 1.0  # from astern
+    assert feasible_rate(table, 60.0, 5.0, -0.2, 0.0, cruise) == pytest.approx(0.2 / 0.3)
+    assert feasible_rate(table, 60.0, 5.0, 0.0, 0.3, cruise) == pytest.approx(math.sqrt(0.16 - 0.09) / 0.3)
+    assert feasible_rate(table, 60.0, 5.0, -0.5, 0.0, cruise) == 1.0  # nothing can be foretold

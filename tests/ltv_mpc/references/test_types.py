@@ -107,7 +107,7 @@ def test_a_mistake_is_refused_with_its_field_and_bound(text, says):
         ("# t\nt_s,north_m,east_m\n1,0,0\n1,1,0", "line 4 t_s = 1.0: must be later than the row before it, 1 s"),
         ("t_s,north_m,east_m\n0,0,0\n1,1e7,0", "line 3 north_m = 1e+07: must be >= -1e+06 and <= 1e+06"),
         ("t_s,latitude_deg,longitude_deg\n0,0,0\n1,1,0", "need an [origin]"),
-        ("t_s,t_s,north_m,east_m\n0,0,0,0\n1,1,1,0", "column t_s stands there twice"),
+        ("t_s,t_s,north_m,east_m\n0,0,0,0\n1,1,1,0", "column t_s occurs twice"),
     ],
 )
 def test_a_mistake_in_a_track_is_refused_with_file_line_and_column(tmp_path, csv, says):
@@ -141,8 +141,8 @@ def test_a_feasible_track_keeps_its_times_and_another_is_stretched_and_reported(
 def test_what_cannot_be_done_is_said_and_what_can_is_not():
     square = references.load("square")
     speed, corners, time = square.notes(PAPER)
-    assert speed.startswith("speed_mps = 1 is slowed down to 0.45 m/s")
-    assert corners.startswith("3 corners of up to 90 degrees: slowed down to 0.2")
+    assert speed.startswith("speed_mps = 1 is reduced to 0.45 m/s")
+    assert corners.startswith("3 corners of up to 90 degrees: speed reduced to 0.2")
     assert "instead of 79 s" in time
     there = Place(north_m=40.0, east_m=0.0)
     assert Line(speed_mps=0.4, start=Place(north_m=0.0, east_m=0.0), end=there).notes(PAPER) == []
@@ -156,4 +156,4 @@ def test_what_cannot_be_done_is_said_and_what_can_is_not():
     sharp = Waypoints(
         speed_mps=0.4, corner_m=0.0, waypoints=(Place(north_m=0.0, east_m=0.0), there, Place(north_m=40.0, east_m=9.0))
     ).notes(PAPER)
-    assert sharp[0].startswith("1 corner of up to 90 degrees not rounded: it stops there and turns, 8.1 s")
+    assert sharp[0].startswith("1 corner of up to 90 degrees not rounded: the vehicle stops there and turns, 8.1 s")
