@@ -25,8 +25,9 @@ from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.sent_commands import SentCommands
 from ltv_mpc.messages import Array, CurrentProfile, Estimate
 from ltv_mpc.vehicle.flow import advance_stage
-from ltv_mpc.vehicle.identification import Identified, Motion, identify, units_of
+from ltv_mpc.vehicle.identification import Identified, identify
 from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.shooting_fit import Motion, theta_scale
 from sim import motion
 from sim.plant import apply_mismatch, level_to_ned
 from sim.scenario import Mismatch
@@ -174,7 +175,7 @@ def main() -> None:
     parser.add_argument("--actuators", choices=("propellers", "model"), default="propellers")
     options = parser.parse_args()
     vehicle = Vehicle.load("paper")
-    unit = dict(zip((*Coefficients._fields, "thrust"), units_of(vehicle).tolist(), strict=True))
+    unit = dict(zip((*Coefficients._fields, "thrust"), theta_scale(vehicle).tolist(), strict=True))
     rows: dict[str, list[tuple[bool, float, bool]]] = defaultdict(list)
     for seed in range(options.first_seed, options.first_seed + options.runs):
         factors = np.random.default_rng([seed, 1]).uniform(0.7, 1.3, 3)

@@ -1,1 +1,1 @@
-"""The vehicle: parameters, equations of motion, their exact flow, and its thrusters."""
+"""Vehicle model: parameters, equations of motion, their exact flow, thrusters, identification."""

@@ -1,9 +1,10 @@
-"""Motion of an underactuated vehicle with two stern thrusters: equations and their Jacobians.
+"""Equations of motion of an underactuated vehicle with two stern thrusters, and their Jacobians.
 
-State     x  = [n, e, u, v, psi, r]  position (m, NED), velocity through the water (m/s, FRD), heading (rad), its rate
+State     x  = [n, e, u, v, psi, r]  position (m, NED), velocity through the water (m/s, FRD), heading (rad), yaw
+                                     rate (rad/s)
 Input     F  = [F1, F2]              port and starboard thrust as delivered (N)
 Exogenous c  = [c_n, c_e]            water velocity at the vehicle (m/s, NED)
-          cr = [cr_n, cr_e]          its rate along the vehicle's path, dc/dz w (m/s2, NED)
+          cr = [cr_n, cr_e]          rate of c along the vehicle's path, dc/dz w (m/s2, NED)
 
     M_x u' = F1 + F2 - (d_x + D_x |u|) u + M_y v r - m [ cos psi, sin psi] . cr
     M_y v' =         - (d_y + D_y |v|) v - M_x u r - m [-sin psi, cos psi] . cr
@@ -12,8 +13,8 @@ Exogenous c  = [c_n, c_e]            water velocity at the vehicle (m/s, NED)
     M_z w' = F3 - (d_z + D_z |w|) w - (B - W),   z' = w
 
 Source: Medagoda & Williams 2012, eq 2 to 7; the sway Coriolis term has the sign of eq 6, not of Algorithm 1; the
-restoring force stands on the right-hand side. The term with the dry mass m is the water's acceleration as the vehicle
-meets it in shear: its mass keeps its velocity over ground, the added mass goes with the water.
+restoring force is on the right-hand side. The term with the dry mass m is the acceleration of the water along the path
+of the vehicle in shear: the dry mass keeps its velocity over ground, and the added mass moves with the water.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ N, E, U, V, PSI, R = range(6)
 
 @jit
 def coefficients(flat: Array) -> Coefficients:
-    """The inverse of ``np.array(vehicle.coefficients())``."""
+    """Return the coefficients from an array (19,), the inverse of ``np.array(vehicle.coefficients())``."""
     return Coefficients(
         flat[0], flat[1], flat[2], flat[3], flat[4], flat[5], flat[6], flat[7], flat[8], flat[9], flat[10], flat[11],
         flat[12], flat[13], flat[14], flat[15], flat[16], flat[17], flat[18],
@@ -51,7 +52,19 @@ def rates(
     cre: float,
     p: Coefficients,
 ) -> tuple[float, float, float, float, float, float]:
-    """n', e', u', v', psi', r': the equations above. Scalars, for kernels that keep the state in registers."""
+    """Return n', e', u', v', psi', r' by the equations above.
+
+    Eleven scalars instead of arrays, because the innermost kernels keep the state in registers.
+
+    Parameters
+    ----------
+    u, v : velocity through the water (m/s).
+    psi, r : heading (rad) and yaw rate (rad/s).
+    F1, F2 : delivered thrust of port and starboard (N).
+    cn, ce : current north and east (m/s).
+    crn, cre : rate of the current along the path (m/s2).
+    p : coefficients of the vehicle.
+    """
     cos, sin = math.cos(psi), math.sin(psi)
     # n' = cos psi u - sin psi v + c_n,  e' = sin psi u + cos psi v + c_e
     dn = cos * u - sin * v + cn
@@ -69,7 +82,7 @@ def rates(
 
 
 class Slopes(NamedTuple):
-    """The entries of df/dx that depend on the state, by row and column; of the others psi'_r is 1, the rest 0."""
+    """Entries of df/dx that depend on the state, named by row and column; of the others dpsi'/dr is 1, the rest 0."""
 
     n_u: float
     n_v: float
@@ -92,10 +105,18 @@ class Slopes(NamedTuple):
 
 @jit
 def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: Coefficients) -> Slopes:
-    """df/dx at a state (d(q|q|)/dq = 2|q|)."""
+    """Return the entries of df/dx at a state, with d(q|q|)/dq = 2|q|.
+
+    Parameters
+    ----------
+    u, v : velocity through the water (m/s).
+    psi, r : heading (rad) and yaw rate (rad/s).
+    crn, cre : rate of the current along the path (m/s2).
+    p : coefficients of the vehicle.
+    """
     cos, sin = math.cos(psi), math.sin(psi)
     along, across = cos * crn + sin * cre, cos * cre - sin * crn
-    # dividing once: a division costs as much as ten products, and a horizon takes two hundred slopes
+    # divide once: a division costs as much as ten products, and a horizon needs two hundred evaluations
     of_surge, of_sway, of_yaw = 1.0 / p.mass_surge, 1.0 / p.mass_sway, 1.0 / p.inertia_yaw
     return Slopes(
         n_u=cos,
@@ -120,13 +141,30 @@ def slopes(u: float, v: float, psi: float, r: float, crn: float, cre: float, p: 
 
 @jit
 def derivative(x: Array, F: Array, c: Array, cr: Array, p: Coefficients, dx: Array) -> None:
-    """dx = f(x, F, c, cr), shape (6,), written into ``dx``."""
+    """Write dx = f(x, F, c, cr).
+
+    Parameters
+    ----------
+    x : (6,) state.
+    F : (2,) delivered thrust (N).
+    c, cr : (2,) current (m/s) and its rate along the path (m/s2), north and east.
+    p : coefficients of the vehicle.
+    dx : (6,) output.
+    """
     dx[0], dx[1], dx[2], dx[3], dx[4], dx[5] = rates(x[2], x[3], x[4], x[5], F[0], F[1], c[0], c[1], cr[0], cr[1], p)
 
 
 @jit
 def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
-    """J = df/dx, shape (6, 6), written into ``J``. Position columns are zero."""
+    """Write J = df/dx. The columns of the position are zero.
+
+    Parameters
+    ----------
+    x : (6,) state.
+    cr : (2,) rate of the current along the path, north and east (m/s2).
+    p : coefficients of the vehicle.
+    J : (6, 6) output.
+    """
     s = slopes(x[2], x[3], x[4], x[5], cr[0], cr[1], p)
     J[:, :] = 0.0
     J[N, U], J[N, V], J[N, PSI] = s.n_u, s.n_v, s.n_psi
@@ -139,7 +177,13 @@ def jacobian(x: Array, cr: Array, p: Coefficients, J: Array) -> None:
 
 @jit
 def thrust_gain(p: Coefficients, G: Array) -> None:
-    """G = df/dF, shape (6, 2), written into ``G``; it does not depend on the state."""
+    """Write G = df/dF, which does not depend on the state.
+
+    Parameters
+    ----------
+    p : coefficients of the vehicle.
+    G : (6, 2) output.
+    """
     G[:, :] = 0.0
     G[2, 0] = 1.0 / p.mass_surge
     G[2, 1] = 1.0 / p.mass_surge
@@ -149,5 +193,12 @@ def thrust_gain(p: Coefficients, G: Array) -> None:
 
 @jit
 def heave_acceleration(w: float, F3: float, p: Coefficients) -> float:
-    """w' (m/s2): M_z w' = F3 - (d_z + D_z |w|) w - (B - W)."""
+    """Return w' (m/s2): M_z w' = F3 - (d_z + D_z |w|) w - (B - W).
+
+    Parameters
+    ----------
+    w : sinking speed (m/s).
+    F3 : delivered vertical thrust (N), positive down.
+    p : coefficients of the vehicle.
+    """
     return (F3 - (p.linear_heave + p.quadratic_heave * abs(w)) * w - p.net_buoyancy) / p.mass_heave

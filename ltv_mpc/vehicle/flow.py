@@ -1,13 +1,16 @@
-"""Exact flow of the equations of motion over a stage.
+"""Exact flow of the equations of motion over one stage: discretisation with linear commands and thruster lag.
 
-Commands u = [u1, u2] are linear in time over a stage of length h, from u(0) to u(h). Each thruster follows its command
-with a first-order lag tau, which has a closed form (s = (u(h) - u(0)) / h):
+The commands u = [u1, u2] are linear in time over a stage of length h, from u(0) to u(h). Each thruster follows its
+command with a first-order lag tau, in closed form (s = (u(h) - u(0)) / h):
 
     F(t) = u(t) - tau s + (F(0) - u(0) + tau s) exp(-t / tau),   F(t) = u(t) where tau = 0
 
-so F(t) = a(t) F(0) + b0(t) u(0) + b1(t) u(h), and the lag costs no stiffness. The current is linear in time over the
-stage, from c(0) to c(h). State over a stage: X = [n, e, u, v, psi, r, F1, F2] (8,), X(h) = flow(X(0), u(0), u(h)),
-integrated by the classical Runge-Kutta method of order 4.
+so F(t) = a(t) F(0) + b0(t) u(0) + b1(t) u(h), and the lag adds no stiffness. The current is linear in time over the
+stage, from c(0) to c(h). The state X = [n, e, u, v, psi, r, F1, F2] (8,) follows X(h) = flow(X(0), u(0), u(h)), which
+is integrated by the classical Runge-Kutta method of order 4.
+
+The kernels take each array as an argument of its own: an array in a tuple costs reference counting in the innermost
+loop (``ltv_mpc/jit.py``).
 """
 
 from __future__ import annotations
@@ -20,18 +23,27 @@ from ltv_mpc.vehicle.dynamics import heave_acceleration, rates
 from ltv_mpc.vehicle.parameters import Coefficients
 
 STATES = 8
-"""n, e, u, v, psi, r, and the two lateral thrusts as delivered."""
+"""Number of states: n, e, u, v, psi, r, and the two delivered lateral thrusts."""
 
 SUBSTEP_S = 0.15
-"""Longest Runge-Kutta step: a stage of 0.3 s is then off by less than 1e-5 in every state (a test holds it)."""
+"""Longest Runge-Kutta step. The error of a stage of 0.3 s is below 1e-5 in every state (checked by a test)."""
 
 LONG_SUBSTEP_S = 0.3
-"""The same beyond four of those steps: only the far stages of a long horizon are as long, and 3e-4 is enough there."""
+"""Longest step of a stage longer than four steps of ``SUBSTEP_S``. Only the last stages of a long horizon are that
+long, and an error of 3e-4 is acceptable there.
+"""
 
 
 @jit
 def lag_weights(t: float, h: float, tau: float) -> tuple[float, float, float]:
-    """a, b0, b1 of F(t) = a F(0) + b0 u(0) + b1 u(h)."""
+    """Return a, b0, b1 of F(t) = a F(0) + b0 u(0) + b1 u(h).
+
+    Parameters
+    ----------
+    t : time since the start of the stage (s).
+    h : length of the stage (s).
+    tau : lag of the thruster (s).
+    """
     if tau <= 0.0:
         return 0.0, 1.0 - t / h, t / h
     e = np.exp(-t / tau)
@@ -42,15 +54,21 @@ def lag_weights(t: float, h: float, tau: float) -> tuple[float, float, float]:
 
 @jit
 def substeps(h: float) -> int:
-    """How many Runge-Kutta steps a stage of h seconds takes."""
+    """Return the number of Runge-Kutta steps of a stage of h seconds."""
     steps = int(np.ceil(h / SUBSTEP_S - 1e-9))
     return max(1, min(steps, 4), int(np.ceil(h / LONG_SUBSTEP_S - 1e-9)))
 
 
 @jit
 def lag_table(h: float, p: Coefficients) -> Array:
-    """a, b0, b1 of both lateral thrusters (M, 2, 3) at each of the M = 2 steps + 1 instants at which a stage of h
-    seconds takes slopes. Stages of one length have it in common, and its exponentials cost a third of the motion.
+    """Return a, b0, b1 of both lateral thrusters (M, 2, 3) at the M = 2 steps + 1 Runge-Kutta instants of a stage.
+
+    Stages of one length share the table, because its exponentials cost a third of the integration.
+
+    Parameters
+    ----------
+    h : length of the stage (s).
+    p : coefficients of the vehicle.
     """
     instants = 2 * substeps(h) + 1
     lag = np.empty((instants, 2, 3))
@@ -63,7 +81,15 @@ def lag_table(h: float, p: Coefficients) -> Array:
 
 @jit
 def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float, float]:
-    """F of both lateral thrusters at instant m of a ``lag_table``."""
+    """Return the delivered thrust F (N) of both lateral thrusters at instant m of a stage.
+
+    Parameters
+    ----------
+    lag : (M, 2, 3) ``lag_table`` of the stage.
+    m : instant, 0 .. M - 1.
+    X : (8,) state at the start of the stage.
+    u0, uh : (2,) commands at the start and the end (N).
+    """
     return (
         lag[m, 0, 0] * X[6] + lag[m, 0, 1] * u0[0] + lag[m, 0, 2] * uh[0],
         lag[m, 1, 0] * X[7] + lag[m, 1, 1] * u0[1] + lag[m, 1, 2] * uh[1],
@@ -72,7 +98,17 @@ def delivered(lag: Array, m: int, X: Array, u0: Array, uh: Array) -> tuple[float
 
 @jit
 def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, out: Array) -> None:
-    """out = flow(X, u(0), u(h)), all of shape (8,), over h seconds; the current goes linearly from c(0) to c(h)."""
+    """Write out = flow(X, u(0), u(h)) over one stage.
+
+    Parameters
+    ----------
+    X : (8,) state at the start.
+    u0, uh : (2,) commands at the start and the end (N).
+    c0, ch : (2,) current at the start and the end, north and east (m/s).
+    h : length of the stage (s).
+    p : coefficients of the vehicle.
+    out : (8,) output, the state at the end.
+    """
     advance_by(X, u0, uh, c0, ch, h, p, lag_table(h, p), out)
 
 
@@ -80,19 +116,30 @@ def advance_stage(X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float
 def advance_by(
     X: Array, u0: Array, uh: Array, c0: Array, ch: Array, h: float, p: Coefficients, lag: Array, out: Array
 ) -> None:
-    """``advance_stage``, whose ``lag`` is ``lag_table(h, p)``."""
+    """Write out = flow(X, u(0), u(h)) as ``advance_stage``, with a lag table that stages of one length share.
+
+    Parameters
+    ----------
+    X : (8,) state at the start.
+    u0, uh : (2,) commands at the start and the end (N).
+    c0, ch : (2,) current at the start and the end, north and east (m/s).
+    h : length of the stage (s).
+    p : coefficients of the vehicle.
+    lag : ``lag_table(h, p)``.
+    out : (8,) output, the state at the end.
+    """
     steps = (len(lag) - 1) // 2
     d = h / steps
     crn, cre = (ch[0] - c0[0]) / h, (ch[1] - c0[1]) / h
     n, e, u, v, psi, r = X[0], X[1], X[2], X[3], X[4], X[5]
     F1, F2 = X[6], X[7]
     for i in range(steps):
-        kn = ke = ku = kv = kpsi = kr = 0.0  # the slope before, from which the next is tried
+        kn = ke = ku = kv = kpsi = kr = 0.0  # the slope before, along which the next one is evaluated
         sn = se = su = sv = spsi = sr = 0.0  # the weighted sum of the slopes
         for node in range(4):
             part, weight, ahead = runge_kutta(node, d)
             t = i * d + ahead
-            if node != 2:  # the third slope is taken at the instant of the second
+            if node != 2:  # the third slope is evaluated at the instant of the second
                 F1, F2 = delivered(lag, 2 * i + (node + 1) // 2, X, u0, uh)
             kn, ke, ku, kv, kpsi, kr = rates(
                 u + part * ku,
@@ -119,7 +166,13 @@ def advance_by(
 
 @jit
 def runge_kutta(node: int, d: float) -> tuple[float, float, float]:
-    """Of the classical method's slope 0 .. 3 over d: how far along the slope before it is taken, its weight, when."""
+    """Return for one of the four Runge-Kutta slopes: the step along the slope before it, its weight, its time (s).
+
+    Parameters
+    ----------
+    node : number of the slope, 0 .. 3.
+    d : length of the step (s).
+    """
     if node == 0:
         return 0.0, d / 6.0, 0.0
     if node == 3:
@@ -131,7 +184,16 @@ def runge_kutta(node: int, d: float) -> tuple[float, float, float]:
 def advance_heave(
     z: float, w: float, F0: float, u0: float, uh: float, h: float, p: Coefficients
 ) -> tuple[float, float, float]:
-    """Depth, sinking speed and vertical thrust after h seconds, the command going linearly from u(0) to u(h)."""
+    """Return depth (m), sinking speed (m/s) and vertical thrust (N) after one stage.
+
+    Parameters
+    ----------
+    z, w : depth (m) and sinking speed (m/s) at the start.
+    F0 : delivered vertical thrust at the start (N).
+    u0, uh : vertical commands at the start and the end (N), linear in between.
+    h : length of the stage (s).
+    p : coefficients of the vehicle.
+    """
     steps = substeps(h)
     d = h / steps
     F = F0

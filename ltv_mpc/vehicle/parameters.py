@@ -1,4 +1,4 @@
-"""The numbers of a vehicle, as its TOML file holds them, and as the compiled code reads them."""
+"""Vehicle parameters, as in the TOML file and as in the compiled code."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Rotation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One thruster. ``arm_m`` is its distance from the centre line, 0 for the vertical one."""
+    """Limits and dynamics of one thruster. ``arm_m`` is its distance from the centre line, 0 for the vertical one."""
 
     arm_m: Annotated[float, Meta(ge=0, le=100)]
     min_N: Annotated[float, Meta(ge=-1e6, le=0)]
@@ -42,7 +42,7 @@ class Thruster(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Port and starboard push ahead at ``arm_m`` left and right of the centre line; vertical, if any, pushes down."""
+    """Thrusters: port and starboard push ahead, left and right of the centre line; the optional vertical one down."""
 
     port: Thruster
     starboard: Thruster
@@ -52,11 +52,11 @@ class Thrusters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 NO_THRUSTER = Thruster(
     arm_m=0.0, min_N=0.0, max_N=0.0, slew_N_per_s=1.0, lag_s=0.0, propeller_diameter_m=1.0, max_rps=1.0
 )
-"""The place of the vertical thruster in every thrust array, of a vehicle that has none: its box is zero."""
+"""Vertical thruster of a vehicle without one: its limits are zero, so that every thrust array has three entries."""
 
 
 class Coefficients(NamedTuple):
-    """The vehicle as compiled code reads it: plain floats, SI."""
+    """Coefficients of the equations of motion for compiled code: plain floats, SI units."""
 
     mass_surge: float
     mass_sway: float
@@ -80,15 +80,15 @@ class Coefficients(NamedTuple):
 
 
 class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An underactuated vehicle with two stern thrusters, and a vertical one if it dives.
+    """Underactuated vehicle with two stern thrusters, and a vertical one if it dives.
 
-    A surface craft leaves [thruster.vertical] and [heave] out, and floats: its vertical thrust is zero always.
+    A surface craft omits [thruster.vertical] and [heave], and floats: its vertical thrust is always zero.
     """
 
     name: str
     description: str
     dry_mass_kg: PositiveMass
-    net_buoyancy_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # buoyancy minus weight, positive: it rises
+    net_buoyancy_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0  # buoyancy minus weight; positive: the vehicle rises
     water_density_kgpm3: Annotated[float, Meta(ge=900, le=1100)]
     failsafe_vertical_N: Annotated[float, Meta(ge=-1e6, le=1e6)] = 0.0
     surge: Translation
@@ -98,11 +98,11 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     thruster: Thrusters
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself."""
+        """Reject parameters that contradict each other."""
         if (self.thruster.vertical is None) != (self.heave is None):
             there, missing = ("[heave]", "[thruster.vertical]")[:: 1 if self.heave else -1]
             raise ValueError(
-                f"{missing} is missing beside {there}: a vehicle that dives has both, a surface craft none"
+                f"{missing} is missing but {there} is present: a vehicle that dives has both, a surface craft none"
             )
         if self.heave is None and self.net_buoyancy_N != 0.0:
             raise ValueError(
@@ -115,25 +115,27 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 f"min_N = {vertical.min_N} and max_N = {vertical.max_N}"
             )
         if self.thruster.port.arm_m + self.thruster.starboard.arm_m <= 0.0:
-            raise ValueError("[thruster.port] and [thruster.starboard] arm_m: both are 0, so nothing turns the vehicle")
+            raise ValueError(
+                "[thruster.port] and [thruster.starboard] arm_m: both are 0, so no thruster can turn the vehicle"
+            )
 
     @classmethod
     def load(cls, name: str) -> Vehicle:
-        """A shipped vehicle by name (``"paper"``), or a TOML file by path. Raises ``ConfigError``."""
+        """Return a shipped vehicle by name (``"paper"``), or read a TOML file by path. Raises ``ConfigError``."""
         return config.load(name, cls, what="vehicle", package="ltv_mpc.vehicle.files")
 
     @property
     def thrusters(self) -> tuple[Thruster, Thruster, Thruster]:
-        """Port, starboard, vertical: the order of every thrust array; ``NO_THRUSTER`` for a vertical not there."""
+        """Port, starboard, vertical: the order of every thrust array; ``NO_THRUSTER`` if there is no vertical one."""
         return self.thruster.port, self.thruster.starboard, self.thruster.vertical or NO_THRUSTER
 
     @property
     def dives(self) -> bool:
-        """Whether it has a vertical thruster; else it is a surface craft."""
+        """True with a vertical thruster; False for a surface craft."""
         return self.heave is not None
 
     def coefficients(self) -> Coefficients:
-        """For compiled code. A surface craft neither sinks nor rises: no thrust, no net buoyancy, its own mass."""
+        """Return the coefficients for compiled code; heave of a surface craft has no damping and no net buoyancy."""
         heave = self.heave or Translation(mass_kg=self.dry_mass_kg, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0)
         return Coefficients(
             mass_surge=self.surge.mass_kg,

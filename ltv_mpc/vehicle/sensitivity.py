@@ -1,4 +1,4 @@
-"""Sensitivities of the exact flow over a stage: the variational equation, integrated with the motion itself.
+"""Sensitivities of the exact flow over a stage: the variational equation, integrated together with the motion.
 
 X = [n, e, u, v, psi, r, F1, F2], commands and current as in ``flow.py``. With X(h) = flow(X(0), u(0), u(h)):
 
@@ -6,10 +6,11 @@ X = [n, e, u, v, psi, r, F1, F2], commands and current as in ``flow.py``. With X
 
 Columns S = d[n, e, u, v, psi, r] / d[u, v, psi, r, F1(0), F2(0), u1(0), u2(0), u1(h), u2(h)] follow
     S' = df/dx S + df/dF dF/d(.),   dF/d(.) = a, b0, b1 of the lag
-by the Runge-Kutta steps of the flow: A, B0, B1 are the derivatives of the flow as it is computed.
+with the Runge-Kutta steps of the flow, so A, B0, B1 are the exact derivatives of the flow as it is computed.
 
-This is a third of a control cycle's arithmetic. All rows stand in one flat array at constant distances, because only
-then does the compiler see that they do not overlap, and takes several columns at once (three times faster).
+This is a third of the arithmetic of a control cycle. All rows are in one flat array at constant distances: only then
+the compiler can prove that they do not overlap, and it vectorises over columns (three times faster). The kernels take
+each array as an argument of its own, because an array in a tuple costs reference counting (``ltv_mpc/jit.py``).
 """
 
 from __future__ import annotations
@@ -23,15 +24,21 @@ from ltv_mpc.vehicle.flow import delivered, runge_kutta
 from ltv_mpc.vehicle.parameters import Coefficients
 
 COLUMNS = 12
-"""Of S, and two that stay zero: a whole number of vector registers."""
+"""Columns of S and two that stay zero, to fill a whole number of vector registers."""
 STATE, STEP, SUM, PLACE, GAIN = 0, 4 * COLUMNS, 8 * COLUMNS, 12 * COLUMNS, 14 * COLUMNS
-"""Where in the scratch array: S of [u, v, psi, r]; its slope; the sum of the slopes; S of [n, e]; df/dF dF/d(.)."""
+"""Offsets in the scratch array: S of [u, v, psi, r]; its slope; the sum of the slopes; S of [n, e]; df/dF dF/d(.)."""
 SCRATCH = 16 * COLUMNS
 
 
 @jit
 def thrust_gains(lag: Array, p: Coefficients) -> Array:
-    """df/dF dF/d(.) of surge and yaw rate (M, 2 COLUMNS) at the instants of ``lag``, a ``lag_table``."""
+    """Return df/dF dF/d(.) of surge and yaw rate (M, 2 COLUMNS) at the M instants of a stage.
+
+    Parameters
+    ----------
+    lag : (M, 2, 3) ``lag_table`` of the stage.
+    p : coefficients of the vehicle.
+    """
     gain = np.zeros((len(lag), 2 * COLUMNS))
     for i in range(len(lag)):
         for a in range(3):
@@ -59,9 +66,20 @@ def linearise_stage(
     B0: Array,
     B1: Array,
 ) -> None:
-    """The flow over one stage (out (8,)) and its sensitivities A (8, 8), B0 (8, 2), B1 (8, 2), all written in place.
+    """Write the flow over one stage and its sensitivities.
 
-    ``lag`` is ``lag_table(h, p)``, ``gain`` what ``thrust_gains`` makes of it, ``Z`` (SCRATCH,) is overwritten.
+    Parameters
+    ----------
+    X : (8,) state at the start.
+    u0, uh : (2,) commands at the start and the end (N).
+    c0, ch : (2,) current at the start and the end, north and east (m/s).
+    h : length of the stage (s).
+    p : coefficients of the vehicle.
+    lag : ``lag_table(h, p)``.
+    gain : ``thrust_gains(lag, p)``.
+    Z : (SCRATCH,) scratch, overwritten.
+    out : (8,) output, the state at the end.
+    A, B0, B1 : (8, 8), (8, 2), (8, 2) outputs, the sensitivities.
     """
     steps = (len(lag) - 1) // 2
     d = h / steps
@@ -79,7 +97,9 @@ def linearise_stage(
             part, weight, ahead = runge_kutta(node, d)
             t = i * d + ahead
             m = 2 * i + (node + 1) // 2
-            if m != before:  # two slopes at the middle, and one step's end is the next one's beginning
+            if (
+                m != before
+            ):  # the two slopes in the middle share an instant, and so do the end of a step and the start of the next
                 before = m
                 F1, F2 = delivered(lag, m, X, u0, uh)
                 for j in range(2 * COLUMNS):
@@ -103,7 +123,7 @@ def linearise_stage(
 
 @jit
 def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
-    """One slope of S, taken ``part`` along the one before: S' = df/dx S + df/dF dF/d(.), added up with its weight."""
+    """Add one slope of S with its weight, evaluated ``part`` along the one before: S' = df/dx S + df/dF dF/d(.)."""
     for j in range(COLUMNS):
         su = Z[STATE + j] + part * Z[STEP + j]
         sv = Z[STATE + COLUMNS + j] + part * Z[STEP + COLUMNS + j]
@@ -112,7 +132,7 @@ def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
         du = f.u_u * su + f.u_v * sv + f.u_psi * spsi + f.u_r * sr + Z[GAIN + j]
         dv = f.v_u * su + f.v_v * sv + f.v_psi * spsi + f.v_r * sr
         dr = f.r_u * su + f.r_v * sv + f.r_r * sr + Z[GAIN + COLUMNS + j]
-        # [n, e]' need no S of their own: positions drive nothing
+        # [n, e]' do not depend on S of [n, e]: nothing depends on the position
         Z[PLACE + j] += weight * (f.n_u * su + f.n_v * sv + f.n_psi * spsi)
         Z[PLACE + COLUMNS + j] += weight * (f.e_u * su + f.e_v * sv + f.e_psi * spsi)
         Z[STEP + j] = du
@@ -127,7 +147,7 @@ def _slope(f: Slopes, part: float, weight: float, Z: Array) -> None:
 
 @jit
 def _read(Z: Array, w: Array, A: Array, B0: Array, B1: Array) -> None:
-    """S and the lag at the stage's end as A, B0, B1."""
+    """Write A, B0, B1 from S and the lag at the end of the stage."""
     A[:, :] = 0.0
     B0[:, :] = 0.0
     B1[:, :] = 0.0

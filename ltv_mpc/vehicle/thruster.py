@@ -1,4 +1,4 @@
-"""A fixed-pitch propeller: thrust from revolutions and inflow, and back.
+"""Fixed-pitch propeller: thrust from revolutions and inflow, and the inverse.
 
     F = a |n| n - b v_T |n|,   a = 0.4 rho d^4,   b = (1/3) rho d^3
 
@@ -18,17 +18,32 @@ INFLOW_COEFFICIENT = 1.0 / 3.0
 
 @jit
 def thrust(n: float, inflow: float, rho: float, d: float) -> float:
-    """F (N) of a propeller at n (rev/s) in an inflow v_T (m/s)."""
+    """Return the thrust F (N) of a propeller.
+
+    Parameters
+    ----------
+    n : revolutions per second.
+    inflow : v_T (m/s).
+    rho : water density (kg/m3).
+    d : diameter (m).
+    """
     # F = 0.4 rho d^4 |n| n - (1/3) v_T rho d^3 |n|
     return THRUST_COEFFICIENT * rho * d**4 * abs(n) * n - INFLOW_COEFFICIENT * inflow * rho * d**3 * abs(n)
 
 
 @jit
 def revolutions(F: float, inflow: float, rho: float, d: float) -> float:
-    """The n (rev/s) that gives F (N) in an inflow v_T: F -> n -> F returns F.
+    """Return the revolutions n (rev/s) at which ``thrust`` is F.
 
-    One quadratic for each sign of n. Where two n give the same F (a small F against the inflow's sign) it takes the one
-    that reverses; where none does (F = 0) the propeller stands still.
+    There is one quadratic for each sign of n. If two n give the same F (a small F against the sign of the inflow), the
+    result has the sign of F. For F = 0 the propeller stands still.
+
+    Parameters
+    ----------
+    F : thrust (N).
+    inflow : v_T (m/s).
+    rho : water density (kg/m3).
+    d : diameter (m).
     """
     a = THRUST_COEFFICIENT * rho * d**4
     b = INFLOW_COEFFICIENT * inflow * rho * d**3

@@ -1,4 +1,4 @@
-"""Your vehicle: ``vehicle``, its file: ``new``, ``check``, ``identify``."""
+"""Commands of a vehicle file: ``vehicle new``, ``vehicle check``, ``vehicle identify``."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Overwrite = Annotated[bool, typer.Option("--force", help="Replace a file that is
 
 
 class Known(StrEnum):
-    """What of surge and sway the file has right."""
+    """Quantity of surge and sway taken from the file."""
 
     THRUST = "thrust"
     MASS = "mass"
 
 
 class KnownYaw(StrEnum):
-    """What of yaw the file has right."""
+    """Quantity of yaw taken from the file."""
 
     ARM = "arm"
     INERTIA = "inertia"
@@ -31,15 +31,15 @@ class KnownYaw(StrEnum):
 
 @vehicle.callback()
 def _about() -> None:
-    """A vehicle's file: new, check, identify."""
+    """Create, check or identify a vehicle file."""
 
 
 @vehicle.command()
 def new(
-    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="Where to.")] = Path("vehicle.toml"),
+    file: Annotated[Path, typer.Argument(metavar="[FILE]", help="File to write.")] = Path("vehicle.toml"),
     force: Overwrite = False,
 ) -> None:
-    """A commented vehicle file to fill in. It loads as it is."""
+    """Write a commented vehicle file to fill in. It loads as it is."""
     from importlib import resources
 
     text = (resources.files("ltv_mpc.vehicle") / "template.toml").read_text(encoding="utf-8")
@@ -52,7 +52,7 @@ def check(
     file: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped name or a TOML file.")],
     as_json: Json = False,
 ) -> None:
-    """What the vehicle would do, horizon and weights that fit it, and what looks wrong; exit code 0 all the same."""
+    """Print performance, suitable horizon and weights, and warnings about implausible values (exit code 0 even then)."""
     from ltv_mpc.vehicle.parameters import Vehicle
 
     loaded = Vehicle.load(file)
@@ -67,17 +67,17 @@ def identify(
     run: Annotated[str, typer.Argument(metavar="RUN", help="latest, a run's folder, or its run.mcap.")],
     name: Annotated[
         str | None,
-        typer.Option("--vehicle", metavar="NAME|FILE", help="What is believed of the vehicle. Default: the run's own."),
+        typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle to start from. Default: that of the run."),
     ] = None,
-    known: Annotated[Known, typer.Option("--known", help="Mass and thrust tell nothing apart: one is right.")] = (
-        Known.THRUST
-    ),
-    known_yaw: Annotated[KnownYaw, typer.Option("--known-yaw", help="Of inertia and arms likewise.")] = KnownYaw.ARM,
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the vehicle found.")] = None,
+    known: Annotated[
+        Known, typer.Option("--known", help="Mass and thrust are not separable: take this one from the file.")
+    ] = (Known.THRUST),
+    known_yaw: Annotated[KnownYaw, typer.Option("--known-yaw", help="Likewise for inertia and arms.")] = KnownYaw.ARM,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write the identified vehicle.")] = None,
     force: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
+    """Identify masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
     from services.tools import vehicle_identify
 
     held = vehicle_identify.opened(run)
@@ -90,9 +90,9 @@ def identify(
         result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)
     typer.echo(_json(result) if as_json else vehicle_identify.table(result))
     if out is not None:
-        from ltv_mpc.vehicle.identification import improved
+        from ltv_mpc.vehicle.identification import with_coefficients
 
-        _write(out, vehicle_identify.toml(result, improved(believed, found.found)), force=force, quiet=as_json)
+        _write(out, vehicle_identify.toml(result, with_coefficients(believed, found.found)), force=force, quiet=as_json)
 
 
 def _json(result: object) -> str:
@@ -105,17 +105,17 @@ def _free(file: Path, *, force: bool) -> None:
     from ltv_mpc.errors import ConfigError
 
     if file.exists() and not force:
-        raise ConfigError("vehicle file", "", "is there already: name another, or add --force", value=str(file))
+        raise ConfigError("vehicle file", "", "exists already: name another, or add --force", value=str(file))
 
 
 def _write(file: Path, text: str, *, force: bool, quiet: bool = False) -> None:
-    """The file, whose name is the last line said."""
+    """Write the file and print its name as the last line."""
     from ltv_mpc.errors import ConfigError
 
     _free(file, force=force)
     try:
         file.write_text(text, encoding="utf-8")
     except OSError as error:
-        problem = f"a place that can be written is needed ({error.strerror})"
+        problem = f"cannot be written ({error.strerror})"
         raise ConfigError("vehicle file", "", problem, value=str(file)) from None
     typer.echo(str(file), err=quiet)

@@ -11,7 +11,7 @@ from ltv_mpc.control.horizon_selection import select_horizon_s
 from ltv_mpc.control.scaling import characteristic_scales, default_weights
 from ltv_mpc.vehicle.parameters import Vehicle
 from ltv_mpc.vehicle.performance import Performance, performance
-from ltv_mpc.vehicle.plausibility import doubts
+from ltv_mpc.vehicle.plausibility import warnings
 
 
 class Check(msgspec.Struct, frozen=True, kw_only=True):
@@ -23,8 +23,8 @@ class Check(msgspec.Struct, frozen=True, kw_only=True):
     performance: Performance
     speed_scale_mps: float
     time_scale_s: float
-    horizon_s: float  # proposed; that of `controller` where none is given
-    weights: Weights  # in use wherever [controller.weights] names none
+    horizon_s: float  # proposed; default of `controller`
+    weights: Weights  # default without [controller.weights]
     warnings: list[str]
 
 
@@ -40,7 +40,7 @@ def check(vehicle: Vehicle) -> Check:
         time_scale_s=scales.time_s,
         horizon_s=select_horizon_s(vehicle, can),
         weights=default_weights(vehicle),
-        warnings=doubts(vehicle, can),
+        warnings=warnings(vehicle, can),
     )
 
 
@@ -59,7 +59,7 @@ def table(of: Check) -> str:
         ),
         ("strongest current, bow into it", f"{_value(can.strongest_current_bow_mps, 'm/s')}: full ahead"),
         ("strongest current, stern into it", f"{_value(can.strongest_current_stern_mps, 'm/s')}: full astern"),
-        ("current from the side", "none: it turns into it first, and drifts meanwhile"),
+        ("current from the side", "not held: the vehicle turns into it first, and drifts meanwhile"),
         ("time constant of surge", _value(can.surge_s, "s")),
         ("time constant of sway", f"{_value(can.sway_s, 's')} from a tenth of top speed"),
         ("time constant of yaw", _value(can.yaw_s, "s")),
@@ -72,7 +72,7 @@ def table(of: Check) -> str:
     ]
     kind = "dives" if of.dives else "surface craft"
     lines = [f"{of.name} ({kind}): {of.description}", *(f"  {name:<34}{value}" for name, value in rows)]
-    lines += [f"  warning: {warning}" for warning in of.warnings] or ["  nothing looks wrong"]
+    lines += [f"  warning: {warning}" for warning in of.warnings] or ["  no warnings"]
     return "\n".join(lines)
 
 
@@ -81,4 +81,4 @@ def _value(number: float | None, unit: str) -> str:
 
 
 def _degrees(rate: float | None) -> str:
-    return "none: nothing brakes it" if rate is None else f"{math.degrees(abs(rate)):.3g} deg/s"
+    return "none: no damping" if rate is None else f"{math.degrees(abs(rate)):.3g} deg/s"

@@ -1,7 +1,7 @@
 """Identification of a vehicle's coefficients from the estimates and actuator reports of a recorded run.
 
-Of the recording it reads what an outsider has: ``estimate``, ``applied``, and, where nobody reported what was applied,
-``plan``. The truth of a simulated run is not looked at.
+It reads the messages that a real vehicle also has: ``estimate``, ``applied``, and ``plan`` if there is no ``applied``.
+The true state of a simulated run is not used.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from ltv_mpc import config
 from ltv_mpc.control.prediction import current_at_depth, profile_of
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.messages import Applied, Array, Estimate, Message, Plan
-from ltv_mpc.vehicle.identification import Found, Identified, Known, KnownYaw, Motion, NotEnoughMotion, identify
+from ltv_mpc.vehicle.identification import Identified, IdentifiedCoefficient, Known, KnownYaw, NotEnoughMotion, identify
 from ltv_mpc.vehicle.parameters import Vehicle
+from ltv_mpc.vehicle.shooting_fit import Motion
 from services.bus.wire import WireError
 from services.recording.reader import Recording
 from services.run import folder
 from services.run.folder import RunFolder
 
 SD = np.array([0.01, 0.01, 0.005])
-"""Of u, v (m/s) and r (rad/s) where the estimates have no covariance; what comes out has them scaled to the run."""
+"""Standard deviations of u, v (m/s) and r (rad/s) without a covariance; the fit scales them to the run."""
 Timed = TypeVar("Timed", Estimate, Applied)
 
-SMALLEST_SD = 1e-5
+MIN_SD = 1e-5
 VELOCITY, YAW_RATE = (2, 3), 5
-"""Places in an estimate's covariance."""
+"""Indices in the covariance of an estimate."""
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
@@ -40,15 +41,15 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     vehicle: str
     seconds: float
     estimates: int
-    pieces: int
+    segments: int
     input: str  # "applied" or "plan": where the thrusts come from
-    known: tuple[Known, KnownYaw]  # what was taken from the file
+    known: tuple[Known, KnownYaw]  # coefficients taken from the file
     residual_sd: tuple[float, float, float]  # of u, v (m/s), r (rad/s)
-    found: list[Found]
-    not_told: list[str]  # coefficients that the run does not excite
+    found: list[IdentifiedCoefficient]
+    not_excited: list[str]  # coefficients that the run does not excite
 
 
-class _Heard(NamedTuple):
+class _Recorded(NamedTuple):
     """Messages of a recording that the identification uses."""
 
     estimates: list[Estimate]
@@ -73,30 +74,30 @@ def vehicle_of(run: RunFolder, name: str | None) -> Vehicle:
 
 def identified(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> tuple[Result, Identified]:
     """Identify the vehicle from the run. Raises ``ConfigError`` if the run does not excite it enough."""
-    heard = _heard(run.recording)
+    recorded = _recorded(run.recording)
     try:
-        motion = motion_of(heard.estimates, heard.applied, heard.plans)
+        motion = motion_of(recorded.estimates, recorded.applied, recorded.plans)
         found = identify(vehicle, motion, known, known_yaw)
     except NotEnoughMotion as error:
-        raise ConfigError(f"run {run.recording}", "", f"says too little of the vehicle: {error}") from None
+        raise ConfigError(f"run {run.recording}", "", f"does not excite the vehicle enough: {error}") from None
     u, v, r = found.sd.tolist()
     result = Result(
         run=str(run.path),
         vehicle=vehicle.name,
         seconds=found.seconds,
         estimates=len(motion.t_s),
-        pieces=found.pieces,
+        segments=found.segments,
         input="plan" if motion.thrust is None else "applied",
         known=(known, known_yaw),
         residual_sd=(u, v, r),
         found=found.found,
-        not_told=[one.name for one in found.found if not one.excited],
+        not_excited=[one.name for one in found.found if not one.excited],
     )
     return result, found
 
 
-def _heard(path: Path) -> _Heard:
-    heard = _Heard([], [], [])
+def _recorded(path: Path) -> _Recorded:
+    recorded = _Recorded([], [], [])
     for message in Recording(path):
         if message.kind not in (Estimate, Applied, Plan):
             continue
@@ -105,18 +106,18 @@ def _heard(path: Path) -> _Heard:
         except WireError as error:
             raise ConfigError(f"run {path}", message.key, f"cannot be read: {error}") from None
         if isinstance(signal, Estimate):
-            heard.estimates.append(signal)
+            recorded.estimates.append(signal)
         elif isinstance(signal, Applied):
-            heard.applied.append(signal)
+            recorded.applied.append(signal)
         elif isinstance(signal, Plan):
-            heard.plans.append((message.t_ns, signal))
-    return heard
+            recorded.plans.append((message.t_ns, signal))
+    return recorded
 
 
 def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tuple[int, Plan]]) -> Motion:
     """Return water-relative velocities and thrusts at the times of the estimates for which both are known.
 
-    Raises ``NotEnoughMotion`` where there are none.
+    Raises ``NotEnoughMotion`` if there are fewer than two.
     """
     estimates = _increasing(estimates)
     reports = _increasing(applied)
@@ -129,7 +130,7 @@ def motion_of(estimates: list[Estimate], applied: list[Applied], plans: list[tup
     )
     kept = [one for one in estimates if first <= one.t_ns <= last]
     if len(kept) < 2:
-        raise NotEnoughMotion(f"{len(kept)} estimates with a thrust known beside them")
+        raise NotEnoughMotion(f"{len(kept)} estimates with a known thrust, at least 2 are needed")
     t_ns = np.array([one.t_ns for one in kept])
     motion = Motion(
         t_s=(t_ns - t_ns[0]) * 1e-9,
@@ -184,12 +185,12 @@ def _planned(t_ns: Array, plans: list[tuple[int, Plan]]) -> Array:
 
 def _sd(estimates: list[Estimate]) -> Array:
     """Return standard deviations (3,) of u, v, r, the root mean square of the estimates' covariances."""
-    told = [one.covariance for one in estimates if one.covariance is not None]
-    if not told:
+    known = [one.covariance for one in estimates if one.covariance is not None]
+    if not known:
         return SD.copy()
-    mean = np.mean([np.diag(covariance) for covariance in told], axis=0)
+    mean = np.mean([np.diag(covariance) for covariance in known], axis=0)
     velocity = float(mean[list(VELOCITY)].mean())
-    return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), SMALLEST_SD)
+    return np.maximum(np.sqrt([velocity, velocity, float(mean[YAW_RATE])]), MIN_SD)
 
 
 def table(of: Result) -> str:
@@ -197,22 +198,22 @@ def table(of: Result) -> str:
     u, v, r = of.residual_sd
     lines = [
         f"{of.vehicle}, {of.run}: {of.seconds:.0f} s, {of.estimates} estimates, thrust from {of.input}",
-        f"left over: {1e3 * u:.2f} mm/s ahead, {1e3 * v:.2f} mm/s to starboard, {1e3 * r:.2f} mrad/s",
+        f"residuals: {1e3 * u:.2f} mm/s ahead, {1e3 * v:.2f} mm/s to starboard, {1e3 * r:.2f} mrad/s",
         f"taken from the file: {of.known[0]} and {of.known[1]}",
         f"{'':<18}{'file':>12}{'found':>12}   95 % interval",
     ]
     for one in of.found:
-        said = f"{one.low:>10.4g} to {one.high:.4g} {one.unit}" if one.excited else "  not excited: the file's stays"
+        interval = f"{one.low:>10.4g} to {one.high:.4g} {one.unit}" if one.excited else "  not excited: file value kept"
         value = f"{one.value:12.4g}" if one.excited else f"{'':>12}"
-        lines.append(f"{one.name:<18}{one.file:>12.4g}{value} {said}".rstrip())
+        lines.append(f"{one.name:<18}{one.file:>12.4g}{value} {interval}".rstrip())
     return "\n".join(lines)
 
 
 def toml(of: Result, vehicle: Vehicle) -> str:
     """Format the identified vehicle as a vehicle file."""
     head = [
-        f"# {vehicle.name}, {of.known[0]} and {of.known[1]} as they were; the rest from",
+        f"# {vehicle.name}, {of.known[0]} and {of.known[1]} from the old file; the rest from",
         f"# {of.seconds:.0f} s of {Path(of.run).name}."
-        + (f" Not excited: {', '.join(of.not_told)}." if of.not_told else ""),
+        + (f" Not excited: {', '.join(of.not_excited)}." if of.not_excited else ""),
     ]
     return "\n".join(head) + "\n" + config.to_toml(vehicle)

@@ -8,15 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
-from ltv_mpc.vehicle.identification import (
-    Identified,
-    Motion,
-    NotEnoughMotion,
-    identify,
-    improved,
-    lagging,
-    pieces,
-)
+from ltv_mpc.vehicle.identification import Identified, NotEnoughMotion, identify, with_coefficients
+from ltv_mpc.vehicle.shooting_fit import Motion, lagged_thrust, segments
 
 BELIEVED = Vehicle.load("paper")
 TRUE = {
@@ -118,7 +111,7 @@ def test_with_masses_known_the_thrust_scale_and_the_arms_are_found() -> None:
     found = values(identify(BELIEVED, moved(90.0, 2, true=true), "mass", "inertia"))
     assert set(found) == set(TRUE) - {"mass_surge", "inertia_yaw"}
     assert found["thrust"] == pytest.approx(0.8, rel=0.01)
-    # The moment is what is seen: arms times the scale, and both scales are told apart by surge.
+    # The moment is what is seen: arms times the scale, and both scales are excited apart by surge.
     assert found["arm_port"] == pytest.approx(0.24, rel=0.02)
     assert found["arm_starboard"] == pytest.approx(0.16, rel=0.02)
 
@@ -137,15 +130,15 @@ def test_shear_acts_on_the_dry_mass() -> None:
 
 def test_with_errors_the_intervals_hold_the_truth() -> None:
     """Nine in ten of them at the least; each is of use: within a fifth of the value where the run tells it."""
-    inside, told = [], []
+    inside, excited = [], []
     for seed in range(6):
         for one in identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002))).found:
             if one.name.startswith("lag"):  # the reports have no errors here
                 continue
             inside.append(one.low <= TRUE[one.name] <= one.high)
-            told.append(one.excited)
+            excited.append(one.excited)
     assert np.mean(inside) >= 0.9
-    assert np.mean(told) >= 0.8
+    assert np.mean(excited) >= 0.8
 
 
 def test_intervals_narrow_as_errors_do() -> None:
@@ -165,9 +158,11 @@ def test_what_a_run_does_not_excite_is_said_and_stays() -> None:
     both = np.repeat((20.0 + 20.0 * np.sign(np.sin(0.4 * t)))[:, None], 2, axis=1)
     even = {**TRUE, "arm_port": 0.2, "arm_starboard": 0.2, "lag_starboard": 0.2}
     found = identify(BELIEVED, moved(60.0, 5, commands=both, sd=(0.005, 0.005, 0.002), true=even)).found
-    told = {one.name for one in found if one.excited}
-    assert "mass_surge" in told
-    assert told.isdisjoint({"mass_sway", "inertia_yaw", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw"})
+    excited = {one.name for one in found if one.excited}
+    assert "mass_surge" in excited
+    assert excited.isdisjoint(
+        {"mass_sway", "inertia_yaw", "linear_sway", "quadratic_sway", "linear_yaw", "quadratic_yaw"}
+    )
 
 
 def test_a_run_that_is_too_short_says_so(clean: Motion) -> None:
@@ -176,25 +171,25 @@ def test_a_run_that_is_too_short_says_so(clean: Motion) -> None:
         identify(ARMS, short)
 
 
-def test_pieces_end_at_gaps() -> None:
+def test_segments_end_at_gaps() -> None:
     t = np.concatenate([np.arange(0.0, 13.0, 0.1), np.arange(20.0, 22.0, 0.1)])
-    assert [(round(t[a], 1), round(t[b - 1], 1)) for a, b in pieces(t)] == [(0.0, 6.0), (6.1, 12.1)]
+    assert [(round(t[a], 1), round(t[b - 1], 1)) for a, b in segments(t)] == [(0.0, 6.0), (6.1, 12.1)]
 
 
 def test_a_lag_is_a_first_order_lag() -> None:
     t = np.arange(0.0, 3.0, 0.1)
-    assert lagging(t, np.ones(30), 0.0, 0.5) == pytest.approx(1.0 - np.exp(-t / 0.5))
+    assert lagged_thrust(t, np.ones(30), 0.0, 0.5) == pytest.approx(1.0 - np.exp(-t / 0.5))
 
 
 def test_what_is_found_becomes_a_vehicle(clean: Motion) -> None:
     found = identify(ARMS, clean).found
-    better = improved(ARMS, found)
+    better = with_coefficients(ARMS, found)
     assert better.surge.mass_kg == pytest.approx(420.0, rel=0.02)
     assert better.sway.quadratic_damping_kgpm == pytest.approx(1000.0, rel=0.03)
     assert better.yaw.inertia_kgm2 == pytest.approx(150.0, rel=0.02)
     assert better.thruster.starboard.lag_s == pytest.approx(0.45, rel=0.03)
     assert better.heave == ARMS.heave
-    scaled = improved(ARMS, [msgspec.structs.replace(found[0], name="thrust", value=0.8)])
+    scaled = with_coefficients(ARMS, [msgspec.structs.replace(found[0], name="thrust", value=0.8)])
     assert scaled.thruster.port.max_N == pytest.approx(50.0)
     assert scaled.thruster.starboard.min_N == pytest.approx(-50.0)
     assert scaled.thruster.vertical == ARMS.thruster.vertical

@@ -54,7 +54,7 @@ HEAVE = "[heave]" + PAPER.read_text().partition("[heave]")[2].partition("[yaw]")
 )
 def test_a_vehicle_that_dives_by_half_is_refused(more, missing, there, tmp_path):
     (tmp_path / "mine.toml").write_text(SURFACE + more)
-    with pytest.raises(ConfigError, match=rf"mine.toml.*\[{missing}\] is missing beside \[{there}\]"):
+    with pytest.raises(ConfigError, match=rf"mine.toml.*\[{missing}\] is missing but \[{there}\] is present"):
         Vehicle.load(str(tmp_path / "mine.toml"))
 
 

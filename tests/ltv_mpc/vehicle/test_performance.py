@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle.parameters import Rotation, Translation
-from ltv_mpc.vehicle.performance import couple, performance, straight, top_speed
+from ltv_mpc.vehicle.performance import performance, straight_thrusts, top_speed, turning_thrusts
 
 replace = msgspec.structs.replace
 PAPER = Vehicle.load("paper")
@@ -50,11 +50,11 @@ def test_both_dampings_count() -> None:
 
 def test_unequal_arms_push_straight_with_what_leaves_no_moment() -> None:
     uneven = lateral(PAPER, {"arm_m": 0.1}, {"arm_m": 0.2})
-    F = straight(uneven, ahead=True)
+    F = straight_thrusts(uneven, ahead=True)
     np.testing.assert_allclose(F, [62.5, 31.25])
     assert top_speed(uneven, F) == pytest.approx(math.sqrt(93.75 / 500.0))
     middle = lateral(PAPER, {"arm_m": 0.0})
-    assert straight(middle, ahead=False) == pytest.approx([-62.5, 0.0])
+    assert straight_thrusts(middle, ahead=False) == pytest.approx([-62.5, 0.0])
 
 
 def test_turning_rates_are_where_drag_is_the_couple() -> None:
@@ -68,7 +68,7 @@ def test_turning_rates_are_where_drag_is_the_couple() -> None:
 def test_a_turn_with_weak_reverse_thrust_settles_where_the_equations_say() -> None:
     """It goes ahead as it turns, and drifts outwards: held against an integrator and equations of this test's own."""
     weak = Vehicle.load("weak-reverse")
-    assert couple(weak, starboard=True) == pytest.approx([62.5, -15.6])
+    assert turning_thrusts(weak, starboard=True) == pytest.approx([62.5, -15.6])
 
     def rates(_t: float, y: np.ndarray) -> list[float]:
         u, v, r = y

@@ -10,7 +10,7 @@ from benchmarks.vehicles import drawn
 from ltv_mpc import Vehicle
 from ltv_mpc.vehicle import parameters
 from ltv_mpc.vehicle.performance import performance
-from ltv_mpc.vehicle.plausibility import doubts
+from ltv_mpc.vehicle.plausibility import warnings
 
 FOLDER = Path(parameters.__file__).parent
 PAPER = (FOLDER / "files" / "paper.toml").read_text()
@@ -29,7 +29,7 @@ SWAY = lines("quadratic_damping_kgpm = 800.0", 1)
 
 
 def doubted(vehicle: Vehicle) -> list[str]:
-    return doubts(vehicle, performance(vehicle))
+    return warnings(vehicle, performance(vehicle))
 
 
 @pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", str(FOLDER / "template.toml")])
@@ -64,14 +64,14 @@ def test_vehicles_from_30_kg_to_3_t_are_not_doubted() -> None:
         (
             "arm_m = 0.2                    # m left",
             "arm_m = 0.0 # m left",
-            "[thruster.port] arm_m = 0: this thruster turns nothing",
+            "[thruster.port] arm_m = 0: this thruster makes no yaw moment",
         ),
         ("max_N = 62.5 ", "max_N = 0.0625 ", "is the thrust in kN or gf"),
         ("max_N = 62.5 ", "max_N = 62500.0 ", "is the thrust in kN or gf"),
         (
             "min_N = -62.5                  # N; paper",
             "min_N = 0.0 # N; paper",
-            "[thruster.port] min_N = 0: it cannot push astern",
+            "[thruster.port] min_N = 0: no thrust astern",
         ),
         ("lag_s = 0.3 ", "lag_s = 30.0 ", "[thruster.port] lag_s = 30"),
         (
@@ -84,8 +84,8 @@ def test_vehicles_from_30_kg_to_3_t_are_not_doubted() -> None:
             "max_rps = 5.0",
             "[thruster.port] max_rps = 5: at the top speed of 0.5 m/s a propeller of 0.25 m gives",
         ),
-        ("net_buoyancy_N = 30.5", "net_buoyancy_N = 100.0", "it cannot dive"),
-        ("net_buoyancy_N = 30.5", "net_buoyancy_N = -100.0", "it cannot rise"),
+        ("net_buoyancy_N = 30.5", "net_buoyancy_N = 100.0", "cannot dive"),
+        ("net_buoyancy_N = 30.5", "net_buoyancy_N = -100.0", "cannot rise"),
         ("net_buoyancy_N = 30.5", "net_buoyancy_N = -5.0", "without a plan the vehicle sinks"),
         ("quadratic_damping_kgpm = 500.0", "quadratic_damping_kgpm = 500000.0", "top speed ahead 0.0158 m/s"),
         ("quadratic_damping_kgm2 = 200.0", "quadratic_damping_kgm2 = 200000.0", "a turn by 90 deg takes"),

@@ -1,0 +1,256 @@
+"""Multiple shooting: least-squares fit of a vehicle's coefficients to a recorded motion.
+
+The run is cut into segments of some seconds. From an unknown initial state y_s = [u, v, r] each segment follows the
+exact flow of the model under the recorded commands, and is compared with the estimates y_k of u, v (through the water)
+and r:
+
+    min over theta, y_s of   sum_k | (y_k - flow_k(y_s, theta)) / sd |^2 + sum_i ((theta_i - 1) / PRIOR)^2
+
+theta_i is a coefficient divided by its value in the file (or by a suitable size if the file has 0). So the second term
+is a prior of 100 % of the file's value, which dominates where the run is not informative. The y_s are eliminated
+segment by segment (variable projection: Golub & Pereyra 1973).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ltv_mpc.jit import jit
+from ltv_mpc.messages import Array, Times
+from ltv_mpc.vehicle.flow import STATES, advance_stage, lag_weights
+from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
+from ltv_mpc.vehicle.resistance import UNBRAKED_MPS, UNBRAKED_RADPS, steady_speed
+
+SEGMENT_S = 6.0
+"""Length of a segment."""
+MAX_GAP_S = 1.0
+"""Largest time between two estimates of one segment."""
+
+PRIOR = 1.0
+"""Standard deviation of the prior of theta."""
+
+STEP = 1e-4
+"""Step of the finite differences: relative for a coefficient, in m/s and rad/s for an initial state."""
+
+MIN_THETA = 0.05
+"""Smallest theta of a mass, an inertia or the thrust scale."""
+
+LAGS = ("lag_port", "lag_starboard")
+BOUNDED = ("mass_surge", "mass_sway", "inertia_yaw", "thrust")
+
+
+class Motion(NamedTuple):
+    """Recorded motion and commands of a vehicle at M instants."""
+
+    t_s: Array  # (M,) increasing
+    velocity: Array  # (M, 3) u, v through the water (m/s, FRD), yaw rate r (rad/s)
+    heading: Array  # (M,) rad
+    shear: Array  # (M, 2) rate of the current along the path, dc/dz w, north and east (m/s2)
+    command: Array  # (M, 2) commanded thrust of port and starboard (N), linear in between
+    sd: Array  # (3,) standard deviations of the errors of velocity
+    thrust: Array | None = None  # (M, 2) delivered thrust by the reports of the actuators (N); None without reports
+
+
+class _Series(NamedTuple):
+    """Motion in the types of the compiled code; ``input`` is the delivered thrust if reported, else the command."""
+
+    t: Array
+    velocity: Array
+    heading: Array
+    shear: Array
+    input: Array
+
+
+class ShootingFit:
+    """Least-squares problem of one motion for some of the coefficients.
+
+    Parameters
+    ----------
+    vehicle : vehicle with the values of the file.
+    motion : recorded motion.
+    free : names of the P coefficients to fit; ``thrust`` is the factor on the commands.
+    """
+
+    def __init__(self, vehicle: Vehicle, motion: Motion, free: Sequence[str]) -> None:
+        self.free = tuple(free)
+        """Names of the fitted coefficients."""
+        self.nominal = np.array([*vehicle.coefficients(), 1.0])
+        """Coefficients of the file, and 1 for the thrust scale (20,)."""
+        self.scale = theta_scale(vehicle)
+        """Coefficients at theta = 1 (20,)."""
+        input_ = motion.command if motion.thrust is None else motion.thrust
+        if motion.thrust is not None:  # the reported thrust already contains the lag
+            self.nominal[[index_of(name) for name in LAGS]] = 0.0
+        self._series = _Series(motion.t_s, motion.velocity, motion.heading, motion.shear, input_)
+        self.edges = segments(motion.t_s)
+        """First instant and end of each segment (S, 2)."""
+        self._counts = self.edges[:, 1] - self.edges[:, 0]
+        self.sd = motion.sd.copy()
+        """Standard deviations (3,) of the errors of u, v and r."""
+        self._indices = [index_of(name) for name in self.free]
+        self._start = motion.velocity[self.edges[:, 0]].copy()
+
+    @property
+    def origin(self) -> Array:
+        """Theta of the file (P,): 1, or 0 for a coefficient that is 0 there."""
+        return self.nominal[self._indices] / self.scale[self._indices]
+
+    @property
+    def lower(self) -> Array:
+        """Lower bound of theta (P,)."""
+        return np.array([MIN_THETA if name in BOUNDED else 0.0 for name in self.free])
+
+    def residuals(self, theta: Array) -> Array:
+        """Return the residuals (3 M' + P,) of the motion from the best initial states, and of the prior."""
+        r, _ = self._reduced(theta, slopes=False)
+        return np.concatenate([r.ravel(), (theta - self.origin) / PRIOR])
+
+    def jacobian(self, theta: Array) -> Array:
+        """Return d residuals / d theta (3 M' + P, P)."""
+        _, J = self._reduced(theta, slopes=True)
+        return np.concatenate([J.reshape(-1, len(theta)), np.eye(len(theta)) / PRIOR])
+
+    def by_segment(self, theta: Array) -> tuple[list[Array], list[Array]]:
+        """Return residuals (3 m,) and slopes (3 m, P) of each segment, initial states eliminated."""
+        r, J = self._reduced(theta, slopes=True)
+        ends = np.cumsum(self._counts)[:-1]
+        return [one.ravel() for one in np.split(r, ends)], [one.reshape(-1, len(theta)) for one in np.split(J, ends)]
+
+    def _reduced(self, theta: Array, *, slopes: bool) -> tuple[Array, Array]:
+        """Return whitened residuals (M', 3) and slopes (M', 3, P), without the part explained by the initial states."""
+        for _ in range(2):  # the problem is nearly linear in its initial states
+            r = self._shoot(theta, self._start)
+            Jy = np.stack([(self._shoot(theta, self._start + d) - r) / STEP for d in STEP * np.eye(3)], axis=-1)
+            self._start = self._start - self._best_change(Jy, r[..., None])[:, :, 0]
+        r = self._shoot(theta, self._start)
+        r = r - self._explained(Jy, r[..., None])[..., 0]
+        if not slopes:
+            return r, np.empty((*r.shape, 0))
+        base = self._shoot(theta, self._start)
+        J = np.empty((*r.shape, len(theta)))
+        for i in range(len(theta)):
+            ahead = theta.copy()
+            ahead[i] += STEP
+            J[..., i] = (self._shoot(ahead, self._start) - base) / STEP
+        return r, J - self._explained(Jy, J)
+
+    def _best_change(self, Jy: Array, of: Array) -> Array:
+        """Return the changes (S, 3, K) of the initial states that fit ``of`` (M', 3, K) best."""
+        # normal equations of each segment; they are regular because its first instant is its initial state itself
+        first = np.concatenate([[0], np.cumsum(self._counts)[:-1]])
+        left = np.add.reduceat(np.einsum("mcx,mcy->mxy", Jy, Jy), first)
+        return np.linalg.solve(left, np.add.reduceat(np.einsum("mcy,mck->myk", Jy, of), first))
+
+    def _explained(self, Jy: Array, of: Array) -> Array:
+        """Return the part of ``of`` (M', 3, K) that changes of the initial states explain."""
+        change: Array = np.repeat(self._best_change(Jy, of), self._counts, axis=0)
+        part: Array = np.einsum("mcy,myk->mck", Jy, change)
+        return part
+
+    def _shoot(self, theta: Array, start: Array) -> Array:
+        """Return whitened residuals (M', 3) of all segments from their initial states (S, 3)."""
+        values = self.nominal.copy()
+        values[self._indices] = theta * self.scale[self._indices]
+        # the acceleration of the water acts on the dry mass, which is assumed proportional to the total surge mass
+        values[_DRY_MASS] = self.nominal[_DRY_MASS] * values[0] / self.nominal[0]
+        off = np.empty((int(self._counts.sum()), 3))
+        _shoot(Coefficients(*values[:-1]), values[-1], self._series, self.edges, start, off)
+        return off / self.sd
+
+
+_DRY_MASS = Coefficients._fields.index("dry_mass")
+
+
+@jit
+def lagged_thrust(t: Array, command: Array, start: float, lag: float) -> Array:
+    """Return the delivered thrust (M,) in N.
+
+    Parameters
+    ----------
+    t : (M,) times (s).
+    command : (M,) commanded thrust (N), linear in between.
+    start : thrust at the first time (N).
+    lag : time constant of the thruster (s).
+    """
+    F = np.empty(len(t))
+    F[0] = start
+    for k in range(len(t) - 1):
+        a, b0, b1 = lag_weights(t[k + 1] - t[k], t[k + 1] - t[k], lag)
+        F[k + 1] = a * F[k] + b0 * command[k] + b1 * command[k + 1]
+    return F
+
+
+@jit
+def _shoot(p: Coefficients, scale: float, series: _Series, edges: Times, start: Array, off: Array) -> None:
+    """Write model minus estimate (M', 3), segment after segment, into ``off``.
+
+    ``scale`` multiplies the input; ``edges`` (S, 2) are first instant and end of each segment.
+    """
+    t, velocity, heading, shear, command = series
+    F = np.empty(command.shape)
+    for i in range(2):
+        lag = p.lag_port if i == 0 else p.lag_starboard
+        F[:, i] = lagged_thrust(t, scale * command[:, i], scale * command[0, i], lag)
+    X, out = np.zeros(STATES), np.empty(STATES)
+    c0, c1 = np.zeros(2), np.zeros(2)
+    row = 0
+    for s in range(len(edges)):
+        X[2], X[3], X[5] = start[s, 0], start[s, 1], start[s, 2]
+        for k in range(edges[s, 0], edges[s, 1]):
+            off[row, 0], off[row, 1], off[row, 2] = X[2] - velocity[k, 0], X[3] - velocity[k, 1], X[5] - velocity[k, 2]
+            row += 1
+            if k + 1 < edges[s, 1]:
+                h = t[k + 1] - t[k]
+                X[4], X[6], X[7] = heading[k], F[k, 0], F[k, 1]
+                c1[0], c1[1] = h * shear[k, 0], h * shear[k, 1]
+                advance_stage(X, scale * command[k], scale * command[k + 1], c0, c1, h, p, out)
+                X[:] = out
+
+
+def segments(t_s: Array) -> Times:
+    """Return first instant and end (S, 2) of segments of ``SEGMENT_S`` between gaps, none shorter than half of that."""
+    breaks = np.flatnonzero(np.diff(t_s) > MAX_GAP_S) + 1
+    edges: list[tuple[int, int]] = []
+    for first, end in zip([0, *breaks], [*breaks, len(t_s)], strict=True):
+        at = int(first)
+        while at < end:
+            to = min(int(np.searchsorted(t_s, t_s[at] + SEGMENT_S, side="right")), int(end))
+            if t_s[to - 1] - t_s[at] >= 0.5 * SEGMENT_S:
+                edges.append((at, to))
+            at = to
+    return np.array(edges, dtype=np.int64).reshape(-1, 2)
+
+
+def index_of(name: str) -> int:
+    """Return the index of a coefficient in ``Coefficients``; the thrust scale comes last."""
+    return len(Coefficients._fields) if name == "thrust" else Coefficients._fields.index(name)
+
+
+def theta_scale(vehicle: Vehicle) -> Array:
+    """Return the coefficients at theta = 1 (20,): those of the file, or for a 0 one of equal effect at full thrust."""
+    p = vehicle.coefficients()
+    port, starboard = vehicle.thrusters[:2]
+    push = port.max_N + starboard.max_N
+    couple = port.max_N * p.arm_port + starboard.max_N * p.arm_starboard
+    speed = min(steady_speed(push, p.linear_surge, p.quadratic_surge), UNBRAKED_MPS)
+    rate = min(steady_speed(couple, p.linear_yaw, p.quadratic_yaw), UNBRAKED_RADPS)
+    of_equal_effect = {
+        "linear_surge": p.quadratic_surge * speed,
+        "quadratic_surge": p.linear_surge / speed,
+        "linear_sway": p.quadratic_sway * speed,
+        "quadratic_sway": p.linear_sway / speed,
+        "linear_yaw": p.quadratic_yaw * rate,
+        "quadratic_yaw": p.linear_yaw / rate,
+        "lag_port": 0.2,
+        "lag_starboard": 0.2,
+        "arm_port": p.arm_starboard,
+        "arm_starboard": p.arm_port,
+    }
+    values = np.array([*p, 1.0])
+    for name, value in of_equal_effect.items():
+        if values[index_of(name)] == 0.0:
+            values[index_of(name)] = max(value, 1e-6)
+    return values
