@@ -1,6 +1,6 @@
-"""LTV-MPC of an underactuated AUV in a water current: what would run aboard.
+"""LTV-MPC of an underactuated AUV in a water current: the software that runs aboard.
 
-Importing this imports neither the simulation nor the services, and nothing heavy until a name is used.
+This package imports neither the simulation nor the services. Its modules are imported when a name is first used.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import a public name when it is first used."""
+    """Import a public name at its first use."""
     if name not in _HOME:
         raise AttributeError(f"module 'ltv_mpc' has no attribute {name!r}")
     if name == "references":

@@ -515,7 +515,12 @@ class Plan(Message, frozen=True, kw_only=True, eq=False):
     remaining_m: Annotated[Length | None, Meta(description="length of the path ahead of the target")] = None
 
     def thrust_at(self, t_ns: int) -> Array:
-        """Return the commanded thrust (3,) in N at ``t_ns``: linear between knots, constant beyond both ends."""
+        """Return the commanded thrust (3,) in N at ``t_ns``: linear between knots, constant beyond both ends.
+
+        Parameters
+        ----------
+        t_ns : time (ns).
+        """
         i = int(np.clip(np.searchsorted(self.t_ns, t_ns, side="right") - 1, 0, len(self.t_ns) - 2))
         t0, t1 = int(self.t_ns[i]), int(self.t_ns[i + 1])
         s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0)

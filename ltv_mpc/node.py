@@ -1,9 +1,9 @@
-"""What a node is: pure steps. It never asks what time it is, draws no unseeded number, and keeps no thread.
+"""Node interface: pure steps, without clock, unseeded random numbers or threads.
 
-A node is given the steps that are due. ``sim/scheduler.py`` (one process, simulated clock) gives it as many at once as
-are known; ``services/runtime/runner.py`` (Zenoh, wall clock) and a replay give it one at a time. Given the same state
-and the same (t_ns, inbox) a step returns the same messages, bit for bit, alone or with others; so a recording replays
-through the nodes without tolerances.
+The caller passes the steps that are due. ``sim/scheduler.py`` (one process, simulated clock) passes as many at once as
+are known; ``services/runtime/runner.py`` (Zenoh, wall clock) and a replay pass one at a time. For the same state and
+(t_ns, inbox) a step returns the same messages, bit for bit, alone or with others. So a recording replays through the
+nodes without tolerances.
 """
 
 from __future__ import annotations
@@ -17,19 +17,25 @@ from ltv_mpc.messages import Message
 
 
 class Grid(msgspec.Struct, frozen=True):
-    """Steps at t_ns = k x period exactly; none is skipped."""
+    """Schedule of steps at exactly t_ns = k x period; none is skipped."""
 
     period_ns: int
 
 
 class Cycle(msgspec.Struct, frozen=True):
-    """A step starts at its period, or when the last one ends, if that is later; t_ns is the clock's reading."""
+    """Schedule of steps that start one period apart, or at the end of the last step if that is later.
+
+    ``t_ns`` is the reading of the clock.
+    """
 
     period_ns: int
 
 
 class OnMessage(msgspec.Struct, frozen=True):
-    """A step for each message of these types, in order of arrival; t_ns is the message's validity time."""
+    """Schedule of one step for each message of these types, in order of arrival.
+
+    ``t_ns`` is the time of validity of the message.
+    """
 
     types: tuple[type[Message], ...]
 
@@ -38,7 +44,7 @@ Schedule: TypeAlias = Grid | Cycle | OnMessage
 
 
 class ReceivedMessage(msgspec.Struct, frozen=True, eq=False, gc=False):
-    """One entry of an inbox: a signal that passed validation, its source's epoch and sequence, and its arrival."""
+    """Entry of an inbox: a validated message, epoch and sequence of its header, and its time of arrival."""
 
     message: Message
     epoch: int
@@ -49,31 +55,47 @@ class ReceivedMessage(msgspec.Struct, frozen=True, eq=False, gc=False):
 Inbox: TypeAlias = Sequence[ReceivedMessage]
 
 Due: TypeAlias = tuple[int, Inbox]
-"""What a step is given: its time and its inbox."""
+"""Input of a step: its time (ns) and its inbox."""
 
 
 class Node(Protocol):
-    """A component. ``reads`` are the types its inbox may hold, ``writes`` those its steps may return."""
+    """Component with pure steps. ``reads`` are the types in its inbox, ``writes`` the types that its steps return."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the node."""
+        ...
+
     @property
-    def schedule(self) -> Schedule: ...
+    def schedule(self) -> Schedule:
+        """Times of its steps."""
+        ...
+
     @property
-    def reads(self) -> tuple[type[Message], ...]: ...
+    def reads(self) -> tuple[type[Message], ...]:
+        """Types of the messages in its inbox."""
+        ...
+
     @property
-    def writes(self) -> tuple[type[Message], ...]: ...
+    def writes(self) -> tuple[type[Message], ...]:
+        """Types of the messages that its steps return."""
+        ...
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Do these steps in turn. Each consumes its inbox in its order, and returns what to publish, in order.
+        """Carry out steps in order, and return the messages to publish for each of them, in order.
 
-        Steps given together return what they return one at a time, bit for bit, and leave the node in the same state.
+        A step consumes its inbox in order. Steps passed together return the same messages as one at a time, bit for
+        bit, and leave the node in the same state.
+
+        Parameters
+        ----------
+        due : time (ns) and inbox of each step.
         """
         ...
 
 
 Stopwatch: TypeAlias = Callable[[str], None]
-"""Called with a stage's name when that stage ends. The runner measures; lock step and replay pass ``no_stopwatch``."""
+"""Callback with the name of a stage at its end. The runner measures; lock step and replay pass ``no_stopwatch``."""
 
 
 def no_stopwatch(stage: str) -> None:
@@ -81,8 +103,8 @@ def no_stopwatch(stage: str) -> None:
 
 
 Progress: TypeAlias = Callable[[], None]
-"""Called now and then within a step that may take long, so that whoever watches does not take it for a hang."""
+"""Callback during a step that may take long, so that its supervisor does not treat it as hung."""
 
 
 def no_progress() -> None:
-    """Tell nobody."""
+    """Report no progress."""

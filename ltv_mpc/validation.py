@@ -1,8 +1,8 @@
 """Message validation: the bounds of each field, compiled from ``messages.py``, and the relations between fields.
 
-``refusal(message)`` stands in front of every node, in lock step and in processes alike. The check of one type is a
-function of plain comparisons, written out and compiled at its first use: msgspec checks what it decodes, but not what
-is constructed. ``low <= x <= high`` is false for NaN and for both infinities.
+``refusal(message)`` checks each message before it enters a node, in lock step and in processes. The check of one type
+is a generated function of plain comparisons, compiled at its first use, because msgspec checks messages that it decodes,
+but not those that are constructed. ``low <= x <= high`` is false for NaN and for both infinities.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Validator: TypeAlias = Callable[[Any], Reason]
 
 
 class Bounds(NamedTuple):
-    """Closed interval that every number of a field lies in, be it one number, a tuple, a map or an array."""
+    """Closed interval of every number of a field: a scalar, or the entries of a tuple, a map or an array."""
 
     low: float
     high: float
@@ -45,18 +45,18 @@ class Bounds(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The bounds as they stand in a reason."""
+        """Text of the bounds in a reason."""
         return f"must be from {self.low:g} to {self.high:g} ({self.unit}){', or null' if self.has_gaps else ''}"
 
 
 def refusal(message: msgspec.Struct) -> Reason:
-    """Return why no node may be given this message, or None."""
+    """Return the reason why a message is not valid, or None if it is valid."""
     return validator(type(message))(message)
 
 
 @cache
 def validator(kind: type[msgspec.Struct]) -> Validator:
-    """Compile ``refusal`` for messages of ``kind``. Raises ``TypeError`` if a number has no bounds."""
+    """Compile the check of messages of ``kind``. Raises ``TypeError`` if a number has no bounds."""
     names: dict[str, Any] = {
         "between": _between,
         "between_or_nan": _between_or_nan,
@@ -74,20 +74,20 @@ def validator(kind: type[msgspec.Struct]) -> Validator:
 
 @cache
 def bounds(kind: type[msgspec.Struct]) -> Mapping[str, Bounds]:
-    """Return the bounds of each field of ``kind`` that has numbers of its own, in the order of the fields."""
+    """Return the bounds of each field of ``kind`` that contains numbers, in the order of the fields."""
     found = {name: _bounds(of) for name, of in _types(kind).items()}
     return {name: limits for name, limits in found.items() if limits is not None}
 
 
 def plain_type(of: inspect.Type) -> inspect.Type:
-    """Return a field's type without its annotations; an array is the list that it is on the wire."""
+    """Return the type of a field without its annotations; for an array, the list that represents it on the wire."""
     if not isinstance(of, inspect.Metadata):
         return of
     wire = (of.extra or {}).get("wire")
     return plain_type(of.type if wire is None else inspect.type_info(wire))
 
 
-# --- the check of one type, written out ------------------------------------------------------------------------------
+# --- the generated check of one type ----------------------------------------------------------------------------------
 
 
 def _types(kind: type[msgspec.Struct]) -> dict[str, inspect.Type]:
@@ -97,7 +97,7 @@ def _types(kind: type[msgspec.Struct]) -> dict[str, inspect.Type]:
 
 
 def _bounds(of: inspect.Type, unit: str | None = None) -> Bounds | None:
-    """Return the bounds of the numbers in ``of``, or None where it has none or they are those of a struct inside."""
+    """Return the bounds of the numbers in ``of``, or None if it contains none or a struct inside defines them."""
     if isinstance(of, inspect.Metadata):
         unit = (of.extra or {}).get("unit", unit)
     match plain_type(of):
@@ -121,36 +121,36 @@ def _bounds(of: inspect.Type, unit: str | None = None) -> Bounds | None:
 
 
 def _checks(of: inspect.Type, field: str, value: str, names: dict[str, Any], prefix: str) -> Iterator[str]:
-    """Write the lines that return a reason if the expression ``value``, of type ``of``, is not valid."""
+    """Generate the lines that return a reason if the expression ``value``, of type ``of``, is not valid."""
     try:
         limits = _bounds(of)
     except TypeError as error:
         raise TypeError(f"{prefix}{field}: {error}") from None
     low, high = (limits.low, limits.high) if limits else (0, 0)
-    refused = f'return f"{field} = {{{value}}}: {limits.text}"' if limits else ""
+    reject = f'return f"{field} = {{{value}}}: {limits.text}"' if limits else ""
     match plain_type(of):
         case inspect.UnionType(types=types):
             (given,) = (one for one in types if not isinstance(one, inspect.NoneType))
             yield f"if {value} is not None:"
             yield from (f"    {line}" for line in _checks(given, field, value, names, prefix))
         case inspect.IntType() | inspect.FloatType():
-            yield f"if not {low!r} <= {value} <= {high!r}: {refused}"
+            yield f"if not {low!r} <= {value} <= {high!r}: {reject}"
         case inspect.TupleType(item_types=items):
             inside = " and ".join(f"{low!r} <= {value}[{i}] <= {high!r}" for i in range(len(items)))
-            yield f"if not ({inside}): {refused}"
+            yield f"if not ({inside}): {reject}"
         case inspect.ListType():
             within = "between_or_nan" if limits and limits.has_gaps else "between"
             names[f"{field}_bounds"] = limits
             yield f'if not {within}({value}, {low!r}, {high!r}): return entry("{field}", {value}, {field}_bounds)'
         case inspect.DictType():
-            yield f"if not all({low!r} <= x <= {high!r} for x in {value}.values()): {refused}"
+            yield f"if not all({low!r} <= x <= {high!r} for x in {value}.values()): {reject}"
         case inspect.StrType(max_length=int(most)):
             yield f'if len({value}) > {most}: return f"{field}: {{len({value})}} characters, at most {most}"'
         case inspect.VarTupleType(item_type=item, max_length=most):
             if most is not None:
                 yield f'if len({value}) > {most}: return f"{field}: {{len({value})}} entries, at most {most}"'
             if limits:
-                yield f"if not all({low!r} <= x <= {high!r} for x in {value}): {refused}"
+                yield f"if not all({low!r} <= x <= {high!r} for x in {value}): {reject}"
             elif isinstance(inner := plain_type(item), inspect.StructType):
                 names[f"check_{field}"] = validator(inner.cls)
                 yield f"for i, x in enumerate({value}):"
@@ -163,23 +163,23 @@ def _checks(of: inspect.Type, field: str, value: str, names: dict[str, Any], pre
 
 
 def _between(values: Array, low: float, high: float) -> bool:
-    """Return True if all entries lie between; NaN is the least and the largest of all, and fails the comparison."""
+    """Return True if all entries are within bounds; NaN is returned by argmin and argmax, and fails the comparison."""
     if values.size == 0:
         return True
-    # One number too large makes a sum of squares too large: a product, where least and largest take two passes.
+    # sufficient condition by the sum of squares: one product instead of two passes for minimum and maximum
     if values.dtype == np.float64 and low < 0.0 < high and np.vdot(values, values) <= min(low * low, high * high):
         return True
-    # By their places: a third of what ``min`` and ``max`` take.
+    # argmin and argmax take a third of the time of min and max
     return bool(low <= values.item(values.argmin()) and values.item(values.argmax()) <= high)
 
 
 def _between_or_nan(values: Array, low: float, high: float) -> bool:
-    """Return True if all entries lie between or are NaN."""
+    """Return True if all entries are within bounds or NaN."""
     return not (np.count_nonzero(values < low) or np.count_nonzero(values > high))
 
 
 def _entry_outside(field: str, values: Array, limits: Bounds) -> str:
-    """Name the first entry of an array that is out of bounds."""
+    """Return the reason that names the first entry of an array out of bounds."""
     inside = (limits.low <= values) & (values <= limits.high)
     if limits.has_gaps:
         inside |= np.isnan(values)
@@ -187,11 +187,11 @@ def _entry_outside(field: str, values: Array, limits: Bounds) -> str:
     return f"{field}{''.join(f'[{i}]' for i in place)} = {values[place]}: {limits.text}"
 
 
-# --- relations between the fields of one message, whose numbers lie in their bounds ----------------------------------
+# --- relations between the fields of one message, checked after their bounds ---------------------------------------
 
 
 def _increases(values: Array | Times) -> bool:
-    """Return True if each entry is above the one before it; NaN is not. To count takes a fifth of what ``all`` does."""
+    """Return True if each entry is above the one before it, and none is NaN. Counting is five times faster than all."""
     return bool(np.count_nonzero(values[1:] > values[:-1]) == len(values) - 1)
 
 
@@ -224,7 +224,7 @@ def _profile(s: CurrentProfile) -> Reason:
 
 ASYMMETRY = 1e-9
 INDEFINITE = 1e-6 * np.eye(6)
-"""What rounding may leave in a filter's covariance, in correlations: metres and radians differ by orders."""
+"""Tolerances for rounding in the covariance of a filter, applied to correlations, because units differ by orders."""
 
 
 def _estimate(s: Estimate) -> Reason:
@@ -233,14 +233,16 @@ def _estimate(s: Estimate) -> Reason:
         return None
     if P.shape != (6, 6):
         return f"covariance {P.shape}: must be (6, 6)"
-    if P.tobytes() == P.T.tobytes() and dpotrf(P, lower=1, clean=0)[1] == 0:  # as a filter writes it
+    if (
+        P.tobytes() == P.T.tobytes() and dpotrf(P, lower=1, clean=0)[1] == 0
+    ):  # the usual case: exactly symmetric and positive definite
         return None
     variances = P.diagonal().tolist()
     if min(variances) < 0.0:
         return "covariance: its diagonal must not be negative"
-    # exactly known: its row must be zero, else the factorisation below fails
+    # a zero variance requires a zero row, else the factorisation below fails
     scale = np.array([1.0 / math.sqrt(v) if v > 0.0 else 1.0 for v in variances])
-    with np.errstate(all="ignore"):  # a hostile covariance overflows, and is refused
+    with np.errstate(all="ignore"):  # an overflow is rejected below
         R = P * scale * scale[:, None]
         if not abs(R - R.T).max() <= ASYMMETRY:
             return "covariance: must be symmetric"
@@ -296,4 +298,4 @@ RELATIONS: Mapping[type, Validator] = {
     DroppedGridPoint: _dropped_grid_point,
     EstimatorState: _estimator_state,
 }
-"""What relates the entries of a message to each other: shapes, order, covariances."""
+"""Checks of relations between fields, by message type: shapes, order, covariances."""

@@ -32,11 +32,21 @@ class BaseReference(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     origin: Origin | None = None
 
     def has_started(self, t_ns: int) -> bool:
-        """Return True if the reference is in force at ``t_ns``."""
+        """Return True if the reference is in force at ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
         return self.start_s is None or t_ns >= round(self.start_s * 1e9)
 
     def anchor(self, estimate: Estimate) -> ReferenceStart:
-        """Return the start of the reference: position and motion at its start time, by the first estimate after it."""
+        """Return the start of the reference: position and motion at its start time, by the first estimate after it.
+
+        Parameters
+        ----------
+        estimate : first estimate after the start time.
+        """
         start_ns = estimate.t_ns if self.start_s is None else min(round(self.start_s * 1e9), estimate.t_ns)
         back_s = (estimate.t_ns - start_ns) * 1e-9
         if back_s > MAX_BACKDATE_S:

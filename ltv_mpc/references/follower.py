@@ -64,7 +64,13 @@ class _Track(NamedTuple):
 
     @classmethod
     def of(cls, schedule: Schedule, cruise_mps: float) -> _Track:
-        """Return the track of a schedule at a cruising speed (m/s)."""
+        """Return the track of a schedule at a cruising speed (m/s).
+
+        Parameters
+        ----------
+        schedule : schedule of the path.
+        cruise_mps : cruising speed of the vehicle (m/s).
+        """
         leash_m = max(LEASH_S * cruise_mps, MIN_LEASH_M)
         return cls(schedule.table, schedule.lead_m, schedule.length_m, schedule.duration_s, cruise_mps, leash_m)
 
@@ -103,7 +109,12 @@ class Follower:
         return self._progress
 
     def begin(self, estimate: Estimate) -> bool:
-        """Return True if the reference is in force. It starts at the first finite estimate after its start time."""
+        """Return True if the reference is in force. It starts at the first finite estimate after its start time.
+
+        Parameters
+        ----------
+        estimate : newest estimate.
+        """
         pose = (estimate.north_m, estimate.east_m, estimate.heading_rad)
         if self._start is None and self.reference.has_started(estimate.t_ns) and all(map(math.isfinite, pose)):
             self._start_at(self.reference.anchor(estimate))
@@ -183,7 +194,12 @@ class Follower:
             fill_targets(self._track.table, self._tau_s, self._rate, t_ns, target)
 
     def depths(self, t_ns: Times) -> tuple[Array, Array] | None:
-        """Return depth (m) and sinking speed (m/s) of the target at knots (N+1,); None without a depth."""
+        """Return depth (m) and sinking speed (m/s) of the target at knots (N+1,); None without a depth.
+
+        Parameters
+        ----------
+        t_ns : (N+1,) knots of a plan (ns).
+        """
         start, rate = self._start, self.reference.descent_rate_mps
         if start is None or self.depth_m is None:
             return None

@@ -63,12 +63,22 @@ class Limits:
     surge: SurgeLimits
 
     def speed_at(self, curvature: Array) -> Array:
-        """Return the fastest steady speed (m/s) along curvatures (1/m) of any shape."""
+        """Return the fastest steady speed (m/s) along curvatures (1/m) of any shape.
+
+        Parameters
+        ----------
+        curvature : curvatures (1/m).
+        """
         k = np.clip(curvature, CURVATURES[0], CURVATURES[-1])
         return np.exp(np.interp(np.log(k), np.log(CURVATURES), np.log(self.speed_mps)))
 
     def turning_s(self, angle: Array) -> Array:
-        """Return the time (s) of turns on the spot by angles >= 0 (rad) of any shape."""
+        """Return the time (s) of turns on the spot by angles >= 0 (rad) of any shape.
+
+        Parameters
+        ----------
+        angle : angles (rad).
+        """
         r, a = self.yaw_radps, self.yaw_radps2
         return np.where(angle >= r * r / a, angle / r + r / a, 2.0 * np.sqrt(angle / a))
 

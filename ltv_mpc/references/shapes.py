@@ -67,7 +67,12 @@ class Shape(BaseReference, frozen=True, kw_only=True):
         )
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return sentences about what the vehicle cannot do of this reference, and what it does instead."""
+        """Return sentences about what the vehicle cannot do of this reference, and what it does instead.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
         path = self.path()
         notes = path_notes(path, self.speed_mps, path_limits(vehicle), self.descent_rate_mps)
         return notes if np.isnan(path.depth).all() else notes + descent_notes(vehicle, self.descent_rate_mps)

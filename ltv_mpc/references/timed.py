@@ -97,7 +97,12 @@ class Timed(BaseReference, frozen=True, kw_only=True, tag="timed"):
         return Schedule(np.concatenate([lead, table[:, 1:]], axis=1), lead_m)
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return a sentence about the rows that the vehicle cannot reach in time."""
+        """Return a sentence about the rows that the vehicle cannot reach in time.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
         table, _ = self._table(vehicle)
         t = np.array([row[0] for row in self.rows])
         late = table[TIME] - t

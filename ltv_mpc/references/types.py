@@ -29,12 +29,22 @@ class Point(BaseReference, frozen=True, kw_only=True, tag="point"):
         self._place()
 
     def position(self, anchor: ReferenceStart) -> Pair:
-        """Return north and east (m)."""
+        """Return north and east (m).
+
+        Parameters
+        ----------
+        anchor : start of the reference.
+        """
         del anchor
         return self._place()
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return sentences about what the vehicle cannot do of this reference."""
+        """Return sentences about what the vehicle cannot do of this reference.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
         return _of_depth(self, vehicle)
 
     def _place(self) -> Pair:
@@ -51,11 +61,21 @@ class Hold(BaseReference, frozen=True, kw_only=True, tag="hold"):
     """Vertical line through the estimated position of the vehicle at the start: "here"."""
 
     def position(self, anchor: ReferenceStart) -> Pair:
-        """Return north and east (m)."""
+        """Return north and east (m).
+
+        Parameters
+        ----------
+        anchor : start of the reference.
+        """
         return anchor.north_m, anchor.east_m
 
     def notes(self, vehicle: Vehicle) -> list[str]:
-        """Return sentences about what the vehicle cannot do of this reference."""
+        """Return sentences about what the vehicle cannot do of this reference.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
         return _of_depth(self, vehicle)
 
 

@@ -76,7 +76,12 @@ class ThrustOverride(NamedTuple):
     why: str
 
     def targets(self, knots: Times) -> Array:
-        """Return the target thrust (N+1, 3) of each thruster at the knots (N+1,)."""
+        """Return the target thrust (N+1, 3) of each thruster at the knots (N+1,).
+
+        Parameters
+        ----------
+        knots : (N+1,) times (ns).
+        """
         valid = np.zeros(len(knots)) if self.until_ns is None else np.where(knots <= self.until_ns, 1.0, 0.0)
         targets: Array = valid[:, None] * np.array(self.thrust_N)
         return targets
@@ -93,7 +98,12 @@ class CommandArbiter:
         self._manual: tuple[Triple, int] | None = None  # requested thrusts, and when they arrived
 
     def request(self, action: Action) -> CommandResult:
-        """Carry out a command of the operator, if the present state allows it."""
+        """Carry out a command of the operator, if the present state allows it.
+
+        Parameters
+        ----------
+        action : requested action.
+        """
         before = self.authority
         result = next_authority(before, action)
         self.authority = result.authority
@@ -115,7 +125,12 @@ class CommandArbiter:
             self.manual_rejected += 1
 
     def override(self, t_ns: int) -> ThrustOverride | None:
-        """Return the thrusts from ``t_ns`` on, or None if the controller has the authority."""
+        """Return the thrusts from ``t_ns`` on, or None if the controller has the authority.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
         if self.authority is CONTROLLER:
             return None
         if self.authority is not MANUAL:

@@ -48,7 +48,12 @@ class Bounds(NamedTuple):
 
     @classmethod
     def of(cls, vehicle: Vehicle) -> Bounds:
-        """Return the steady speeds at full thrust against the damping, widened as in the module docstring."""
+        """Return the steady speeds at full thrust against the damping, widened as in the module docstring.
+
+        Parameters
+        ----------
+        vehicle : parameters of the vehicle.
+        """
         port, starboard, vertical = vehicle.thrusters
         surge = max(port.max_N + starboard.max_N, -port.min_N - starboard.min_N)
         yaw = max(
@@ -76,7 +81,12 @@ class EstimateGate:
         self._jumped: Estimate | None = None  # the last estimate, if it was rejected as a jump
 
     def check(self, estimate: Estimate) -> str:
-        """Return the reason why ``estimate`` is rejected; empty if it is accepted now or was before."""
+        """Return the reason why ``estimate`` is rejected; empty if it is accepted now or was before.
+
+        Parameters
+        ----------
+        estimate : newest estimate.
+        """
         if estimate is self.accepted:
             return ""
         if self._jumped is not None and estimate is self._jumped:

@@ -40,7 +40,12 @@ class Period:
         self._median_ns: int | None = 0  # None: not computed since the last stamp
 
     def add(self, t_ns: int) -> None:
-        """Add the stamp of a message, newer than the last."""
+        """Add the stamp of a message, newer than the last.
+
+        Parameters
+        ----------
+        t_ns : stamp (ns).
+        """
         if self._last_ns is not None:
             self._spacings.append(max(t_ns - self._last_ns, 0))
             self._median_ns = None
@@ -113,7 +118,12 @@ class InputMonitor:
         return True
 
     def silent_ns(self, t_ns: int) -> int | None:
-        """Return the time (ns) since the newest message arrived; None before the first."""
+        """Return the time (ns) since the newest message arrived; None before the first.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
         return None if self._stamp_ns is None else t_ns - self._received_ns
 
     def state_at(self, t_ns: int, ages: Ages = DEFAULT_AGES) -> InputState:

@@ -85,7 +85,12 @@ class _ThrustImpulse:
         self._reports: deque[tuple[int, Pair, Pair]] = deque(maxlen=32)  # time, thrusts, impulses up to that time
 
     def add(self, applied: Applied) -> None:
-        """Add a report of the actuators."""
+        """Add a report of the actuators.
+
+        Parameters
+        ----------
+        applied : the report.
+        """
         thrust = applied.thrust_N[:2]
         if not self._reports:
             self._reports.append((applied.t_ns, thrust, (0.0, 0.0)))
@@ -100,6 +105,10 @@ class _ThrustImpulse:
         """Return the impulses (N s) up to ``t_ns``; None before the first report.
 
         The thrust is linear between reports and constant after the last one.
+
+        Parameters
+        ----------
+        t_ns : time (ns).
         """
         reports = self._reports
         if not reports or t_ns < reports[0][0]:
@@ -124,17 +133,33 @@ class _MeanResidual:
         self._published_ns: int | None = None
 
     def subtract(self, impulse: float, turn: float, seconds: float) -> None:
-        """Subtract the missing impulses (N s, N m s) of an interval (s)."""
+        """Subtract the missing impulses (N s, N m s) of an interval (s).
+
+        Parameters
+        ----------
+        impulse, turn : missing impulses in surge (N s) and yaw (N m s).
+        seconds : length of the interval (s).
+        """
         self._impulse -= impulse
         self._turn -= turn
         self._seconds += seconds
 
     def is_due(self, t_ns: int) -> bool:
-        """Return True if the last publication is at least ``PUBLICATION_PERIOD_NS`` ago."""
+        """Return True if the last publication is at least ``PUBLICATION_PERIOD_NS`` ago.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
         return self._published_ns is None or not 0 <= t_ns - self._published_ns < PUBLICATION_PERIOD_NS
 
     def publish(self, t_ns: int) -> Pair:
-        """Return the mean force (N) and moment (N m), and start again."""
+        """Return the mean force (N) and moment (N m), and start again.
+
+        Parameters
+        ----------
+        t_ns : time of publication (ns).
+        """
         mean = self._impulse / self._seconds, self._turn / self._seconds
         self._impulse = self._turn = self._seconds = 0.0
         self._published_ns = t_ns
@@ -173,16 +198,31 @@ class ModelMonitor:
         return self._detector.products
 
     def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (4, 4) of another monitor of this vehicle, after the filter has settled."""
+        """Continue from the ``products`` (4, 4) of another monitor of this vehicle, after the filter has settled.
+
+        Parameters
+        ----------
+        products : (4, 4) products of the other monitor.
+        """
         self._detector.restore(products)
         self._settling_s = 0.0
 
     def report(self, applied: Applied) -> None:
-        """Add a report of the actuators."""
+        """Add a report of the actuators.
+
+        Parameters
+        ----------
+        applied : the report.
+        """
         self._impulse.add(applied)
 
     def update(self, estimate: Estimate) -> ModelCheck | None:
-        """Add an accepted estimate. Return the message to publish: at each change of the alarm, and every second."""
+        """Add an accepted estimate. Return the message to publish: at each change of the alarm, and every second.
+
+        Parameters
+        ----------
+        estimate : newest accepted estimate.
+        """
         motion, before = self._motion(estimate), self._last
         if motion is None or (before is not None and motion.t_ns == before.t_ns):
             return None

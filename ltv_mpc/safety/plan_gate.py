@@ -144,7 +144,12 @@ class PlanGate:
         return PlanVerdict.ACCEPTED
 
     def health(self, t_ns: int) -> Health:
-        """Return the timeliness of the plans at ``t_ns``."""
+        """Return the timeliness of the plans at ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : current time (ns).
+        """
         return self.commander.health(t_ns, self._plans[-1].end_ns - t_ns if self._plans else -1)
 
     def _check(self, plan: Plan, epoch: int, sequence: int, t_ns: int) -> PlanVerdict:
@@ -162,9 +167,11 @@ class PlanGate:
         return PlanVerdict.ACCEPTED
 
     def command_at(self, t_ns: int) -> Triple:
-        """Return the command (N): port, starboard, vertical.
+        """Return the command (N): port, starboard, vertical. It is linear from the last requested time to ``t_ns``.
 
-        It is linear from the last requested time to ``t_ns``, which must not be earlier.
+        Parameters
+        ----------
+        t_ns : time (ns), not before the last requested one.
         """
         if t_ns != self._t_ns:
             self.commands_at([t_ns])
@@ -172,6 +179,10 @@ class PlanGate:
 
     def commands_at(self, times_ns: Sequence[int]) -> Array:
         """Return the commands (N) at K increasing times, (K, 3), equal to K calls of ``command_at``.
+
+        Parameters
+        ----------
+        times_ns : increasing times (ns).
 
         Raises
         ------

@@ -94,7 +94,12 @@ class ThrustLossDetector:
         return self._past.copy() if self._past.any() else None
 
     def restore(self, products: Array) -> None:
-        """Continue from the ``products`` (4, 4) of another detector for the same vehicle."""
+        """Continue from the ``products`` (4, 4) of another detector for the same vehicle.
+
+        Parameters
+        ----------
+        products : (4, 4) products of the other detector.
+        """
         self._past[...] = products
 
     def clear_window(self) -> None:

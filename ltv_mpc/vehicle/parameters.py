@@ -121,7 +121,12 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @classmethod
     def load(cls, name: str) -> Vehicle:
-        """Return a shipped vehicle by name (``"paper"``), or read a TOML file by path. Raises ``ConfigError``."""
+        """Return a shipped vehicle by name (``"paper"``), or read a TOML file by path. Raises ``ConfigError``.
+
+        Parameters
+        ----------
+        name : name of a shipped vehicle, or path of a TOML file.
+        """
         return config.load(name, cls, what="vehicle", package="ltv_mpc.vehicle.files")
 
     @property

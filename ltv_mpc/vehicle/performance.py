@@ -127,6 +127,7 @@ def top_speed(vehicle: Vehicle, F: Array) -> float | None:
     sign = math.copysign(1.0, push)
 
     def acceleration(speed: float) -> float:
+        """Return the acceleration (m/s2) along the direction of the thrust at a speed (m/s)."""
         return sign * rates(sign * speed, 0.0, 0.0, 0.0, F[0], F[1], 0.0, 0.0, 0.0, 0.0, p)[2]
 
     return float(brentq(acceleration, 0.0, MAX_SPEED_MPS)) if acceleration(MAX_SPEED_MPS) < 0.0 else None
@@ -188,7 +189,12 @@ class _StillWaterRun:
         self.t_s = 0.0
 
     def step(self, F: Array) -> None:
-        """Advance by ``STEP_S``, with commands towards ``F`` (2,)."""
+        """Advance by ``STEP_S``, with commands towards ``F`` (2,).
+
+        Parameters
+        ----------
+        F : (2,) requested thrusts (N).
+        """
         U = self.U + np.clip(F - self.U, -self._change, self._change)
         out = np.empty(STATES)
         advance_stage(self.X, self.U, U, STILL, STILL, STEP_S, self._p, out)

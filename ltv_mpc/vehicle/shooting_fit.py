@@ -104,17 +104,32 @@ class ShootingFit:
         return np.array([MIN_THETA if name in BOUNDED else 0.0 for name in self.free])
 
     def residuals(self, theta: Array) -> Array:
-        """Return the residuals (3 M' + P,) of the motion from the best initial states, and of the prior."""
+        """Return the residuals (3 M' + P,) of the motion from the best initial states, and of the prior.
+
+        Parameters
+        ----------
+        theta : (P,) coefficients relative to ``scale``.
+        """
         r, _ = self._reduced(theta, slopes=False)
         return np.concatenate([r.ravel(), (theta - self.origin) / PRIOR])
 
     def jacobian(self, theta: Array) -> Array:
-        """Return d residuals / d theta (3 M' + P, P)."""
+        """Return d residuals / d theta (3 M' + P, P).
+
+        Parameters
+        ----------
+        theta : (P,) coefficients relative to ``scale``.
+        """
         _, J = self._reduced(theta, slopes=True)
         return np.concatenate([J.reshape(-1, len(theta)), np.eye(len(theta)) / PRIOR])
 
     def by_segment(self, theta: Array) -> tuple[list[Array], list[Array]]:
-        """Return residuals (3 m,) and slopes (3 m, P) of each segment, initial states eliminated."""
+        """Return residuals (3 m,) and slopes (3 m, P) of each segment, initial states eliminated.
+
+        Parameters
+        ----------
+        theta : (P,) coefficients relative to ``scale``.
+        """
         r, J = self._reduced(theta, slopes=True)
         ends = np.cumsum(self._counts)[:-1]
         return [one.ravel() for one in np.split(r, ends)], [one.reshape(-1, len(theta)) for one in np.split(J, ends)]

@@ -52,7 +52,7 @@ def check(
     file: Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped name or a TOML file.")],
     as_json: Json = False,
 ) -> None:
-    """Print performance, suitable horizon and weights, and warnings about implausible values (exit code 0 even then)."""
+    """Print performance, suitable horizon and weights, and warnings about implausible values. Warnings exit with 0."""
     from ltv_mpc.vehicle.parameters import Vehicle
 
     loaded = Vehicle.load(file)
