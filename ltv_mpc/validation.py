@@ -1,8 +1,8 @@
 """Message validation: the bounds of each field, compiled from ``messages.py``, and the relations between fields.
 
 ``refusal(message)`` checks each message before it enters a node, in lock step and in processes. The check of one type
-is a generated function of plain comparisons, compiled at its first use, because msgspec checks messages that it decodes,
-but not those that are constructed. ``low <= x <= high`` is false for NaN and for both infinities.
+is a generated function of plain comparisons, compiled at its first use. (msgspec checks messages that it decodes, but
+not those that are constructed.) ``low <= x <= high`` is false for NaN and for both infinities.
 """
 
 from __future__ import annotations
