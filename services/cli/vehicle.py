@@ -1,4 +1,4 @@
-"""Your vehicle: ``controller``; the panel's other commands have files of their own."""
+"""Command ``controller``; the other commands of the vehicle panel have files of their own."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def controller(
         Path | None, typer.Option("--settings", metavar="FILE", help="The [controller] table alone, as TOML.")
     ] = None,
     compute_delay_s: Annotated[
-        float, typer.Option("--compute-delay-s", metavar="D", help="Be slower by this much.", min=0, max=60)
+        float, typer.Option("--compute-delay-s", metavar="D", help="Delay each plan by this much (s).", min=0, max=60)
     ] = 0.0,
     rate_hz: Annotated[
         float | None,
@@ -44,7 +44,7 @@ def controller(
         typer.Option(
             "--horizon-s",
             metavar="H",
-            help="How far a plan looks ahead. Default: what `vehicle check` proposes.",
+            help="Length of a plan (s). Default: proposed by `vehicle check`.",
             min=0.3,
             max=120,
         ),
@@ -58,22 +58,22 @@ def controller(
         typer.Option(
             "--input-delay-s",
             metavar="D",
-            help="The smallest delay of an estimate, where nobody publishes clock or reports plans in applied.",
+            help="Smallest delay of an estimate (s), used without clock and without plan reports in applied.",
             min=0,
             max=10,
         ),
     ] = 0.0,
     failed_qps: Annotated[
         Path | None,
-        typer.Option("--failed-qps", metavar="DIR", help="Keep QPs that were not solved here, for `ltv-mpc qp show`."),
+        typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
     ] = None,
     *,
     bus: BusOptions,
 ) -> int:
-    """The controller alone, against your publishers.
+    """Run the controller alone, with your publishers.
 
     Reads estimate, applied, command and manual; writes plan, acknowledged and controller/status. It starts disarmed:
-    `ltv-mpc ctl arm`. Without a clock topic it goes by the stamps of the estimates, whatever their origin.
+    `ltv-mpc ctl arm`. Without a clock topic it takes the time from the stamps of the estimates, whatever their origin.
     """
     from msgspec.structs import replace
 
