@@ -1,4 +1,4 @@
-"""Each number of each message is held to the bounds of its annotation, by lock step and on the wire alike."""
+"""Validation: each number of each message is checked against its annotation, in lock step and on the wire."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ MESSAGES = (
     msgspec.structs.replace(PLAN, reference_depth_m=5.0, progress=0.5, cross_track_m=-1.0, remaining_m=9.0),
     msgspec.structs.replace(STATUS, applied_age_ns=5, progress=0.5),
 )
-"""With a number in every field that may be None."""
+"""Messages with a number in every field that may be None."""
 
 NUMBER = int | float | np.integer | np.floating
 
 
 class Place(NamedTuple):
-    """One number inside a message: the way to it by names and indices, and the bounds of its field."""
+    """Number inside a message: its path by names and indices, and the bounds of its field."""
 
     way: tuple[Any, ...]
     limits: Bounds
 
 
 def places(part: Any, way: tuple[Any, ...] = (), limits: Bounds | None = None) -> Iterator[Place]:
-    """Every number in a message; of an array the first and the last entry."""
+    """Yield every number in a message; of an array the first and the last entry."""
     if isinstance(part, msgspec.Struct):
         for name in part.__struct_fields__:
             yield from places(getattr(part, name), (*way, name), bounds(type(part)).get(name))
@@ -66,7 +66,7 @@ def places(part: Any, way: tuple[Any, ...] = (), limits: Bounds | None = None) -
 
 
 def structs(part: Any) -> Iterator[msgspec.Struct]:
-    """A message and the structs inside it."""
+    """Yield a message and the structs inside it."""
     if isinstance(part, msgspec.Struct):
         yield part
         for name in part.__struct_fields__:
@@ -77,7 +77,7 @@ def structs(part: Any) -> Iterator[msgspec.Struct]:
 
 
 def changed(part: Any, way: tuple[Any, ...], number: Any) -> Any:
-    """The same with another number at one place."""
+    """Return the message with another number at one place."""
     if not way:
         return number
     first, *rest = way
@@ -103,7 +103,7 @@ def on_the_wire(message: Message) -> str | None:
 
 
 def is_of_bounds(reason: str | None) -> bool:
-    """Whether a number was refused for its bounds, and not for a relation between fields."""
+    """Return True if a number is rejected for its bounds, not for a relation between fields."""
     return reason is not None and ("must be from" in reason or "Expected `" in reason)
 
 
@@ -114,7 +114,7 @@ def beyond(limits: Bounds) -> tuple[Any, Any]:
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
-def test_each_number_may_lie_at_both_its_bounds_and_not_a_hair_outside(message: Message) -> None:
+def test_each_number_may_equal_its_bounds_but_not_exceed_them(message: Message) -> None:
     assert refusal(message) is None
     for way, limits in places(message):
         # The header has narrower bounds for a step record's epoch, which is its own.
@@ -143,7 +143,7 @@ def test_every_field_with_numbers_was_tried() -> None:
     assert [(kind, name) for kind, names in tried.items() for name in bounds(kind) if name not in names] == []
 
 
-def test_a_refusal_names_field_entry_value_and_bound_also_inside() -> None:
+def test_a_reason_names_field_entry_value_and_bound_also_of_inner_structs() -> None:
     estimate = next(m for m in EXAMPLES if isinstance(m, Estimate) and m.current is not None)
     assert estimate.current is not None
     depth_m = estimate.current.depth_m.copy()
@@ -156,7 +156,7 @@ def test_a_refusal_names_field_entry_value_and_bound_also_inside() -> None:
     assert on_the_wire(far) == "north_m = 10000000.0: Expected `float` <= 1000000.0"
 
 
-def test_a_missing_value_is_nan_where_an_array_may_have_gaps_and_nowhere_else() -> None:
+def test_nan_is_valid_only_in_arrays_with_missing_values() -> None:
     gaps = {
         (topic.message_type.__name__, name)
         for topic in TOPICS
@@ -170,7 +170,7 @@ def test_a_missing_value_is_nan_where_an_array_may_have_gaps_and_nowhere_else() 
     }
 
 
-def test_texts_and_lists_are_held_to_their_lengths() -> None:
+def test_texts_and_lists_have_a_largest_length() -> None:
     whole = next(m for m in EXAMPLES if isinstance(m, ControllerState))
     for longest, longer in (
         ({"reference_toml": "#" * 65_536}, {"reference_toml": "#" * 65_537}),
@@ -185,7 +185,7 @@ def test_texts_and_lists_are_held_to_their_lengths() -> None:
         assert name in str(on_the_wire(exceeds))
 
 
-def test_a_number_without_bounds_or_unit_is_refused_with_its_type() -> None:
+def test_a_number_without_bounds_or_unit_is_rejected_with_its_type() -> None:
     class Unbounded(Message, frozen=True, kw_only=True, eq=False):
         """A message whose number is left without bounds."""
 

@@ -1,4 +1,4 @@
-"""Following: how far along, what is waited for, and what the controller makes of it in closed loop."""
+"""Follower: progress and waiting of the target, and the controller in closed loop."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_nan_estimate_stops_the_target_and_a_valid_one_moves_it_again():
     assert go(follower, 10.2, *before)[0] > before[0] + 0.1
 
 
-def test_it_does_not_begin_at_an_estimate_that_is_no_number():
+def test_a_reference_does_not_start_at_a_non_finite_estimate():
     for reference in (LINE, Hold()):
         follower = Follower(reference, PAPER)
         assert not follower.begin(Estimate.at_rest(north_m=math.nan))
@@ -92,7 +92,7 @@ def test_it_does_not_begin_at_an_estimate_that_is_no_number():
         assert follower.begin(Estimate.at_rest(north_m=1.0))
 
 
-def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
+def test_after_a_gap_the_target_advances_by_at_most_one_step():
     follower = has_started(LINE)
     before = go(follower, 10.0, *go(follower, 9.7, 0.0, 0.0))
     for t_s in (10.3, 10.6):
@@ -101,7 +101,7 @@ def test_after_a_long_silence_the_target_is_where_it_was_but_for_a_step():
     assert 0.0 < after[0] - before[0] <= 0.3 * MAX_STEP_S + 1e-9
 
 
-def test_a_vehicle_elsewhere_is_led_to_the_first_point_without_progress():
+def test_the_leg_to_the_first_point_is_no_progress():
     follower, t_s, target = has_started(LINE, east_m=6.0), 0.0, (0.0, 6.0)
     for _ in range(40):
         t_s += 0.3
@@ -119,7 +119,7 @@ def test_the_cross_track_error_is_of_the_vehicle_from_the_path(east_m, sign):
     assert follower.progress.cross_track_m == pytest.approx(sign * 0.2)
 
 
-def test_of_a_point_and_of_here_there_is_no_progress_and_the_target_stands():
+def test_a_point_and_here_have_no_progress_and_a_target_at_rest():
     for reference in (Point(north_m=1.0, east_m=2.0), Hold()):
         follower = has_started(reference, north_m=1.0, east_m=2.0)
         assert go(follower, 5.0, 0.0, 0.0) == (1.0, 2.0)
@@ -153,7 +153,7 @@ def test_depth_moves_to_the_path_at_the_maximum_rate_and_then_follows_it():
     assert follower.depth_m == pytest.approx(2.6)
 
 
-def test_a_track_with_times_is_where_it_says_when_it_says():
+def test_a_timed_track_keeps_its_times():
     follower = has_started(Timed(rows=((10.0, 0.0, 0.0), (40.0, 6.0, 0.0), (50.0, 6.0, 0.0), (90.0, 6.0, 8.0))))
     at, t_s = {}, 0.0
     while t_s < 89.8:
@@ -165,14 +165,14 @@ def test_a_track_with_times_is_where_it_says_when_it_says():
     assert at[70.0] == pytest.approx((6.0, 4.0))
 
 
-def test_a_track_may_stay_where_it_is():
+def test_a_timed_track_may_rest():
     follower = has_started(Timed(rows=((0.0, 1.0, 0.0), (40.0, 1.0, 0.0))), north_m=1.0)
     assert go(follower, 10.0, 1.0, 0.0) == (1.0, 0.0)
     assert follower.progress.remaining_m == 0.0
 
 
 def follow(reference: Reference, cycles: int, current=STILL, **start: float) -> tuple[list[Estimate], list[Plan]]:
-    """The nominal vehicle in a current, from rest."""
+    """Closed loop of the nominal vehicle in a current, from rest."""
     controller = Controller(PAPER, reference)
     water = CurrentProfile(
         depth_m=np.array([0.0, 50.0]), north_mps=np.full(2, current[0]), east_mps=np.full(2, current[1])
@@ -199,7 +199,7 @@ def test_a_line_is_followed_to_its_end_within_centimetres():
 
 
 @pytest.mark.parametrize("current", [(0.0, 0.0), (0.0, 0.15)])
-def test_round_a_corner_the_path_is_kept_in_still_water_and_in_a_current(current):
+def test_a_corner_is_followed_in_still_water_and_in_a_current(current):
     places = (Place(north_m=0.0, east_m=0.0), Place(north_m=8.0, east_m=0.0), Place(north_m=8.0, east_m=8.0))
     _, plans = follow(Waypoints(speed_mps=0.4, waypoints=places), 320, current)
     assert plans[-1].progress == pytest.approx(1.0)
@@ -227,7 +227,7 @@ def test_references_are_replaced_live_without_a_jump_beyond_the_slew_limit():
     assert {plan.origin.value for plan in plans} == {"solved"}
 
 
-def test_a_controller_that_goes_on_from_another_follows_from_where_that_one_is():
+def test_a_restored_controller_continues_at_the_same_target():
     one, other = Controller(PAPER, LINE), Controller(PAPER, LINE)
     estimate = Estimate.at_rest(depth_m=0.0)
     for _ in range(30):

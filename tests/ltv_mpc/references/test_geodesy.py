@@ -1,4 +1,4 @@
-"""Latitude and longitude about an origin, held against the ellipsoid itself."""
+"""Geodesy: latitude and longitude relative to an origin, against the ellipsoid."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ E2 = FLATTENING * (2.0 - FLATTENING)
 
 
 def metres_a_degree(latitude_deg: float) -> tuple[float, float]:
-    """North and east, from the two radii of curvature: another formula than the one tested."""
+    """North and east from the two radii of curvature, by another formula than the one tested."""
     w = 1.0 - E2 * math.sin(math.radians(latitude_deg)) ** 2
     meridian = EQUATORIAL_RADIUS_M * (1.0 - E2) / w**1.5
     transverse = EQUATORIAL_RADIUS_M / math.sqrt(w)
@@ -25,7 +25,7 @@ def metres_a_degree(latitude_deg: float) -> tuple[float, float]:
 
 
 @given(st.floats(-80, 80), st.floats(-180, 180), st.floats(-1e-3, 1e-3), st.floats(-1e-3, 1e-3))
-def test_near_the_origin_a_degree_is_what_the_radii_of_curvature_say(latitude, longitude, north_deg, east_deg):
+def test_near_the_origin_positions_agree_with_the_radii_of_curvature(latitude, longitude, north_deg, east_deg):
     north, east = tangent_plane(
         latitude + north_deg, longitude + east_deg, Origin(latitude_deg=latitude, longitude_deg=longitude)
     )
@@ -44,7 +44,7 @@ def test_a_known_degree():
 
 @pytest.mark.parametrize("bearing", [0.0, 0.7, 2.0])
 def test_at_10_km_the_plane_is_millimetres_short_of_the_ellipsoid(bearing):
-    """d^3 / (6 R^2): 4 mm."""
+    """The difference is d^3 / (6 R^2) = 4 mm."""
     origin = Origin(latitude_deg=50.0, longitude_deg=-5.0)
     a_degree = metres_a_degree(50.0)
     steps = 2000  # along the ellipsoid in short steps, each by the radii of curvature where it begins
@@ -74,12 +74,12 @@ def test_at_10_km_the_plane_is_millimetres_short_of_the_ellipsoid(bearing):
         (Place(latitude_deg=-3.0, longitude_deg=-176.0), Origin(latitude_deg=3.0, longitude_deg=4.0), "farther than"),
     ],
 )
-def test_a_place_that_is_not_said_said_twice_or_too_far_is_refused(place, origin, says):
+def test_a_place_without_coordinates_with_both_kinds_or_too_far_is_rejected(place, origin, says):
     with pytest.raises(ValueError, match=says):
         local(place, origin)
 
 
-def test_metres_are_taken_as_they_are():
+def test_metres_are_returned_unchanged():
     assert local(Place(north_m=-1.5, east_m=2.5), None) == (-1.5, 2.5)
     np.testing.assert_allclose(
         local(Place(latitude_deg=3.0, longitude_deg=4.0), Origin(latitude_deg=3.0, longitude_deg=4.0)), 0.0, atol=1e-6

@@ -1,4 +1,4 @@
-"""Geometry: legs, rounded corners, bends."""
+"""Path geometry: legs, rounded corners, curves."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ HERE = Place(north_m=0.0, east_m=0.0)
 
 
 def corner(angle_rad: float, corner_m: float, leg_m: float = 20.0) -> Path:
-    """Northwards, then turned by an angle."""
+    """Corner: northwards, then turned by an angle."""
     points = np.array([[-leg_m, 0.0], [0.0, 0.0], [leg_m * math.cos(angle_rad), leg_m * math.sin(angle_rad)]])
     return round_corners(points, np.full(3, math.nan), corner_m)
 
 
 def off_the_legs(path: Path, angle_rad: float) -> float:
-    """How far the path lies off both legs of ``corner`` at most, as rays from the corner."""
+    """Largest distance of the path from both legs of ``corner``, as rays from the corner."""
     back, on = np.array([-1.0, 0.0]), np.array([math.cos(angle_rad), math.sin(angle_rad)])
     distances = []
     for leg in (back, on):
@@ -33,7 +33,7 @@ def off_the_legs(path: Path, angle_rad: float) -> float:
 
 
 @given(st.floats(0.1, 2.5), st.floats(0.1, 2.0), st.booleans())
-def test_a_corner_is_cut_by_no_more_than_is_allowed(angle, corner_m, port):
+def test_a_corner_is_cut_by_at_most_corner_m(angle, corner_m, port):
     angle = -angle if port else angle
     path = corner(angle, corner_m)
     middles = 0.5 * (path.points[1:] + path.points[:-1])
@@ -56,19 +56,19 @@ def test_a_rounded_corner_turns_evenly_with_its_curvature(angle, corner_m):
     assert np.abs(np.diff(course)).max() <= a + 1e-9
 
 
-def test_a_leg_that_is_too_short_gets_arcs_that_fit():
+def test_a_short_leg_gets_smaller_arcs():
     path = corner(math.pi / 2, corner_m=5.0, leg_m=2.0)  # a radius of 12 m would be needed
     assert 1.0 / path.curvature.max() == pytest.approx(1.0)  # half a leg
     np.testing.assert_allclose(path.points[[0, -1]], [[-2.0, 0.0], [0.0, 2.0]], atol=1e-12)
 
 
-def test_a_corner_that_may_not_be_cut_is_one_to_stop_at_and_so_is_a_way_back():
+def test_the_vehicle_stops_at_a_sharp_corner_and_at_a_reversal():
     assert corner(math.pi / 2, corner_m=0.0).stop == pytest.approx([0.0, math.pi / 2, 0.0])
     back = round_corners(np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 0.0]]), np.full(3, math.nan), 0.4)
     assert back.stop == pytest.approx([0.0, math.pi, 0.0])
 
 
-def test_a_path_is_led_to_in_a_straight_line_from_farther_away():
+def test_a_distant_start_adds_a_straight_leg_to_the_path():
     path = corner(math.pi / 2, 0.4)
     same, none = with_lead_in(path, np.array([-20.1, 0.2]), 0.5)
     assert none == 0.0
@@ -79,7 +79,7 @@ def test_a_path_is_led_to_in_a_straight_line_from_farther_away():
     assert led.stop[1] == pytest.approx(math.pi / 2)  # from east to north
 
 
-def test_a_square_is_closed_as_often_as_it_is_asked_for():
+def test_a_closed_square_is_repeated_laps_times():
     places = tuple(Place(north_m=n, east_m=e) for n, e in ((0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)))
     once = Waypoints(speed_mps=1.0, waypoints=places, closed=True, corner_m=0.0).path()
     twice = Waypoints(speed_mps=1.0, waypoints=places, closed=True, corner_m=0.0, laps=2).path()
@@ -90,7 +90,7 @@ def test_a_square_is_closed_as_often_as_it_is_asked_for():
 
 
 @pytest.mark.parametrize(("port", "last_east"), [(False, 20.0), (True, -20.0)])
-def test_a_lawnmower_covers_its_width_on_the_side_that_is_asked_for(port, last_east):
+def test_a_lawnmower_covers_its_width_on_the_requested_side(port, last_east):
     mower = Lawnmower(
         speed_mps=1.0, start=HERE, course_deg=0.0, length_m=40.0, width_m=20.0, spacing_m=5.0, port=port, corner_m=0.0
     )
@@ -100,7 +100,7 @@ def test_a_lawnmower_covers_its_width_on_the_side_that_is_asked_for(port, last_e
 
 
 @pytest.mark.parametrize("clockwise", [True, False])
-def test_a_circle_keeps_its_radius_and_goes_round_as_it_is_told(clockwise):
+def test_a_circle_keeps_its_radius_and_its_direction(clockwise):
     circle = Circle(speed_mps=1.0, centre=Place(north_m=3.0, east_m=-2.0), radius_m=7.0, turns=1.5, clockwise=clockwise)
     path = circle.path()
     np.testing.assert_allclose(np.hypot(*(path.points - [3.0, -2.0]).T), 7.0)

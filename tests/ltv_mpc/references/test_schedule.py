@@ -1,4 +1,4 @@
-"""The speed along a path, held against the vehicle's equations of motion."""
+"""Schedule: the speed along a path, against the equations of motion of the vehicle."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def speeds(table):
     return np.diff(table[WAY]) / np.diff(table[TIME])
 
 
-def test_top_speed_is_where_drag_takes_the_thrust():
+def test_at_top_speed_drag_balances_thrust():
     assert LIMITS.top_mps == pytest.approx(0.5)  # 2 x 62.5 = 500 x 0.5^2
     assert LIMITS.cruise_mps == pytest.approx(0.5 * math.sqrt(SUSTAINED_SHARE))
 
 
 @pytest.mark.parametrize("radius_m", [2.0, 5.0, 20.0])
 def test_the_speed_of_a_bend_is_the_fastest_steady_turn_of_the_vehicle(radius_m):
-    """The equations of motion integrated with an outer thruster at its limit: they come to rest on such a circle."""
+    """The integrated equations of motion with the outer thruster at its limit settle on this circle."""
     speed = float(LIMITS.speed_at(np.array([1.0 / radius_m]))[0])
     assert speed < LIMITS.cruise_mps
     p = PAPER.coefficients()
@@ -79,13 +79,13 @@ def test_the_schedule_starts_and_ends_at_rest_within_thrust_and_drag():
 
 
 def test_a_straight_schedule_lasts_its_speed_plus_one_start_and_stop():
-    """Against the closed form without drag: length / speed + v / 2 a at either end."""
+    """The closed form without drag is length / speed + v / 2 a at either end."""
     slow = Line(speed_mps=0.05, start=HERE, end=Place(north_m=40.0, east_m=0.0))
     a = ACCELERATION_SHARE * 125.0 / 500.0
     assert slow.schedule(PAPER).duration_s == pytest.approx(40.0 / 0.05 + 0.05 / a, abs=0.5)
 
 
-def test_at_a_corner_that_may_not_be_cut_it_stands_for_as_long_as_a_turn_takes():
+def test_at_a_sharp_corner_the_target_waits_for_the_turning_time():
     places = (HERE, Place(north_m=20.0, east_m=0.0), Place(north_m=20.0, east_m=20.0))
     table = Waypoints(speed_mps=0.4, waypoints=places, corner_m=0.0).schedule(PAPER).table
     standing = np.diff(table[TIME])[np.diff(table[WAY]) == 0.0]
@@ -120,13 +120,13 @@ ONE_WAY = msgspec.convert(
     },
     Vehicle,
 )
-"""The paper's vehicle, if its thrusters could not push astern."""
+"""The paper's vehicle without thrust astern."""
 
 
 @pytest.mark.parametrize("vehicle", [PAPER, ONE_WAY], ids=["paper", "one way"])
 @pytest.mark.parametrize("name", ["line", "square", "lawnmower", "circle", "spiral"])
 @pytest.mark.parametrize("corner_m", [0.0, 0.4])
-def test_every_schedule_goes_on_and_comes_to_its_end(vehicle, name, corner_m):
+def test_every_schedule_advances_and_reaches_its_end(vehicle, name, corner_m):
     reference = msgspec.structs.replace(references.load(name), corner_m=corner_m)
     table = reference.schedule(
         vehicle,
@@ -141,7 +141,7 @@ def test_every_schedule_goes_on_and_comes_to_its_end(vehicle, name, corner_m):
     np.testing.assert_allclose(np.hypot(*np.diff(table[[NORTH, EAST]])), np.diff(table[WAY]), atol=1e-9)
 
 
-def test_what_is_looked_up_is_what_the_table_says_at_any_knots():
+def test_targets_agree_with_the_table_at_any_knots():
     circle = Circle(speed_mps=0.3, centre=HERE, radius_m=10.0)
     table = circle.schedule(PAPER).table
     knots = np.array([0, 0.3, 0.6, 1.5, 4.0, 11.0]) * 1e9
@@ -165,11 +165,11 @@ def test_cross_track_is_positive_to_starboard(east_m, sign):
     assert cross_track_error(table, 10.0, 10.3, east_m, 2.0) == pytest.approx(sign * 0.4)
 
 
-def test_a_current_takes_from_the_speed_over_ground_what_it_takes():
+def test_a_current_reduces_the_feasible_rate():
     table = LINE.schedule(PAPER).table  # 0.3 m/s northwards
     cruise = 0.4
     assert feasible_rate(table, 60.0, 5.0, 0.0, 0.0, cruise) == 1.0
     assert feasible_rate(table, 60.0, 5.0, 0.2, 0.0, cruise) == 1.0  # from astern
     assert feasible_rate(table, 60.0, 5.0, -0.2, 0.0, cruise) == pytest.approx(0.2 / 0.3)
     assert feasible_rate(table, 60.0, 5.0, 0.0, 0.3, cruise) == pytest.approx(math.sqrt(0.16 - 0.09) / 0.3)
-    assert feasible_rate(table, 60.0, 5.0, -0.5, 0.0, cruise) == 1.0  # nothing can be foretold
+    assert feasible_rate(table, 60.0, 5.0, -0.5, 0.0, cruise) == 1.0  # no rate is feasible

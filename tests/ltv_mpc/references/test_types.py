@@ -1,4 +1,4 @@
-"""References as files: what is shipped, what is refused, what is said."""
+"""Reference files: the shipped ones, errors, and feasibility notes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_an_example_is_read_and_followed(path):
     assert reference.schedule(PAPER).duration_s > 10.0
 
 
-def test_the_examples_in_degrees_and_in_time_are_where_they_say():
+def test_the_examples_in_degrees_and_with_times_have_the_stated_positions():
     survey = references.load(str(EXAMPLES / "survey.toml"))
     assert isinstance(survey, references.Lawnmower)
     first = survey.path().points[0]
@@ -87,7 +87,7 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
         ("kind = 'timed'\nrows = [[0, 0, 0], [1, 2e6, 1]]", "rows[1] north_m = 2e+06: must be >= -1e+06 and <= 1e+06"),
     ],
 )
-def test_a_mistake_is_refused_with_its_field_and_bound(text, says):
+def test_an_error_names_its_field_and_bound(text, says):
     with pytest.raises(ConfigError) as error:
         config.parse(tomllib.loads(text), Reference, source="reference r.toml")
     assert str(error.value).startswith("reference r.toml: ")
@@ -110,7 +110,7 @@ def test_a_mistake_is_refused_with_its_field_and_bound(text, says):
         ("t_s,t_s,north_m,east_m\n0,0,0,0\n1,1,1,0", "column t_s occurs twice"),
     ],
 )
-def test_a_mistake_in_a_track_is_refused_with_file_line_and_column(tmp_path, csv, says):
+def test_an_error_in_a_track_names_file_line_and_column(tmp_path, csv, says):
     (tmp_path / "r.toml").write_text("kind = 'timed'\nfile = 'track.csv'")
     (tmp_path / "track.csv").write_text(csv)
     with pytest.raises(ConfigError, match=r"track\.csv") as error:
@@ -118,7 +118,7 @@ def test_a_mistake_in_a_track_is_refused_with_file_line_and_column(tmp_path, csv
     assert says in str(error.value)
 
 
-def test_a_track_s_file_is_beside_its_reference_and_columns_may_stand_in_any_order(tmp_path):
+def test_a_track_file_is_in_the_references_folder_with_columns_in_any_order(tmp_path):
     (tmp_path / "r.toml").write_text("kind = 'timed'\nfile = 'track.csv'")
     (tmp_path / "track.csv").write_text(
         "# a track\ndepth_m, east_m, note, t_s, north_m\n1, 2, x, 3, 4\n5, 6, y, 7, 8\n"
@@ -138,7 +138,7 @@ def test_a_feasible_track_keeps_its_times_and_another_is_stretched_and_reported(
     assert f"the last is reached {late:.1f} s late" in note
 
 
-def test_what_cannot_be_done_is_said_and_what_can_is_not():
+def test_notes_name_what_is_not_feasible_and_nothing_else():
     square = references.load("square")
     speed, corners, time = square.notes(PAPER)
     assert speed.startswith("speed_mps = 1 is reduced to 0.45 m/s")

@@ -1,4 +1,4 @@
-"""Who is in charge: every path through the states, and what a pilot's word is worth."""
+"""Command arbiter: every path through the states, and the validity of a pilot's messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PATHS = [path for length in range(6) for path in product(Action, repeat=length)]
 
 
 class Model:
-    """The same by three flags, as one would explain it at the quay."""
+    """Reference model of the states by three flags."""
 
     def __init__(self) -> None:
         self.armed = self.piloted = self.stopped = False
@@ -60,7 +60,7 @@ class Model:
                 pass
 
 
-def test_every_path_of_five_actions_from_the_start_leads_where_the_flags_say():
+def test_every_path_of_five_actions_agrees_with_the_reference_model():
     for path in PATHS:
         arbiter, model = CommandArbiter(VEHICLE), Model()
         for action in path:
@@ -71,7 +71,7 @@ def test_every_path_of_five_actions_from_the_start_leads_where_the_flags_say():
             assert (result.authority, bool(result.why)) == (model.authority, not allowed), path
 
 
-def test_every_state_is_reached_and_every_refusal_says_why_and_changes_nothing():
+def test_every_state_is_reached_and_a_rejection_has_a_reason_and_no_effect():
     reached = set()
     for path in PATHS:
         state = Authority.DISARMED
@@ -107,7 +107,7 @@ def piloted() -> CommandArbiter:
     return arbiter
 
 
-def test_a_pilots_word_counts_for_a_second_and_the_plan_itself_ends_with_it():
+def test_a_pilots_message_is_valid_for_a_second_and_so_are_its_targets():
     arbiter = piloted()
     arbiter.receive_manual((10.0, -20.0, 30.0), 5 * S)
     override = arbiter.override(5 * S + 400_000_000)
@@ -121,7 +121,7 @@ def test_a_pilots_word_counts_for_a_second_and_the_plan_itself_ends_with_it():
 
 @pytest.mark.parametrize("side", range(3))
 @pytest.mark.parametrize("thrust", [62.6, -62.6, float("nan"), float("inf")])
-def test_a_pilots_word_outside_the_box_is_counted_and_the_one_before_it_stays(side, thrust):
+def test_a_pilots_message_outside_the_box_is_counted_and_the_last_one_stays(side, thrust):
     arbiter = piloted()
     arbiter.receive_manual((1.0, 2.0, 3.0), 0)
     wanted = [0.0, 0.0, 0.0]
@@ -134,7 +134,7 @@ def test_a_pilots_word_outside_the_box_is_counted_and_the_one_before_it_stays(si
 
 
 @pytest.mark.parametrize("path", [(), (Action.ARM,), (Action.ARM, Action.MANUAL, Action.RELEASE)])
-def test_a_hand_on_the_stick_before_it_has_the_thrusters_counts_for_nothing(path):
+def test_a_manual_message_before_the_pilot_has_the_thrusters_has_no_effect(path):
     arbiter = CommandArbiter(VEHICLE)
     for action in path:
         arbiter.request(action)

@@ -1,4 +1,4 @@
-"""Which estimates are believed: bounds by vehicle, and jumps."""
+"""Estimate gate: bounds by vehicle, and jumps."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_bounds_are_those_of_the_paper_s_vehicle_by_hand():
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0, 1e3), st.floats(0, 1e3), st.floats(1e-3, 1e3))
-def test_the_steady_speed_is_where_damping_takes_up_the_force(force, linear, quadratic):
+def test_at_the_steady_speed_damping_balances_the_force(force, linear, quadratic):
     v = steady_speed(force, linear, quadratic)
     assert linear * v + quadratic * v * v == pytest.approx(force, rel=1e-6, abs=1e-6)
     assert steady_speed(force, max(linear, 1e-3), 0.0) == force / max(linear, 1e-3)
@@ -52,7 +52,7 @@ def test_the_steady_speed_is_where_damping_takes_up_the_force(force, linear, qua
     ["north_m", "east_m", "heading_rad", "velocity_north_mps", "velocity_east_mps", "yaw_rate_radps", "depth_m"],
 )
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_number_that_is_none_is_refused_and_counted_and_the_one_before_stays(field, value):
+def test_a_non_finite_estimate_is_rejected_and_counted_and_the_last_one_stays(field, value):
     gate = settled()
     before = gate.accepted
     assert gate.check(at(1, **{field: value})) == "a number is not finite"
@@ -74,7 +74,7 @@ def test_a_number_that_is_none_is_refused_and_counted_and_the_one_before_stays(f
         ({"velocity_down_mps": None, "depth_m": None}, {"velocity_down_mps": math.nan, "depth_m": None}),
     ],
 )
-def test_what_no_such_vehicle_does_is_refused(inside, outside):
+def test_an_estimate_out_of_the_vehicles_bounds_is_rejected(inside, outside):
     gate = EstimateGate(PAPER)
     assert gate.check(at(0, **inside)) == ""
     assert gate.check(at(1, **outside)) != ""
@@ -86,7 +86,7 @@ DRIFTED = {"covariance": np.diag([2.0, 2.0, 1e-4, 1e-4, 0.04, 1e-6])}
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "jump", "believed"),
+    ("before", "after", "jump", "accepted"),
     [
         # 4 m/s x 0.1 s + 1 m are always possible
         (CERTAIN, CERTAIN, {"north_m": 2.39}, True),
@@ -107,9 +107,9 @@ DRIFTED = {"covariance": np.diag([2.0, 2.0, 1e-4, 1e-4, 0.04, 1e-6])}
         (CERTAIN, CERTAIN, {"depth_m": None}, True),
     ],
 )
-def test_a_jump_is_one_that_neither_the_vehicle_nor_the_filter_s_own_doubt_allows(before, after, jump, believed):
+def test_a_jump_exceeds_both_the_vehicles_reach_and_the_filters_uncertainty(before, after, jump, accepted):
     gate = settled(**before)
-    assert gate.check(at(1, **after, **jump)) == ("" if believed else JUMPED)
+    assert gate.check(at(1, **after, **jump)) == ("" if accepted else JUMPED)
 
 
 def test_the_second_of_two_agreeing_outliers_is_accepted_and_others_never():
@@ -132,12 +132,12 @@ def test_the_same_estimate_again_is_not_a_second_one():
     assert gate.rejected[JUMPED] == 2
 
 
-def test_after_a_long_silence_a_vehicle_may_be_where_it_can_have_gone():
+def test_after_a_gap_every_position_within_reach_is_accepted():
     gate = settled(**CERTAIN)
     assert gate.check(at(100, north_m=40.0, **CERTAIN)) == ""  # 10 s at 4 m/s
 
 
-def test_what_is_refused_for_another_reason_is_no_witness_of_a_jump():
+def test_an_estimate_rejected_for_another_reason_does_not_confirm_a_jump():
     gate = settled()
     assert gate.check(at(1, north_m=500.0)) == JUMPED
     assert gate.check(at(2, north_m=500.0, yaw_rate_radps=math.nan)) != ""

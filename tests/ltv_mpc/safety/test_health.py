@@ -1,4 +1,4 @@
-"""Health by ages alone."""
+"""Health thresholds by the ages of inputs."""
 
 from __future__ import annotations
 
@@ -91,12 +91,12 @@ def test_health_of_plans_never_improves_with_silence_and_ends_in_failsafe(one, t
         (10, 300, -0.000001, "failsafe"),
     ],
 )
-def test_of_plans_two_replacements_may_be_missing(silent_ms, period_ms, left_ms, word):
+def test_plans_are_nominal_until_two_replacements_are_missing(silent_ms, period_ms, left_ms, word):
     silent_ns = None if silent_ms is None else round(silent_ms * MS)
     assert plan_health(silent_ns=silent_ns, period_ns=period_ms * MS, left_ns=round(left_ms * MS)) == word
 
 
-def test_of_reports_who_never_said_anything_is_no_fault_and_who_falls_silent_is_one():
+def test_missing_reports_degrade_only_after_a_first_one():
     assert report_health(silent_ns=None, period_ns=0) == "nominal"
     assert report_health(silent_ns=500 * MS, period_ns=100 * MS) == "nominal"
     assert report_health(silent_ns=500 * MS + 1, period_ns=100 * MS) == "degraded"
@@ -117,7 +117,7 @@ def test_the_worst_of_several_counts():
         ({"failsafe_s": 61.0}, "failsafe_s"),
     ],
 )
-def test_thresholds_that_contradict_each_other_are_refused_by_name(table, field):
+def test_thresholds_that_contradict_each_other_are_rejected_by_name(table, field):
     with pytest.raises(ConfigError, match=field):
         validate(config.parse({"ages": table}, ControllerConfig, source="settings"), source="settings")
     fine = msgspec.structs.replace(ControllerConfig(), ages=Ages(degraded_s=0.2, hold_s=0.2, failsafe_s=0.2))

@@ -1,4 +1,4 @@
-"""One input as its receiver sees it: order, source, period, alive, valid, rate."""
+"""Input monitor: order, source, period, alive, valid, rate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ltv_mpc.safety.input_monitor import CLOCK_SET_BACK_NS, InputMonitor, Period
 MS = 1_000_000
 
 
-def heard(*stamps_ms: float, epoch: int = 7, delay_ms: float = 0.0) -> InputMonitor:
+def received(*stamps_ms: float, epoch: int = 7, delay_ms: float = 0.0) -> InputMonitor:
     of = InputMonitor()
     for k, t in enumerate(stamps_ms):
         assert of.receive(epoch=epoch, sequence=k, stamp_ns=round(t * MS), received_ns=round((t + delay_ms) * MS))
@@ -28,28 +28,28 @@ def test_the_period_is_the_median_spacing_despite_losses_and_bursts():
     assert period.median_ns == 20 * MS
 
 
-def test_before_the_first_nothing_is_so():
+def test_before_the_first_message_every_flag_is_false():
     assert InputMonitor().state_at(0) == (False, False, False, None, 0)
 
 
 def test_alive_is_by_arrival_and_valid_by_stamp():
-    late = heard(*range(0, 1000, 100), delay_ms=700)  # each 0.7 s old when it comes
+    late = received(*range(0, 1000, 100), delay_ms=700)  # each 0.7 s old when it comes
     assert late.state_at(1650 * MS)[:3] == (True, False, True)
     assert late.state_at(2200 * MS)[:3] == (False, False, True)
     assert late.silent_ns(1650 * MS) == 50 * MS
-    prompt = heard(*range(0, 1000, 100))
+    prompt = received(*range(0, 1000, 100))
     assert prompt.state_at(1400 * MS)[:3] == (True, True, True)
     assert prompt.state_at(1400 * MS + 1)[:3] == (False, False, True)
     assert prompt.state_at(950 * MS).age_ns == 50 * MS
 
 
-def test_the_rate_is_not_kept_where_more_than_half_is_missing():
-    assert heard(0, 100, 200, 300, 400, 500, 900).state_at(900 * MS).rate
-    assert not heard(0, 100, 200, 300, 400, 500, 2000).state_at(2000 * MS).rate
+def test_the_rate_is_false_if_more_than_half_of_the_messages_are_missing():
+    assert received(0, 100, 200, 300, 400, 500, 900).state_at(900 * MS).rate
+    assert not received(0, 100, 200, 300, 400, 500, 2000).state_at(2000 * MS).rate
 
 
-def test_what_comes_again_or_after_a_newer_one_is_counted_and_not_read():
-    of = heard(0, 100, 200)
+def test_repeated_and_older_messages_are_rejected_and_counted():
+    of = received(0, 100, 200)
     before = of.state_at(300 * MS)
     assert not of.receive(epoch=7, sequence=2, stamp_ns=200 * MS, received_ns=210 * MS)
     assert not of.receive(epoch=7, sequence=1, stamp_ns=300 * MS, received_ns=300 * MS)
@@ -60,17 +60,17 @@ def test_what_comes_again_or_after_a_newer_one_is_counted_and_not_read():
 
 
 def test_a_restarted_source_continues_and_one_with_its_clock_set_back_restarts():
-    of = heard(0, 100, 200)
+    of = received(0, 100, 200)
     assert of.receive(epoch=9, sequence=0, stamp_ns=900 * MS, received_ns=900 * MS)
     assert not of.receive(epoch=9, sequence=0, stamp_ns=1000 * MS, received_ns=1000 * MS)
     assert of.receive(epoch=9, sequence=1, stamp_ns=900 * MS - CLOCK_SET_BACK_NS - 1, received_ns=1000 * MS)
     assert of.state_at(1000 * MS).period_ns == 0
 
 
-def test_a_clock_that_jumps_ahead_and_comes_back_leaves_nothing_behind():
-    """By 5 s, which is no set back clock, and by 200 s."""
+def test_a_clock_that_jumps_ahead_and_returns_has_no_lasting_effect():
+    """A jump by 5 s is below the limit of a clock that was set back; 200 s is above it."""
     for jump_ms in (1_001, 5_000, 200_000):
-        of = heard(0, 100, 200)
+        of = received(0, 100, 200)
         assert not of.receive(epoch=7, sequence=3, stamp_ns=(300 + jump_ms) * MS, received_ns=300 * MS)
         assert of.rejected == 1
         assert of.receive(epoch=7, sequence=4, stamp_ns=400 * MS, received_ns=400 * MS)
@@ -79,7 +79,7 @@ def test_a_clock_that_jumps_ahead_and_comes_back_leaves_nothing_behind():
 
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 9), st.integers(0, 2000)), max_size=30))
-def test_what_is_read_of_one_source_has_growing_sequences_and_stamps(messages):
+def test_accepted_messages_of_one_source_have_increasing_sequences_and_stamps(messages):
     of, last = InputMonitor(), {}
     newest = -1
     for epoch, sequence, stamp_ms in messages:

@@ -1,4 +1,4 @@
-"""The alarm "the vehicle does not do what its model says": against exact motions, and against another solver."""
+"""Model monitor: residuals and alarm, against exact motions of vehicles with and without loss of thrust."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Thrust = Callable[[float], tuple[float, float]]
 
 
 def surging(t: float) -> tuple[float, float]:
-    """40 N a side, ahead and astern, turning meanwhile."""
+    """Thrusts of 40 N ahead and astern on each side, with turns."""
     return 40.0 * math.sin(0.8 * t) + 15.0 * math.sin(2.1 * t), 40.0 * math.sin(0.8 * t) - 15.0 * math.sin(1.3 * t)
 
 
@@ -34,25 +34,25 @@ def applied(k: int, thrust: tuple[float, float]) -> Applied:
 
 
 class Sea:
-    """The equations of motion in small steps, with thrusts other than those reported."""
+    """Vehicle that follows the equations of motion in small steps, with a share of the reported thrusts."""
 
     def __init__(self, *, thrust: Thrust = surging, true: Coefficients | None = None, settling_s: float = 0.0) -> None:
         self.monitor = ModelMonitor(PAPER, 1e-3, settling_s=settling_s)
         self.share = np.ones(2)
         self.cost_Ns = 0.0
-        self.words: list[ModelCheck] = []
+        self.messages: list[ModelCheck] = []
         self.current = STILL
         self._thrust, self._p = thrust, true or PAPER.coefficients()
-        self._x, self._k = np.zeros(6), 0
+        self.x, self.cycle = np.zeros(6), 0
 
-    def sail(self, seconds: float, *, until_alarm: bool = False, told: Callable[[Estimate], Estimate] = lambda e: e):
+    def sail(self, seconds: float, *, until_alarm: bool = False, altered: Callable[[Estimate], Estimate] = lambda e: e):
         for _ in range(round(seconds / 0.1)):
-            t = 0.1 * self._k
-            self.monitor.report(applied(self._k, self._thrust(t)))
-            if self._k % CYCLE == 0:
-                word = self.monitor.update(told(self._estimate()))
-                if word is not None:
-                    self.words.append(word)
+            t = 0.1 * self.cycle
+            self.monitor.report(applied(self.cycle, self._thrust(t)))
+            if self.cycle % CYCLE == 0:
+                message = self.monitor.update(altered(self._estimate()))
+                if message is not None:
+                    self.messages.append(message)
                 if until_alarm and self.monitor.alarm:
                     return
             for i in range(10):
@@ -60,16 +60,16 @@ class Sea:
                 F = self.share * reported
                 self.cost_Ns += STEP_S * np.abs(reported - F).sum()
                 slope = [np.empty(6) for _ in range(2)]
-                derivative(self._x, F, np.zeros(2), np.zeros(2), self._p, slope[0])
-                derivative(self._x + 0.5 * STEP_S * slope[0], F, np.zeros(2), np.zeros(2), self._p, slope[1])
-                self._x += STEP_S * slope[1]
-            self._k += 1
+                derivative(self.x, F, np.zeros(2), np.zeros(2), self._p, slope[0])
+                derivative(self.x + 0.5 * STEP_S * slope[0], F, np.zeros(2), np.zeros(2), self._p, slope[1])
+                self.x += STEP_S * slope[1]
+            self.cycle += 1
 
     def _estimate(self) -> Estimate:
-        n, e, u, v, psi, r = self._x.tolist()
+        n, e, u, v, psi, r = self.x.tolist()
         cos, sin = math.cos(psi), math.sin(psi)
         return Estimate(
-            t_ns=self._k * PERIOD_NS,
+            t_ns=self.cycle * PERIOD_NS,
             north_m=n,
             east_m=e,
             heading_rad=math.remainder(psi, math.tau),
@@ -82,7 +82,7 @@ class Sea:
 
 
 def off_by(thrust: float, drag: float, mass: float) -> Sea:
-    """All of a kind off by a factor."""
+    """Vehicle whose thrust, drag and mass are off by factors."""
     p = PAPER.coefficients()
     factors = {name: drag for name in p._fields if name.startswith(("linear", "quadratic"))}
     factors |= dict.fromkeys(("mass_surge", "mass_sway", "mass_heave", "inertia_yaw", "dry_mass"), mass)
@@ -91,16 +91,16 @@ def off_by(thrust: float, drag: float, mass: float) -> Sea:
     return sea
 
 
-def test_a_vehicle_that_does_as_its_model_says_leaves_no_residual_and_no_evidence():
+def test_a_vehicle_that_follows_its_model_has_no_residual_and_no_evidence():
     sea = Sea()
-    sea._x[2:] = 0.2, 0.3, 0.0, 0.2  # sideways and turning: 30 N of Coriolis force at first
+    sea.x[2:] = 0.2, 0.3, 0.0, 0.2  # sideways and turning: 30 N of Coriolis force at first
     sea.sail(12.0)
     assert sea.monitor.evidence < 0.1
-    residuals = [abs(word.residual_N) for word in sea.words]
+    residuals = [abs(message.residual_N) for message in sea.messages]
     assert len(residuals) == pytest.approx(12, abs=3)  # one a second, at the next estimate
     assert residuals[0] < 3.0
     assert max(residuals[1:]) < 0.5
-    assert max(abs(word.residual_Nm) for word in sea.words) < 0.1
+    assert max(abs(message.residual_Nm) for message in sea.messages) < 0.1
 
 
 @pytest.mark.parametrize("thrust", [0.9, 1.1])
@@ -110,44 +110,44 @@ def test_mismatch_of_ten_per_cent_of_everything_gives_no_alarm(thrust, drag, mas
     sea = off_by(thrust, drag, mass)
     sea.sail(12.0)
     assert sea.monitor.evidence < 0.25 * ALARM_NATS
-    assert not any(word.alarm for word in sea.words)
+    assert not any(message.alarm for message in sea.messages)
 
 
 @pytest.mark.parametrize(
     ("share", "named"), [((0.7, 0.7), (0.3, 0.3)), ((0.7, 1.0), (0.3, 0.0)), ((1.0, 0.0), (0.0, 1.0))]
 )
-@pytest.mark.parametrize("begun_s", [3.0, 5.1])
-def test_a_loss_is_found_at_the_first_estimate_after_it_has_cost_ten_newton_seconds(share, named, begun_s):
+@pytest.mark.parametrize("start_s", [3.0, 5.1])
+def test_a_loss_is_found_at_the_first_estimate_after_it_has_cost_ten_newton_seconds(share, named, start_s):
     sea = Sea()
-    sea.sail(begun_s)
+    sea.sail(start_s)
     sea.share[:] = share
     sea.sail(8.0, until_alarm=True)
     assert sea.monitor.alarm
-    a_cycle = 0.3 * max(abs(x) for x in surging(0.1 * sea._k)) * 2
+    a_cycle = 0.3 * max(abs(x) for x in surging(0.1 * sea.cycle)) * 2
     assert sea.cost_Ns < 10.0 + a_cycle
     sea.sail(3.0)
-    last = sea.words[-1]
+    last = sea.messages[-1]
     assert last.alarm
     lost, kept = max(last.thrust_loss), min(last.thrust_loss)
     assert (lost > 0.25, kept > 0.25) == (max(named) > 0, min(named) > 0)
     assert f"starboard {round(100 * last.thrust_loss[1])} %" in last.why
 
 
-def test_an_alarm_is_said_at_once_and_ends_a_while_after_the_loss():
+def test_an_alarm_is_published_at_once_and_ends_some_time_after_the_loss():
     sea = Sea()
     sea.sail(3.0)
     sea.share[:] = 0.5
     sea.sail(8.0, until_alarm=True)
-    assert sea.words[-1].alarm
-    assert sea.words[-1].t_ns == (sea._k) * PERIOD_NS
+    assert sea.messages[-1].alarm
+    assert sea.messages[-1].t_ns == sea.cycle * PERIOD_NS
     sea.share[:] = 1.0
     sea.sail(0.3 * (WINDOWS[-1] + QUIET_CYCLES) + 3.0)
     assert not sea.monitor.alarm
-    assert sea.words[-1].why == ""
+    assert sea.messages[-1].why == ""
 
 
 def settling(e: Estimate) -> Estimate:
-    """Astern of the truth by 8 mm/s more with each of seven estimates, as where fixes and pings find together."""
+    """Add an error of 8 mm/s astern with each of seven estimates, as while fixes and pings are reconciled."""
     less = SETTLING_MPS * min(e.t_ns / (CYCLE * PERIOD_NS), 7.0)
     north, east = e.velocity_north_mps, e.velocity_east_mps
     cos, sin = math.cos(e.heading_rad), math.sin(e.heading_rad)
@@ -157,8 +157,8 @@ def settling(e: Estimate) -> Estimate:
 @pytest.mark.parametrize(("settling_s", "alarm"), [(5.0, False), (0.0, True)])
 def test_a_velocity_that_settles_in_the_first_seconds_of_thrust_is_no_loss(settling_s, alarm):
     sea = Sea(settling_s=settling_s)
-    sea.sail(4.5, told=settling)
-    assert any(word.alarm for word in sea.words) is alarm
+    sea.sail(4.5, altered=settling)
+    assert any(message.alarm for message in sea.messages) is alarm
 
 
 def test_in_the_first_seconds_of_thrust_a_loss_shows_in_the_turn():
@@ -177,7 +177,7 @@ def test_a_weak_thrust_that_costs_nothing_is_no_alarm():
 
 
 @pytest.mark.parametrize("missing", ["reports", "current"])
-def test_without_reports_or_a_current_nothing_is_said(missing):
+def test_without_reports_or_a_current_nothing_is_published(missing):
     sea = Sea()
     sea.share[:] = 0.3
     if missing == "reports":
@@ -185,14 +185,14 @@ def test_without_reports_or_a_current_nothing_is_said(missing):
     else:
         sea.current = None
     sea.sail(5.0)
-    assert sea.words == []
+    assert sea.messages == []
     assert not sea.monitor.alarm
 
 
-def test_a_correction_that_the_filter_owns_up_to_is_no_loss():
-    """A fix moves the velocity against the thrust by 4 cm/s, 20 N s: as large as the variance that it takes away."""
+def test_a_correction_that_shows_in_the_variance_is_no_loss():
+    """A fix changes the velocity by 4 cm/s, 20 N s, against the thrust: as much as its variance falls."""
 
-    def told(estimate: Estimate) -> Estimate:
+    def altered(estimate: Estimate) -> Estimate:
         before = estimate.t_ns < 4 * 10**9
         psi = estimate.heading_rad
         wrong = 0.04 if before else 0.0
@@ -205,18 +205,18 @@ def test_a_correction_that_the_filter_owns_up_to_is_no_loss():
         )
 
     sea = Sea()
-    sea.sail(8.0, told=told)
-    assert not any(word.alarm for word in sea.words)
+    sea.sail(8.0, altered=altered)
+    assert not any(message.alarm for message in sea.messages)
     silent = Sea()
-    silent.sail(8.0, told=lambda e: msgspec.structs.replace(told(e), covariance=None))
-    assert any(word.alarm for word in silent.words)
+    silent.sail(8.0, altered=lambda e: msgspec.structs.replace(altered(e), covariance=None))
+    assert any(message.alarm for message in silent.messages)
 
 
-def test_a_velocity_that_wanders_within_what_the_filter_says_is_no_loss():
-    """By 1 cm/s rms over some seconds, ahead."""
+def test_a_velocity_error_that_varies_within_its_variance_is_no_loss():
+    """The error ahead has 1 cm/s rms and varies over some seconds."""
     waves = 2.0 * math.pi * np.array([0.07, 0.11, 0.16, 0.23])
 
-    def told(estimate: Estimate, variance: float = 0.01**2) -> Estimate:
+    def altered(estimate: Estimate, variance: float = 0.01**2) -> Estimate:
         t, psi = estimate.t_ns * 1e-9, estimate.heading_rad
         wrong = 0.01 * math.sqrt(2.0 / len(waves)) * float(np.sin(waves * t + waves).sum())
         return msgspec.structs.replace(
@@ -227,27 +227,27 @@ def test_a_velocity_that_wanders_within_what_the_filter_says_is_no_loss():
         )
 
     sea, sure = off_by(0.9, 1.1, 1.1), off_by(0.9, 1.1, 1.1)
-    sea.sail(40.0, told=told)
-    assert not any(word.alarm for word in sea.words)
-    sure.sail(40.0, told=lambda e: told(e, 1e-8))
-    assert any(word.alarm for word in sure.words)
+    sea.sail(40.0, altered=altered)
+    assert not any(message.alarm for message in sea.messages)
+    sure.sail(40.0, altered=lambda e: altered(e, 1e-8))
+    assert any(message.alarm for message in sure.messages)
 
 
-def test_one_that_goes_on_from_what_another_learned_knows_the_vehicle():
-    """One that did more than its model says, and now does 30 % less: by its model alone that is a loss of 23 %."""
+def test_a_restored_monitor_knows_the_behaviour_of_the_vehicle():
+    """The vehicle was stronger than its model and loses 30 %: compared with its model alone, it loses 23 %."""
     before = off_by(1.1, 0.9, 0.9)
     before.sail(30.0)
-    learned = before.monitor.products
+    products = before.monitor.products
     knowing, forgetful = (off_by(0.77, 0.9, 0.9) for _ in range(2))  # 30 % less than it was
-    knowing.monitor.restore(learned)
-    np.testing.assert_array_equal(knowing.monitor.products, learned)
+    knowing.monitor.restore(products)
+    np.testing.assert_array_equal(knowing.monitor.products, products)
     assert forgetful.monitor.products is None
     for sea in (knowing, forgetful):
         sea.sail(3.0)
     assert knowing.monitor.evidence > 2.0 * forgetful.monitor.evidence
 
 
-def test_one_that_goes_on_does_not_wait_for_a_dive_to_settle():
+def test_a_restored_monitor_does_not_wait_for_the_filter_to_settle():
     before = Sea()
     before.sail(30.0)
     sea = Sea(settling_s=5.0)
@@ -257,17 +257,17 @@ def test_one_that_goes_on_does_not_wait_for_a_dive_to_settle():
     assert sea.monitor.alarm
 
 
-def test_after_a_gap_it_begins_anew():
+def test_after_a_gap_the_window_starts_empty():
     sea = Sea()
     sea.share[:] = 0.5
     sea.sail(0.6)
-    sea.sail(2.0, told=lambda e: msgspec.structs.replace(e, current=None))  # nothing to go by
+    sea.sail(2.0, altered=lambda e: msgspec.structs.replace(e, current=None))  # no current
     assert sea.monitor.evidence == 0.0
     sea.sail(3.0)
     assert sea.monitor.alarm
 
 
-def test_an_estimate_of_a_time_that_the_reports_do_not_reach_back_to_is_not_used():
+def test_an_estimate_before_the_first_report_is_not_used():
     monitor = ModelMonitor(PAPER, 1e-3)
     monitor.report(applied(50, (1.0, 1.0)))
     assert monitor.update(msgspec.structs.replace(Estimate.at_rest(depth_m=0.0), current=STILL)) is None

@@ -1,4 +1,4 @@
-"""The gate: commands against Plan.thrust_at, and against box and slew whatever is offered."""
+"""Plan gate: commands against Plan.thrust_at, and within box and slew limit for every sequence of plans."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_plan_before_stays_in_force_until_the_next_one_starts():
     assert gate.command_at(500_000_000) == pytest.approx([45, 45, 45])
 
 
-def test_a_plan_that_waits_is_replaced_by_a_newer_one_that_starts_no_later():
+def test_a_future_plan_is_replaced_by_a_newer_one_that_starts_no_later():
     gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(constant(0, 5.0, 5.0, 5.0, knots=30), 1, 0, 0)
@@ -68,7 +68,7 @@ def test_a_plan_that_waits_is_replaced_by_a_newer_one_that_starts_no_later():
 
 
 def test_commands_at_many_times_are_those_at_each_in_turn():
-    """Also where a plan starts, or the last one ends, in between."""
+    """Plans start, and the last one ends, between these times."""
     one, many = PlanGate(VEHICLE), PlanGate(VEHICLE)
     offered = [
         plan(0, [[0, 0, 0], [30, -30, 20], [60, -30, 20], [31, 0, 50]]),
@@ -99,7 +99,7 @@ def test_after_its_last_knot_a_plan_ramps_to_zero_and_to_the_vertical_failsafe()
     assert gate.command_at(end + 630_000_000) == (0.0, 0.0, 0.0)
 
 
-def test_a_late_plan_is_counted_and_met_at_the_slew_limit_at_its_present_time():
+def test_a_late_plan_is_counted_and_approached_at_the_slew_limit():
     gate = PlanGate(VEHICLE)
     gate.command_at(0)
     late = plan(0, [[0, 0, 0], [30, 30, 0], [60, 60, 0], [60, 60, 0], [60, 60, 0]])
@@ -118,7 +118,7 @@ def test_a_plan_that_arrives_at_its_start_is_not_late():
     assert gate.offer(constant(S, 0.0, 0.0, 0.0), 1, 1, S + 1) is PlanVerdict.LATE
 
 
-def test_plans_out_of_order_are_refused():
+def test_plans_out_of_order_are_rejected():
     gate = PlanGate(VEHICLE)
     verdicts = [gate.offer(constant(0, 1.0, 1.0, 1.0), 7, k, 0) for k in (4, 4, 3, 5)]
     assert verdicts == [PlanVerdict.ACCEPTED, PlanVerdict.OUT_OF_ORDER, PlanVerdict.OUT_OF_ORDER, PlanVerdict.ACCEPTED]
@@ -129,7 +129,7 @@ def test_plans_out_of_order_are_refused():
 
 
 def commanded(gate: PlanGate, epoch: int, until_ns: int, *, period_ns: int = STAGE_NS, thrust: float = 10.0) -> int:
-    """A commander that gives a plan each period up to ``until_ns``; when it gave its last."""
+    """Send a plan each period up to ``until_ns`` and return the time of the last one."""
     for k, t in enumerate(range(0, until_ns, period_ns)):
         gate.command_at(t)
         assert gate.offer(constant(t, thrust, thrust, thrust, knots=18), epoch, k, t) is PlanVerdict.ACCEPTED
@@ -165,7 +165,7 @@ def test_a_commander_is_replaced_once_two_replacements_of_its_plan_are_missing(p
 
 
 def test_a_restarted_controller_is_followed_within_two_wall_seconds_at_any_speed():
-    """It died at 3 s; spawned in 0.5 s of wall time and silent for 1 s of the vehicle's."""
+    """The controller died at 3 s; it is started again in 0.5 s of wall time and silent for 1 s of vehicle time."""
     gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 3 * S)
     again = last + 1 * S
@@ -173,7 +173,7 @@ def test_a_restarted_controller_is_followed_within_two_wall_seconds_at_any_speed
     assert gate.health(again) == "nominal"
 
 
-def test_at_the_end_of_its_plan_a_commander_has_no_claim_left():
+def test_after_the_end_of_its_plan_a_commander_is_replaced_at_once():
     gate = PlanGate(VEHICLE)
     gate.offer(constant(0, 1.0, 1.0, 1.0, knots=2), 7, 0, 0)
     assert gate.health(STAGE_NS) == "nominal"
@@ -181,7 +181,7 @@ def test_at_the_end_of_its_plan_a_commander_has_no_claim_left():
     assert gate.offer(constant(STAGE_NS + 1, 1.0, 1.0, 1.0), 9, 0, STAGE_NS + 1) is PlanVerdict.ACCEPTED
 
 
-def test_who_sends_what_is_refused_does_not_stay_in_charge_by_that():
+def test_a_commander_whose_plans_are_rejected_is_replaced():
     gate = PlanGate(VEHICLE)
     last = commanded(gate, 7, 3 * S)
     for k in range(8):
@@ -219,7 +219,7 @@ def test_the_memory_of_commanders_is_bounded():
         ([[0, 0, 31], [0, 0, 0]], PlanVerdict.OUTSIDE_SLEW),
     ],
 )
-def test_a_plan_outside_box_or_slew_is_refused_and_nothing_changes(thrust, verdict):
+def test_a_plan_outside_box_or_slew_is_rejected_and_nothing_changes(thrust, verdict):
     gate = PlanGate(VEHICLE)
     gate.command_at(0)
     gate.offer(constant(0, 20.0, 20.0, 20.0, knots=20), 1, 0, 0)
@@ -252,7 +252,7 @@ offers = st.lists(st.tuples(st.integers(-300, 600), thrusts, st.integers(0, 2)),
 
 @settings(max_examples=150, deadline=None)
 @given(offers)
-def test_no_command_leaves_box_or_slew_whatever_is_offered_by_whomever(sequence):
+def test_no_command_leaves_box_or_slew_limit_for_any_sequence_of_plans(sequence):
     gate = PlanGate(VEHICLE)
     rows = [gate.command_at(0)]
     t = 0
@@ -266,7 +266,7 @@ def test_no_command_leaves_box_or_slew_whatever_is_offered_by_whomever(sequence)
     assert (np.abs(np.diff(rows, axis=0)) <= 1.0 + 1e-12).all()
 
 
-def test_without_plans_the_vertical_thruster_goes_where_the_vehicle_s_file_wants_it():
+def test_without_plans_the_vertical_thrust_is_the_failsafe_of_the_vehicle():
     vehicle = msgspec.structs.replace(VEHICLE, failsafe_vertical_N=-20.0)
     gate = PlanGate(vehicle)
     gate.command_at(0)

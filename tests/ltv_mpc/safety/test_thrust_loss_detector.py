@@ -1,4 +1,4 @@
-"""The test for a loss of thrust, against another solver and a vehicle of which everything is known."""
+"""Thrust loss detector, against another solver and a fully known vehicle."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NOTHING = np.zeros((4, 4))
 
 
 def cycles(rng: np.random.Generator, count: int, x, loss=(0.0, 0.0)) -> np.ndarray:
-    """Rows of cycles with thrusts that differ, of a vehicle that is ``x`` otherwise than its model."""
+    """Rows of cycles with different thrusts, of a vehicle whose mismatch c, s, b is ``x``."""
     rows = np.zeros((count, 5, 2))
     impulse, drag = rng.uniform(5.0, 15.0, (2, count)), rng.uniform(-4.0, 4.0, (count, 2))
     rows[:, 1] = impulse[0][:, None] * [1.0, 0.5]
@@ -43,9 +43,9 @@ def products_of(rows: np.ndarray) -> np.ndarray:
     return known
 
 
-@pytest.mark.parametrize("lost", [False, True], ids=["as ever", "lost"])
+@pytest.mark.parametrize("lost", [False, True], ids=["no loss", "lost"])
 @pytest.mark.parametrize("mass", range(LOWEST.shape[1]))
-def test_the_least_squares_are_those_of_another_solver(mass, lost):
+def test_the_minimum_agrees_with_another_solver(mass, lost):
     rng = np.random.default_rng(4 + mass)
     low, high = LOWEST[:, mass], HIGHEST[:, mass]
     for _ in range(10):
@@ -69,11 +69,11 @@ def test_whitened_rows_have_independent_noise_of_unit_variance():
     np.testing.assert_allclose(through @ through.T, np.eye(n), atol=1e-12)
 
 
-def test_nothing_is_weighed_before_two_estimates():
+def test_one_cycle_gives_no_evidence():
     assert evaluate(np.zeros((1, 5, 2)), NOTHING) == (0.0, 0.0, 0.0)
 
 
-def test_a_loss_shows_sooner_on_a_vehicle_that_is_known_and_as_much_as_it_is():
+def test_a_known_vehicle_gives_more_evidence_of_a_loss_and_its_size():
     rng = np.random.default_rng(7)
     x = (0.1, 0.02, -0.05)
     lost = cycles(rng, 6, x, loss=(0.3, 0.0))
@@ -85,7 +85,7 @@ def test_a_loss_shows_sooner_on_a_vehicle_that_is_known_and_as_much_as_it_is():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_was_seen_just_before_a_loss_counts_at_once(seed):
+def test_cycles_just_before_a_loss_add_evidence_at_once(seed):
     rng = np.random.default_rng(seed)
     before, lost = cycles(rng, 24, (0.05, 0.05, 0.0)), cycles(rng, 4, (0.05, 0.05, 0.0), loss=(0.3, 0.3))
     alone, *_ = evaluate(np.ascontiguousarray(lost[::-1]), NOTHING)
@@ -94,7 +94,7 @@ def test_what_was_seen_just_before_a_loss_counts_at_once(seed):
 
 
 @pytest.mark.parametrize("edge", [LOWEST, HIGHEST], ids=["low", "high"])
-def test_a_vehicle_at_the_edge_of_what_is_allowed_that_stays_so_is_no_loss(edge):
+def test_constant_mismatch_at_its_bound_is_no_loss(edge):
     rng = np.random.default_rng(8)
     c, s, b, *_ = edge[:, 2]
     rows = cycles(rng, 400, (c + s, c - s, b))
@@ -107,7 +107,7 @@ def test_a_vehicle_at_the_edge_of_what_is_allowed_that_stays_so_is_no_loss(edge)
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_what_one_of_two_thrusters_lacks_is_no_mismatch(seed):
+def test_a_loss_of_one_thruster_is_not_explained_by_mismatch(seed):
     """Two of one make have nearly the same error (``THRUSTER_DIFFERENCE``). With 20 % this would be 2 to 7 nats."""
     lost = cycles(np.random.default_rng(seed), 20, (0.0, 0.0, 0.0), loss=(0.3, 0.0))
     assert evaluate(lost, NOTHING)[0] > 12.0
@@ -115,7 +115,7 @@ def test_what_one_of_two_thrusters_lacks_is_no_mismatch(seed):
     assert evaluate(apart, NOTHING)[0] < 6.0
 
 
-def test_one_wild_cycle_is_no_evidence():
+def test_one_outlier_is_no_evidence():
     rng = np.random.default_rng(9)
     rows = cycles(rng, 10, (0.0, 0.0, 0.0))
     calm, *_ = evaluate(rows, NOTHING)

@@ -1,4 +1,4 @@
-"""The equations of motion held against physics, finite differences and an independent integrator."""
+"""Equations of motion, against physics, finite differences and an independent integrator."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_velocity_over_ground_is_that_through_the_water_plus_the_current(x, c, c
 
 @given(states, pairs)
 def test_shear_leaves_the_dry_mass_at_its_velocity_over_ground(x, cr):
-    """With no added mass (M = m) and no drag a vehicle keeps its velocity over ground whatever the water does."""
+    """Without added mass (M = m) and drag a vehicle keeps its velocity over ground in any current."""
     m = 180.0
     p = FREE._replace(mass_surge=m, mass_sway=m, dry_mass=m)
     dx = slope(x, ZERO, ZERO, cr, p)
@@ -136,7 +136,7 @@ def test_full_thrust_reaches_half_a_metre_a_second_ahead_and_a_fifth_down():
 
 
 def test_heave_is_thrust_less_both_drags_less_net_buoyancy():
-    """By hand: 330 w' = 40 - 12 w - 700 |w| w - 30.5."""
+    """Computed by hand: 330 w' = 40 - 12 w - 700 |w| w - 30.5."""
     assert P.net_buoyancy == pytest.approx(30.5)
     assert 330 * heave_acceleration(0.5, 40.0, P) == pytest.approx(40 - 6 - 175 - 30.5)
     assert 330 * heave_acceleration(-0.5, 40.0, P) == pytest.approx(40 + 6 + 175 - 30.5)
@@ -204,7 +204,7 @@ def test_a_thruster_reaches_63_percent_of_a_step_after_its_lag():
 
 
 def test_without_lag_a_thruster_delivers_its_command():
-    """Not only at the end of a stage: the motion is that of the command at every instant."""
+    """The motion follows the command at every instant, not only at the end of a stage."""
     p = P._replace(lag_port=0.0, lag_starboard=0.0)
     X, u0, uh = np.zeros(8), np.array([-40.0, 25.0]), np.array([7.0, -3.0])
 

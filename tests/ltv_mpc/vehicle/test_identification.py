@@ -1,4 +1,4 @@
-"""Coefficients found again in the motion of a vehicle that an integrator of this test's own has moved."""
+"""Identification: coefficients recovered from the motion of a vehicle, by an independent integrator."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ ARMS = msgspec.structs.replace(
         starboard=msgspec.structs.replace(BELIEVED.thruster.starboard, arm_m=0.16),
     ),
 )
-"""The file has the arms right, and no mass nor damping."""
+"""Vehicle file with correct arms, and wrong masses and damping."""
 
 
 @pytest.fixture(scope="module")
@@ -92,21 +92,21 @@ def clean() -> Motion:
     return moved(90.0, 1)
 
 
-def test_without_errors_everything_is_found_again(clean: Motion) -> None:
-    """From reports: all but what is taken from the file, which has them right."""
+def test_without_errors_all_coefficients_are_recovered(clean: Motion) -> None:
+    """With reports, all but those taken from the file, which are correct there."""
     found = values(identify(ARMS, clean))
     assert set(found) == set(TRUE) - {"thrust", "arm_port", "arm_starboard"}
     for name, value in found.items():
         assert value == pytest.approx(TRUE[name], rel=0.03), name
 
 
-def test_without_reports_the_lags_are_found_in_the_motion(clean: Motion) -> None:
+def test_without_reports_the_lags_are_identified_from_the_motion(clean: Motion) -> None:
     found = values(identify(ARMS, clean._replace(thrust=None)))
     for name, value in found.items():
         assert value == pytest.approx(TRUE[name], rel=0.03), name
 
 
-def test_with_masses_known_the_thrust_scale_and_the_arms_are_found() -> None:
+def test_with_known_masses_thrust_scale_and_arms_are_identified() -> None:
     true = {**TRUE, "mass_surge": 500.0, "inertia_yaw": 179.049, "thrust": 0.8}
     found = values(identify(BELIEVED, moved(90.0, 2, true=true), "mass", "inertia"))
     assert set(found) == set(TRUE) - {"mass_surge", "inertia_yaw"}
@@ -117,7 +117,7 @@ def test_with_masses_known_the_thrust_scale_and_the_arms_are_found() -> None:
 
 
 def test_shear_acts_on_the_dry_mass() -> None:
-    """A vehicle that drifts without thrust in water that speeds up: u' = - m / M c', taken off again by the model."""
+    """A vehicle drifts without thrust in accelerating water, u' = - m / M c', which the model explains."""
     motion = moved(60.0, 3)
     gone = motion.velocity.copy()
     # north is ahead here: dry mass 200 kg of 500 in the file, 168 of 420 in truth
@@ -128,8 +128,8 @@ def test_shear_acts_on_the_dry_mass() -> None:
     assert identify(ARMS, sheared).sd[0] < 0.5 * identify(ARMS, drifting).sd[0]
 
 
-def test_with_errors_the_intervals_hold_the_truth() -> None:
-    """Nine in ten of them at the least; each is of use: within a fifth of the value where the run tells it."""
+def test_with_errors_the_intervals_contain_the_truth() -> None:
+    """At least nine in ten do, and an excited coefficient is within a fifth of its value."""
     inside, excited = [], []
     for seed in range(6):
         for one in identify(ARMS, moved(90.0, seed, sd=(0.005, 0.005, 0.002))).found:
@@ -152,8 +152,8 @@ def test_intervals_narrow_as_errors_do() -> None:
     assert wide["mass_surge"] == pytest.approx(10.0 * narrow["mass_surge"], rel=0.5)
 
 
-def test_what_a_run_does_not_excite_is_said_and_stays() -> None:
-    """Straight ahead, faster and slower: nothing turns, nothing drifts sideways."""
+def test_unexcited_coefficients_are_reported_and_keep_their_value() -> None:
+    """The vehicle moves straight ahead, faster and slower, without turns or sway."""
     t = np.arange(0.0, 60.0, H)
     both = np.repeat((20.0 + 20.0 * np.sign(np.sin(0.4 * t)))[:, None], 2, axis=1)
     even = {**TRUE, "arm_port": 0.2, "arm_starboard": 0.2, "lag_starboard": 0.2}
@@ -165,7 +165,7 @@ def test_what_a_run_does_not_excite_is_said_and_stays() -> None:
     )
 
 
-def test_a_run_that_is_too_short_says_so(clean: Motion) -> None:
+def test_a_run_that_is_too_short_raises_an_error(clean: Motion) -> None:
     short = Motion(*(x if x is None or len(x) == 3 else x[:200] for x in clean))
     with pytest.raises(NotEnoughMotion, match="at least 5 are needed"):
         identify(ARMS, short)
@@ -181,7 +181,7 @@ def test_a_lag_is_a_first_order_lag() -> None:
     assert lagged_thrust(t, np.ones(30), 0.0, 0.5) == pytest.approx(1.0 - np.exp(-t / 0.5))
 
 
-def test_what_is_found_becomes_a_vehicle(clean: Motion) -> None:
+def test_identified_coefficients_become_a_vehicle(clean: Motion) -> None:
     found = identify(ARMS, clean).found
     better = with_coefficients(ARMS, found)
     assert better.surge.mass_kg == pytest.approx(420.0, rel=0.02)

@@ -1,4 +1,4 @@
-"""A vehicle file that contradicts itself is refused before anything starts."""
+"""Vehicle files: contradictions are rejected when the file is read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAPER = Path(__file__).resolve().parents[3] / "ltv_mpc" / "vehicle" / "files" / 
 
 
 def written(folder: Path, *changes: tuple[str, str]) -> str:
-    """The paper's vehicle with lines changed, as a file."""
+    """Write the paper's vehicle with changed lines to a file."""
     text = PAPER.read_text()
     for before, after in changes:
         assert before in text
@@ -26,14 +26,14 @@ def written(folder: Path, *changes: tuple[str, str]) -> str:
 
 
 @pytest.mark.parametrize("thrust", ["62.6", "-62.6"])
-def test_a_failsafe_that_the_vertical_thruster_cannot_give_is_refused(thrust, tmp_path):
-    """Else the plans at the end of the ladder would be outside the box, and refused by the actuators."""
+def test_a_failsafe_outside_the_vertical_thrusters_box_is_rejected(thrust, tmp_path):
+    """Otherwise the plans of the last fallback level would be outside the box, and the actuators would reject them."""
     path = written(tmp_path, ("failsafe_vertical_N = 0.0", f"failsafe_vertical_N = {thrust}"))
     with pytest.raises(ConfigError, match=rf"mine.toml.*failsafe_vertical_N = {thrust}.*max_N = 62.5"):
         Vehicle.load(path)
 
 
-def test_two_thrusters_on_the_centre_line_turn_nothing_and_are_refused(tmp_path):
+def test_two_thrusters_on_the_centre_line_are_rejected(tmp_path):
     path = written(tmp_path, ("arm_m = 0.2 ", "arm_m = 0.0 "))
     with pytest.raises(ConfigError, match=r"mine.toml.*arm_m"):
         Vehicle.load(path)
@@ -52,20 +52,20 @@ HEAVE = "[heave]" + PAPER.read_text().partition("[heave]")[2].partition("[yaw]")
 @pytest.mark.parametrize(
     ("more", "missing", "there"), [(VERTICAL, "heave", "thruster.vertical"), (HEAVE, "thruster.vertical", "heave")]
 )
-def test_a_vehicle_that_dives_by_half_is_refused(more, missing, there, tmp_path):
+def test_heave_without_vertical_thruster_or_the_reverse_is_rejected(more, missing, there, tmp_path):
     (tmp_path / "mine.toml").write_text(SURFACE + more)
     with pytest.raises(ConfigError, match=rf"mine.toml.*\[{missing}\] is missing but \[{there}\] is present"):
         Vehicle.load(str(tmp_path / "mine.toml"))
 
 
-def test_a_surface_craft_with_buoyancy_to_spare_is_refused(tmp_path):
+def test_a_surface_craft_with_net_buoyancy_is_rejected(tmp_path):
     (tmp_path / "mine.toml").write_text(SURFACE.replace("[surge]", "net_buoyancy_N = 3.0\n[surge]", 1))
     with pytest.raises(ConfigError, match=r"net_buoyancy_N = 3.0: must be 0 or left out without \[heave\]"):
         Vehicle.load(str(tmp_path / "mine.toml"))
 
 
 def test_a_surface_craft_plans_no_vertical_thrust_and_needs_no_depth():
-    """Not even where its reference goes down."""
+    """Even a reference with a depth does not change that."""
     craft = Vehicle.load("surface")
     assert not craft.dives
     assert Vehicle.load("paper").dives
@@ -89,7 +89,7 @@ def test_a_surface_craft_stays_at_the_surface_in_the_simulation():
 
 
 @pytest.mark.parametrize("name", ["low-yaw", "weak-reverse"])
-def test_the_papers_variants_differ_in_what_they_say_alone(name):
+def test_the_papers_variants_differ_only_in_the_stated_values(name):
     paper, other = (tomllib.loads(PAPER.with_name(f"{x}.toml").read_text()) for x in ("paper", name))
     key = {"low-yaw": "arm_m", "weak-reverse": "min_N"}[name]
     for side in ("port", "starboard"):

@@ -1,4 +1,4 @@
-"""What a vehicle can do, against closed forms where lag and slew are switched off, and an integrator of its own."""
+"""Performance, against closed forms without lag and slew, and against an independent integrator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SURFACE = Vehicle.load("surface")
 
 
 def lateral(vehicle: Vehicle, port: dict | None = None, starboard: dict | None = None) -> Vehicle:
-    """With values of its lateral thrusters changed."""
+    """Return the vehicle with changed values of its lateral thrusters."""
     both = vehicle.thruster
     return replace(
         vehicle,
@@ -33,7 +33,7 @@ INSTANT = {"lag_s": 0.0, "slew_N_per_s": 1e6}
 PROMPT = lateral(PAPER, INSTANT, INSTANT)
 
 
-def test_top_speeds_are_where_drag_is_thrust() -> None:
+def test_at_top_speed_drag_equals_thrust() -> None:
     assert performance(PAPER).top_speed_ahead_mps == pytest.approx(math.sqrt(125.0 / 500.0))
     can = performance(SURFACE)
     assert can.top_speed_ahead_mps == pytest.approx(2 * 119.7 / 77.6)
@@ -48,7 +48,7 @@ def test_both_dampings_count() -> None:
     assert performance(both).top_speed_ahead_mps == pytest.approx((-100.0 + math.sqrt(1e4 + 2.5e5)) / 1000.0)
 
 
-def test_unequal_arms_push_straight_with_what_leaves_no_moment() -> None:
+def test_straight_thrusts_of_unequal_arms_have_no_moment() -> None:
     uneven = lateral(PAPER, {"arm_m": 0.1}, {"arm_m": 0.2})
     F = straight_thrusts(uneven, ahead=True)
     np.testing.assert_allclose(F, [62.5, 31.25])
@@ -57,7 +57,7 @@ def test_unequal_arms_push_straight_with_what_leaves_no_moment() -> None:
     assert straight_thrusts(middle, ahead=False) == pytest.approx([-62.5, 0.0])
 
 
-def test_turning_rates_are_where_drag_is_the_couple() -> None:
+def test_at_the_turning_rate_drag_equals_the_moment() -> None:
     """Equal masses and thrusts: turning on the spot, without surge or sway. 200 r^2 + 15 r = 25."""
     rate = (-15.0 + math.sqrt(15.0**2 + 4 * 200 * 25.0)) / 400.0
     can = performance(PAPER)
@@ -65,8 +65,8 @@ def test_turning_rates_are_where_drag_is_the_couple() -> None:
     assert can.turning_rate_port_radps == pytest.approx(-rate, rel=1e-6)
 
 
-def test_a_turn_with_weak_reverse_thrust_settles_where_the_equations_say() -> None:
-    """It goes ahead as it turns, and drifts outwards: held against an integrator and equations of this test's own."""
+def test_a_turn_with_weak_reverse_thrust_agrees_with_an_integrator() -> None:
+    """The vehicle moves ahead as it turns, and drifts outwards; compared with an integrator of this test."""
     weak = Vehicle.load("weak-reverse")
     assert turning_thrusts(weak, starboard=True) == pytest.approx([62.5, -15.6])
 
@@ -93,8 +93,8 @@ def test_stopping_without_lag_is_the_closed_form() -> None:
     assert can.stopping_time_s == pytest.approx(2.0 * (math.pi / 4 - math.atan(0.02)) + 0.025, abs=0.051)
 
 
-def test_stopping_has_lag_and_slew_in_it() -> None:
-    """62.5 N to -62.5 N at 100 N/s, then 0.3 s of lag: an integrator of its own."""
+def test_stopping_includes_lag_and_slew() -> None:
+    """62.5 N to -62.5 N at 100 N/s, then 0.3 s of lag, by an independent integrator."""
 
     def rates(t: float, y: np.ndarray) -> list[float]:
         _, u, F = y
@@ -111,7 +111,7 @@ def test_stopping_has_lag_and_slew_in_it() -> None:
     assert can.stopping_distance_m > 2.0 * performance(PROMPT).stopping_distance_m
 
 
-def test_surge_follows_tanh_and_sway_falls_as_quadratic_drag_has_it() -> None:
+def test_surge_follows_tanh_and_sway_decays_by_quadratic_drag() -> None:
     can = performance(PROMPT)
     # u = V tanh(t / 2 s);  1/v = 1/v0 + D t / M
     assert can.surge_s == pytest.approx(2.0 * math.atanh(1 - math.exp(-1)) + 0.025, abs=0.051)
@@ -120,14 +120,14 @@ def test_surge_follows_tanh_and_sway_falls_as_quadratic_drag_has_it() -> None:
     assert performance(PAPER).surge_s > can.surge_s + 0.3
 
 
-def test_a_quarter_turn_without_drag_is_half_a_turn_of_push_and_half_of_pull() -> None:
-    """theta = N t^2 / (4 I), to where it stands still."""
+def test_a_quarter_turn_without_drag_accelerates_for_half_of_it() -> None:
+    """The turn is theta = N t^2 / (4 I), from rest to rest."""
     free = replace(PROMPT, yaw=Rotation(inertia_kgm2=179.049, linear_damping_Nms=1e-3, quadratic_damping_kgm2=0.0))
     assert performance(free).turn_90deg_s == pytest.approx(math.sqrt(4 * 179.049 * math.pi / 2 / 25.0), rel=0.03)
     assert performance(PAPER).turn_90deg_s > performance(PROMPT).turn_90deg_s + 0.3
 
 
-def test_what_there_is_not_is_none() -> None:
+def test_figures_that_do_not_exist_are_none() -> None:
     bare = replace(
         PAPER,
         surge=Translation(mass_kg=500.0, linear_damping_kgps=0.0, quadratic_damping_kgpm=0.0),

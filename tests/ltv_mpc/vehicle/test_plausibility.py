@@ -1,4 +1,4 @@
-"""A file with a unit mistaken is doubted in a sentence that names the field; sound vehicles are not."""
+"""Plausibility: a wrong unit gives a warning that names the field; plausible vehicles give none."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAPER = (FOLDER / "files" / "paper.toml").read_text()
 
 
 def lines(first: str, count: int) -> str:
-    """So many lines of the paper's file from the one that holds ``first`` on."""
+    """Lines of the paper's file from the one that contains ``first`` on."""
     rows = PAPER.splitlines(keepends=True)
     at = next(i for i, row in enumerate(rows) if first in row)
     return "".join(rows[at : at + count])
@@ -25,7 +25,7 @@ def lines(first: str, count: int) -> str:
 
 SURGE = lines("[surge]", 2)
 SWAY = lines("quadratic_damping_kgpm = 800.0", 1)
-"""In the paper's file sway has quadratic damping alone."""
+"""Sway in the paper's file, which has quadratic damping only."""
 
 
 def doubted(vehicle: Vehicle) -> list[str]:
@@ -33,11 +33,11 @@ def doubted(vehicle: Vehicle) -> list[str]:
 
 
 @pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", str(FOLDER / "template.toml")])
-def test_shipped_vehicles_and_the_template_are_not_doubted(name: str) -> None:
+def test_shipped_vehicles_and_the_template_give_no_warning(name: str) -> None:
     assert doubted(Vehicle.load(name)) == []
 
 
-def test_vehicles_from_30_kg_to_3_t_are_not_doubted() -> None:
+def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
     vehicles = [drawn(seed) for seed in range(12)]
     assert min(v.dry_mass_kg for v in vehicles) < 60 < 2000 < max(v.dry_mass_kg for v in vehicles)
     assert {v.name: doubted(v) for v in vehicles} == {v.name: [] for v in vehicles}
@@ -91,20 +91,20 @@ def test_vehicles_from_30_kg_to_3_t_are_not_doubted() -> None:
         ("quadratic_damping_kgm2 = 200.0", "quadratic_damping_kgm2 = 200000.0", "a turn by 90 deg takes"),
     ],
 )
-def test_what_is_mistaken_is_named(before: str, after: str, says: str, tmp_path: Path) -> None:
+def test_a_wrong_value_is_named(before: str, after: str, says: str, tmp_path: Path) -> None:
     assert before in PAPER
     (tmp_path / "mine.toml").write_text(PAPER.replace(before, after, 1 if before == SWAY else -1))
     sentences = doubted(Vehicle.load(str(tmp_path / "mine.toml")))
     assert any(says in sentence for sentence in sentences), sentences
 
 
-def test_a_thruster_without_any_delay_is_doubted(tmp_path: Path) -> None:
+def test_a_thruster_without_any_delay_gives_a_warning(tmp_path: Path) -> None:
     text = PAPER.replace("lag_s = 0.3 ", "lag_s = 0.0 ").replace("slew_N_per_s = 100.0", "slew_N_per_s = 100000.0")
     (tmp_path / "mine.toml").write_text(text)
     assert any("full thrust in 0.62 ms" in sentence for sentence in doubted(Vehicle.load(str(tmp_path / "mine.toml"))))
 
 
-def test_drag_that_is_quicker_than_a_stage_is_doubted(tmp_path: Path) -> None:
+def test_drag_faster_than_a_stage_gives_a_warning(tmp_path: Path) -> None:
     text = PAPER.replace("linear_damping_Nms = 15.0", "linear_damping_Nms = 3000.0")
     (tmp_path / "mine.toml").write_text(text)
     assert any(

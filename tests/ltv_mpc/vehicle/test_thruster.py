@@ -1,4 +1,4 @@
-"""Eq 8: a thrust asked for comes back; a propeller in an inflow."""
+"""Propeller model (eq 8): thrust to revolutions and back, with inflow."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_paper_vehicle_needs_7_1_revolutions_for_full_thrust_at_half_a_mps()
     assert revolutions(62.5, 0.5, RHO, D) == pytest.approx(7.1, abs=0.1)
 
 
-def test_a_small_thrust_against_the_inflow_is_given_by_reversing():
+def test_a_small_thrust_against_the_inflow_needs_reverse_revolutions():
     """With inflow from ahead two positive n give the same small negative thrust; the propeller reverses instead."""
     assert revolutions(-0.5, 0.5, RHO, D) < 0.0
     assert revolutions(0.5, 0.5, RHO, D) > 0.0

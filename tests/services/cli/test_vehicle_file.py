@@ -1,4 +1,4 @@
-"""``vehicle new``, ``check`` and ``identify`` as a user has them."""
+"""Commands ``vehicle new``, ``check`` and ``identify``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_new_file_loads_and_nothing_is_wrong_with_it(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_new_file_loads_and_gives_no_warning(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["vehicle", "new", "mine.toml"]) == 0
     assert "ltv-mpc vehicle check mine.toml" in capsys.readouterr().out
     assert Vehicle.load(str(here / "mine.toml")).name == "mine"
@@ -30,7 +30,7 @@ def test_a_new_file_loads_and_nothing_is_wrong_with_it(here: Path, capsys: pytes
     assert out.rstrip().endswith("no warnings")
 
 
-def test_a_file_that_is_there_is_not_replaced_unless_asked(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_existing_file_is_not_replaced_without_force(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "mine.toml").write_text("precious")
     assert run(["vehicle", "new", "mine.toml"]) == 2
     assert "exists already: name another, or add --force" in capsys.readouterr().err
@@ -44,7 +44,7 @@ def test_a_place_that_cannot_be_written_is_bad_input(capsys: pytest.CaptureFixtu
     assert "cannot be written" in capsys.readouterr().err
 
 
-def test_a_check_says_what_the_vehicle_would_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_prints_the_performance(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["vehicle", "check", "paper", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["performance"]["top_speed_ahead_mps"] == pytest.approx(0.5)
@@ -53,7 +53,7 @@ def test_a_check_says_what_the_vehicle_would_do(capsys: pytest.CaptureFixture[st
     assert said["warnings"] == []
 
 
-def test_the_proposed_horizon_sees_a_turn_and_a_stop(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_proposed_horizon_covers_a_turn_and_a_stop(capsys: pytest.CaptureFixture[str]) -> None:
     """Of half a turn, where it goes astern much slower than ahead: longer than 1.9 of its time."""
     assert run(["vehicle", "check", "weak-reverse", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
@@ -63,7 +63,7 @@ def test_the_proposed_horizon_sees_a_turn_and_a_stop(capsys: pytest.CaptureFixtu
     assert said["horizon_s"] > 1.9 * said["time_scale_s"] + 0.31
 
 
-def test_what_looks_wrong_is_a_warning_and_exit_code_0(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_implausible_value_is_a_warning_with_exit_code_0(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "gram.toml").write_text(PAPER.replace("dry_mass_kg = 200.0", "dry_mass_kg = 200000.0"))
     assert run(["vehicle", "check", "gram.toml"]) == 0
     out = capsys.readouterr().out
@@ -90,7 +90,7 @@ def test_a_bad_file_is_bad_input(
     assert says in capsys.readouterr().err
 
 
-def test_a_run_says_how_its_vehicle_differs_from_the_file(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A vehicle of 1.2 times the mass and 0.8 times the drag, held in a current for a minute."""
     keys = (
         *("run.duration_s=60", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
@@ -115,6 +115,6 @@ def test_a_run_says_how_its_vehicle_differs_from_the_file(here: Path, capsys: py
     assert "mass_surge" in capsys.readouterr().out
 
 
-def test_what_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_argument_that_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["vehicle", "identify", "nowhere"]) == 2
     assert "must be a run's folder, its run.mcap, or latest" in capsys.readouterr().err
