@@ -303,15 +303,15 @@ def together(*offs: Off) -> Off:
 
 def uncoupled(*args: Any) -> Any:
     """Correct by few rows as ``correction._correct_few`` does, without the coupling of velocity and heading."""
-    x, R, P, E, score, information, rows, gate, limit, *_ = args
-    accepted, nis, S_, definite, error, deweighted, W, Y, y = correction._whiten_few(P, E, rows, gate, limit)
-    if W.shape[0]:
-        correction.shift(x, R, error)
+    (x, R, P), (E, score, information), rows, gate, limit, _ = args
+    result, white = correction._whiten_few(P, E, rows, gate, limit)
+    if white.W.shape[0]:
+        correction.apply_error(x, R, result.error)
         zero = np.zeros(len(P))
-        correction._subtract(P, W, zero, zero)
+        correction._subtract(P, white.W, zero, zero)
         if E.shape[1]:
-            correction.corrected(E, score, information, W, Y, y)
-    return accepted, nis, S_, definite, error, deweighted
+            correction.update_signatures(E, score, information, *white)
+    return result
 
 
 def of(
@@ -532,7 +532,8 @@ MECHANISMS: tuple[Mechanism, ...] = (
     *of(
         "invariant correction",
         lambda: replaced(
-            (correction, "swing", lambda error, _: np.zeros(len(error))), (correction, "_correct_few", uncoupled)
+            (correction, "heading_coupling", lambda error, _: np.zeros(len(error))),
+            (correction, "_correct_few", uncoupled),
         ),
         (FORETOLD, ONE_FIX, LONG, LONG_BLIND),
         (*CONSISTENT, *HEADING),

@@ -1,21 +1,20 @@
-"""What began lately: all water that drifts. Found by what it would have done to the filter, and made up for.
+"""Generalised likelihood ratio (GLR) detector of slow fronts: current drifts that started recently at all depths.
 
-A slow front is taken for a tilt of the vehicle and its velocity, and innovations hardly show it: 10 cm/s in 15 s moves
-the velocity by ten deviations, and no mean of innovations by four. But they show it in a known way, at its beginning
-and, the other way round, at its end; ``failure_signatures.py`` keeps what each hypothesis would have done.
+The filter mistakes a slow front for a tilt and a velocity of the vehicle, and innovations hardly show it: 10 cm/s in
+15 s moves the velocity by ten standard deviations, and no mean of innovations by four. But innovations show it with a
+known signature at its start and, with the opposite sign, at its end (``failure_signatures.py``).
 
-Hypotheses, each of two numbers nu, by when it began and ended: all water goes faster and faster, by nu (m/s2, north and
-        east), from one instant of a grid of ``STEP_NS`` on, until another one or until now. Each instant has two
-        columns; a drift that has ended is one that began less one that began later. With d the score, J the
-        information and nu ~ N(0, s^2 I) before anything was heard,
+Hypotheses  The current at all depths accelerates by nu (m/s2, north and east) from one instant of a time grid of step
+        ``STEP_NS`` until a later one or until now. Each instant has two columns of E; a drift that has ended is the
+        column of its start minus the column of its end. With score d, information J and prior nu ~ N(0, s^2 I):
             2 ln L = d^T (J + I / s^2)^-1 d,    evidence = L |I + s^2 J|^-1/2
-Found   where 2 ln L of the best of them passes ``THRESHOLD``, or ``JOINT_THRESHOLD`` where innovations have a mean as
-        well.
-Old     where those that began longer ago than the filter goes back have nearly all evidence: then estimate and
-        covariance become those of the mixture of all, weighed by their evidence; each moves the estimate by its E nu
-        and adds E (J + I / s^2)^-1 E^T. What began since is done again with a walk of the water (``process_noise.py``),
-        which asks for no shape.
-Gyros   That a gyro began to fail could be asked in the same way; what was found was the same with it and without.
+Detection   if the largest 2 ln L exceeds ``THRESHOLD``, or ``JOINT_THRESHOLD`` if a mean of innovations is significant
+        too (``process_noise.py``).
+Compensation    for a drift that is old: hypotheses that started before the filter's buffer reaches back hold nearly all
+        evidence. Estimate and covariance become those of the mixture of all hypotheses, weighted by their evidence;
+        each moves the estimate by E nu and adds E (J + I / s^2)^-1 E^T to the covariance. For a younger drift the
+        filter goes back and repeats the time since then with inflated process noise, which assumes no shape.
+Gyros   Hypotheses of a gyro fault did not change what was detected, so there are none.
 Source  Willsky & Jones 1976, A generalized likelihood ratio approach to the detection and estimation of jumps in linear
         systems, IEEE T-AC 21(1); Bar-Shalom, Li & Kirubarajan 2001, section 1.4.16 (moments of a mixture).
 """
@@ -35,86 +34,106 @@ from ltv_mpc.messages import Array
 Instants = npt.NDArray[np.int64]
 
 STEP_NS, STEPS = 3_000_000_000, 14
+"""Step and number of the instants at which a drift may start or end."""
+
 COLUMNS = 2 * STEPS
+"""Number of columns of E: north and east for each instant."""
 
 THRESHOLD = 32.0
-"""Sixty descents through water as foretold: 23 at most with the paper's sensors, 28 with realistic ones."""
+"""Smallest 2 ln L of a detection. Sixty descents through water that follows its prior reached at most 28."""
+
 JOINT_THRESHOLD = 26.0
+"""Smallest 2 ln L of a detection if a mean of innovations is significant too."""
 
 _SD_MPS2 = 0.01
-"""10 cm/s in 10 s."""
+"""Prior standard deviation s of nu (m/s2): 10 cm/s in 10 s."""
+
 _OLD = 0.9
-"""A drift that has just begun may look like one that has just ended."""
-_SHAPE = 0.15
-"""A front is not quite a ramp: so much of what the estimate is moved by is doubted besides."""
+"""Smallest evidence of old hypotheses. A drift that has just started may look like one that has just ended."""
+
+_SHAPE_ERROR = 0.15
+"""Standard deviation of the compensation relative to itself, because a front is not exactly a ramp."""
+
 _NONE_NS = -(2**62)
-_LEAST = 1e-4
-"""Share of the evidence below which a hypothesis is not mixed in."""
+"""Start time of an instant that is not in use."""
+
+_MIN_EVIDENCE = 1e-4
+"""Smallest share of the evidence of a hypothesis in the mixture."""
 
 
 class OnsetDetection(NamedTuple):
-    """Of the mixture: by how much the estimate is to be moved, and a root of what that adds to its covariance."""
+    """Detected drift: the mean error of the mixture, and a square root of the covariance that compensation adds."""
 
-    statistic: float  # the largest 2 ln L
-    is_old: bool  # very likely
-    error: Array  # (n,)
-    root: Array  # (n, r)
+    statistic: float  # largest 2 ln L
+    is_old: bool  # started before the filter's buffer reaches back, with high probability
+    error: Array  # (n,) mean error
+    root: Array  # (n, r) the added covariance is root root^T
 
     def compensate(self, belief: Belief) -> None:
-        """Move the estimate."""
+        """Add the mean error to the estimate and its uncertainty to the covariance."""
         belief.apply_error(self.error)
         belief.P += self.root @ self.root.T
 
 
 class GlrDetector:
-    """Which columns of the belief's signatures began when. Part of what a filter goes back to."""
+    """GLR detector: start times of the hypotheses in a belief's signatures. Filter snapshots contain it."""
 
     def __init__(self) -> None:
-        self._began: Instants = np.full(STEPS, _NONE_NS)
-        self._to_grow_s = 0.0
+        self._start_ns: Instants = np.full(STEPS, _NONE_NS)
+        self._pending_s = 0.0
 
     def copy(self) -> GlrDetector:
-        """Independent of this one."""
+        """Return an independent copy."""
         other = GlrDetector()
-        other._began, other._to_grow_s = self._began.copy(), self._to_grow_s
+        other._start_ns, other._pending_s = self._start_ns.copy(), self._pending_s
         return other
 
     def reset(self, belief: Belief) -> None:
-        """What has been heard so far."""
+        """Discard all hypotheses and their evidence."""
         belief.signatures.clear()
-        self._began[:] = _NONE_NS
-        self._to_grow_s = 0.0
+        self._start_ns[:] = _NONE_NS
+        self._pending_s = 0.0
 
     def add_elapsed(self, dt: float) -> None:
-        """All water has drifted for ``dt`` more (s)."""
-        self._to_grow_s += dt
+        """Let the drift of all started hypotheses continue for ``dt`` (s)."""
+        self._pending_s += dt
 
     def start_hypothesis(self, belief: Belief) -> None:
-        """What has grown, before rows that look at water are used, and where it is time an instant in the place of the
-        oldest.
+        """Bring the signatures to the time of the belief, before rows that depend on the current are used.
+
+        At a new instant of the time grid a hypothesis starts in the columns of the oldest one.
         """
         signatures, t_ns = belief.signatures, belief.t_ns
         if not signatures.score.size:
             return
         layout = belief.layout
-        _grow(signatures.error, self._to_grow_s, layout.mean.start, layout.north.start, layout.east.start)
-        self._to_grow_s = 0.0
+        _grow(signatures.error, self._pending_s, layout.mean.start, layout.north.start, layout.east.start)
+        self._pending_s = 0.0
         slot = t_ns // STEP_NS % STEPS
-        if self._began[slot] // STEP_NS != t_ns // STEP_NS:
-            self._began[slot] = t_ns
+        if self._start_ns[slot] // STEP_NS != t_ns // STEP_NS:
+            self._start_ns[slot] = t_ns
             signatures.clear(slice(2 * slot, 2 * slot + 2))
 
     def detect(self, belief: Belief, limit: float, reach_ns: int) -> OnsetDetection | None:
-        """None while no 2 ln L is beyond ``limit``; ``reach_ns``: how far the filter goes back."""
+        """Return the detected drift, or None.
+
+        Parameters
+        ----------
+        belief : state estimate with its signatures.
+        limit : smallest 2 ln L of a detection.
+        reach_ns : time that the filter's buffer reaches back.
+        """
         signatures = belief.signatures
         if not signatures.score.size:
             return None
-        first, last, twice, evidence, nu, covariance = _weighed(signatures.score, signatures.information, self._began)
+        first, last, twice, evidence, nu, covariance = _evaluate(
+            signatures.score, signatures.information, self._start_ns
+        )
         if not twice.max(initial=0.0) > limit:
             return None
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
-        some = np.flatnonzero(share > _LEAST)
+        some = np.flatnonzero(share > _MIN_EVIDENCE)
         E, moves, roots = signatures.error, [], []
         for k in some:
             since = E[:, first[k] : first[k] + 2]
@@ -123,14 +142,14 @@ class GlrDetector:
             roots.append(math.sqrt(share[k]) * its @ np.linalg.cholesky(covariance[k]))
         error = share[some] @ np.array(moves)
         roots += [math.sqrt(share[k]) * (move - error)[:, None] for k, move in zip(some, moves, strict=True)]
-        roots.append(_SHAPE * error[:, None])
-        old = share[self._began[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
+        roots.append(_SHAPE_ERROR * error[:, None])
+        old = share[self._start_ns[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
         return OnsetDetection(float(twice.max()), bool(old), error, np.concatenate(roots, axis=1))
 
 
 @jit
 def _grow(E: Array, dt: float, mean: int, north: int, east: int) -> None:
-    """E of all water by ``dt``; places of its mean and of its first nodes."""
+    """Add ``dt`` to the signatures of all currents; ``mean``, ``north``, ``east`` are their first indices."""
     for axis, start in enumerate((north, east)):
         for i in range(start, start + east - north):
             for j in range(axis, E.shape[1], 2):
@@ -140,27 +159,34 @@ def _grow(E: Array, dt: float, mean: int, north: int, east: int) -> None:
 
 
 @jit
-def _weighed(
-    score: Array, information: Array, began: Instants
+def _evaluate(
+    score: Array, information: Array, start_ns: Instants
 ) -> tuple[Instants, Instants, Array, Array, Array, Array]:
-    """Of each hypothesis: the first column of its beginning and of its end (-1: none), 2 ln L, ln evidence, nu (2,),
-    and nu's covariance (2, 2).
+    """Evaluate all hypotheses.
+
+    Return for each: first column of its start and of its end (-1: no end), 2 ln L, ln evidence, nu (2,) and the
+    covariance of nu (2, 2).
     """
-    n = len(began)
-    most = n * (n + 1) // 2
-    first, last = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    twice, evidence, nu, covariance = np.empty(most), np.empty(most), np.empty((most, 2)), np.empty((most, 2, 2))
+    n = len(start_ns)
+    count_max = n * (n + 1) // 2
+    first, last = np.empty(count_max, dtype=np.int64), np.empty(count_max, dtype=np.int64)
+    twice, evidence, nu, covariance = (
+        np.empty(count_max),
+        np.empty(count_max),
+        np.empty((count_max, 2)),
+        np.empty((count_max, 2, 2)),
+    )
     prior = 1.0 / (_SD_MPS2 * _SD_MPS2)
     count = 0
     for i in range(n):
-        if began[i] == _NONE_NS:
+        if start_ns[i] == _NONE_NS:
             continue
         a = 2 * i
         for k in range(-1, n):
             d0, d1 = score[a], score[a + 1]
             J00, J01, J11 = information[a, a], information[a, a + 1], information[a + 1, a + 1]
             if k >= 0:
-                if began[k] <= began[i]:
+                if start_ns[k] <= start_ns[i]:
                     continue
                 b = 2 * k
                 d0 -= score[b]

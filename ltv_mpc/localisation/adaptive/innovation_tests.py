@@ -1,11 +1,13 @@
-"""Is the mean of innovations zero? Asked of sums over many messages: a little that lasts shows long before squares do.
+"""Test of the mean of innovations over many messages: it detects small lasting errors long before their squares do.
 
-A consistent filter's innovations r ~ N(0, S) are white: those of different messages are independent. Contrasts
-d = D^T r of one message, as the mean over its rows, have the variance V = D^T S D, and sums that forget,
+The innovations r ~ N(0, S) of a consistent filter are white: those of different messages are independent. Contrasts
+d = D^T r of one message (for example the mean over its rows) have the covariance V = D^T S D. With exponential
+forgetting,
     s := lambda s + d,  W := lambda^2 W + V,  lambda = exp(-dt / tau),
-make s^T W^-1 s chi-square of as many degrees of freedom as d has entries, whatever tau is.
-A hundred rows that are all wrong by a tenth of their noise leave their squares as they are and are ten deviations in d.
-One message moves s by at most ``MAX_SD`` deviations: one bad ping alone does not pass ``limit``, two do.
+s^T W^-1 s is chi-square distributed for any tau, with as many degrees of freedom as d has entries.
+Example: an error of a tenth of the noise in each of a hundred rows hardly changes their squares; in d it is one
+standard deviation, and it grows with each message.
+One message moves s by at most ``MAX_SD`` standard deviations: one bad ping does not exceed ``threshold(2)``, two do.
 Source  Mehra 1970, IEEE T-AC 15(2) (whiteness); Bar-Shalom, Li & Kirubarajan 2001, section 5.4.
 """
 
@@ -20,18 +22,31 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
 MAX_SD = 5.0
+"""Largest change of a sum by one message, in standard deviations."""
 
 FALSE_ALARM = 3e-6
-"""For each look at one sum. 200 s are some 600 independent looks: one dive in 500 has a false alarm."""
+"""Probability of a false alarm per test of one sum. 200 s are about 600 independent tests: one dive in 500."""
 
 
 def threshold(degrees: int, false_alarm: float = FALSE_ALARM) -> float:
-    """Chi-square that s^T W^-1 s exceeds by chance in ``false_alarm`` of all looks."""
+    """Return the value that a consistent s^T W^-1 s exceeds with probability ``false_alarm``.
+
+    Parameters
+    ----------
+    degrees : degrees of freedom, the number of contrasts.
+    false_alarm : probability.
+    """
     return float(chdtri(degrees, false_alarm))
 
 
 class InnovationMeanTest:
-    """s (T, G) and W (T, G, G) of one kind of contrasts (G,), one or two, for several time constants (T,) at once."""
+    """Sums s (T, G) and covariances W (T, G, G) of G contrasts, one or two, for T time constants at once.
+
+    Parameters
+    ----------
+    tau_s : T time constants (s).
+    size : number of contrasts G.
+    """
 
     def __init__(self, tau_s: tuple[float, ...], size: int) -> None:
         self.s = np.zeros((len(tau_s), size))
@@ -40,19 +55,26 @@ class InnovationMeanTest:
         self._t_ns: int | None = None
 
     def add(self, t_ns: int, d: Array, V: Array) -> None:
-        """One message's d (G,) with covariance V (G, G)."""
+        """Add the contrasts of one message.
+
+        Parameters
+        ----------
+        t_ns : time of the message, not before the last.
+        d : (G,) contrasts.
+        V : (G, G) their covariance.
+        """
         keep = np.zeros(len(self.s)) if self._t_ns is None else np.exp((self._t_ns - t_ns) / self._tau_ns)
         self._t_ns = t_ns
         self.s, self.W = _added(self.s, self.W, keep, np.ascontiguousarray(d), np.ascontiguousarray(V))
 
     def chi_square(self) -> Array:
-        """(T,); 0 before the first message."""
+        """Return s^T W^-1 s for each time constant, (T,); 0 before the first message."""
         if self._t_ns is None:
             return np.zeros(len(self.s))
         return _squares(self.s, self.W)
 
     def copy(self) -> InnovationMeanTest:
-        """Independent of this one: s and W are replaced, never written into."""
+        """Return an independent copy. ``add`` replaces s and W and never writes into them, so they may be shared."""
         other = InnovationMeanTest.__new__(InnovationMeanTest)
         other.__dict__.update(self.__dict__)
         return other
@@ -60,7 +82,7 @@ class InnovationMeanTest:
 
 @jit
 def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, Array]:
-    """s and W with one message more; ``keep`` (T,) is lambda."""
+    """Return s and W with one more message; ``keep`` (T,) is lambda."""
     own = _square(d, V)
     part = MAX_SD / math.sqrt(own) if own > MAX_SD * MAX_SD else 1.0
     new_s, new_W = np.empty_like(s), np.empty_like(W)
@@ -74,7 +96,7 @@ def _added(s: Array, W: Array, keep: Array, d: Array, V: Array) -> tuple[Array, 
 
 @jit
 def _squares(s: Array, W: Array) -> Array:
-    """s^T W^-1 s of each time constant."""
+    """Return s^T W^-1 s of each time constant, (T,)."""
     out = np.empty(len(s))
     for t in range(len(s)):
         out[t] = _square(s[t], W[t])
@@ -83,7 +105,7 @@ def _squares(s: Array, W: Array) -> Array:
 
 @jit
 def _square(s: Array, W: Array) -> float:
-    """s^T W^-1 s of one entry or two, in closed form: a compiled ``solve`` raises where a number is none."""
+    """Return s^T W^-1 s of one or two entries in closed form; a compiled ``solve`` raises on NaN."""
     if len(s) == 1:
         return float(s[0] * s[0] / W[0, 0])
     across = W[1, 1] * s[0] * s[0] - (W[0, 1] + W[1, 0]) * s[0] * s[1] + W[0, 0] * s[1] * s[1]

@@ -1,36 +1,33 @@
-"""Water that changes as its prior does not foresee: how the filter sees it, and what it then grants the water.
+"""Adaptive process noise of the water: inflation of its random walk when the current departs from its prior.
 
-Seen    A ping's innovations are fitted, by least squares over its rows, with a velocity of all water past the vehicle
-        and with a shear, D of ``innovation_tests.py``. Water that changes everywhere at once, as a front does, shows
-        in the
-        velocity's two horizontal parts, internal waves in the shear; what shows in the vertical part is no water.
-        Slower fronts hardly show in any mean, but in what ``glr_detector.py`` sums.
-Granted a random walk of all nodes that are states, smooth over depth,
+Detection   Innovations of a ping are fitted by least squares with a uniform current past the vehicle and with a shear,
+        the contrasts d = D^T r of ``innovation_tests.py``. A front, which changes the current at all depths at once,
+        shows in the two horizontal components of the uniform current; internal waves show in the shear. What shows in
+        the vertical component is no current. Slower fronts show in the sums of ``glr_detector.py`` only.
+Inflation   All grid points in the state get a random walk that is smooth over depth,
             P_water += q^2 dt exp(-|z_i - z_j| / 30 m),  north and east,
-        of one of two strengths q, while it lasts:
-            slow  3 mm/s per sqrt(s), after a shear: waves of 5 cm/s in 300 s change by 1 cm/s within 10 s
-            fast  5 cm/s per sqrt(s), after a velocity: ten times less or more makes no difference while a front passes,
-                  for the vehicle's velocity then rests on the inertial unit alone
-        What fast does not account for is not water but the unit or the profiler: it is left to the gate and said to be
-        inconsistent. (0.5 m/s per sqrt(s) took a failed accelerometer for water, and the filter with it.)
-Unit    A gyro that fails slowly tilts the level, g b t^2 / 2 of velocity that looks like a front: of 30 deg/h, granted
-        as water again and again, 200 m came in 150 s. But a front passes, in 3 s the sums are full of it; a fault's
-        does not. So what shows over 10 s alone, or again when a front has just been granted, is granted both: the fast
-        walk, and once, at the beginning, doubt of gyros and level and of how much of the water's motion was the
-        vehicle's. The filter then learns the gyro's bias as soon as the walk is over, and its covariance holds either.
-On      What was granted as fast for 10 s is granted for as long as the water drifts on (``front_or_gyro_test.py``),
-        and where that
-        grows as a tilt makes it grow, it is the unit.
-Old     What ``glr_detector.py`` finds to have begun before that which ``BACK_NS`` reaches is made up for there and
-        then:
-        estimate and covariance become what they would be, had it been known; and the fast walk is granted from now on,
-        should it not be over yet.
-Back    A front is seen three to ten seconds after it came; until then the filter has taken it for a tilt and a
-        velocity of the vehicle, and is sure of them. So it is granted from ``BACK_NS`` before it was seen: the filter
-        goes back and does these seconds again (``out_of_sequence.py``).
-Cost    Nothing is granted while nothing is seen: known water is filtered to the bit as without any of this.
-Blind   What no detector can see (``benchmarks/water_detectability.py``): a front of 10 cm/s in 30 s or more, with
-        realistic sensors internal waves of 5 cm/s. Say ``current_change_mps_per_rts`` where that is to be expected.
+        of one of two strengths q, for a limited time:
+            SLOW  3 mm/s per sqrt(s), after a shear: waves of 5 cm/s in 300 s change by 1 cm/s within 10 s
+            FAST  5 cm/s per sqrt(s), after a uniform current. A tenth of it or more gives the same result while a front
+                  passes, because the vehicle's velocity then rests on the IMU alone
+        What FAST does not explain is caused by the IMU or the ADCP, not by the water. It is left to the gate, and the
+        filter is reported as inconsistent.
+IMU     A slow gyro fault tilts the level. The velocity error g b t^2 / 2 looks like a front. But a front passes: the
+        sums show it within 3 s. A fault does not pass. So if only the 10 s sum is significant, or if FAST ended a short
+        time ago, the level is FAST_AND_IMU: FAST, and once, at its start, inflation of gyro bias, level, and the part
+        of the current that may be motion of the vehicle. When the walk is over, the filter learns the gyro bias; its
+        covariance holds in either case.
+Duration    FAST lasts 10 s, and longer while the current drifts (``front_or_gyro_test.py``). If that drift grows as a
+        tilt makes it grow, the level becomes FAST_AND_IMU.
+Old drifts  A drift that ``glr_detector.py`` finds to be older than ``BACK_NS`` is compensated at once: estimate and
+        covariance become what they would be if it had been known. FAST follows, in case the drift continues.
+Going back  A front is detected three to ten seconds after it started. Until then the filter mistakes it for a tilt and
+        a velocity of the vehicle, with a small covariance. So the inflation starts ``BACK_NS`` before the detection:
+        the filter goes back and repeats this time (``out_of_sequence.py``).
+Cost    Without detection nothing is inflated, and the estimate is bitwise the same as without this file.
+Limits  No detector sees a front of 10 cm/s in 30 s or more, nor, with realistic sensors, internal waves of 5 cm/s
+        (``benchmarks/water_detectability.py``). Set ``current_change_mps_per_rts`` where they are to be expected.
+Notes   docs/notes/adaptive-process-noise.md: settings that were tried.
 """
 
 from __future__ import annotations
@@ -51,166 +48,214 @@ from ltv_mpc.localisation.filter.state import ATTITUDE, GYRO_BIAS, VELOCITY, Bel
 from ltv_mpc.messages import Array
 
 BACK_NS = 10_000_000_000
+"""Time before its detection at which an inflation starts."""
 
-_SMOOTH_M = 30.0
+_CORRELATION_LENGTH_M = 30.0
+"""Correlation length of the inflation over depth (m)."""
+
 _MEANS_S = (1.0, 3.0, 10.0)
-_SLOPES_S = (3.0, 10.0, 30.0)
-"""Over which they are taken."""
+_SHEARS_S = (3.0, 10.0, 30.0)
+"""Time constants of the sums of the uniform current and of the shear (s)."""
 
-_CUT = 2.0
-"""Deviations to which each row is cut before it is fitted, so that an outlier counts as two."""
-_WORST = 100.0
-"""Condition of a fit, of columns of one length, up to which beams are held to point in enough directions."""
+_CLIP = 2.0
+"""Bound of each row before the fit, in standard deviations, so that an outlier counts as two."""
+
+_MAX_CONDITION = 100.0
+"""Largest condition number of a fit with columns of unit length. Above it the beams span too few directions."""
 
 _LIMIT_1, _LIMIT_2 = innovation_tests.threshold(1), innovation_tests.threshold(2)
 _LIMIT_FAST = innovation_tests.threshold(2, 1e-7)
-"""What is granted as fast is taken from the velocity, for as long as the dive lasts: one false alarm in 5,000 dives, of
-three sums with 600 independent looks each. By ``_LIMIT_2`` it was one in 200, and one of them ended 36 m away.
+"""Limit for FAST: one false alarm in 5,000 dives, from three sums with 600 independent tests each. A false alarm costs
+velocity accuracy for the rest of a dive (docs/notes/adaptive-process-noise.md).
 """
 
-_LONGEST_NS = 120_000_000_000
-_BEYOND_NS = 2_000_000_000
-"""For so long a call for what no water does is remembered: a second, the time between two reports, and another."""
-_LONGEST_FRONT_S = 50.0
-"""Since what was granted began. What goes on for longer is not water."""
-_BEFORE_NS = 1_000_000_000
-"""So long before a grant ends it is asked whether it is still needed, and then for so long more."""
+_MAX_HOLD_NS = 120_000_000_000
+"""Longest duration of one inflation."""
+
+_INCONSISTENT_NS = 2_000_000_000
+"""Time for which an inconsistency is remembered: two report periods of one second."""
+
+_MAX_FRONT_S = 50.0
+"""Longest duration of a front (s). A drift that lasts longer is not water."""
+
+_EXTENSION_NS = 1_000_000_000
+"""Time before the end of an inflation at which it is decided whether to extend it, and length of the extension."""
 
 
 class NoiseLevel(enum.IntEnum):
-    """How much the water is granted."""
+    """Level of the process noise of the water."""
 
     NONE = 0
     SLOW = 1
     FAST = 2
-    FAST_AND_IMU = 3  # as FAST, and the inertial unit is doubted
+    FAST_AND_IMU = 3  # as FAST, with gyro bias and level inflated once
 
 
 WALK_MPS_PER_RTS = {NoiseLevel.NONE: 0.0, NoiseLevel.SLOW: 0.003, NoiseLevel.FAST: 0.05, NoiseLevel.FAST_AND_IMU: 0.05}
 _HOLD_NS = {NoiseLevel.SLOW: 60_000_000_000, NoiseLevel.FAST: 10_000_000_000, NoiseLevel.FAST_AND_IMU: 10_000_000_000}
 
 _GYRO_SD_RADPS, _TILT_SD_RAD, _VELOCITY_SD_MPS = 5e-4, 0.01, 0.3
-"""What is opened once with UNIT: 100 deg/h, what that makes of the tilt in 20 s, and of the velocity in 10 s."""
+"""Standard deviations added once with FAST_AND_IMU: a gyro bias of 100 deg/h, the tilt that it causes in 20 s, and the
+velocity that this tilt causes in 10 s.
+"""
 
 
 class AdaptiveProcessNoise:
-    """Of one filter; part of what it goes back to."""
+    """Adaptive process noise of one filter. Filter snapshots contain it.
+
+    Parameters
+    ----------
+    cell_m : step of the depth grid (m).
+    from_ns : nothing is inflated before this time.
+    """
 
     def __init__(self, cell_m: float, from_ns: int) -> None:
-        """Before ``from_ns`` nothing is granted."""
         self._cell_m = cell_m
         self._from_ns = from_ns
         self._until_ns: dict[NoiseLevel, int] = {}
         self._held_ns: dict[NoiseLevel, int] = {}
-        self._to_open = False  # the inertial unit's doubt, when time goes on
-        self._onsets = GlrDetector()
-        self._drift: FrontOrGyroTest | None = None  # while FAST is granted
-        self._tilts = False  # it is the unit's
+        self._inflates_imu = False  # at the next propagation
+        self._glr = GlrDetector()
+        self._drift: FrontOrGyroTest | None = None  # while the level is FAST
+        self._is_gyro_fault = False
         self._clear()
 
     def copy(self) -> AdaptiveProcessNoise:
-        """Independent of this one."""
+        """Return an independent copy."""
         other = AdaptiveProcessNoise.__new__(AdaptiveProcessNoise)
         other.__dict__.update(self.__dict__)
-        other._means, other._downward, other._slopes = self._means.copy(), self._downward.copy(), self._slopes.copy()
+        other._means, other._vertical, other._shears = self._means.copy(), self._vertical.copy(), self._shears.copy()
         other._until_ns, other._held_ns = dict(self._until_ns), dict(self._held_ns)
-        other._onsets = self._onsets.copy()
+        other._glr = self._glr.copy()
         other._drift = None if self._drift is None else self._drift.copy()
         return other
 
     def reset_tests(self, belief: Belief) -> None:
-        """What pings have shown so far: it was the profiler's, or is accounted for. What is granted stays."""
-        self._onsets.reset(belief)
+        """Discard the evidence of the pings so far, because it is explained. The current inflation stays."""
+        self._glr.reset(belief)
         self._clear()
 
     def _clear(self) -> None:
-        self._means, self._downward, self._slopes = (
+        self._means, self._vertical, self._shears = (
             InnovationMeanTest(_MEANS_S, 2),
             InnovationMeanTest(_MEANS_S, 1),
-            InnovationMeanTest(_SLOPES_S, 2),
+            InnovationMeanTest(_SHEARS_S, 2),
         )
-        self._beyond_ns: int | None = None
+        self._inconsistent_ns: int | None = None
 
     def level(self, t_ns: int) -> NoiseLevel:
-        """Granted at ``t_ns``."""
+        """Return the level at ``t_ns``."""
         return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=NoiseLevel.NONE)
 
     def walk_mps_per_rts(self, t_ns: int) -> float:
-        """What is granted, q."""
+        """Return the random walk q of the water at ``t_ns`` (m/s per sqrt(s))."""
         return WALK_MPS_PER_RTS[self.level(t_ns)]
 
     def is_inconsistent(self, t_ns: int) -> bool:
-        """Means have just called for what no water does: more than fast, or up and down."""
-        return self._beyond_ns is not None and t_ns - self._beyond_ns < _BEYOND_NS
+        """Return True if recent innovations cannot be water: a vertical current, or more than FAST explains."""
+        return self._inconsistent_ns is not None and t_ns - self._inconsistent_ns < _INCONSISTENT_NS
 
     def add_innovations(self, t_ns: int, u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> None:
-        """Innovations r (m,) of one ping with covariance S; u (m, 3) each row's beam in NED."""
-        ways, shear = _contrasts(u, cell, r, S)
-        if ways.known:
-            self._means.add(t_ns, ways.d[:2], ways.V[:2, :2])
-            self._downward.add(t_ns, ways.d[2:], ways.V[2:, 2:])
+        """Add the innovations of one ping to the sums.
+
+        Parameters
+        ----------
+        t_ns : time of the ping.
+        u : (m, 3) unit vector of each row's beam, NED.
+        cell : (m,) cell number of each row.
+        r : (m,) innovations (m/s).
+        S : (m, m) their covariance.
+        """
+        uniform, shear = _contrasts(u, cell, r, S)
+        if uniform.known:
+            self._means.add(t_ns, uniform.d[:2], uniform.V[:2, :2])
+            self._vertical.add(t_ns, uniform.d[2:], uniform.V[2:, 2:])
         if shear.known:
-            self._slopes.add(t_ns, shear.d, shear.V)
+            self._shears.add(t_ns, shear.d, shear.V)
 
     def start_ping(self, belief: Belief) -> None:
-        """A ping is to be used."""
-        self._onsets.start_hypothesis(belief)
+        """Bring the GLR detector to the time of the belief, before a ping is used."""
+        self._glr.start_hypothesis(belief)
 
     def detect_onset(self, belief: Belief) -> OnsetDetection | None:
-        """What the sums of the pings so far show of what began lately; None: nothing."""
+        """Return a drift that started recently, or None."""
         if belief.t_ns < self._from_ns or self.is_inconsistent(belief.t_ns):
             return None
-        found = self._onsets.detect(belief, JOINT_THRESHOLD, BACK_NS)
+        found = self._glr.detect(belief, JOINT_THRESHOLD, BACK_NS)
         if found is None or found.statistic > THRESHOLD:
             return found
         means = self._means.chi_square() > _LIMIT_FAST
-        moves = means.any() and not self._lasting(means, belief.t_ns) and self.level(belief.t_ns) < NoiseLevel.FAST
+        moves = (
+            means.any() and not self._is_persistent(means, belief.t_ns) and self.level(belief.t_ns) < NoiseLevel.FAST
+        )
         return found if moves else None
 
     def required_level(self, t_ns: int, began: OnsetDetection | None = None) -> NoiseLevel:
-        """What the last ping calls for beyond what is granted at ``t_ns``; NONE: nothing."""
-        granted, lately = self.level(t_ns), self._means.chi_square()
-        means = lately > _LIMIT_FAST
-        if (self._downward.chi_square() > _LIMIT_1).any() or (lately[0] > _LIMIT_2 and granted >= NoiseLevel.FAST):
-            self._beyond_ns = t_ns
+        """Return the level that the last ping requires if it is above the level at ``t_ns``, else NONE.
+
+        Parameters
+        ----------
+        t_ns : time of the last ping.
+        began : drift found by ``detect_onset``.
+        """
+        level, chi_square = self.level(t_ns), self._means.chi_square()
+        means = chi_square > _LIMIT_FAST
+        if (self._vertical.chi_square() > _LIMIT_1).any() or (chi_square[0] > _LIMIT_2 and level >= NoiseLevel.FAST):
+            self._inconsistent_ns = t_ns
         if self.is_inconsistent(t_ns) or t_ns < self._from_ns:
             return NoiseLevel.NONE
-        if self._tilts:
+        if self._is_gyro_fault:
             return NoiseLevel.FAST_AND_IMU
-        if means.any() and granted < NoiseLevel.FAST:
-            return NoiseLevel.FAST_AND_IMU if self._lasting(means, t_ns) else NoiseLevel.FAST
-        if began is not None and not began.is_old and granted < NoiseLevel.FAST:
+        if means.any() and level < NoiseLevel.FAST:
+            return NoiseLevel.FAST_AND_IMU if self._is_persistent(means, t_ns) else NoiseLevel.FAST
+        if began is not None and not began.is_old and level < NoiseLevel.FAST:
             return NoiseLevel.FAST
-        if (self._slopes.chi_square() > _LIMIT_2).any() and granted < NoiseLevel.SLOW:
+        if (self._shears.chi_square() > _LIMIT_2).any() and level < NoiseLevel.SLOW:
             return NoiseLevel.SLOW
         return NoiseLevel.NONE
 
     def inflate(self, change: NoiseLevel, until_ns: int, now_ns: int) -> None:
-        """From now on, wherever "now" has gone back to. ``until_ns`` comes from ``hold``."""
+        """Inflate the process noise.
+
+        Parameters
+        ----------
+        change : level.
+        until_ns : end, from ``inflation_end_ns``.
+        now_ns : start: the time to which the filter has gone back.
+        """
         self._held_ns[change] = until_ns - now_ns
         self._until_ns[change] = until_ns
-        self._to_open = change is NoiseLevel.FAST_AND_IMU
-        self._tilts = False
+        self._inflates_imu = change is NoiseLevel.FAST_AND_IMU
+        self._is_gyro_fault = False
 
-    def _lasting(self, means: npt.NDArray[np.bool_], t_ns: int) -> bool:
-        """It shows over the longest time alone, or again."""
+    def _is_persistent(self, means: npt.NDArray[np.bool_], t_ns: int) -> bool:
+        """Return True if only the longest sum is significant, or if FAST ended a short time ago."""
         return (
-            not means[:-1].any() or self._lately(NoiseLevel.FAST, t_ns) or self._lately(NoiseLevel.FAST_AND_IMU, t_ns)
+            not means[:-1].any()
+            or self._was_recent(NoiseLevel.FAST, t_ns)
+            or self._was_recent(NoiseLevel.FAST_AND_IMU, t_ns)
         )
 
-    def _lately(self, change: NoiseLevel, t_ns: int) -> bool:
-        """It was granted, and has ended no longer ago than it was held."""
+    def _was_recent(self, change: NoiseLevel, t_ns: int) -> bool:
+        """Return True if a level was in force and ended no longer ago than it lasted."""
         return change in self._until_ns and t_ns < self._until_ns[change] + self._held_ns[change]
 
     def inflation_end_ns(self, change: NoiseLevel, now_ns: int) -> int:
-        """Until when it is granted: twice as long as the last time where that was not long ago."""
+        """Return the end of an inflation that starts now: twice as long as the last one if that was recent."""
         last_ns, hold_ns = self._held_ns.get(change, 0), _HOLD_NS[change]
         if last_ns and now_ns < self._until_ns[change] + 2 * last_ns:
-            hold_ns = min(2 * last_ns, _LONGEST_NS)
+            hold_ns = min(2 * last_ns, _MAX_HOLD_NS)
         return now_ns + hold_ns
 
     def add_correction(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array) -> None:
-        """Take note of one ping's corrections (n,). Its cells lie below the nodes ``upper`` of the grid."""
+        """Add the correction of one ping to the drift test.
+
+        Parameters
+        ----------
+        belief : state estimate after the ping.
+        upper : (m,) grid point above each cell of the ping.
+        error : (n,) correction of the states.
+        """
         if self.level(belief.t_ns) is NoiseLevel.FAST:
             layout, slots = belief.layout, upper - belief.column.first
             self._follow(belief, np.array([error[layout.north][slots].mean(), error[layout.east][slots].mean()]))
@@ -218,39 +263,40 @@ class AdaptiveProcessNoise:
             self._drift = None
 
     def _follow(self, belief: Belief, moved_mps: Array) -> None:
-        """Where the water goes while FAST is granted: for longer where it goes on."""
+        """Follow the current while the level is FAST; extend it while the current drifts."""
         if self._drift is None:
             self._drift = FrontOrGyroTest()
         self._drift.add(belief, moved_mps)
-        if self._until_ns[NoiseLevel.FAST] > belief.t_ns + _BEFORE_NS:
+        if self._until_ns[NoiseLevel.FAST] > belief.t_ns + _EXTENSION_NS:
             return
         level = np.diagonal(belief.P)[ATTITUDE][:2]
         if self._drift.is_drifting(math.sqrt(level.max())):
-            if self._drift.duration_s > _LONGEST_FRONT_S or self._drift.is_gyro_fault():
-                self._tilts = True
+            if self._drift.duration_s > _MAX_FRONT_S or self._drift.is_gyro_fault():
+                self._is_gyro_fault = True
             else:
-                self._until_ns[NoiseLevel.FAST] = belief.t_ns + _BEFORE_NS
+                self._until_ns[NoiseLevel.FAST] = belief.t_ns + _EXTENSION_NS
 
     def propagate(self, belief: Belief, dt: float) -> None:
-        """What is granted over the last ``dt`` (s), into the covariance."""
-        self._onsets.add_elapsed(dt)
-        if not (self._until_ns or self._to_open):
+        """Add the inflated process noise over the last ``dt`` (s) to the covariance."""
+        self._glr.add_elapsed(dt)
+        if not (self._until_ns or self._inflates_imu):
             return
         q = self.walk_mps_per_rts(belief.t_ns)
         if q > 0.0:
             layout = belief.layout
             k = np.arange(layout.north.stop - layout.north.start)
-            smooth = q * q * dt * np.exp(-np.abs(k[:, None] - k[None, :]) * self._cell_m / _SMOOTH_M)
+            smooth = q * q * dt * np.exp(-np.abs(k[:, None] - k[None, :]) * self._cell_m / _CORRELATION_LENGTH_M)
             for axis in (layout.north, layout.east):
                 belief.P[axis, axis] += smooth
-        if self._to_open:
-            self._to_open = False
-            _doubt(belief)
+        if self._inflates_imu:
+            self._inflates_imu = False
+            _inflate_imu(belief)
 
 
-def _doubt(belief: Belief) -> None:
-    """Of gyros and level, and of how much of what the water seemed to do was the vehicle: P += s^2 j j^T, j over v and
-    all water of one axis alike, for of their difference the profiler has told.
+def _inflate_imu(belief: Belief) -> None:
+    """Inflate gyro bias, level, and the motion common to vehicle and water, P += s^2 j j^T.
+
+    j is 1 on the velocity and on all currents of one axis: the ADCP has measured only their difference.
     """
     layout, P = belief.layout, belief.P
     gyro, level = np.arange(GYRO_BIAS.start, GYRO_BIAS.stop), np.arange(ATTITUDE.start, ATTITUDE.stop)[:2]
@@ -262,24 +308,25 @@ def _doubt(belief: Belief) -> None:
 
 
 class _Contrast(NamedTuple):
-    """d = D^T r, (k,), and V = D^T S D, (k, k), with D (m, k) of least squares, D^T X = 1."""
+    """Contrasts d = D^T r, (k,), with covariance V = D^T S D, (k, k); D (m, k) is the least-squares fit, D^T X = I."""
 
-    known: bool  # not where beams of one plane alone say nothing across it
+    known: bool  # False if the beams span too few directions
     d: Array
     V: Array
 
 
 @jit
 def _contrasts(u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> tuple[_Contrast, _Contrast]:
-    """Of innovations r (m,), each cut to ``_CUT`` deviations: of a velocity of all water, X = u (m, 3), and of a shear,
-    X = (cell - mean) u, north and east.
+    """Fit innovations r (m,), each clipped to ``_CLIP`` standard deviations.
+
+    Return the contrasts of a uniform current, X = u (m, 3), and of a shear, X = (cell - mean) u, north and east.
     """
     m = len(r)
-    cut, middle = np.empty(m), cell.sum() / m
+    clipped, middle = np.empty(m), cell.sum() / m
     X, SX = np.empty((5, m)), np.zeros((5, m))
     for i in range(m):
-        most = _CUT * math.sqrt(S[i, i])
-        cut[i] = min(max(r[i], -most), most)
+        bound = _CLIP * math.sqrt(S[i, i])
+        clipped[i] = min(max(r[i], -bound), bound)
         for a in range(3):
             X[a, i] = u[i, a]
         for a in range(2):
@@ -289,24 +336,24 @@ def _contrasts(u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> tup
             c = X[a, i]
             for j in range(m):
                 SX[a, j] += c * S[i, j]
-    return _contrast(X[:3], SX[:3], cut), _contrast(X[3:], SX[3:], cut)
+    return _contrast(X[:3], SX[:3], clipped), _contrast(X[3:], SX[3:], clipped)
 
 
 @jit
 def _contrast(XT: Array, SXT: Array, r: Array) -> _Contrast:
-    """By X^T (k, m) and X^T S."""
+    """Return the least-squares contrast from X^T (k, m) and X^T S (k, m)."""
     k = len(XT)
-    normal, told, spread = np.zeros((k, k)), np.zeros(k), np.zeros((k, k))
+    normal, Xr, XSX = np.zeros((k, k)), np.zeros(k), np.zeros((k, k))
     for a in range(k):
         for i in range(len(r)):
-            told[a] += XT[a, i] * r[i]
+            Xr[a] += XT[a, i] * r[i]
         for b in range(k):
             for i in range(len(r)):
                 normal[a, b] += XT[a, i] * XT[b, i]
-                spread[a, b] += XT[a, i] * SXT[b, i]
+                XSX[a, b] += XT[a, i] * SXT[b, i]
     sd = np.sqrt(np.maximum(np.diag(normal), 1e-12))
     shares = np.linalg.eigvalsh(normal / np.outer(sd, sd))
-    if not shares[k - 1] < _WORST * shares[0]:
+    if not shares[k - 1] < _MAX_CONDITION * shares[0]:
         return _Contrast(False, np.zeros(k), np.zeros((k, k)))
     G = np.linalg.inv(normal)
-    return _Contrast(True, G @ told, G @ spread @ G)
+    return _Contrast(True, G @ Xr, G @ XSX @ G)

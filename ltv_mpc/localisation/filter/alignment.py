@@ -1,16 +1,17 @@
-"""How the filter starts, afloat: from the first satellite fix, compass heading, depth, and 0.2 s of inertial samples.
+"""Initial alignment at the surface, from the first satellite fix, compass heading, depth, and 0.2 s of IMU samples.
 
-Time    t0 is that of the satellite fix; what was measured after it is applied in its order once the belief stands.
-        A fix may arrive late: what came before it is kept.
-Level   f = R^T (a - g) + b_a + n, averaged over the samples, each turned back to t0 by the gyros; a is taken as 0:
+Time    t0 is the time of the satellite fix. Measurements after it are applied in order once the belief exists.
+        A fix may arrive late: earlier messages are kept until then.
+Level   f = R^T (a - g) + b_a + n, averaged over the samples, each rotated back to t0 by the gyros; a is taken as 0:
             roll = atan2(-f_y, -f_z),  pitch = atan2(f_x, hypot(f_y, f_z))
-        so the tilt is wrong by  phi = T (R (b_a + n) + a),  T x = [x_e, -x_n, 0] / g.  Tilt error and accelerometer
-        bias start correlated, P_phi,b = T R sd_b^2: only so does the filter know that they cancel until it turns.
-Heading psi = z: wrong by -(compass bias + noise), and correlated with that bias.
-Place   Antenna and gauge are not at the origin: p = z - q, v = z - s as in ``sensors/lever_arm.py``; so position and
-        velocity are also wrong by q^ phi and s^ phi - R l^ db_g, correlated with attitude and gyro bias.
-Others  Sound speed, mounting and biases: what the sensors file says is unknown of them. Mounting as meant.
-Source  Groves 2013, section 5.6 (levelling); the correlations follow from the two equations above.
+        The tilt error is  phi = T (R (b_a + n) + a),  T x = [x_e, -x_n, 0] / g.  Tilt error and accelerometer bias
+        are correlated from the start, P_phi,b = T R sd_b^2: they cancel until the vehicle turns.
+Heading psi = z. Its error is -(compass bias + noise), correlated with that bias.
+Position and velocity  The antenna and the pressure gauge are not at the origin: p = z - q, v = z - s as in
+        ``sensors/lever_arm.py``. So position and velocity also have the errors q^ phi and s^ phi - R l^ db_g,
+        correlated with attitude and gyro bias.
+Others  Sound speed, mounting and biases have the nominal values and standard deviations of the sensor configuration.
+Source  Groves 2013, section 5.6 (levelling); the correlations follow from the equations above.
 """
 
 from __future__ import annotations
@@ -40,20 +41,20 @@ from ltv_mpc.localisation.water import current_model
 from ltv_mpc.messages import Array, CompassHeading, GnssFix, ImuSample, PressureDepth
 
 LEVELLING_NS = 200_000_000
-"""Samples over this time: 0.7 mm/s2 of white noise, less than a tenth of the bias."""
+"""Averaging time of the levelling. It leaves 0.7 mm/s2 of white noise, less than a tenth of the bias."""
 
-PATIENCE_NS = 5_000_000_000
-"""A satellite fix older than this is let go while the other sensors have not come."""
+FIX_TIMEOUT_NS = 5_000_000_000
+"""Largest age of a satellite fix while the other sensors are missing. An older fix is discarded."""
 
-_MOST_HEARD = 6000
-"""Messages kept: 5 s of an inertial unit at 1 kHz, and the others; a bound for when there is none."""
+_MAX_MESSAGES = 6000
+"""Number of messages kept: 5 s of an IMU at 1 kHz and the other sensors. It bounds memory if there is no IMU."""
 
 HEAVE_SD_MPS = 0.1
-"""Vertical velocity afloat."""
+"""Standard deviation of the vertical velocity at the surface (m/s)."""
 
 
 class Alignment:
-    """Gathers messages until a belief can be made of them."""
+    """Initial alignment: collects messages until they determine a first belief."""
 
     def __init__(self, suite: SensorConfig, config: EstimatorConfig, prior: WaterPrior | None = None) -> None:
         self._suite = suite
@@ -62,13 +63,13 @@ class Alignment:
         self._fix: GnssFix | None = None
         self._heading: CompassHeading | None = None
         self._depth: PressureDepth | None = None
-        self._heard: list[
+        self._messages: list[
             ImuSample | Measurement
-        ] = []  # of the last PATIENCE_NS of inertial samples, by time, then arrival
+        ] = []  # of the last FIX_TIMEOUT_NS of inertial samples, by time, then arrival
 
     @property
     def waiting_for(self) -> str:
-        """In words; empty when a belief can be made."""
+        """Names of the missing sensors, separated by commas; empty if alignment is possible."""
         missing = [
             name
             for name, have in (("gnss", self._fix), ("compass", self._heading), ("pressure", self._depth))
@@ -81,66 +82,75 @@ class Alignment:
         return ", ".join(missing)
 
     def take(self, message: ImuSample | Measurement) -> None:
-        """One message, in order of arrival."""
-        place = bisect.bisect_right(self._heard, message.t_ns, key=lambda m: m.t_ns)
-        first = bisect.bisect_left(self._heard, message.t_ns, key=lambda m: m.t_ns)
-        if any(is_duplicate(earlier, message) for earlier in self._heard[first:place]):
+        """Add a message, in order of arrival. Duplicates are ignored."""
+        place = bisect.bisect_right(self._messages, message.t_ns, key=lambda m: m.t_ns)
+        first = bisect.bisect_left(self._messages, message.t_ns, key=lambda m: m.t_ns)
+        if any(is_duplicate(earlier, message) for earlier in self._messages[first:place]):
             return
-        self._heard.insert(place, message)
-        del self._heard[:-_MOST_HEARD]
+        self._messages.insert(place, message)
+        del self._messages[:-_MAX_MESSAGES]
         if isinstance(message, ImuSample):
-            oldest_ns = message.t_ns - PATIENCE_NS
-            del self._heard[: bisect.bisect_left(self._heard, oldest_ns, key=lambda m: m.t_ns)]
+            oldest_ns = message.t_ns - FIX_TIMEOUT_NS
+            del self._messages[: bisect.bisect_left(self._messages, oldest_ns, key=lambda m: m.t_ns)]
             if self._fix is not None and self._fix.t_ns < oldest_ns:
                 self._fix = None
-        # A receiver that is faster than the levelling must not start it again each time.
+        # A receiver with a period shorter than the levelling must not restart it with each fix.
         if isinstance(message, GnssFix) and (self._fix is None or message.t_ns > self._fix.t_ns + LEVELLING_NS):
             self._fix = message
-            for earlier in self._heard:
-                self._choose(earlier)
-        self._choose(message)
+            for earlier in self._messages:
+                self._select(earlier)
+        self._select(message)
 
-    def _choose(self, message: ImuSample | Measurement) -> None:
-        if isinstance(message, CompassHeading) and (self._heading is None or self._suits(message, self._heading)):
+    def _select(self, message: ImuSample | Measurement) -> None:
+        if isinstance(message, CompassHeading) and (self._heading is None or self._is_better(message, self._heading)):
             self._heading = message
-        elif isinstance(message, PressureDepth) and (self._depth is None or self._suits(message, self._depth)):
+        elif isinstance(message, PressureDepth) and (self._depth is None or self._is_better(message, self._depth)):
             self._depth = message
 
-    def _suits(self, message: CompassHeading | PressureDepth, have: CompassHeading | PressureDepth) -> bool:
-        """Better than what there is: the first from the fix on, else the last before it; without a fix the newest."""
+    def _is_better(self, message: CompassHeading | PressureDepth, have: CompassHeading | PressureDepth) -> bool:
+        """Return True if a message is better than the one in use.
+
+        Best is the first at or after the fix, else the last before it; without a fix the newest.
+        """
         if self._fix is None:
             return message.t_ns > have.t_ns
         new_ns, old_ns = message.t_ns - self._fix.t_ns, have.t_ns - self._fix.t_ns
         return (new_ns < 0, abs(new_ns)) < (old_ns < 0, abs(old_ns))
 
     def _samples(self) -> list[ImuSample]:
-        """Those that level it: the first after the fix, however many there are by now."""
-        samples = [m for m in self._since() if isinstance(m, ImuSample)]
+        """Return the samples for levelling: those of the first ``LEVELLING_NS`` after the fix."""
+        samples = [m for m in self._after_fix() if isinstance(m, ImuSample)]
         return [m for m in samples if m.t_ns <= samples[0].t_ns + LEVELLING_NS]
 
-    def _since(self) -> list[ImuSample | Measurement]:
-        """Measured after the fix, in order; without what makes the belief, which must not correct it as well."""
+    def _after_fix(self) -> list[ImuSample | Measurement]:
+        """Return the messages after the fix, in order, without those that determine the belief itself."""
         if self._fix is None:
             return []
-        first = bisect.bisect_right(self._heard, self._fix.t_ns, key=lambda m: m.t_ns)
+        first = bisect.bisect_right(self._messages, self._fix.t_ns, key=lambda m: m.t_ns)
         makes = {(type(m), m.t_ns) for m in (self._heading, self._depth) if m is not None}
-        return [m for m in self._heard[first:] if (type(m), m.t_ns) not in makes]
+        return [m for m in self._messages[first:] if (type(m), m.t_ns) not in makes]
 
     def _specific_force(self) -> tuple[Array, float]:
-        """Mean at t0 in the body's axes of then (m/s2), (3,), and the variance of its white noise per axis."""
+        """Return the mean specific force in the body axes at t0 (m/s2), (3,), and its noise variance per axis."""
         total = np.zeros(3)
-        turned = np.eye(3)  # body of now to body of t0
+        C = np.eye(3)  # current body axes to body axes at t0
         seconds = 0.0
         for sample in self._samples():
             dt = sample.interval_ns * 1e-9
             turn = np.array(sample.angular_rate_radps) * dt
-            total += dt * (turned @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
-            turned = turned @ rotation_exp(turn)
+            total += dt * (C @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
+            C = C @ rotation_exp(turn)
             seconds += dt
         return total / seconds, self._suite.imu.velocity_random_walk_mps_per_rts**2 / seconds
 
     def belief(self) -> tuple[Belief, list[ImuSample | Measurement]]:
-        """The belief at t0, and what is to be applied to it since. ``RuntimeError`` while something is missing."""
+        """Return the belief at t0 and the later messages, which the caller applies to it in order.
+
+        Raises
+        ------
+        RuntimeError
+            If a sensor is still missing (``waiting_for``).
+        """
         fix, heading, depth = self._fix, self._heading, self._depth
         if fix is None or heading is None or depth is None:
             raise RuntimeError(f"cannot align: waiting for {self.waiting_for}")
@@ -181,10 +191,10 @@ class Alignment:
         self._place(belief, fix, depth)
         current_model.write_prior(belief, self._config, self._prior)
         belief.clone_position(suite.gnss.lever_arm_m)
-        return belief, self._since()
+        return belief, self._after_fix()
 
     def _place(self, belief: Belief, fix: GnssFix, depth: PressureDepth) -> None:
-        """Position and velocity of the origin; attitude and gyro bias stand already."""
+        """Set position and velocity of the origin with their covariance; attitude and gyro bias are already set."""
         suite, x, P = self._suite, belief.x, belief.P
         antenna = lever_arm.point(belief, suite.gnss.lever_arm_m)
         gauge = lever_arm.point(belief, suite.pressure.lever_arm_m)
@@ -193,15 +203,15 @@ class Alignment:
         x[POSITION] -= [*antenna.offset[:2], gauge.offset[2]]
         x[VELOCITY] = fix.velocity_north_mps, fix.velocity_east_mps, 0.0
         x[3:5] -= swing.velocity[:2]
-        # [dp, dv] = -noise - J [phi, db_g]; of the heave nothing is known either way
+        # [dp, dv] = -noise - J [phi, db_g]; the heave is not measured
         J = np.zeros((6, 6))
         J[:2, :3], J[2, :3] = antenna.by_attitude[:2], gauge.by_attitude[2]
         J[3:5, :3], J[3:5, 3:] = swing.by_attitude[:2], swing.by_gyro_bias[:2]
-        own, turning = slice(POSITION.start, VELOCITY.stop), slice(ATTITUDE.start, GYRO_BIAS.stop)
+        own, angular = slice(POSITION.start, VELOCITY.stop), slice(ATTITUDE.start, GYRO_BIAS.stop)
         sd = [suite.gnss.position_sd_m] * 2 + [suite.pressure.depth_sd_m]
         sd += [suite.gnss.velocity_sd_mps] * 2 + [HEAVE_SD_MPS]
-        rows = -J @ P[turning, :]
+        rows = -J @ P[angular, :]
         P[own, :] = rows
         P[:, own] = rows.T
-        lever_error = J @ P[turning, turning] @ J.T
+        lever_error = J @ P[angular, angular] @ J.T
         P[own, own] = np.diag(np.square(sd)) + 0.5 * (lever_error + lever_error.T)

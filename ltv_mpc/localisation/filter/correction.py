@@ -1,20 +1,22 @@
-"""One Kalman update by the rows of one message, with an innovation gate: of a covariance, and of a belief.
+"""Measurement update of a Kalman filter with innovation gate and robust de-weighting.
 
-S = H P H^T + R,  each row passes if residual_i^2 / S_ii <= gate;  of those that pass, with S = L L^T, W = L^-1 H P:
-    error = W^T L^-1 residual,   P := P - W^T W
-Doubted are rows beyond the gate up to a limit, where one is given: of measurements that come seldom, most of S is the
-state's own error, and so is most of a residual that is too large. They are used with as much noise as makes them just
-pass, S_ii := residual_i^2 / gate, so that none, right or wrong, moves a state by more than one that passes could
-(Huber 1981, Robust statistics; Yang, He & Xu 2001, J. Geodesy 75, adaptively robust filtering).
-``whiten`` says what the rows tell of the error, ``reduce_covariance`` what then is left of the covariance,
-``update_covariance`` does both on any P;
- ``correct`` moves a belief by the error and carries P over to the estimate that has moved
-(``invariant_correction.py``).
-Exact   P stays symmetric to the last bit: of few rows both triangles are reckoned by the same sums, of many one
-        triangle is, and the other written from it tile by tile.
-Cost    H is sparse: H P costs m w n, S m w (s + m / 2) with s the states that H touches, W m^2 n, W^T W m n^2 / 2; then
-        one pass over P. Where s is much less than m, s rows that say the same take the place of m
+With rows z = H e + n, n ~ N(0, R), R diagonal, S = H P H^T + R; a row passes the gate if z_i^2 / S_ii <= gate.
+Of the rows that pass, S = L L^T and the whitened rows are W = L^-1 H P, y = L^-1 z:
+    e = W^T y,   P := P - W^T W
+De-weighted rows lie beyond the gate and within a limit, for sensors that measure seldom. Most of their S is the error
+of the state, and so is most of a residual that is too large. Their noise is inflated until they just pass,
+S_ii := z_i^2 / gate. So no row, right or wrong, moves a state by more than a row that passes could (Huber 1981, Robust
+statistics; Yang, He & Xu 2001, J. Geodesy 75, adaptively robust filtering).
+Steps   ``whiten`` gates and whitens the rows, ``reduce_covariance`` subtracts their information from P,
+        ``update_covariance`` does both for any P. ``correct`` updates a whole ``Belief`` and applies the invariant
+        correction (``invariant_correction.py``).
+Exact   P stays bitwise symmetric: for few rows both triangles are computed by the same sums; for many rows one triangle
+        is computed and copied tile by tile.
+Cost    H is sparse: H P costs m w n; S costs m w (s + m / 2), s the number of states that H touches; W costs m^2 n;
+        W^T W costs m n^2 / 2; then one pass over P. If s is much less than m, s equivalent rows replace the m rows
         (``measurement_compression.py``).
+Shapes  P (n, n) symmetric and C-contiguous; E (n, K) mean errors of K fault hypotheses, with score (K,) and
+        information (K, K) (``adaptive/failure_signatures.py``); W (m', n), Y (m', K), y (m',) for m' rows used.
 """
 
 from __future__ import annotations
@@ -43,30 +45,66 @@ from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.messages import Array
 
 _FEW = 4
-"""Rows up to which no library is called: its calls would take longer than the sums, and be another pass over P."""
+"""Largest number of rows without library calls: these would take longer than the sums and pass over P once more."""
 
-_MUCH_LESS = 0.75
-"""Of the rows' number. Below it, making fewer of them is paid back by what is done with them."""
+_COMPRESSION_RATIO = 0.75
+"""Largest ratio of touched states to rows at which compressing the rows costs less than it saves."""
 
 _TILE = 32
-"""Two tiles of P, 16 kB, stay in the innermost cache while one becomes the other's transpose."""
+"""Rows and columns of a tile. Two tiles of P, 16 kB, fit into the level-1 cache while one is transposed."""
 
 
 class Correction(NamedTuple):
-    """What came of each row. ``nis`` is residual^2 / S_ii, before the gate: chi-square of one degree of freedom."""
+    """Result of a measurement update, row by row.
 
-    accepted: npt.NDArray[np.bool_]
-    nis: Array
+    ``nis`` is z_i^2 / S_ii before the gate: chi-square distributed with one degree of freedom.
+    """
+
+    accepted: npt.NDArray[np.bool_]  # (m,) rows that passed the gate
+    nis: Array  # (m,)
     S: Array  # (m, m), of all rows
-    definite: bool  # S was positive definite; if not, nothing has been touched, and P must not be trusted
-    error: Array  # (n,), of the estimate: what is to be added to it; zero if no row passed
-    deweighted: int  # rows that were used though they are not accepted
+    definite: bool  # S was positive definite; if not, nothing has changed, and P must not be trusted
+    error: Array  # (n,), estimated error, to be added to the estimate; zero if no row passed
+    deweighted: int  # number of rows that were used with inflated noise; they do not count as accepted
+
+
+class WhitenedRows(NamedTuple):
+    """Rows in use, or as many equivalent ones, with independent noise of variance 1. None if S is not definite."""
+
+    W: Array  # (m', n), L^-1 H P
+    Y: Array  # (m', K), L^-1 H E
+    y: Array  # (m',), L^-1 z
+
+
+class _Estimate(NamedTuple):
+    """Arrays of a belief, for the compiled update."""
+
+    x: Array  # (n,)
+    R: Array  # (3, 3)
+    P: Array  # (n, n)
+
+
+class _Signatures(NamedTuple):
+    """Arrays of the fault hypotheses, for the compiled update."""
+
+    error: Array  # (n, K)
+    score: Array  # (K,)
+    information: Array  # (K, K)
+
+
+class _CurrentIndices(NamedTuple):
+    """First indices of the current in the state, for the compiled update."""
+
+    mean: int
+    north: int
+    east: int
 
 
 @jit
-def _fold(HP: Array, HE: Array, S: Array, residual: Array) -> bool:
-    """S = L L^T; HP := L^-1 HP = W, HE := L^-1 HE = Y and residual := L^-1 residual, in place. False and anything if S
-    is not definite.
+def _factor_and_whiten(S: Array, HP: Array, HE: Array, residual: Array) -> bool:
+    """Factor S = L L^T and apply L^-1 in place: HP := L^-1 HP = W, HE := L^-1 HE = Y, residual := L^-1 residual = y.
+
+    Return False, with undefined content, if S is not positive definite.
     """
     (m, n), K = HP.shape, HE.shape[1]
     L = np.zeros((m, m))
@@ -97,8 +135,8 @@ def _fold(HP: Array, HE: Array, S: Array, residual: Array) -> bool:
 
 
 @jit
-def _gated(S: Array, z: Array, gate: float) -> tuple[npt.NDArray[np.bool_], Array, int]:
-    """Which rows pass, (m,), residual^2 / S_ii of each, (m,), and how many."""
+def _gate(S: Array, z: Array, gate: float) -> tuple[npt.NDArray[np.bool_], Array, int]:
+    """Return which rows pass (m,), z_i^2 / S_ii of each (m,), and the number of rows that pass."""
     m = len(z)
     accepted, nis, passed = np.zeros(m, dtype=np.bool_), np.empty(m), 0
     for i in range(m):
@@ -109,8 +147,8 @@ def _gated(S: Array, z: Array, gate: float) -> tuple[npt.NDArray[np.bool_], Arra
 
 
 @jit
-def _doubted(S: Array, z: Array, nis: Array, gate: float, limit: float) -> tuple[Array, int]:
-    """What is added to each row's noise, (m,), and of how many."""
+def _inflation(S: Array, z: Array, nis: Array, gate: float, limit: float) -> tuple[Array, int]:
+    """Return the variance to add to each row (m,) so that it just passes, and the number of de-weighted rows."""
     more, count = np.zeros(len(z)), 0
     for i in range(len(z)):
         if gate < nis[i] <= limit:
@@ -120,12 +158,12 @@ def _doubted(S: Array, z: Array, nis: Array, gate: float, limit: float) -> tuple
 
 
 @jit
-def _tell(W: Array, residual: Array) -> Array:
-    """The error W^T L^-1 residual, (n,), with ``residual`` = L^-1 residual."""
+def _estimated_error(W: Array, y: Array) -> Array:
+    """Return the estimated error W^T y, (n,)."""
     m, n = W.shape
     error = np.zeros(n)
     for i in range(m):
-        w, c = W[i], residual[i]
+        w, c = W[i], y[i]
         for j in range(n):
             error[j] += c * w[j]
     return error
@@ -133,11 +171,11 @@ def _tell(W: Array, residual: Array) -> Array:
 
 @jit
 def _subtract(P: Array, W: Array, a: Array, b: Array) -> None:
-    """P := P - W^T W + a b^T + b a^T, all of it: each element and its mirror image by the same sums, so to the bit."""
+    """Update all of P := P - W^T W + a b^T + b a^T. Mirror elements use the same sums, so P stays symmetric."""
     n, m = P.shape[0], W.shape[0]
     for i in range(n):
         ai, bi = a[i], b[i]
-        if m == 1:  # as most messages are: one loop instead of two
+        if m == 1:  # the most frequent case: one loop instead of two
             wi = W[0, i]
             for j in range(n):
                 P[i, j] += (ai * b[j] + bi * a[j]) - wi * W[0, j]
@@ -152,7 +190,7 @@ def _subtract(P: Array, W: Array, a: Array, b: Array) -> None:
 
 @jit
 def _mirror(P: Array, a: Array, b: Array) -> None:
-    """P := P + a b^T + b a^T, of which only the upper triangle is read, and both are written, tile by tile."""
+    """Update P := P + a b^T + b a^T from its upper triangle and write both triangles, tile by tile."""
     n = P.shape[0]
     for top in range(0, n, _TILE):
         bottom = min(top + _TILE, n)
@@ -160,7 +198,7 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
             right = min(left + _TILE, n)
             for i in range(top, bottom):
                 ai, bi, first = a[i], b[i], max(i, left)
-                row, a_, b_ = P[i][first:right], a[first:right], b[first:right]  # vectors: of slices from 0 on
+                row, a_, b_ = P[i][first:right], a[first:right], b[first:right]  # slices from 0 on vectorise
                 for j in range(len(row)):
                     row[j] += ai * b_[j] + bi * a_[j]
             for j in range(left, right):
@@ -169,27 +207,23 @@ def _mirror(P: Array, a: Array, b: Array) -> None:
 
 
 @jit
-def _whiten_few(
-    P: Array, E: Array, rows: Rows, gate: float, limit: float
-) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int, Array, Array, Array]:
-    """The fields of a ``Correction``, and W, Y and y, of few rows: without a library's calls."""
+def _whiten_few(P: Array, E: Array, rows: Rows, gate: float, limit: float) -> tuple[Correction, WhitenedRows]:
+    """Gate and whiten at most ``_FEW`` rows without library calls; rows between gate and limit are de-weighted."""
     z, m, n = rows.residual, len(rows.residual), P.shape[0]
     H = sparse_rows(rows.state, rows.partial)
     HP, HE = project(H, P), project(H, E)
     S = innovation_covariance(H, np.ascontiguousarray(HP.T), rows.variance)
-    accepted, nis, passed = _gated(S, z, gate)
-    more, deweighted = _doubted(S, z, nis, gate, limit)
+    accepted, nis, passed = _gate(S, z, gate)
+    more, deweighted = _inflation(S, z, nis, gate, limit)
     passed += deweighted
-    W, of_passed, residual = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
+    W, of_passed, y = np.empty((passed, n)), np.empty((passed, passed)), np.empty(passed)
     Y = np.empty((passed, E.shape[1]))
-    if passed == 0:
-        return accepted, nis, S, True, np.zeros(n), 0, W, Y, residual
     a = 0
     for i in range(m):
         if accepted[i] or more[i] > 0.0:
             copy_to(W[a], HP[i])
             copy_to(Y[a], HE[i])
-            residual[a] = z[i]
+            y[a] = z[i]
             b = 0
             for j in range(m):
                 if accepted[j] or more[j] > 0.0:
@@ -197,44 +231,45 @@ def _whiten_few(
                     b += 1
             of_passed[a, a] += more[i]
             a += 1
-    if not _fold(W, Y, of_passed, residual):
-        return np.zeros_like(accepted), nis, S, False, np.zeros(n), 0, W[:0], Y[:0], residual[:0]
-    error = _tell(W, residual)
-    return accepted, nis, S, True, error, deweighted, W, Y, residual
-
-
-class WhitenedRows(NamedTuple):
-    """Rows that passed, or as many as say the same, made independent, of variance 1; none where S is not definite."""
-
-    W: Array  # (m', n), L^-1 H P
-    Y: Array  # (m', K), L^-1 H E
-    y: Array  # (m',), L^-1 residual
+    definite = _factor_and_whiten(of_passed, W, Y, y)
+    if not definite:
+        accepted, deweighted = np.zeros_like(accepted), 0
+        W, Y, y = np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0)
+    return Correction(accepted, nis, S, definite, _estimated_error(W, y), deweighted), WhitenedRows(W, Y, y)
 
 
 def whiten(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, WhitenedRows]:
-    """What the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom) tell.
+    """Gate the rows and whiten those that pass. Nothing changes in place.
 
-    ``P`` (n, n), symmetric, and ``E`` (n, K), both C-contiguous, are only read.
+    Parameters
+    ----------
+    P : (n, n) covariance.
+    E : (n, K) mean errors of K fault hypotheses.
+    rows : m scalar measurements.
+    gate : quantile of the chi-square distribution with one degree of freedom.
+
+    Returns
+    -------
+    Result by row, and the whitened rows.
     """
     if len(rows.residual) <= _FEW:
-        accepted, nis, S, definite, error, _, W, Y, y = _whiten_few(P, E, rows, gate, gate)
-        return Correction(accepted, nis, S, definite, error, 0), WhitenedRows(W, Y, y)
-    places, local = touched_states(rows.state, rows.partial, len(P))
-    S = touched_innovation_covariance(P, places, local, rows.partial, rows.variance)
+        return _whiten_few(P, E, rows, gate, gate)
+    states, local = touched_states(rows.state, rows.partial, len(P))
+    S = touched_innovation_covariance(P, states, local, rows.partial, rows.variance)
     z, n = rows.residual, len(P)
     nothing = WhitenedRows(np.empty((0, n)), np.empty((0, E.shape[1])), np.empty(0))
-    accepted, nis, passed = _gated(S, z, gate)
+    accepted, nis, passed = _gate(S, z, gate)
     if passed == 0:
         return Correction(accepted, nis, S, True, np.zeros(n), 0), nothing
-    if len(places) <= _MUCH_LESS * passed and rows.variance.min() > 0.0:
-        H, HP, of_passed, z = compress(P, places, local, rows.partial, accepted / rows.variance, z)
+    if len(states) <= _COMPRESSION_RATIO * passed and rows.variance.min() > 0.0:
+        H, HP, of_passed, z = compress(P, states, local, rows.partial, accepted / rows.variance, z)
     elif passed == len(z):
         H, of_passed = sparse_rows(rows.state, rows.partial), S
         HP = project(H, P)
     else:
         H, of_passed = sparse_rows(rows.state[accepted], rows.partial[accepted]), S[np.ix_(accepted, accepted)]
         HP, z = project(H, P), z[accepted]
-    # P is symmetric and row-major, LAPACK column-major: .T views are the same numbers without a copy.
+    # P is symmetric and row-major, LAPACK is column-major: .T is a view of the same numbers.
     L, info = dpotrf(of_passed.T, lower=1, clean=0)
     if info != 0:
         return Correction(np.zeros_like(accepted), nis, S, False, np.zeros(n), 0), nothing
@@ -243,12 +278,12 @@ def whiten(P: Array, E: Array, rows: Rows, gate: float) -> tuple[Correction, Whi
     Y = nothing.Y
     if E.shape[1]:
         Y = dtrsm(1.0, L, project(H, E).T, side=1, lower=1, trans_a=1, overwrite_b=1).T
-    return Correction(accepted, nis, S, True, _tell(W, y), 0), WhitenedRows(W, Y, y)
+    return Correction(accepted, nis, S, True, _estimated_error(W, y), 0), WhitenedRows(W, Y, y)
 
 
 @jit
-def _turn(P: Array, W: Array, a: Array) -> Array:
-    """b of ``reduce_covariance``, (n,), of P - W^T W with P's upper triangle."""
+def _heading_column(P: Array, W: Array, a: Array) -> Array:
+    """Return b of ``reduce_covariance``, (n,), from P - W^T W; only the upper triangle of P is read."""
     b: Array = P[HEADING].copy()
     for j in range(HEADING):
         b[j] = P[j, HEADING]
@@ -263,8 +298,8 @@ def _turn(P: Array, W: Array, a: Array) -> Array:
 
 
 @jit
-def _swing_too(E: Array, a: Array) -> None:
-    """E := M E of ``reduce_covariance``."""
+def _couple_signatures(E: Array, a: Array) -> None:
+    """Apply the invariant correction to mean errors, E := M E with M of ``reduce_covariance``."""
     for i in range(len(a)):
         for j in range(E.shape[1]):
             E[i, j] += a[i] * E[HEADING, j]
@@ -272,44 +307,47 @@ def _swing_too(E: Array, a: Array) -> None:
 
 @jit
 def _correct_few(
-    x: Array,
-    R: Array,
-    P: Array,
-    E: Array,
-    score: Array,
-    information: Array,
-    rows: Rows,
-    gate: float,
-    limit: float,
-    mean: int,
-    north: int,
-    east: int,
+    estimate: _Estimate, signatures: _Signatures, rows: Rows, gate: float, limit: float, current: _CurrentIndices
 ) -> tuple[npt.NDArray[np.bool_], Array, Array, bool, Array, int]:
-    """``correct`` by few rows but for the mounting: the fields of a ``Correction``."""
-    accepted, nis, S, definite, error, deweighted, W, Y, y = _whiten_few(P, E, rows, gate, limit)
-    if W.shape[0]:
-        apply_error(x, R, error)
-        a = coupling_vector(error, mean, north, east)
-        _subtract(P, W, a, _turn(P, W, a))
+    """Update the estimate, except the mounting, by at most ``_FEW`` rows, as ``correct`` does."""
+    P, E = estimate.P, signatures.error
+    correction, white = _whiten_few(P, E, rows, gate, limit)
+    if white.W.shape[0]:
+        apply_error(estimate.x, estimate.R, correction.error)
+        a = coupling_vector(correction.error, current.mean, current.north, current.east)
+        _subtract(P, white.W, a, _heading_column(P, white.W, a))
         if E.shape[1]:
-            update_signatures(E, score, information, W, Y, y)
-            _swing_too(E, a)
-    return accepted, nis, S, definite, error, deweighted
+            update_signatures(E, signatures.score, signatures.information, white.W, white.Y, white.y)
+            _couple_signatures(E, a)
+    return (
+        correction.accepted,
+        correction.nis,
+        correction.S,
+        correction.definite,
+        correction.error,
+        correction.deweighted,
+    )
 
 
 def reduce_covariance(P: Array, W: Array, a: Array | None = None) -> None:
-    """P := M (P - W^T W) M^T in place, M = I + a e_s^T with s the heading's place; M = I without ``a`` (n,), a[s] = 0.
+    """Update P := M (P - W^T W) M^T in place, with M = I + a e_s^T and s the index of the heading error.
 
-    M P M^T = P + a b^T + b a^T with b = P_.s + a P_ss / 2.
+    With b = P_.s + a P_ss / 2:  M P M^T = P + a b^T + b a^T.
+
+    Parameters
+    ----------
+    P : (n, n) covariance; changes.
+    W : (m', n) whitened rows.
+    a : (n,) coupling vector of ``invariant_correction.py`` with a[s] = 0; None: M = I.
     """
     many = len(W) > _FEW
     if many:
-        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # the upper triangle of P
-        W = W[:0]  # is subtracted
+        dsyrk(-1.0, W.T, beta=1.0, c=P.T, lower=1, overwrite_c=1)  # writes the upper triangle of P
+        W = W[:0]
     if a is None:
-        a = b = np.zeros(len(P))  # of a filter that may have no heading
+        a = b = np.zeros(len(P))  # a filter without heading
     else:
-        b = _turn(P, W, a)
+        b = _heading_column(P, W, a)
     if many:
         _mirror(P, a, b)
     else:
@@ -317,7 +355,18 @@ def reduce_covariance(P: Array, W: Array, a: Array | None = None) -> None:
 
 
 def update_covariance(P: Array, rows: Rows, gate: float) -> Correction:
-    """Of any covariance (n, n), symmetric, C-contiguous, in place; the caller adds ``error`` to its estimate."""
+    """Update any covariance by the rows within the gate, in place. The caller adds ``error`` to its estimate.
+
+    Parameters
+    ----------
+    P : (n, n) covariance, symmetric, C-contiguous; changes.
+    rows : m scalar measurements.
+    gate : quantile of the chi-square distribution with one degree of freedom.
+
+    Returns
+    -------
+    Result by row, with the estimated error.
+    """
     correction, white = whiten(P, np.empty((len(P), 0)), rows, gate)
     if len(white.W):
         reduce_covariance(P, white.W)
@@ -325,16 +374,31 @@ def update_covariance(P: Array, rows: Rows, gate: float) -> Correction:
 
 
 def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Correction:
-    """Update ``belief`` in place by the rows within ``gate`` (a quantile of chi-square, 1 degree of freedom).
+    """Update a belief by the rows within the gate, in place: estimate, covariance and fault hypotheses.
 
-    Those between it and ``limit``, of a message of few rows, are doubted.
+    Parameters
+    ----------
+    belief : state estimate; changes.
+    rows : m scalar measurements at the time of the belief.
+    gate : quantile of the chi-square distribution with one degree of freedom.
+    limit : rows with gate < z_i^2 / S_ii <= limit are de-weighted. It has no effect on messages of more than 4 rows.
+
+    Returns
+    -------
+    Result by row.
     """
     layout, signatures = belief.layout, belief.signatures
-    E, score, information = signatures.error, signatures.score, signatures.information
+    E = signatures.error
     if len(rows.residual) <= _FEW:
-        water = layout.mean.start, layout.north.start, layout.east.start
         correction = Correction(
-            *_correct_few(belief.x, belief.R, belief.P, E, score, information, rows, gate, limit, *water)
+            *_correct_few(
+                _Estimate(belief.x, belief.R, belief.P),
+                _Signatures(E, signatures.score, signatures.information),
+                rows,
+                gate,
+                limit,
+                _CurrentIndices(layout.mean.start, layout.north.start, layout.east.start),
+            )
         )
         belief.apply_mounting_error(correction.error)
         return correction
@@ -345,5 +409,5 @@ def correct(belief: Belief, rows: Rows, gate: float, limit: float = 0.0) -> Corr
         reduce_covariance(belief.P, white.W, a)
         if E.shape[1]:
             signatures.update(*white)
-            _swing_too(E, a)
+            _couple_signatures(E, a)
     return correction

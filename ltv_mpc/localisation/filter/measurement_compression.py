@@ -1,16 +1,18 @@
-"""Rows of few states: their innovation covariance, and fewer rows that say the same.
+"""Measurement compression: replace m scalar measurements of s < m states by s equivalent ones.
 
-m rows z = H e + n, n ~ N(0, R), R diagonal, that touch s states alone tell of the error e no more than
+Of m rows z = H e + n, n ~ N(0, R), R diagonal, that touch only s states,
     J = H^T R^-1 H, (s, s),   g = H^T R^-1 z
-do (a sufficient statistic). With J = C C^T, C lower triangular, s rows of variance 1 have the same,
+is a sufficient statistic for the error e. With J = C C^T, C lower triangular, the s rows of variance 1
     C^-1 g = C^T e + n',   n' ~ N(0, I)
-and an update by them is the update by the m rows. A ping of 120 beam cells touches 65 states.
-Order   The water's nodes come first, as the first beam meets them, then what all rows touch: a node is coupled to its
-        neighbours and to these alone, so C has some eleven entries a column.
-Rank    J is singular: a profiler cannot tell velocity from that of all water. Where elimination leaves less than
-        ``_NOTHING`` of a diagonal, nothing is told, and the row is zero.
+have the same J and g, so they give the same update. A ping of 120 beam cells touches 65 states.
+Order   Grid points of the water come first, in the order in which the first beam meets them, then the states that most
+        rows touch. A grid point is coupled only to its neighbours and to these, so C has about eleven entries a column.
+Rank    J is singular: an ADCP cannot separate vehicle velocity from a current common to all depths. If elimination
+        leaves less than ``_RANK_TOLERANCE`` of a diagonal element, the row carries no information and becomes zero.
+Shapes  rows as in ``sensors/rows.py``: state (m, w) and partial (m, w); ``states`` (s,) indices of the touched states;
+        ``local`` (m, w) position of each entry among them, -1 where partial is 0.
 Source  Bierman 1977, Factorization Methods for Discrete Sequential Estimation, chapters V and VI (square-root
-        information).
+        information filter).
 """
 
 from __future__ import annotations
@@ -24,18 +26,29 @@ import numpy.typing as npt
 from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array
 
-_NOTHING = 1e-12
+_RANK_TOLERANCE = 1e-12
+"""Smallest pivot relative to its diagonal element before elimination."""
+
 _COMMON = 8
-"""A state that more than one row in so many touches comes last."""
+"""A state that more than one in ``_COMMON`` rows touches is ordered last."""
 
 
 @jit
 def touched_states(
     state: npt.NDArray[np.int64], partial: Array, n: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """The states of n that rows (m, w) touch, (s,), in the head's order; of each entry its place among them, (m, w).
+    """Return the states that rows touch, in elimination order.
 
-    -1 where ``partial`` is zero.
+    Parameters
+    ----------
+    state : (m, w) state index of each entry.
+    partial : (m, w) partial derivatives; entries of value 0 touch nothing.
+    n : number of states.
+
+    Returns
+    -------
+    states : (s,) indices of the touched states.
+    local : (m, w) position of each entry in ``states``; -1 where ``partial`` is 0.
     """
     m, w = state.shape
     count = np.zeros(n, dtype=np.int64)
@@ -43,29 +56,29 @@ def touched_states(
         for a in range(w):
             if partial[i, a] != 0.0:
                 count[state[i, a]] += 1
-    place, places = np.full(n, -1), np.empty(n, dtype=np.int64)
+    place, states = np.full(n, -1), np.empty(n, dtype=np.int64)
     s = 0
     for i in range(m):
         for a in range(w):
             k = state[i, a]
             if partial[i, a] != 0.0 and place[k] < 0 and _COMMON * count[k] <= m:
-                place[k], places[s] = s, k
+                place[k], states[s] = s, k
                 s += 1
     for k in range(n):
         if _COMMON * count[k] > m:
-            place[k], places[s] = s, k
+            place[k], states[s] = s, k
             s += 1
     local = np.empty((m, w), dtype=np.int64)
     for i in range(m):
         for a in range(w):
             local[i, a] = place[state[i, a]] if partial[i, a] != 0.0 else -1
-    return places[:s].copy(), local
+    return states[:s].copy(), local
 
 
 @jit
 def _combine(out: Array, of: npt.NDArray[np.int64], by: Array, count: int, rows: Array, first: int) -> None:
-    """out_k := out_k + sum_a by_a rows[of_a]_k for k from ``first`` on, over ``count`` of a: four in one pass."""
-    to = out[first:]  # slices, which begin at 0: of an index that may be negative no loop is made into vectors
+    """Add a sparse combination of rows, out_k += sum_a by_a rows[of_a]_k for k >= first, four rows in one pass."""
+    to = out[first:]  # slices start at index 0: a loop over an index that may be negative is not vectorised
     a = 0
     while a + 4 <= count:
         c0, c1, c2, c3 = by[a], by[a + 1], by[a + 2], by[a + 3]
@@ -81,16 +94,22 @@ def _combine(out: Array, of: npt.NDArray[np.int64], by: Array, count: int, rows:
 
 
 class SparseRows(NamedTuple):
-    """Of rows (m, w), those that are not zero: in which columns, how large, and how many in each row."""
+    """Non-zero entries of m rows: column and value of each, packed to the left, and their number in each row."""
 
-    of: npt.NDArray[np.int64]  # (m, w)
-    by: Array  # (m, w)
+    of: npt.NDArray[np.int64]  # (m, w) columns
+    by: Array  # (m, w) values
     counts: npt.NDArray[np.int64]  # (m,)
 
 
 @jit
 def sparse_rows(column: npt.NDArray[np.int64], value: Array) -> SparseRows:
-    """Of ``value`` (m, w) in the columns ``column`` (m, w)."""
+    """Pack the non-zero entries of rows.
+
+    Parameters
+    ----------
+    column : (m, w) column of each entry.
+    value : (m, w) value of each entry.
+    """
     m, w = value.shape
     of, by, counts = np.empty((m, w), dtype=np.int64), np.empty((m, w)), np.zeros(m, dtype=np.int64)
     for i in range(m):
@@ -103,7 +122,13 @@ def sparse_rows(column: npt.NDArray[np.int64], value: Array) -> SparseRows:
 
 @jit
 def project(H: SparseRows, P: Array) -> Array:
-    """H P, (m, n), of rows that name rows of P (k, n)."""
+    """Return the product H P, (m, n).
+
+    Parameters
+    ----------
+    H : m sparse rows whose columns are rows of P.
+    P : (k, n) matrix.
+    """
     HP = np.zeros((len(H.counts), P.shape[1]))
     for i in range(len(HP)):
         _combine(HP[i], H.of[i], H.by[i], H.counts[i], P, 0)
@@ -112,7 +137,14 @@ def project(H: SparseRows, P: Array) -> Array:
 
 @jit
 def innovation_covariance(H: SparseRows, PH: Array, variance: Array) -> Array:
-    """S = H P H^T + R, (m, m), symmetric to the last bit, of P H^T (k, m)."""
+    """Return the innovation covariance S = H P H^T + R, (m, m), bitwise symmetric.
+
+    Parameters
+    ----------
+    H : m sparse rows.
+    PH : (k, m) product P H^T.
+    variance : (m,) diagonal of R.
+    """
     m = len(variance)
     S = np.zeros((m, m))
     for i in range(m):
@@ -125,23 +157,32 @@ def innovation_covariance(H: SparseRows, PH: Array, variance: Array) -> Array:
 
 @jit
 def touched_innovation_covariance(
-    P: Array, places: npt.NDArray[np.int64], local: npt.NDArray[np.int64], partial: Array, variance: Array
+    P: Array, states: npt.NDArray[np.int64], local: npt.NDArray[np.int64], partial: Array, variance: Array
 ) -> Array:
-    """S of rows as in ``touched_states``: of the states that they touch alone."""
-    s = len(places)
+    """Return the innovation covariance S, (m, m), from the touched states alone.
+
+    Parameters
+    ----------
+    P : (n, n) covariance.
+    states : (s,) indices of the touched states.
+    local : (m, w) as ``touched_states`` returns it.
+    partial : (m, w) partial derivatives.
+    variance : (m,) diagonal of R.
+    """
+    s = len(states)
     own = np.empty((s, s))
     for i in range(s):
         for j in range(s):
-            own[i, j] = P[places[i], places[j]]
+            own[i, j] = P[states[i], states[j]]
     H = sparse_rows(local, partial)
     return innovation_covariance(H, np.ascontiguousarray(project(H, own).T), variance)
 
 
 @jit
 def _root(local: npt.NDArray[np.int64], partial: Array, weight: Array, z: Array, s: int) -> tuple[Array, Array]:
-    """C^T, (s, s), and C^-1 g, (s,), of rows (m, w) with ``weight`` = 1 / R; those of weight zero do not count."""
+    """Return C^T, (s, s), and C^-1 g, (s,), for rows with ``weight`` = 1 / R; rows of weight 0 are left out."""
     m, w = local.shape
-    J, told = np.zeros((s, s)), np.zeros(s)  # J: its upper triangle, which becomes C^T
+    J, g = np.zeros((s, s)), np.zeros(s)  # the upper triangle of J becomes C^T, g becomes C^-1 g
     for i in range(m):
         if weight[i] == 0.0:
             continue
@@ -150,21 +191,21 @@ def _root(local: npt.NDArray[np.int64], partial: Array, weight: Array, z: Array,
             if p < 0:
                 continue
             c = weight[i] * partial[i, a]
-            told[p] += c * z[i]
+            g[p] += c * z[i]
             for b in range(w):
                 q = local[i, b]
                 if q >= p:
                     J[p, q] += c * partial[i, b]
-    least = np.empty(s)
+    smallest = np.empty(s)
     for j in range(s):
-        least[j] = _NOTHING * J[j, j]
+        smallest[j] = _RANK_TOLERANCE * J[j, j]
     coupled = np.empty(s, dtype=np.int64)
     for j in range(s):
-        if J[j, j] <= least[j]:
-            J[j, j:], told[j] = 0.0, 0.0
+        if J[j, j] <= smallest[j]:
+            J[j, j:], g[j] = 0.0, 0.0
             continue
         pivot = math.sqrt(J[j, j])
-        told[j] /= pivot
+        g[j] /= pivot
         count = 0
         for k in range(j, s):
             if J[j, k] != 0.0:
@@ -174,35 +215,52 @@ def _root(local: npt.NDArray[np.int64], partial: Array, weight: Array, z: Array,
         for a in range(1, count):
             p = coupled[a]
             c = J[j, p]
-            told[p] -= c * told[j]
+            g[p] -= c * g[j]
             for b in range(a, count):
                 J[p, coupled[b]] -= c * J[j, coupled[b]]
-    return J, told
+    return J, g
 
 
 @jit
 def compress(
     P: Array,
-    places: npt.NDArray[np.int64],
+    states: npt.NDArray[np.int64],
     local: npt.NDArray[np.int64],
     partial: Array,
     weight: Array,
     z: Array,
 ) -> tuple[SparseRows, Array, Array, Array]:
-    """Of the rows that say the same as (m, w) with ``weight`` = 1 / R: H, H P, (s, n), S, (s, s), and residuals, (s,).
+    """Compress m rows into s equivalent rows of variance 1.
 
-    A row of weight zero does not count.
+    Parameters
+    ----------
+    P : (n, n) covariance.
+    states : (s,) indices of the touched states.
+    local : (m, w) as ``touched_states`` returns it.
+    partial : (m, w) partial derivatives.
+    weight : (m,) 1 / R of each row; 0 leaves a row out.
+    z : (m,) residuals.
+
+    Returns
+    -------
+    H : s sparse rows.
+    HP : (s, n) product H P.
+    S : (s, s) innovation covariance.
+    residual : (s,) equivalent residuals.
     """
-    s = len(places)
-    CT, told = _root(local, partial, weight, z, s)
-    own, whole = np.empty((s, s), dtype=np.int64), np.empty((s, s), dtype=np.int64)  # columns, among s and among n
+    s = len(states)
+    CT, g = _root(local, partial, weight, z, s)
+    own, whole = (
+        np.empty((s, s), dtype=np.int64),
+        np.empty((s, s), dtype=np.int64),
+    )  # among touched, among all
     for i in range(s):
         for k in range(s):
-            own[i, k], whole[i, k] = k, places[k]
+            own[i, k], whole[i, k] = k, states[k]
     H = sparse_rows(whole, CT)
     HP = project(H, P)
     PH = np.empty((s, s))
     for k in range(s):
         for i in range(s):
-            PH[k, i] = HP[i, places[k]]
-    return H, HP, innovation_covariance(sparse_rows(own, CT), PH, np.ones(s)), told
+            PH[k, i] = HP[i, states[k]]
+    return H, HP, innovation_covariance(sparse_rows(own, CT), PH, np.ones(s)), g

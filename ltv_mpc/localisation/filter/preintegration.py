@@ -1,13 +1,15 @@
-"""Strapdown integration of the inertial unit, and the error's transition gathered over many samples.
+"""Strapdown integration of IMU samples, with the error transition accumulated over many samples.
 
-State   p, v (NED), R (body to world), gyro bias b_g, accelerometer bias b_a; errors as in ``state.py``.
-Sample  mean angular rate w_m and specific force f_m over dt (body), Earth rate W (NED, zero where it is not sensed):
+State   p, v (NED), R (body to world), gyro bias b_g, accelerometer bias b_a (FRD); errors as in ``state.py``.
+Sample  mean angular rate w_m and specific force f_m over dt (body), Earth rate W (NED, zero if not sensed):
         w = w_m - b_g,  f = f_m - b_a,  R_mid = exp(-W dt/2) R1 exp(w dt/2)
         v2 = v1 + dt (R_mid f + g - 2 W x v1),  p2 = p1 + dt (v1 + v2) / 2,  R2 = exp(-W dt) R1 exp(w dt)
-        b  decays as first-order Gauss-Markov, b2 = exp(-dt/tau) b1
+        biases are first-order Gauss-Markov, b2 = exp(-dt/tau) b1
 Errors  t = W x phi1 + R_mid db_g,  phi2 = phi1 - dt t
         dv2 = dv1 - dt ((R_mid f) x (phi1 - dt/2 t) + R_mid db_a + 2 W x dv1),  dp2 = dp1 + dt (dv1 + dv2) / 2
-Between two updates only Phi = Phi_k ... Phi_1 (15, 15) and Q (15, 15) are gathered; the large covariance is moved once.
+Between two updates only Phi = Phi_k ... Phi_1 and its noise Q accumulate; the full covariance is propagated once.
+Shapes  x (n,) with the core states first, R (3, 3), Phi and Q (15, 15), P (n, n), E (n, K) mean errors of K hypotheses
+        (``adaptive/failure_signatures.py``), noise (6,) of ``imu_noise``, W (3,).
 Source  Lupton & Sukkarieh 2012, IEEE T-RO 28(1); Groves 2013, chapters 5 and 14 (error equations in the world frame).
 """
 
@@ -27,7 +29,11 @@ from ltv_mpc.so3 import Matrix3
 
 
 def imu_noise(imu: Imu) -> Array:
-    """What ``integrate`` reads of the unit: random walks and biases, (6,) in SI."""
+    """Return the noise parameters of an IMU, (6,) in SI.
+
+    Order: angle random walk, velocity random walk, gyro bias sd and time constant, accelerometer bias sd and time
+    constant.
+    """
     return np.array(
         [
             imu.angle_random_walk_rad_per_rts,
@@ -41,13 +47,16 @@ def imu_noise(imu: Imu) -> Array:
 
 
 def sample_matrix(samples: Sequence[ImuSample]) -> Array:
-    """(K, 6): angular rate (rad/s) and specific force (m/s2) of each."""
+    """Stack samples into an array (K, 6): angular rate (rad/s) and specific force (m/s2), FRD."""
     return np.array([(*sample.angular_rate_radps, *sample.specific_force_mps2) for sample in samples])
 
 
 @jit
 def _transition(A: Array, C: Matrix3, a: Triple, W: Triple, dt: float, keep_g: float, keep_a: float) -> None:
-    """A := Phi_k A for one sample, A is (15, m). C = R_mid, a = R_mid f, keep = exp(-dt/tau) of each bias."""
+    """Multiply A (15, m) by one sample's transition, A := Phi_k A.
+
+    C = R_mid, a = R_mid f, keep = exp(-dt/tau) of each bias.
+    """
     h = 0.5 * dt
     for j in range(A.shape[1]):
         v0, v1, v2 = A[3, j], A[4, j], A[5, j]
@@ -79,10 +88,23 @@ def _transition(A: Array, C: Matrix3, a: Triple, W: Triple, dt: float, keep_g: f
 
 @jit
 def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: Array, noise: Array, W: Array) -> int:
-    """One sample after the other, in place: x (n,) and R (3, 3) move, Phi and Q (15, 15) gather their transitions.
+    """Integrate samples in order, in place, and accumulate the error transition.
 
-    ``measured`` (K, 6): mean angular rate and specific force of each, over its dt (K,) (s). How many; beyond one after
-    which position and velocity are not finite, none.
+    Parameters
+    ----------
+    x : (n,) states; the core states change.
+    R : (3, 3) attitude, body to NED; changes.
+    Phi : (15, 15) accumulated transition, Phi := Phi_k Phi.
+    Q : (15, 15) accumulated process noise, Q := Phi_k Q Phi_k^T + Q_k.
+    measured : (K, 6) mean angular rate (rad/s) and specific force (m/s2) of each sample, FRD.
+    dt : (K,) duration of each sample (s).
+    noise : (6,) of ``imu_noise``.
+    W : (3,) Earth rate (rad/s, NED); zero if the gyros do not sense it.
+
+    Returns
+    -------
+    Number of samples integrated. It is less than K if position or velocity became non-finite: then the sample that
+    caused it is the last one.
     """
     earth = W[0], W[1], W[2]
     for k in range(len(dt)):
@@ -94,7 +116,7 @@ def integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: Arr
 
 @jit
 def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: float, noise: Array, W: Triple) -> None:
-    """One sample."""
+    """Integrate one sample."""
     w = measured[0] - x[9], measured[1] - x[10], measured[2] - x[11]
     f0, f1, f2 = measured[3] - x[12], measured[4] - x[13], measured[5] - x[14]
     R1 = so3.read(R)
@@ -144,14 +166,25 @@ def _integrate(x: Array, R: Array, Phi: Array, Q: Array, measured: Array, dt: fl
 
 @jit
 def propagated_core(P: Array, Phi: Array, Q: Array) -> Array:
-    """What ``propagate`` makes of the core's covariance: Phi P_cc Phi^T + Q, (15, 15), symmetric to the last bit."""
+    """Return the propagated covariance of the core states, Phi P_cc Phi^T + Q, bitwise symmetric.
+
+    Parameters
+    ----------
+    P : (n, n) covariance before propagation; it does not change.
+    Phi : (15, 15) accumulated transition.
+    Q : (15, 15) accumulated process noise.
+
+    Returns
+    -------
+    (15, 15), the core block that ``propagate`` would write.
+    """
     c = Phi.shape[0]
     return _core(_forward(P, Phi, c), Phi, Q)
 
 
 @jit
 def _forward(P: Array, Phi: Array, n: int) -> Array:
-    """Phi P_c, its first n columns, (15, n)."""
+    """Return the first n columns of Phi P_c, (15, n); P_c are the core rows of P."""
     c = Phi.shape[0]
     moved = np.zeros((c, n))
     for i in range(c):
@@ -165,7 +198,7 @@ def _forward(P: Array, Phi: Array, n: int) -> Array:
 
 @jit
 def _core(moved: Array, Phi: Array, Q: Array) -> Array:
-    """``propagated_core`` by ``moved`` = Phi P_c."""
+    """Return Phi P_cc Phi^T + Q from ``moved`` = Phi P_c."""
     c = Phi.shape[0]
     out = np.empty((c, c))
     for i in range(c):
@@ -180,11 +213,18 @@ def _core(moved: Array, Phi: Array, Q: Array) -> Array:
 
 @jit
 def propagate(P: Array, E: Array, Phi: Array, Q: Array) -> None:
-    """The large covariance (n, n) over all that was gathered, in place: P_cr := Phi P_cr, P_cc := Phi P_cc Phi^T + Q.
+    """Propagate the full covariance over the accumulated samples, in place, and reset Phi := I, Q := 0.
 
-    Likewise mean errors E (n, K), E_c := Phi E_c (``failure_signatures.py``). c: the fifteen core states, r: all
-    others.
-    P stays symmetric to the last bit. Gathering begins anew, Phi = I, Q = 0.
+        P_cr := Phi P_cr,  P_cc := Phi P_cc Phi^T + Q,  E_c := Phi E_c      c: the core states, r: all others
+
+    P stays bitwise symmetric.
+
+    Parameters
+    ----------
+    P : (n, n) covariance; changes.
+    E : (n, K) mean errors of K fault hypotheses; changes.
+    Phi : (15, 15) accumulated transition; reset.
+    Q : (15, 15) accumulated process noise; reset.
     """
     n, c = P.shape[0], Phi.shape[0]
     moved = _forward(P, Phi, n)

@@ -1,14 +1,17 @@
-"""What the filter estimates, in which order, and its best guess with its covariance.
+"""State vector of the estimator, the order of its states, and the estimate with its covariance.
 
-State   position, velocity over ground (m, m/s, NED), attitude (body to world), gyro and accelerometer bias (body);
-        antenna's north, east at the last satellite epoch (a clone, for TDCP); where the sensors file says that they
-        exist: ADCP bias and near-range bias of each beam, ADCP mounting, compass bias, and the relative error of the
-        sound speed that LBL ranges are reckoned with;
-        the part of the water's velocity that all depths have in common, north and east; and the water's velocity
-        north and east at a window of the depths 0, h, 2h, ... (linear between them; ``column.py``, ``grid_window.py``).
-Errors  true minus estimated, except attitudes, whose error is a rotation vector on the left:
+State   position p and velocity over ground v (m, m/s, NED), attitude R (body to world),
+        gyro bias b_g (rad/s, FRD) and accelerometer bias b_a (m/s2, FRD): the fifteen core states;
+        antenna position north and east at the last satellite epoch (m; a stochastic clone, used by TDCP);
+        if the sensor configuration has them: ADCP bias and near-range bias of each beam (m/s), ADCP mounting M,
+        compass bias (rad), relative error of the sound speed used for LBL ranges;
+        current common to all depths, north and east (m/s);
+        current north and east (m/s) at a window of the depth grid 0, h, 2h, ..., linear between grid points
+        (``water/column.py``, ``water/grid_window.py``).
+Errors  true minus estimated. Attitude errors are rotation vectors on the left:
         R_true = exp(phi^) R with phi in NED, M_true = exp(mu^) M with mu in body axes.
-        So the error of a level vehicle's accelerations changes slowly, whatever its heading does.
+        With phi in NED the acceleration error of a level vehicle changes slowly, whatever its heading does.
+Source  Groves 2013, chapter 14 (error state in a local frame).
 """
 
 from __future__ import annotations
@@ -38,34 +41,44 @@ GYRO_BIAS = slice(9, 12)
 ACCELEROMETER_BIAS = slice(12, 15)
 _ATTITUDE = ATTITUDE.start
 CORE = 15
-"""The states that the inertial unit drives: the first fifteen, in every layout."""
+"""Number of core states, which the IMU propagates. They are the first states of every layout."""
 
 _PLANNED_M = 3.0
-"""How far the controller's plan may lead up or down: 10 s at 0.3 m/s."""
+"""Largest change of depth within the controller's horizon (m): 10 s at 0.3 m/s."""
 
 _ROLLS_RAD = 0.5
-"""Roll and pitch that the vehicle may have at most, so that a beam which looks down does not look up."""
+"""Largest roll and pitch (rad). It decides whether a beam can point upwards or downwards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """Where each state stands behind the core. A state that the suite does not have is an empty slice."""
+    """Slices of the state vector behind the core. A state that the sensor configuration lacks is an empty slice."""
 
-    epoch: slice  # north, east at the last satellite epoch
+    epoch: slice  # antenna north, east at the last satellite epoch
     beam_bias: slice
     near_bias: slice
     mounting: slice
     compass_bias: slice
-    sound_speed: slice  # true over assumed, less 1
-    mean: slice  # of the water, north and east: m of ``column.py``
-    north: slice  # of the water at the window's nodes
+    sound_speed: slice  # true over assumed sound speed, minus 1
+    mean: slice  # current common to all depths, north and east: m of ``water/column.py``
+    north: slice  # current north at the grid points of the window
     east: slice
-    nodes: int  # of the whole grid
-    size: int
+    nodes: int  # number of grid points of the whole depth grid
+    size: int  # number of states n
 
     @classmethod
     def of(cls, suite: SensorConfig, config: EstimatorConfig) -> Layout:
-        """The states that ``suite`` calls for: a bias of standard deviation 0 is left out."""
+        """Return the layout for a sensor configuration. A bias of standard deviation 0 gets no state.
+
+        Parameters
+        ----------
+        suite : sensors of the vehicle.
+        config : depth grid (``deepest_m``, ``cell_m``) and depth kept in the state above the vehicle (``kept_m``).
+
+        Returns
+        -------
+        Layout with ``size`` states.
+        """
         end = CORE
 
         def take(count: int) -> slice:
@@ -101,14 +114,14 @@ class Layout:
 
 
 def grid(config: EstimatorConfig) -> Array:
-    """Depths of the water's nodes (m), (G,): 0 to the first multiple of the cell that reaches the deepest."""
+    """Return the depths of the grid points (m), (G,): 0, h, 2h, ... to the first multiple of h >= ``deepest_m``."""
     cells = int(np.ceil(config.deepest_m / config.cell_m - 1e-9)) + 1
     depths: Array = config.cell_m * np.arange(cells, dtype=np.float64)
     return depths
 
 
 def reach_m(adcp: Adcp) -> tuple[float, float]:
-    """How far above and below the vehicle its nodes must be states: where a beam or the controller's plan may be."""
+    """Return how far above and below the vehicle (m) grid points must be states, for its beams and its plan."""
     tilt = math.acos(max(-1.0, min(1.0, math.cos(adcp.mounting_rad[0]) * math.cos(adcp.mounting_rad[1]))))
     nearby = _PLANNED_M + math.hypot(*adcp.lever_arm_m)
     upward = tilt + adcp.beam_angle_rad + _ROLLS_RAD > 0.5 * math.pi
@@ -118,7 +131,14 @@ def reach_m(adcp: Adcp) -> tuple[float, float]:
 
 @jit
 def apply_error(x: Array, R: Array, error: Array) -> None:
-    """x := x + error, (n,), and R := exp(phi^) R, (3, 3), with phi the attitude's part of it, in place."""
+    """Add an error to the estimate in place: x := x + e, R := exp(phi^) R.
+
+    Parameters
+    ----------
+    x : (n,) states.
+    R : (3, 3) attitude, body to NED.
+    error : (n,) error e; its attitude part is phi (rad, NED).
+    """
     for k in range(len(x)):
         x[k] += error[k]
     phi = error[_ATTITUDE : _ATTITUDE + 3]
@@ -127,10 +147,10 @@ def apply_error(x: Array, R: Array, error: Array) -> None:
 
 @dataclass(slots=True, kw_only=True)
 class Belief:
-    """The filter's best guess at ``t_ns`` and the covariance of its error.
+    """State estimate at ``t_ns`` with the covariance of its error.
 
-    ``x`` (n,) holds every state but the two attitudes, which are ``R`` (3, 3) and ``mounting`` (3, 3); at their places
-    it has the sum of their corrections (rad). ``P`` (n, n) is symmetric, C-contiguous.
+    ``x`` (n,) holds every state except the two attitudes, which are ``R`` (3, 3, body to NED) and ``mounting`` (3, 3).
+    The attitude entries of ``x`` hold the sum of their corrections (rad). ``P`` (n, n) is symmetric and C-contiguous.
     """
 
     layout: Layout
@@ -139,13 +159,19 @@ class Belief:
     R: Array
     mounting: Array
     P: Array
-    signatures: FailureSignatures  # what hypotheses that the filter knows nothing of would do to it
-    epoch_t_ns: int  # of the clone
-    column: WaterColumn  # what belongs to the water beside its states
+    signatures: FailureSignatures  # mean errors under fault hypotheses that the filter does not model
+    epoch_t_ns: int  # time of the cloned position
+    column: WaterColumn  # prior, window and dropped grid points of the water
 
     @classmethod
     def blank(cls, layout: Layout, t_ns: int) -> Belief:
-        """All zero and certain, level, heading north."""
+        """Return an estimate of zero with zero covariance: level, heading north, still water.
+
+        Parameters
+        ----------
+        layout : order of the states.
+        t_ns : time of the estimate.
+        """
         n = layout.size
         return cls(
             layout=layout,
@@ -160,7 +186,7 @@ class Belief:
         )
 
     def copy(self) -> Belief:
-        """Independent of this one."""
+        """Return an independent copy."""
         return replace(
             self,
             x=self.x.copy(),
@@ -172,20 +198,24 @@ class Belief:
         )
 
     def apply_error(self, error: Array) -> None:
-        """Estimate + error, (n,), in the sense of the file's head. The covariance is not touched."""
+        """Add an error (n,), with the sign convention above, to the estimate. The covariance does not change."""
         apply_error(self.x, self.R, error)
         self.apply_mounting_error(error)
 
     def apply_mounting_error(self, error: Array) -> None:
-        """The part of ``add`` that is the mounting's."""
+        """Apply the mounting part of an error (n,): M := exp(mu^) M."""
         mounting = self.layout.mounting
         if mounting.stop > mounting.start:
             self.mounting = rotation_exp(error[mounting]) @ self.mounting
 
     def clone_position(self, lever_m: Triple = (0.0, 0.0, 0.0)) -> None:
-        """The antenna's position of this instant becomes the satellite epoch's: x_e := p + q with q = R l.
+        """Clone the current antenna position into the satellite epoch: x_e := p + q with q = R l.
 
-        Its error is dp + phi x q =: T error, so P_e. := T P and P_ee := T P T^T.
+        The error of the clone is dp + phi x q = T e, so P_e. := T P and P_ee := T P T^T (stochastic cloning).
+
+        Parameters
+        ----------
+        lever_m : antenna position l relative to the origin of the body (m, FRD).
         """
         e = self.layout.epoch
         p = slice(POSITION.start, POSITION.start + 2)

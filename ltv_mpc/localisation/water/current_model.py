@@ -1,19 +1,19 @@
-"""The water as the filter knows it: Gauss-Markov over depth, one value north and one east at each node of a grid.
+"""Model of the current: Gauss-Markov over depth, one value north and one east at each point of a depth grid.
 
-Prior   c(z) = m + s(z):  m one value for the whole column, sd sigma_m;  s first-order Gauss-Markov,
-        cov(s(z1), s(z2)) = sigma^2 exp(-|z1 - z2| / L); north and east independent. An unseen cell is thus predicted
-        from its neighbours; m lets a tide of 0.2 m/s pass a profile whose shear is 0.04 m/s. m is a state of its own,
-        which nothing measures directly: given m, each node depends on its neighbours alone.
-Saved   A profile f(z) with sd(z), of which sd_common is shared by all depths, and what the water may have changed
-        since, sd_new:  c(z) = f(z) + m + s(z),  sigma_m = sd_common,  and sigma^2 becomes
+Prior   c(z) = m + s(z):  m is common to all depths, with sd sigma_m;  s is first-order Gauss-Markov,
+        cov(s(z1), s(z2)) = sigma^2 exp(-|z1 - z2| / L); north and east are independent. So an unobserved depth is
+        predicted from its neighbours. With m, a tide of 0.2 m/s fits a prior whose shear is 0.04 m/s. m is a state
+        that nothing measures directly: given m, each grid point depends on its neighbours alone.
+Saved   A saved profile f(z) has sd(z), of which sd_common is shared by all depths; sd_new is the change of the water
+        since then:  c(z) = f(z) + m + s(z),  sigma_m = sd_common,  and sigma^2 becomes
             sd_s(z)^2 = sd(z)^2 - sd_common^2 + sd_new^2 + bridge
         Between depths of the file at distances d1, d2 from z, with e_i = exp(-2 d_i / L), f and sd^2 are linear and
             bridge = sigma^2 (1 - e_1) (1 - e_2) / (1 - e_1 e_2)    variance of s given both ends
-        Beyond them, at distance d from its end, with e = exp(-d / L):
+        Beyond its ends, at distance d from the nearest, with e = exp(-d / L):
             f = f_mean + e (f_end - f_mean),  sd_s^2 = e^2 sd_s,end^2 + (1 - e^2) (sigma^2 + sigma_m^2 - sd_common^2)
-        so far away the whole deviation is that of the prior without a file, about the file's mean over depth.
-Between c(z) is linear between nodes: c(z) = (1 - s) c_k + s c_{k+1},  s = z/h - k.
-Time    each node may walk slowly: cov += q^2 dt.
+        so far away c has the standard deviation of the prior without a file, about the mean of the file over depth.
+Between grid points c(z) is linear: c(z) = (1 - s) c_k + s c_{k+1},  s = z/h - k.
+Time    Each grid point is a slow random walk: cov += q^2 dt.
 Source  Medagoda & Williams 2012, section IV-A (first-order Gauss-Markov in depth).
 """
 
@@ -29,7 +29,13 @@ from ltv_mpc.messages import Array, CurrentProfile
 
 
 def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> NodePrior:
-    """Of every node of the grid, from the settings or from a saved profile."""
+    """Return the prior of all grid points, from the settings or from a saved profile.
+
+    Parameters
+    ----------
+    config : settings of the estimator.
+    saved : profile of an earlier dive; None: still water with the standard deviations of ``config``.
+    """
     z = grid(config)
     correlation = float(np.exp(-config.cell_m / config.current_correlation_length_m))
     if saved is None:
@@ -41,7 +47,7 @@ def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> Node
     depth, f = saved.depth_m, np.stack([saved.north_mps, saved.east_mps], axis=1)
     own = np.maximum(saved.sd_mps**2 - common, 0.0) + config.water_prior_change_sd_mps**2
 
-    # distances to the file's depths next above and next below; infinite where there is none
+    # distances to the next depths of the file above and below; infinite if there is none
     after = np.searchsorted(depth, z)
     d1 = np.where(after > 0, z - depth[after - 1], np.inf)
     d2 = np.where(after < len(depth), depth[np.minimum(after, len(depth) - 1)] - z, np.inf)
@@ -61,12 +67,19 @@ def node_prior(config: EstimatorConfig, saved: WaterPrior | None = None) -> Node
 
 
 def prior_covariance(config: EstimatorConfig) -> Array:
-    """Of all nodes' velocity along one axis before anything is measured, (G, G)."""
+    """Return the prior covariance of the current along one axis at all grid points, (G, G) m2/s2."""
     return node_prior(config).covariance(slice(None))
 
 
 def write_prior(belief: Belief, config: EstimatorConfig, saved: WaterPrior | None = None) -> None:
-    """The prior into a belief that knows nothing of the water yet; the window is laid about the vehicle's depth."""
+    """Write the prior of the current into a belief, with the window around the vehicle's depth.
+
+    Parameters
+    ----------
+    belief : state estimate without knowledge of the water; its water states and its column change.
+    config : settings of the estimator.
+    saved : profile of an earlier dive, or None.
+    """
     layout, column = belief.layout, belief.column
     prior = node_prior(config, saved)
     cells = layout.north.stop - layout.north.start
@@ -82,7 +95,14 @@ def write_prior(belief: Belief, config: EstimatorConfig, saved: WaterPrior | Non
 
 
 def add_random_walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
-    """The nodes' random walk over ``dt`` (s)."""
+    """Add the random walk of the current over a time to the covariance, P_kk += q^2 dt.
+
+    Parameters
+    ----------
+    belief : state estimate; its covariance and its column change.
+    config : q is ``current_change_mps_per_rts``.
+    dt : time (s).
+    """
     variance = config.current_change_mps_per_rts**2 * dt
     if variance > 0:
         nodes = np.arange(belief.layout.north.start, belief.layout.east.stop)
@@ -91,9 +111,14 @@ def add_random_walk(belief: Belief, config: EstimatorConfig, dt: float) -> None:
 
 
 def profile(belief: Belief, depth_m: Array) -> CurrentProfile:
-    """What is published: the window, out of the grid ``depth_m`` (G,), which is all that a plan can reach.
+    """Return the current profile to publish: the grid points in the state, which contain all that a plan can reach.
 
-    The standard deviation of a node is the larger of north's and east's.
+    The standard deviation at a grid point is the larger of north and east.
+
+    Parameters
+    ----------
+    belief : state estimate.
+    depth_m : (G,) depths of the grid (m).
     """
     variance = np.diagonal(belief.P)
     north, east = belief.layout.north, belief.layout.east

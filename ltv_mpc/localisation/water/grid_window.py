@@ -1,18 +1,20 @@
-"""The window of depths whose water is in the state: it goes with the vehicle, so that cost does not grow with the dive.
+"""Moving window of the depth grid in the state: it follows the vehicle, so cost does not grow with the dive.
 
-Down    The state of the uppermost node k is dropped, that of a node below the lowest is appended; up likewise. Between
-        the two nothing moves until the vehicle comes within reach of an end.
-Drop    Rows and columns go, the rest of P stays as it is: the marginal, exact. What is known of k is kept as its link
-        to g, all states but position p, velocity and the satellite epoch's clone, which will soon be others:
+Move    Downwards, the state of the uppermost grid point k is dropped and one below the lowest is appended; upwards, the
+        opposite. The window moves only when the vehicle comes within reach of an end.
+Drop    Rows and columns of k leave; the rest of P stays. This marginalisation is exact. The knowledge of k is kept as a
+        link to g, all states except position p, velocity and the cloned satellite epoch, which change soon:
             A = P_kg P_gg^-1,  C = P_kk - A P_gk,  B = P_kp - A P_gp,  S = P_pp - P_pg P_gg^-1 P_gp,  g_then = g
 Append  c_k = c + A (g - g_then),  P_k. = A P_g.,  P_kp += rho B,  P_kk = A P_gg A^T + C
-        Never a state before: the link is the prior's, and exact (``column.py``). Otherwise what was measured of k is
-        remembered, and so is what of it the others know already: the prior's link would let the one measurement of
-        a neighbour serve twice. Approximate in four ways: r of then is taken as independent of the velocity of now;
-        its covariance with the error in position, which only grows while nothing measures position, stays as it was,
-        else shrinks by rho, the smallest eigenvalue of S^-1 S_now, if that is below 1; attitude and drifting biases of
-        now stand for those of then; a walk since is noise of both neighbours, w (1 + A A^T) over the water's part of A.
-        What hypotheses would do to it (``failure_signatures.py``) is what they do to g: E_k = A E_g.
+        If k was never in the state, the link is the prior's and exact (``column.py``). Otherwise the link from the drop
+        is used: the prior's link would count measurements of k twice that its neighbours already know. It is
+        approximate in four ways:
+          - r at the drop is taken as independent of the present velocity;
+          - the covariance of r with the position error stays as it was if the position error has grown (nothing
+            measures position), else it shrinks by rho, the smallest eigenvalue of S^-1 S_now if that is below 1;
+          - the present attitude and drifting biases stand for those at the drop;
+          - a random walk since then is noise of both neighbours, w (1 + A A^T) over the water part of A.
+        Failure signatures (``adaptive/failure_signatures.py``) follow those of g: E_k = A E_g.
 Source  Marginal and conditional of a Gaussian: e.g. Bishop 2006, section 2.3.
 """
 
@@ -29,17 +31,23 @@ from ltv_mpc.localisation.filter.state import ATTITUDE, CORE, POSITION, Belief, 
 from ltv_mpc.localisation.water.column import Link
 from ltv_mpc.messages import Array
 
-Places: TypeAlias = npt.NDArray[np.int64]
+Indices: TypeAlias = npt.NDArray[np.int64]
 
 _HORIZONTAL = np.arange(POSITION.stop)[:2]
-_SMALLEST = 1e-9
-"""Added to the correlations of g, whose diagonal is 1: what g leaves open is not reckoned closer than to 3e-5 of sd."""
+_REGULARISATION = 1e-9
+"""Added to the unit diagonal of the correlation of g. It limits the accuracy of the remainder r to 3e-5 of its sd."""
 
 
 def move_window(belief: Belief, above_m: float, below_m: float, cell_m: float) -> None:
-    """Move the window until it holds ``above_m`` over the vehicle to ``below_m`` under it, as far as the grid does.
+    """Move the window until it covers the vehicle's surroundings, within the grid.
 
-    The covariance must stand at the belief's time.
+    The covariance must be propagated to the time of the belief.
+
+    Parameters
+    ----------
+    belief : state estimate; its water states and its column change.
+    above_m, below_m : depths above and below the vehicle that the window must cover (m).
+    cell_m : step of the depth grid (m).
     """
     layout, column = belief.layout, belief.column
     cells = layout.north.stop - layout.north.start
@@ -55,27 +63,42 @@ def move_window(belief: Belief, above_m: float, below_m: float, cell_m: float) -
 
 
 def link_covariance(link: Link, water: npt.NDArray[np.bool_], walked: float) -> Array:
-    """Its C, (2, 2), after the water has walked on to ``walked``; ``water`` (q,) says which of g walk."""
+    """Return C of a link after further random walk, (2, 2) m2/s2.
+
+    Parameters
+    ----------
+    link : conditional distribution of a grid point.
+    water : (q,) mask of the states of g that are currents.
+    walked : present variance of the random walk (m2/s2).
+    """
     A = link.A[:, water]
     C: Array = link.C + (walked - link.walked) * (np.eye(2) + A @ A.T)
     return C
 
 
-def conditioning_states(layout: Layout, slot: int) -> Places:
-    """Places of g for the node at ``slot`` of the window."""
-    places = np.arange(layout.size)
-    water = places >= layout.north.start
-    own = (places == layout.north.start + slot) | (places == layout.east.start + slot)
-    lasting = (places >= ATTITUDE.start) & ((places < CORE) | (places >= layout.epoch.stop))
-    g: Places = places[np.where(water, ~own, lasting)]
+def conditioning_states(layout: Layout, slot: int) -> Indices:
+    """Return the indices of g, the states a link refers to.
+
+    Parameters
+    ----------
+    layout : order of the states.
+    slot : position of the dropped grid point in the window.
+    """
+    states = np.arange(layout.size)
+    water = states >= layout.north.start
+    own = (states == layout.north.start + slot) | (states == layout.east.start + slot)
+    lasting = (states >= ATTITUDE.start) & ((states < CORE) | (states >= layout.epoch.stop))
+    g: Indices = states[np.where(water, ~own, lasting)]
     return g
 
 
 def _shift(belief: Belief, *, down: bool) -> None:
-    """By one node."""
+    """Move the window by one grid point."""
     layout, column, P = belief.layout, belief.column, belief.P
     cells = layout.north.stop - layout.north.start
-    step, top, bottom = (1, 0, cells - 1) if down else (-1, cells - 1, 0)  # slots where one goes and one comes
+    step, top, bottom = (
+        (1, 0, cells - 1) if down else (-1, cells - 1, 0)
+    )  # slots of the dropped and the appended grid point
     column.dropped[column.first + top] = _link(belief, top)
 
     order = np.arange(layout.size)
@@ -92,13 +115,13 @@ def _shift(belief: Belief, *, down: bool) -> None:
     rho_B = np.zeros((2, 2))
     if link is None:
         link = column.prior.link(node, node - step, column.walked)
-        g = np.array([*_places(layout, bottom - step), layout.mean.start, layout.mean.start + 1])
+        g = np.array([*_indices(layout, bottom - step), layout.mean.start, layout.mean.start + 1])
         C = link.C
     else:
         g = conditioning_states(layout, bottom)
         C = link_covariance(link, g >= layout.north.start, column.walked)
-        rho_B = _kept(link.S, _regression(P, _HORIZONTAL, g)[1]) * link.B
-    k = _places(layout, bottom)
+        rho_B = _remaining_share(link.S, _regression(P, _HORIZONTAL, g)[1]) * link.B
+    k = _indices(layout, bottom)
     belief.x[k] = link.c + link.A @ (belief.x[g] - link.then)
     E[k] = link.A @ E[g]
     P[k, :] = link.A @ P[g, :]
@@ -109,8 +132,8 @@ def _shift(belief: Belief, *, down: bool) -> None:
 
 
 def _link(belief: Belief, slot: int) -> Link:
-    """Of the node at ``slot`` of the window, as it is known now."""
-    k, g = _places(belief.layout, slot), conditioning_states(belief.layout, slot)
+    """Return the link of the grid point at ``slot`` of the window from the present covariance."""
+    k, g = _indices(belief.layout, slot), conditioning_states(belief.layout, slot)
     A, C = _regression(belief.P, np.concatenate([k, _HORIZONTAL]), g)
     return Link(
         c=belief.x[k],
@@ -123,28 +146,28 @@ def _link(belief: Belief, slot: int) -> Link:
     )
 
 
-def _regression(P: Array, y: Places, g: Places) -> tuple[Array, Array]:
-    """A, (y, g), of the states ``y`` on the states ``g``, and the covariance (y, y) of what A leaves of them."""
+def _regression(P: Array, y: Indices, g: Indices) -> tuple[Array, Array]:
+    """Return the regression A (y, g) of states ``y`` on states ``g``, and the covariance (y, y) of the remainder."""
     P_yg, P_gg = P[np.ix_(y, g)], P[np.ix_(g, g)]
-    # by correlations, for variances lie up to 1e10 apart; what is certain has none
+    # correlations, because variances differ by up to 1e10; states of variance 0 have none
     sd = np.sqrt(np.diagonal(P_gg))
     scale = np.where(sd > 0, 1.0 / np.where(sd > 0, sd, 1.0), 0.0)
     correlation = P_gg * np.outer(scale, scale)
-    correlation[np.diag_indices(len(g))] = 1.0 + _SMALLEST
+    correlation[np.diag_indices(len(g))] = 1.0 + _REGULARISATION
     _, solution, info = dposv(correlation, (P_yg * scale).T, lower=1)
-    A = solution.T * scale if info == 0 else np.zeros_like(P_yg)  # a P that is no covariance: nothing is remembered
+    A = solution.T * scale if info == 0 else np.zeros_like(P_yg)  # P is not a covariance: forget the link
     C = P[np.ix_(y, y)] - A @ P_yg.T
-    C = C - P_yg @ A.T + A @ P_gg @ A.T  # for this A, which is not quite the best one
+    C = C - P_yg @ A.T + A @ P_gg @ A.T  # exact for this A, which the regularisation makes slightly suboptimal
     return A, 0.5 * (C + C.T)
 
 
-def _kept(S: Array, S_now: Array) -> float:
-    """rho: what is left of the error in position that a node was dropped with."""
+def _remaining_share(S: Array, S_now: Array) -> float:
+    """Return rho: the share that remains of the position error with which a grid point was dropped."""
     if np.linalg.det(S) <= 0:
         return 0.0
     return float(np.clip(np.linalg.eigvals(np.linalg.solve(S, S_now)).real.min(), 0.0, 1.0))
 
 
-def _places(layout: Layout, slot: int) -> Places:
-    """Of its north and east in the state."""
+def _indices(layout: Layout, slot: int) -> Indices:
+    """Return the indices of north and east of the grid point at ``slot``, (2,)."""
     return np.array([layout.north.start + slot, layout.east.start + slot])

@@ -1,13 +1,13 @@
-"""What a filter has learned of the water, as a prior for a later dive: every depth that the profiler has seen.
+"""Survey of the water by a dive, as a prior for later dives: the current at every depth that the ADCP has observed.
 
-Nodes of the window are as the belief has them. One that was dropped hangs on its link (``grid_window.py``),
+Grid points in the window are as in the belief. A dropped one follows from its link (``grid_window.py``),
     c_k = c + A (g - g_then),  cov(c_k, y) = A cov(g, y),  var(c_k) = A cov(g) A^T + C,
-so that what has been learned since of its neighbours counts for it too; outward from the window, node by node.
-Common  All cells are measured against the vehicle's velocity and share its error. Their covariance is told apart into
+so that later knowledge of its neighbours counts for it too. They are evaluated outwards from the window.
+Common  All currents are measured relative to the vehicle's velocity and share its error. Their covariance is split into
             var(c_k) = sd_common^2 + own_k^2,  sd_common^2 = mean of cov(c_i, c_j) over all i != j of one axis,
-        of both axes together, at most the smallest variance and at least 0. So the variance of the average over depth
-        stays what it is, up to 1 / K of the own parts; the variance of each depth stays exactly.
-Cost    The joint covariance of all these nodes at once, (2 K + states)^2: once, at the end of a dive.
+        for both axes together, limited to [0, smallest variance]. The variance of each depth stays exact; the variance
+        of the mean over depth stays the same up to 1 / K of the own parts.
+Cost    The joint covariance of all K grid points, (2 K + states)^2; once, at the end of a dive.
 """
 
 from __future__ import annotations
@@ -22,9 +22,15 @@ from ltv_mpc.messages import Array
 
 
 def prior_from(belief: Belief, depth_m: Array) -> WaterPrior | None:
-    """From the uppermost to the lowest seen node of the grid ``depth_m`` (G,); None if none has been seen.
+    """Return the observed water as a prior for a later dive; None if nothing was observed.
 
-    The covariance must stand at the belief's time. Depths between, unseen themselves, have their larger deviation.
+    The profile reaches from the uppermost to the lowest observed grid point; unobserved ones between them have a larger
+    standard deviation. The covariance must be propagated to the time of the belief.
+
+    Parameters
+    ----------
+    belief : state estimate at the end of the dive.
+    depth_m : (G,) depths of the grid (m).
     """
     seen = np.flatnonzero(belief.column.observed)
     if len(seen) == 0:
@@ -46,18 +52,18 @@ def prior_from(belief: Belief, depth_m: Array) -> WaterPrior | None:
 
 
 def _joint(belief: Belief) -> tuple[npt.NDArray[np.int64], Array, tuple[Array, Array]]:
-    """Nodes (K,) of which something is known, in no order; their c (K, 2), covariances of north and of east (K, K)."""
+    """Return the known grid points (K,), unordered, their c (K, 2), and the covariances of north and east (K, K)."""
     layout, column = belief.layout, belief.column
     cells = layout.north.stop - layout.north.start
     first = column.first
-    # Each hangs on those between it and the window, and on the window.
+    # The link of each refers to the window and to the grid points between.
     above = [node for node in range(first - 1, -1, -1) if node in column.dropped]
     below = [node for node in range(first + cells, layout.nodes) if node in column.dropped]
     nodes = np.array([*range(first, first + cells), *above, *below])
 
     others = conditioning_states(layout, 0)
     others = others[others < layout.north.start]
-    place = np.empty(layout.nodes, dtype=np.int64)  # of a node's north; east is the next
+    place = np.empty(layout.nodes, dtype=np.int64)  # index of north of each grid point; east is the next
     place[nodes] = len(others) + 2 * np.arange(len(nodes))
     size = len(others) + 2 * len(nodes)
     x, P = np.zeros(size), np.zeros((size, size))
@@ -83,6 +89,6 @@ def _joint(belief: Belief) -> tuple[npt.NDArray[np.int64], Array, tuple[Array, A
 
 
 def _off_diagonal(P: Array) -> float:
-    """Mean of P_ij over i != j; 0 for a single node, which shares nothing."""
+    """Return the mean of P_ij over i != j; 0 for a single grid point."""
     n = len(P)
     return float((P.sum() - np.trace(P)) / (n * (n - 1))) if n > 1 else 0.0
