@@ -474,7 +474,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         lambda: replaced((imu_dropout, "MAX_BRIDGED_NS", 2**62)),
         (IMU_OFF, IMU_OFF_SHORT, IMU_STUCK),
         ERRORS,
-        ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:ErrorStateFilter._cross"),
+        ("imu_dropout.py:coast", "imu_dropout.py:level", "filter/error_state_filter.py:ErrorStateFilter._cross_gap"),
         ("test_imu_dropout.py",),
     ),
     *of(

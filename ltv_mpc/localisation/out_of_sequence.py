@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from ltv_mpc.localisation.adaptive.process_noise import BACK_NS, NoiseLevel
-from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Snapshot
+from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, FilterState
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.localisation.sensors import BY_MESSAGE, fitted
 from ltv_mpc.localisation.sensors.sensor import Availability, Measurement
@@ -46,7 +46,7 @@ class Operation(NamedTuple):
 class _Segment(NamedTuple):
     """Snapshot, and the operations up to the next one."""
 
-    snapshot: Snapshot
+    snapshot: FilterState
     operations: list[Operation]
 
     @property

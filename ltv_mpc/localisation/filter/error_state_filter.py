@@ -1,10 +1,11 @@
-"""The error-state Kalman filter: one belief of vehicle and water, moved by the inertial unit, corrected by the rest.
+"""Error-state Kalman filter of vehicle and water: propagated by the IMU, corrected by all other sensors.
 
-Between two corrections the estimate is integrated sample by sample and only the core's transition is gathered
-(``preintegration.py``); ``propagate_covariance`` then moves the large covariance once:
+Between two corrections the estimate is integrated sample by sample, and only the transition of the core states
+accumulates (``preintegration.py``). ``propagate_covariance`` then propagates the full covariance once:
     P_cc := Phi P_cc Phi^T + Q,  P_cr := Phi P_cr      c: the fifteen core states, r: all others
-Biases and water cells behind the core are constants, first-order Gauss-Markov or random walks.
-The vehicle's dynamic model is not fused: what the thrusters do is no evidence here.
+The states behind the core are constants, first-order Gauss-Markov processes or random walks.
+The vehicle's dynamic model is not fused: thruster commands are no evidence of motion here.
+Source  Groves 2013, chapters 3 and 14.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,165 +37,212 @@ from ltv_mpc.localisation.sensors.rows import Indices, Linearised
 from ltv_mpc.localisation.sensors.sensor import AnySensor, Availability, Context, Measurement
 from ltv_mpc.localisation.water import current_model
 from ltv_mpc.localisation.water.grid_window import move_window
-from ltv_mpc.messages import AdcpPing, Array, ImuSample
+from ltv_mpc.messages import AdcpPing, Array, ImuSample, Triple
 
 _MAX_DEWEIGHTED = 36.0
-"""Squared innovation over its variance up to which an outlier of a sensor at the surface is de-weighted instead of
-rejected: six deviations. Half a wave of carrier phase, 95 mm, is more, even if the velocity is known by the receiver
-alone (15 mm)."""
+"""Largest squared normalised innovation of a surface sensor's row that is de-weighted instead of rejected: six standard
+deviations. Half a wavelength of carrier phase, 95 mm, is more, even if only the receiver knows the velocity (15 mm).
+"""
 
 
 class Innovations(NamedTuple):
-    """What came of one message: the innovations as they stood before the gate, and which of them passed it."""
+    """Innovations of one message before the gate, and the rows that passed it."""
 
     sensor: str
     t_ns: int
-    indices: Indices  # (m,), of each row in its message; of a profiler's: beam x cells + cell
+    indices: Indices  # (m,), position of each row in its message; ADCP: beam x cells + cell
     residual: Array  # (m,)
     S: Array  # (m, m), innovation covariance
     accepted: npt.NDArray[np.bool_]  # (m,)
-    definite: bool = True  # S was positive definite; if not, nothing was accepted
+    definite: bool = True  # S was positive definite; if not, no row was accepted
 
 
-class Snapshot(NamedTuple):
-    """All of a filter that changes with time, copied; its account and who observes it do not belong to it."""
+@dataclass(slots=True, kw_only=True)
+class FilterState:
+    """Everything in a filter that changes with time, except its counts and observers."""
 
     belief: Belief
-    angular_rate_radps: tuple[float, float, float]
-    Phi: Array
-    Q: Array
-    pending_ns: int
-    at_epoch: bool
-    coasted_ns: int
     process_noise: AdaptiveProcessNoise
+    angular_rate_radps: Triple = (0.0, 0.0, 0.0)  # last measured, FRD, bias included
+    Phi: Array = field(default_factory=lambda: np.eye(CORE))  # core transition since the covariance was propagated
+    Q: Array = field(default_factory=lambda: np.zeros((CORE, CORE)))  # process noise over the same time
+    pending_ns: int = 0  # time since the covariance was propagated
+    coasted_ns: int = 0  # time coasted in the present IMU dropout
+    clones_position: bool = False  # a satellite epoch is at this instant: clone the position before advancing
+
+    def copy(self) -> FilterState:
+        """Return an independent copy."""
+        return replace(
+            self,
+            belief=self.belief.copy(),
+            process_noise=self.process_noise.copy(),
+            Phi=self.Phi.copy(),
+            Q=self.Q.copy(),
+        )
 
 
 class ErrorStateFilter:
-    """``belief`` stands at ``belief.t_ns``; its covariance only after ``propagate_covariance``."""
+    """Error-state Kalman filter of vehicle and water.
+
+    The estimate always stands at ``belief.t_ns``. Its covariance stands there only after ``propagate_covariance``.
+
+    Parameters
+    ----------
+    suite : sensors of the vehicle.
+    config : settings of the estimator.
+    belief : first estimate.
+    adapts_from_ns : the process noise of the water adapts from this time on; None: from the time of ``belief``.
+    """
 
     def __init__(
         self, suite: SensorConfig, config: EstimatorConfig, belief: Belief, *, adapts_from_ns: int | None = None
     ) -> None:
-        """``adapts_from_ns``: from then on water may change in unforeseen ways; None: from the beginning."""
-        self.belief = belief
-        self.angular_rate_radps: tuple[float, float, float] = (
-            0.0,
-            0.0,
-            0.0,
-        )  # measured last (rad/s, body, bias included)
-        self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<what came of them>"
-        self.observers: list[Callable[[Innovations], None]] = []  # told of every message, once
+        self.account: Counter[str] = Counter()  # scalar measurements by "<sensor>.<outcome>"
+        self.observers: list[Callable[[Innovations], None]] = []  # called once for every message
         self._suite = suite
         self._config = config
         self._gate = float(chdtri(1, 1.0 - config.gate_probability))  # quantile of chi-square, 1 degree of freedom
         self._reach_m = reach_m(suite.adcp)
         self._noise = imu_noise(suite.imu)
         self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
-        self._Phi = np.eye(CORE)
-        self._Q = np.zeros((CORE, CORE))
-        self._pending_ns = 0
-        self.process_noise = AdaptiveProcessNoise(
-            config.cell_m, belief.t_ns if adapts_from_ns is None else adapts_from_ns
-        )
+        from_ns = belief.t_ns if adapts_from_ns is None else adapts_from_ns
+        self._state = FilterState(belief=belief, process_noise=AdaptiveProcessNoise(config.cell_m, from_ns))
         if config.adapts_to_water:
             belief.signatures = FailureSignatures.of(belief.layout.size, COLUMNS)
-        self._coasted_ns = 0  # over the gap that it is in
-        self._at_epoch = False  # a satellite fix came at this instant: its position is cloned when time goes on
+
+    @property
+    def belief(self) -> Belief:
+        """State estimate with covariance."""
+        return self._state.belief
+
+    @property
+    def process_noise(self) -> AdaptiveProcessNoise:
+        """Adaptive process noise of the water."""
+        return self._state.process_noise
+
+    @property
+    def angular_rate_radps(self) -> Triple:
+        """Angular rate measured last (rad/s, FRD), bias included."""
+        return self._state.angular_rate_radps
+
+    @property
+    def angular_rate_variance(self) -> float:
+        """Variance of one axis of the bias-free angular rate (rad2/s2): the angle random walk over one sample."""
+        imu = self._suite.imu
+        return imu.angle_random_walk_rad_per_rts**2 / (imu.period_ns * 1e-9)
+
+    @property
+    def earth_rate_radps(self) -> Array:
+        """Earth rate that the gyros sense (rad/s, NED), (3,); zero if they do not sense it."""
+        return self._earth
 
     def advance(self, t_ns: int, sample: ImuSample) -> None:
-        """Move to ``t_ns`` with the rates of ``sample``; over what they do not cover, as ``imu_dropout.py`` has it."""
-        belief = self.belief
-        if self._at_epoch:
-            self._at_epoch = False
+        """Propagate the estimate to a time; ``imu_dropout.py`` covers the time before the sample.
+
+        Parameters
+        ----------
+        t_ns : time to reach, at most that of ``sample``.
+        sample : IMU sample that contains ``t_ns``, or the first one after an IMU dropout.
+        """
+        state, belief = self._state, self.belief
+        if state.clones_position:
+            state.clones_position = False
             self.propagate_covariance()
             belief.clone_position(self._suite.gnss.lever_arm_m)
         gap_ns = imu_dropout.gap_before_ns(sample, belief.t_ns)
-        if self._coasted_ns and gap_ns <= imu_dropout.MAX_BRIDGED_NS:
-            if self._coasted_ns >= imu_dropout.MIN_LEVELLED_NS:
+        if state.coasted_ns and gap_ns <= imu_dropout.MAX_BRIDGED_NS:
+            if state.coasted_ns >= imu_dropout.MIN_LEVELLED_NS:
                 self.propagate_covariance()
                 correct(belief, imu_dropout.level(belief, sample.specific_force_mps2), math.inf)
-            self._coasted_ns = 0
+            state.coasted_ns = 0
         if gap_ns:
-            self._cross(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
+            self._cross_gap(min(t_ns, belief.t_ns + gap_ns), sample, gap_ns)
         if belief.t_ns < t_ns:
             self._integrate([t_ns], [sample], sample_matrix([sample]))
 
     def count_contiguous(self, samples: Sequence[ImuSample], until_ns: int) -> int:
-        """How many of these samples, from the first on, only integration follows: each goes on where the last ended,
-        and starts before ``until_ns``.
+        """Return how many samples, from the first on, can be integrated as one batch.
+
+        Each must start where the last one ended, without a gap, and before ``until_ns``. The number is 0 at a satellite
+        epoch and within an IMU dropout.
+
+        Parameters
+        ----------
+        samples : samples in order of time.
+        until_ns : end of the batch.
         """
-        now_ns = self.belief.t_ns
-        if self._at_epoch or self._coasted_ns:
+        state, now_ns = self._state, self.belief.t_ns
+        if state.clones_position or state.coasted_ns:
             return 0
         for number, sample in enumerate(samples):
             t_ns = sample.t_ns
-            goes_on = t_ns > now_ns and (
+            contiguous = t_ns > now_ns and (
                 t_ns - sample.interval_ns == now_ns or not imu_dropout.gap_before_ns(sample, now_ns)
             )
-            if now_ns >= until_ns or not goes_on:
+            if now_ns >= until_ns or not contiguous:
                 return number
             now_ns = t_ns
         return len(samples)
 
     def advance_batch(self, samples: Sequence[ImuSample], measured: Array) -> int:
-        """``advance`` to the time of each of samples that follow, ``measured`` (K, 6), and none beyond one after which
-        the belief is not finite; how many.
+        """Propagate the estimate through contiguous samples.
+
+        Parameters
+        ----------
+        samples : K contiguous samples (``count_contiguous``).
+        measured : (K, 6) the same samples as ``preintegration.sample_matrix`` stacks them.
+
+        Returns
+        -------
+        Number of samples used. It is less than K if the estimate became non-finite: the last one used caused it.
         """
         return self._integrate([sample.t_ns for sample in samples], samples, measured)
 
     def _integrate(self, until_ns: Sequence[int], samples: Sequence[ImuSample], measured: Array) -> int:
-        """By each sample until its time, as ``preintegration.integrate`` has it; how many."""
-        belief = self.belief
+        """Integrate each sample up to its time in ``until_ns``; return the number of samples used."""
+        state, belief = self._state, self.belief
         stamps_ns = np.array([belief.t_ns, *until_ns])
         seconds = 1e-9 * (stamps_ns[1:] - stamps_ns[:-1])
-        done = integrate(belief.x, belief.R, self._Phi, self._Q, measured, seconds, self._noise, self._earth)
-        self.angular_rate_radps = samples[done - 1].angular_rate_radps
-        self._pending_ns += until_ns[done - 1] - belief.t_ns
+        done = integrate(belief.x, belief.R, state.Phi, state.Q, measured, seconds, self._noise, self._earth)
+        state.angular_rate_radps = samples[done - 1].angular_rate_radps
+        state.pending_ns += until_ns[done - 1] - belief.t_ns
         belief.t_ns = until_ns[done - 1]
         return done
 
-    def _cross(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
-        """To ``t_ns``, within the ``gap_ns`` before ``sample`` of which nothing was measured."""
-        belief = self.belief
+    def _cross_gap(self, t_ns: int, sample: ImuSample, gap_ns: int) -> None:
+        """Propagate to ``t_ns`` within the gap of ``gap_ns`` before ``sample``, where nothing was measured."""
+        state, belief = self._state, self.belief
         seconds, gap_s = (t_ns - belief.t_ns) * 1e-9, gap_ns * 1e-9
         if gap_ns <= imu_dropout.MAX_BRIDGED_NS:
             self._integrate([t_ns], [sample], sample_matrix([sample]))
-            imu_dropout.inflate(self._Q, seconds, gap_s)
+            imu_dropout.inflate(state.Q, seconds, gap_s)
             return
         down = belief.R[2]
         turns = [
             float(down @ (np.array(rate) - belief.x[GYRO_BIAS]))
-            for rate in (self.angular_rate_radps, sample.angular_rate_radps)
+            for rate in (state.angular_rate_radps, sample.angular_rate_radps)
         ]
-        imu_dropout.coast(belief.x, belief.R, self._Phi, self._Q, seconds, gap_s, 0.5 * sum(turns), self._suite.imu)
-        self._pending_ns += t_ns - belief.t_ns
-        self._coasted_ns += t_ns - belief.t_ns
+        imu_dropout.coast(belief.x, belief.R, state.Phi, state.Q, seconds, gap_s, 0.5 * sum(turns), self._suite.imu)
+        state.pending_ns += t_ns - belief.t_ns
+        state.coasted_ns += t_ns - belief.t_ns
         belief.t_ns = t_ns
 
-    def snapshot(self) -> Snapshot:
-        """Where it stands, to come back to."""
-        belief = self.belief.copy()
-        Phi, Q = self._Phi.copy(), self._Q.copy()
-        pending_ns, coasted_ns = self._pending_ns, self._coasted_ns
-        return Snapshot(
-            belief, self.angular_rate_radps, Phi, Q, pending_ns, self._at_epoch, coasted_ns, self.process_noise.copy()
-        )
+    def snapshot(self) -> FilterState:
+        """Return a copy of everything that changes with time, for ``restore``."""
+        return self._state.copy()
 
-    def restore(self, then: Snapshot) -> None:
-        """Back to where it stood, bit for bit; ``then`` can be restored again."""
-        self.belief = then.belief.copy()
-        self.angular_rate_radps = then.angular_rate_radps
-        self._Phi, self._Q = then.Phi.copy(), then.Q.copy()
-        self._pending_ns, self._coasted_ns, self._at_epoch = then.pending_ns, then.coasted_ns, then.at_epoch
-        self.process_noise = then.process_noise.copy()
+    def restore(self, then: FilterState) -> None:
+        """Return to a snapshot, bitwise. The snapshot stays valid."""
+        self._state = then.copy()
 
     def propagate_covariance(self) -> None:
-        """Bring the whole covariance to the belief's time."""
-        if self._pending_ns == 0:
+        """Propagate the full covariance to the time of the belief."""
+        state, belief = self._state, self.belief
+        if state.pending_ns == 0:
             return
-        belief, dt = self.belief, self._pending_ns * 1e-9
+        dt = state.pending_ns * 1e-9
         P, E = belief.P, belief.signatures.error
-        propagate(P, E, self._Phi, self._Q)
+        propagate(P, E, state.Phi, state.Q)
         bias = belief.layout.compass_bias
         if bias.stop > bias.start:
             keep = math.exp(-dt / self._suite.compass.bias_tau_s)
@@ -203,37 +252,25 @@ class ErrorStateFilter:
             P[:, bias] *= keep
             P[bias, bias] += self._suite.compass.bias_sd_rad**2 * (1.0 - keep * keep)
         current_model.add_random_walk(belief, self._config, dt)
-        self.process_noise.propagate(belief, dt)
-        self._pending_ns = 0
+        state.process_noise.propagate(belief, dt)
+        state.pending_ns = 0
 
     def propagated_belief(self) -> Belief:
-        """A copy of the belief with its whole covariance at its time; the filter itself stays as it is, bit for bit."""
+        """Return a copy of the belief with its full covariance at its time. The filter does not change."""
         other = self.fork()
         other.propagate_covariance()
         return other.belief
 
     def fork(self) -> ErrorStateFilter:
-        """Another that stands where this one does; its account is empty and nobody observes it."""
+        """Return an independent filter in the same state, with empty counts and without observers."""
         other = copy.copy(self)
-        other.belief, other.process_noise = self.belief.copy(), self.process_noise.copy()
-        other._Phi, other._Q = self._Phi.copy(), self._Q.copy()
+        other._state = self._state.copy()
         other.account, other.observers = Counter(), []
         return other
 
     def core_covariance(self) -> Array:
-        """Of the core at the belief's time, (15, 15), without moving the rest."""
-        return propagated_core(self.belief.P, self._Phi, self._Q)
-
-    @property
-    def angular_rate_variance(self) -> float:
-        """Of one axis of ``rate`` less its bias (rad2/s2): the angle random walk over one sample."""
-        imu = self._suite.imu
-        return imu.angle_random_walk_rad_per_rts**2 / (imu.period_ns * 1e-9)
-
-    @property
-    def earth_rate_radps(self) -> Array:
-        """That the gyros sense (rad/s), NED, (3,)."""
-        return self._earth
+        """Return the covariance of the core states at the time of the belief, (15, 15). The filter does not change."""
+        return propagated_core(self.belief.P, self._state.Phi, self._state.Q)
 
     def correct(self, message: Measurement) -> None:
         """Correct by a measurement of the belief's time.
@@ -256,10 +293,10 @@ class ErrorStateFilter:
         correction = self._use(sensor, linearised)
         if correction is not None and isinstance(linearised, LinearisedPing) and isinstance(message, AdcpPing):
             self._observe_water(linearised, correction, len(message.range_m))
-        self._at_epoch |= sensor.clones_position
+        self._state.clones_position |= sensor.clones_position
 
     def _observe_water(self, ping: LinearisedPing, correction: Correction, cells: int) -> None:
-        """Mark the grid points that a ping has measured, and give its innovations to the adaptation."""
+        """Mark the grid points that a ping has measured, and give its innovations to the adaptive process noise."""
         self.belief.column.mark_observed(ping.grid_points[correction.accepted])
         if self._config.adapts_to_water and correction.definite and ping.indices is not None:
             r, S = ping.rows.residual, correction.S
@@ -283,7 +320,7 @@ class ErrorStateFilter:
         self.account[f"{name}.{refused}"] += len(rows.residual) - used
         if self.observers:
             indices = linearised.indices
-            verdict = Innovations(
+            innovations = Innovations(
                 sensor=name,
                 t_ns=self.belief.t_ns,
                 indices=np.arange(len(rows.residual)) if indices is None else indices,
@@ -293,5 +330,5 @@ class ErrorStateFilter:
                 definite=correction.definite,
             )
             for observer in self.observers:
-                observer(verdict)
+                observer(innovations)
         return correction

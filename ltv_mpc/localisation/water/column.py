@@ -2,8 +2,9 @@
 
 Grid    G grid points ("nodes" in the code) at depths 0, h, 2h, ...; a window of them, from ``first`` on, is in the
         state (``grid_window.py`` moves it).
-Prior   c_k = mu_k + m + s_k (m/s);  m is common to all depths, with sd ``common_sd_mps``;  s is first-order
-        Gauss-Markov over depth, cov(s_i, s_j) = sd_i sd_j rho^|i-j|. North and east have equal priors and are independent.
+Prior   c_k = mu_k + m + s_k (m/s);  m is common to all depths, sd ``common_sd_mps``;  s is first-order
+        Gauss-Markov over depth, cov(s_i, s_j) = sd_i sd_j rho^|i-j|. North and east have equal priors and
+        are independent.
 """
 
 from __future__ import annotations
