@@ -1,4 +1,4 @@
-"""One TOML table becomes one frozen struct, or an error that names file, field, value and bound."""
+"""Settings files: a TOML table becomes a frozen struct, or an error that names file, field, value and bound."""
 
 from __future__ import annotations
 
@@ -21,15 +21,26 @@ from ltv_mpc.errors import ConfigError, format_value
 T = TypeVar("T")
 
 MAX_FILE_BYTES = 1 << 20
+"""Largest size of a settings file."""
+
 MAX_NESTING = 20
-"""Tables and lists inside one another: no settings file needs more, and the walk below is recursive."""
+"""Largest depth of nested tables and lists. No settings file needs more, and their traversal is recursive."""
 
 
 def parse(table: Mapping[str, Any], kind: type[T], *, source: str) -> T:
-    """``table`` as ``kind`` (a frozen msgspec Struct). ``source`` names it in errors: ``scenario descent.toml``.
+    """Convert a TOML table to a struct.
 
-    Raises ``ConfigError`` for unknown keys (with the nearest known name), missing keys, wrong types, values outside
-    their bounds, and anything that is not finite.
+    Parameters
+    ----------
+    table : content of the file.
+    kind : frozen msgspec Struct.
+    source : name of the file in errors, ``scenario descent.toml``.
+
+    Raises
+    ------
+    ConfigError
+        For unknown keys (with the nearest known name), missing keys, wrong types, values outside their bounds, and
+        numbers that are not finite.
     """
     for path, value in _scalars(table, (), source):
         if isinstance(value, float) and not math.isfinite(value):
@@ -41,7 +52,18 @@ def parse(table: Mapping[str, Any], kind: type[T], *, source: str) -> T:
 
 
 def read_toml(path: Path, *, what: str) -> dict[str, Any]:
-    """The file's tables. ``what`` is the kind of file in words ("scenario", "vehicle"). Raises ``ConfigError``."""
+    """Read a TOML file.
+
+    Parameters
+    ----------
+    path : file.
+    what : kind of file for errors, "scenario" or "vehicle".
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is not valid TOML.
+    """
     source = f"{what} {path}"
     text = read_text(path, what=what)
     try:
@@ -53,19 +75,39 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
 
 
 _CHAIN = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_NESTING}}}""")
-"""A key of so many parts, a.a.a..., for which tomllib takes a time that grows with the square of their number: 64 kB of
-them half a minute."""
+"""Key of at least ``MAX_NESTING`` parts, a.a.a... The time of tomllib grows with the square of their number: half a
+minute for 64 kB.
+"""
 
 
 def loads(text: str) -> dict[str, Any]:
-    """TOML's tables, in a time that grows with the length of ``text``. Raises ``ValueError`` and ``RecursionError``."""
+    """Parse TOML text in a time that grows linearly with its length.
+
+    Raises
+    ------
+    ValueError
+        If the text is not valid TOML.
+    RecursionError
+        If tables or keys are nested too deeply.
+    """
     if _CHAIN.search(text):
         raise RecursionError
     return tomllib.loads(text)
 
 
 def read_text(path: Path, *, what: str) -> str:
-    """A settings file's text, which is not empty. Raises ``ConfigError`` saying what to do."""
+    """Read the text of a settings file.
+
+    Parameters
+    ----------
+    path : file.
+    what : kind of file for errors.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, no regular file, too large, empty, or no UTF-8 text. The error says what to do.
+    """
     source = f"{what} {path}"
     try:
         status = path.stat()
@@ -94,7 +136,7 @@ def read_text(path: Path, *, what: str) -> str:
 
 
 def missing_file_hint(path: Path) -> str:
-    """That there is no such file, and what is there instead."""
+    """Describe a missing file: the similar name in its folder, or the missing folder."""
     folder = path.parent
     try:
         beside = [one.stem for one in folder.iterdir() if one.suffix == path.suffix]
@@ -106,12 +148,25 @@ def missing_file_hint(path: Path) -> str:
 
 
 def is_path(name: str) -> bool:
-    """Whether NAME|FILE is a file: it has a suffix or a slash. A bare name is a shipped one."""
+    """Return True if NAME|FILE is a path: it has a suffix or a slash. A bare name means a shipped file."""
     return "/" in name or "\\" in name or PurePath(name).suffix != ""
 
 
 def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
-    """NAME|FILE: a bare name is shipped in ``package``'s folder; with a suffix or a slash it is a path."""
+    """Return the path of NAME|FILE.
+
+    Parameters
+    ----------
+    name : bare name of a shipped file, or a path with a suffix or a slash.
+    what : kind of file for errors.
+    package : package whose folder holds the shipped files.
+    suffix : suffix of the shipped files.
+
+    Raises
+    ------
+    ConfigError
+        If no shipped file has this name. The error lists the shipped names.
+    """
     if is_path(name):
         return Path(name)
     files = {path.name.removesuffix(suffix): path for path in _shipped(package, suffix)}
@@ -128,23 +183,43 @@ def find(name: str, *, what: str, package: str, suffix: str = ".toml") -> Path:
 
 
 def load(name: str, kind: type[T], *, what: str, package: str) -> T:
-    """Find, read and parse."""
+    """Find, read and parse a settings file.
+
+    Parameters
+    ----------
+    name : bare name of a shipped file, or a path.
+    kind : frozen msgspec Struct.
+    what : kind of file for errors.
+    package : package whose folder holds the shipped files.
+
+    Raises
+    ------
+    ConfigError
+        As ``find``, ``read_toml`` and ``parse``.
+    """
     path = find(name, what=what, package=package)
     return parse(read_toml(path, what=what), kind, source=error_source(path, what=what, name=name))
 
 
 def to_toml(settings: msgspec.Struct) -> str:
-    """A struct as the TOML text that ``parse`` reads back to the same struct, bit for bit; None is left out."""
+    """Format a struct as TOML text that ``parse`` reads back bitwise. None is left out."""
     return tomli_w.dumps(_without_none(msgspec.to_builtins(settings)))
 
 
 def error_source(path: Path, *, what: str, name: str) -> str:
-    """How errors call a file: as the user wrote it, and a shipped one by its file name."""
+    """Return the name of a file in errors: as the user wrote it; of a shipped file its file name.
+
+    Parameters
+    ----------
+    path : file.
+    what : kind of file.
+    name : NAME|FILE as the user wrote it.
+    """
     return f"{what} {path if is_path(name) else path.name}"
 
 
 def toml_key(path: settings_schema.Path) -> str:
-    """``("thruster", "port", "arm_m")`` as TOML's reader knows it: ``[thruster.port] arm_m``."""
+    """Format ``("thruster", "port", "arm_m")`` as TOML table and key, ``[thruster.port] arm_m``."""
     keys = list(path)
     tables: list[str] = []
     while len(keys) > 1 and isinstance(keys[0], str) and isinstance(keys[1], str):
@@ -154,7 +229,7 @@ def toml_key(path: settings_schema.Path) -> str:
 
 
 def _without_none(table: dict[str, Any]) -> dict[str, Any]:
-    """TOML has no null."""
+    """Remove entries of value None: TOML has no null."""
     return {
         key: _without_none(value) if isinstance(value, dict) else value
         for key, value in table.items()
@@ -172,7 +247,7 @@ def _shipped(package: str, suffix: str) -> Iterator[Path]:
 
 
 def _scalars(value: Any, path: tuple[str | int, ...], source: str) -> Iterator[tuple[settings_schema.Path, Any]]:
-    """Everything in a tree of tables and lists, with its place."""
+    """Iterate over all scalars in a tree of tables and lists, with their paths."""
     if len(path) > MAX_NESTING:
         raise ConfigError(
             source, toml_key(path[:1]), f"tables and lists inside one another: at most {MAX_NESTING} deep"
@@ -193,7 +268,7 @@ _OF_VALUE = ("Expected ", "Invalid ", "Number out of range", "Integer ")
 
 
 def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -> ConfigError:
-    """The error in words: with the value, all its bounds, and the name that was meant."""
+    """Translate a msgspec error: add the value, all its bounds, and the name that was probably meant."""
     problem, path = _split(message)
     within = settings_schema.type_at(kind, table, path)
     where = f" in [{'.'.join(str(x) for x in path)}]" if path else ""
@@ -213,7 +288,7 @@ def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -
 
 
 def _split(message: str) -> tuple[str, settings_schema.Path]:
-    """``Expected `float` >= 0.0 - at `$.water.sd_mps``` -> (problem, ("water", "sd_mps"))."""
+    """Split ``Expected `float` >= 0.0 - at `$.water.sd_mps``` into (problem, ("water", "sd_mps"))."""
     problem, at, path = message.rpartition(" - at `$")
     if not at:
         return message, ()

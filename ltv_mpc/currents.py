@@ -1,13 +1,13 @@
 """Current profiles as CSV: columns depth_m, v_north_mps, u_east_mps in any order, further columns ignored.
 
-An estimated profile has two columns more, one number for north and east alike, the larger of the two:
-    sd_mps         standard deviation of the whole error at that depth
-    sd_common_mps  of the part of it that all depths share, the same number in every row: 0 where none is shared
-With both it can be a prior: depths at which a vehicle has measured from one surface fix err together (sd_common), and
-each a little by itself, sqrt(sd^2 - sd_common^2).
+An estimated profile has two more columns, each with one number for north and east, the larger of the two:
+    sd_mps         standard deviation of the whole error at that depth (m/s)
+    sd_common_mps  standard deviation of the part of the error that all depths share, the same in every row; 0 for none
+With both columns a profile can be a prior: depths that a vehicle measured after one surface fix share an error
+(sd_common) and have a smaller error of their own, sqrt(sd^2 - sd_common^2).
 
-Lines that begin with # are comments, but a comment that holds the three names, while no header has been seen, is the
-header: two published profiles carry theirs so. Above the first depth and below the last the profile is held constant.
+Lines that begin with # are comments. A comment before the header that holds the three names is the header: two
+published profiles have it there. Above the first depth and below the last the profile is constant.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ from ltv_mpc.messages import Array, CurrentProfile
 COLUMNS = ("depth_m", "v_north_mps", "u_east_mps")
 SD, SD_COMMON = "sd_mps", "sd_common_mps"
 MAX_CURRENT_MPS = 5.0
-"""No ocean current is faster: larger numbers are in other units."""
+"""Largest current (m/s). No ocean current is faster: larger numbers are in other units."""
 MAX_SD_MPS = 10.0
-"""Twice the fastest: whoever knows nothing of a current knows that much."""
+"""Largest standard deviation (m/s): twice the largest current, which is no knowledge at all."""
 MAX_DEPTH_M = 11_000.0
+"""Largest depth (m)."""
 
 _WORD = re.compile(r"[\w.]+")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaterPrior:
-    """What is known of the current before a dive, NED. Depths strictly increasing; arrays (K,).
+    """Prior knowledge of the current before a dive (m/s, NED) at K strictly increasing depths; arrays (K,).
 
-    ``sd_mps`` is of the whole error of north and of east at each depth, ``sd_common_mps`` of the part of it that all
-    depths share: at most the smallest of ``sd_mps``.
+    ``sd_mps`` is the standard deviation of the whole error of north and of east at each depth. ``sd_common_mps`` is
+    that of the part that all depths share; it is at most the smallest ``sd_mps``.
     """
 
     depth_m: Array
@@ -52,14 +53,26 @@ class WaterPrior:
 
 
 def read_profile(path: str | Path) -> CurrentProfile:
-    """The file's profile, depths strictly increasing. Raises ``ConfigError`` with file, line, field, value, bound."""
+    """Read a current profile; its depths are strictly increasing.
+
+    Raises
+    ------
+    ConfigError
+        With file, line, field, value and bound.
+    """
     columns = _read(Path(path), of_prior=False)
     depth, north, east = (columns[name] for name in COLUMNS)
     return CurrentProfile(depth_m=depth, north_mps=north, east_mps=east, sd_mps=columns.get(SD))
 
 
 def read_prior(path: str | Path) -> WaterPrior:
-    """The file as a prior: ``read_profile``, with both columns of standard deviations there. Raises ``ConfigError``."""
+    """Read a current profile as a prior; both columns of standard deviations are required.
+
+    Raises
+    ------
+    ConfigError
+        With file, line, field, value and bound.
+    """
     columns = _read(Path(path), of_prior=True)
     depth, north, east = (columns[name] for name in COLUMNS)
     common = float(columns[SD_COMMON][0])
@@ -67,7 +80,13 @@ def read_prior(path: str | Path) -> WaterPrior:
 
 
 def write_profile(path: str | Path, profile: CurrentProfile | WaterPrior) -> None:
-    """``profile`` as a CSV that ``read_profile``, or of a prior ``read_prior``, reads back bit for bit."""
+    """Write a profile or a prior as CSV that ``read_profile`` or ``read_prior`` reads back bitwise.
+
+    Parameters
+    ----------
+    path : file to write.
+    profile : profile (m/s, NED).
+    """
     columns = dict(zip(COLUMNS, (profile.depth_m, profile.north_mps, profile.east_mps), strict=True))
     if profile.sd_mps is not None:
         columns[SD] = profile.sd_mps
@@ -79,7 +98,7 @@ def write_profile(path: str | Path, profile: CurrentProfile | WaterPrior) -> Non
 
 
 def _read(path: Path, *, of_prior: bool) -> dict[str, Array]:
-    """The columns that are there, by name, each (K,)."""
+    """Read the columns of a file by name, each (K,)."""
     source = f"currents {path}"
     lines = config.read_text(path, what="currents").splitlines()
     header, first = _header(lines, source, of_prior=of_prior)
@@ -91,12 +110,12 @@ def _read(path: Path, *, of_prior: bool) -> dict[str, Array]:
         _related(row, rows, number, source)
         rows.append(row)
     if not rows:
-        raise ConfigError(source, "", "no row of numbers below the header; one depth is the least")
+        raise ConfigError(source, "", "no row of numbers below the header: give at least one depth")
     return {name: np.array([row[name] for row in rows]) for name in header}
 
 
 def _related(row: Mapping[str, float], before: Sequence[Mapping[str, float]], number: int, source: str) -> None:
-    """What no number of a row can tell alone."""
+    """Check a row against the rows before it and its numbers against each other."""
     if before and row["depth_m"] <= before[-1]["depth_m"]:
         problem = f"must be below the depth before it, {before[-1]['depth_m']:g} m"
         raise ConfigError(source, f"line {number} depth_m", problem, value=row["depth_m"])
@@ -112,11 +131,11 @@ def _related(row: Mapping[str, float], before: Sequence[Mapping[str, float]], nu
 
 
 def _header(lines: Sequence[str], source: str, *, of_prior: bool) -> tuple[dict[str, int], int]:
-    """Positions of the columns by name, and how many lines precede the first that may hold numbers."""
+    """Return the positions of the columns by name, and the number of lines up to the header."""
     in_comment: tuple[list[str], int] | None = None
     for number, line in enumerate(lines, start=1):
         if line.lstrip().startswith("#"):
-            # Prose may follow a name, so each cell of a comment counts by its first word.
+            # Text may follow a name, so only the first word of each cell in a comment counts.
             words = [_WORD.match(cell.strip(" \t#\"'")) for cell in line.split(",")]
             names = [word.group() if word else "" for word in words]
             if in_comment is None and all(name in names for name in COLUMNS):
@@ -133,7 +152,7 @@ def _header(lines: Sequence[str], source: str, *, of_prior: bool) -> tuple[dict[
 
 
 def _positions(names: Sequence[str], number: int, source: str, *, of_prior: bool) -> dict[str, int]:
-    """``sd_mps`` is read where it is there, ``sd_common_mps`` for a prior alone: elsewhere it is one more column."""
+    """Return the positions of the columns to read: ``sd_mps`` if present, ``sd_common_mps`` only for a prior."""
     for name in COLUMNS:
         if name not in names:
             raise ConfigError(
@@ -142,14 +161,14 @@ def _positions(names: Sequence[str], number: int, source: str, *, of_prior: bool
     if of_prior:
         for name, meaning in (
             (SD, "standard deviation at each depth"),
-            (SD_COMMON, "standard deviation of what all depths share, one number in every row; 0 for nothing"),
+            (SD_COMMON, "standard deviation of the part that all depths share, the same in every row; 0 for none"),
         ):
             if name not in names:
                 raise ConfigError(source, f"line {number}", f"missing column {name}: a prior needs it ({meaning})")
     wanted = (*COLUMNS, *((SD,) if SD in names else ()), *((SD_COMMON,) if of_prior else ()))
     for name in wanted:
         if names.count(name) > 1:
-            raise ConfigError(source, f"line {number}", f"column {name} stands there twice")
+            raise ConfigError(source, f"line {number}", f"column {name} occurs more than once")
     return {name: names.index(name) for name in wanted}
 
 

@@ -1,20 +1,27 @@
-"""What goes wrong in words that say which file, field, value and bound, and what to do."""
+"""Errors of settings: each names the file, field, value and bound, and says what to do."""
 
 from __future__ import annotations
 
 import json
 
 MAX_VALUE_LENGTH = 60
+"""Largest number of characters of a value in an error."""
 
 
 class ConfigError(ValueError):
-    """A setting that is refused before anything starts.
+    """Invalid setting, reported before anything starts.
 
-    ``str(error)`` is one line for a person: ``scenario descent.toml: [water] sd_mps = -0.04: must be >= 0``
+    ``str(error)`` is one line: ``scenario descent.toml: [water] sd_mps = -0.04: must be >= 0``.
+
+    Parameters
+    ----------
+    source : kind and name of the file or option, ``scenario descent.toml``.
+    field : table and key, ``[water] sd_mps``; empty if the whole file is meant.
+    problem : the bound, and what to do.
+    value : the invalid value; None if there is none to show.
     """
 
     def __init__(self, source: str, field: str, problem: str, *, value: object = None) -> None:
-        """``source`` names kind and file, ``field`` the table and key, ``problem`` the bound and what to do."""
         self.source = source
         self.field = field
         self.value = value
@@ -25,7 +32,7 @@ class ConfigError(ValueError):
 
 
 def format_value(value: object) -> str:
-    """``value`` as TOML writes it, shortened where it is long."""
+    """Format a value as TOML writes it, shortened to ``MAX_VALUE_LENGTH`` characters."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -41,5 +48,5 @@ def format_value(value: object) -> str:
 
 
 def one_line(text: str) -> str:
-    """``text`` without line breaks and control characters: names of files and keys come from outside."""
+    """Escape line breaks and control characters in text from outside, such as names of files and keys."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)

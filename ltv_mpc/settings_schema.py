@@ -1,4 +1,4 @@
-"""The fields of a settings struct in words: what they are called, what each must be, which name was meant."""
+"""Schema of settings structs for error texts: names of fields, expected values, and suggestions for wrong names."""
 
 from __future__ import annotations
 
@@ -17,7 +17,14 @@ Path: TypeAlias = Sequence[str | int]
 
 
 def type_at(kind: Any, table: Any, path: Path) -> Type | None:
-    """The type that ``kind`` has at ``path``; ``table`` tells which member of a tagged union is meant."""
+    """Return the type at a path of a settings struct, or None.
+
+    Parameters
+    ----------
+    kind : settings struct.
+    table : settings; they select the member of a tagged union.
+    path : keys and list positions.
+    """
     found: Type | None = inspect.type_info(kind)
     for step in path:
         found = _step(found, table, step)
@@ -26,7 +33,7 @@ def type_at(kind: Any, table: Any, path: Path) -> Type | None:
 
 
 def field_names(kind: Type | None) -> tuple[str, ...]:
-    """Names of the fields of a struct type, in their order."""
+    """Return the field names of a struct type in their order, a tag first; empty for any other type."""
     if isinstance(kind, inspect.StructType):
         tag = (kind.tag_field,) if kind.tag_field else ()
         return tag + tuple(f.encode_name for f in kind.fields)
@@ -34,15 +41,21 @@ def field_names(kind: Type | None) -> tuple[str, ...]:
 
 
 def scalar_fields(kind: Any) -> dict[str, Type]:
-    """Every scalar field of a struct of structs by its dotted key, ``{"water.sd_mps": FloatType(...), ...}``."""
+    """Return all scalar fields of nested structs by dotted key, ``{"water.sd_mps": FloatType(...), ...}``."""
     return dict(_leaves(inspect.type_info(kind), ""))
 
 
 def closest_name(name: str, names: Iterable[str]) -> str | None:
-    """The one of ``names`` that was probably meant."""
+    """Return the name that was probably meant, or None.
+
+    Parameters
+    ----------
+    name : wrong name.
+    names : valid names.
+    """
     names = list(names)
     best = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
-    if not best:  # a beginning: "sd" for "sd_mps"
+    if not best:  # a prefix: "sd" for "sd_mps"
         best = [x for x in names if name and x.startswith(name)][:1]
     if not best:  # the last part alone: "horizon_s" for "controller.horizon_s"
         best = [x for x in names if "." in x and x.rpartition(".")[2] == name.rpartition(".")[2]][:1]
@@ -50,7 +63,13 @@ def closest_name(name: str, names: Iterable[str]) -> str | None:
 
 
 def suggestion(name: str, names: Iterable[str]) -> str:
-    """``; did you mean "arm_m"?``, or the known names where none is near."""
+    """Return ``; did you mean "arm_m"?``, or the valid names if none is similar.
+
+    Parameters
+    ----------
+    name : wrong name.
+    names : valid names.
+    """
     names = list(names)
     if meant := closest_name(name, names):
         return f"; did you mean {format_value(meant)}?"
@@ -58,7 +77,13 @@ def suggestion(name: str, names: Iterable[str]) -> str:
 
 
 def expected(kind: Type | None, value: Any = None) -> str:
-    """What a value must be: ``a number > 0 and <= 5``; of a ``value`` that is a number, its bounds alone."""
+    """Describe valid values: ``a number > 0 and <= 5``.
+
+    Parameters
+    ----------
+    kind : type of the field.
+    value : invalid value; if it is a number, only the bounds are returned.
+    """
     numeric = (int, float) if isinstance(kind, inspect.FloatType) else (int,)
     if isinstance(kind, inspect.FloatType | inspect.IntType) and type(value) in numeric and _bounds(kind):
         return _bounds(kind)
@@ -94,14 +119,14 @@ def expected(kind: Type | None, value: Any = None) -> str:
 
 
 def is_text(kind: Type) -> bool:
-    """Whether a value of this type is a text."""
+    """Return True if values of this type are strings."""
     return isinstance(kind, inspect.StrType | inspect.EnumType) or (
         isinstance(kind, inspect.LiteralType) and all(isinstance(x, str) for x in kind.values)
     )
 
 
 def tag_values(kind: Type | None) -> str:
-    """What the tag of a union of structs may be: ``"hold" or "line"``; empty for any other type."""
+    """Return the valid tags of a union of structs, ``"hold" or "line"``; empty for any other type."""
     if not isinstance(kind, inspect.UnionType):
         return ""
     return " or ".join(format_value(x.tag) for x in kind.types if isinstance(x, inspect.StructType))
@@ -121,7 +146,7 @@ def _tag_field(kind: inspect.UnionType) -> str:
 
 
 def _member(kind: Type | None, table: Any) -> Type | None:
-    """The member of a union that ``table`` is meant to be."""
+    """Return the member of a union that ``table`` selects."""
     if not isinstance(kind, inspect.UnionType):
         return kind
     members = [x for x in kind.types if not isinstance(x, inspect.NoneType)]
@@ -153,7 +178,13 @@ def _value(table: Any, step: str | int) -> Any:
 
 
 def value_at(table: Any, path: Path) -> Any:
-    """What stands at ``path``, or None."""
+    """Return the value at a path, or None.
+
+    Parameters
+    ----------
+    table : settings.
+    path : keys and list positions.
+    """
     for step in path:
         table = _value(table, step)
     return table

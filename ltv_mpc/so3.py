@@ -1,5 +1,7 @@
-"""Rotations as nine numbers, for compiled code: there an array of nine costs two calls to the allocator, and numbers
-stay in registers. What they mean is in ``frames.py``.
+"""Rotation matrices as tuples of nine numbers, for compiled code.
+
+In compiled code a small array costs two calls to the allocator; nine numbers stay in registers. The conventions are in
+``frames.py``.
 """
 
 from __future__ import annotations
@@ -11,21 +13,27 @@ from ltv_mpc.jit import jit
 from ltv_mpc.messages import Array, Triple
 
 Matrix3: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
-"""A (3, 3), row by row."""
+"""Matrix (3, 3), row by row."""
 
 SMALL = 1e-4
-"""Angle (rad) below which the series to the fourth power is exact to double precision."""
+"""Angle (rad) below which the fourth-order series is exact to double precision."""
 
 
 @jit
 def read(R: Array) -> Matrix3:
-    """An array (3, 3) as numbers."""
+    """Read an array (3, 3) into a tuple."""
     return R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
 
 
 @jit
 def write(M: Matrix3, R: Array) -> None:
-    """The numbers into an array (3, 3)."""
+    """Write a tuple into an array.
+
+    Parameters
+    ----------
+    M : matrix as a tuple.
+    R : (3, 3) array; changes.
+    """
     R[0, 0], R[0, 1], R[0, 2] = M[0], M[1], M[2]
     R[1, 0], R[1, 1], R[1, 2] = M[3], M[4], M[5]
     R[2, 0], R[2, 1], R[2, 2] = M[6], M[7], M[8]
@@ -33,13 +41,18 @@ def write(M: Matrix3, R: Array) -> None:
 
 @jit
 def transpose(M: Matrix3) -> Matrix3:
-    """M^T."""
+    """Return M^T."""
     return M[0], M[3], M[6], M[1], M[4], M[7], M[2], M[5], M[8]
 
 
 @jit
 def multiply(A: Matrix3, B: Matrix3) -> Matrix3:
-    """A B."""
+    """Return the product of two matrices.
+
+    Parameters
+    ----------
+    A, B : matrices.
+    """
     return (
         A[0] * B[0] + A[1] * B[3] + A[2] * B[6],
         A[0] * B[1] + A[1] * B[4] + A[2] * B[7],
@@ -55,7 +68,12 @@ def multiply(A: Matrix3, B: Matrix3) -> Matrix3:
 
 @jit
 def from_angles(roll: float, pitch: float, heading: float) -> Matrix3:
-    """R = Rz(heading) Ry(pitch) Rx(roll), body to world."""
+    """Return R = Rz(heading) Ry(pitch) Rx(roll), body to world.
+
+    Parameters
+    ----------
+    roll, pitch, heading : Euler angles (rad).
+    """
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
     ch, sh = math.cos(heading), math.sin(heading)
@@ -68,7 +86,12 @@ def from_angles(roll: float, pitch: float, heading: float) -> Matrix3:
 
 @jit
 def exp(x: float, y: float, z: float) -> Matrix3:
-    """exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ of phi = [x, y, z] with t = |phi|."""
+    """Return exp(phi^) = I + sin(t)/t phi^ + (1 - cos t)/t^2 phi^ phi^ with t = |phi| (Rodrigues).
+
+    Parameters
+    ----------
+    x, y, z : rotation vector phi (rad).
+    """
     t2 = x * x + y * y + z * z
     t = math.sqrt(t2)
     if t < SMALL:
@@ -87,14 +110,22 @@ def exp(x: float, y: float, z: float) -> Matrix3:
 
 @jit
 def strapdown(R: Matrix3, W: Triple, w: Triple, dt: float) -> Matrix3:
-    """exp(-W dt) R exp(w dt): R after dt at the rate w (body) against the stars, on an Earth that turns at W (NED)."""
+    """Return the attitude after dt, exp(-W dt) R exp(w dt).
+
+    Parameters
+    ----------
+    R : attitude, body to NED.
+    W : Earth rate (rad/s, NED).
+    w : angular rate relative to inertial space (rad/s, FRD).
+    dt : duration (s).
+    """
     world = exp(-dt * W[0], -dt * W[1], -dt * W[2])
     return multiply(multiply(world, R), exp(dt * w[0], dt * w[1], dt * w[2]))
 
 
 @jit
 def log(M: Matrix3) -> Triple:
-    """The rotation vector phi of M, |phi| <= pi."""
+    """Return the rotation vector phi of M, |phi| <= pi (rad)."""
     # (M - M^T) / 2 = sin(t) axis^,  (trace M - 1) / 2 = cos(t)
     x, y, z = 0.5 * (M[7] - M[5]), 0.5 * (M[2] - M[6]), 0.5 * (M[3] - M[1])
     sine = math.sqrt(x * x + y * y + z * z)
@@ -103,8 +134,8 @@ def log(M: Matrix3) -> Triple:
     if cosine > -0.9:
         part = 1.0 + sine * sine / 6.0 if sine < SMALL else t / sine
         return part * x, part * y, part * z
-    # Near half a turn the sine vanishes: the axis comes from M + M^T = 2 cos(t) I + 2 (1 - cos t) axis axis^T, by the
-    # row whose diagonal is largest.
+    # Near t = pi the sine vanishes. Then the axis follows from M + M^T = 2 cos(t) I + 2 (1 - cos t) axis axis^T, from
+    # the row with the largest diagonal element.
     if M[0] >= M[4] and M[0] >= M[8]:
         sign = 1.0 if x >= 0.0 else -1.0
         x, y, z = M[0] - cosine, 0.5 * (M[1] + M[3]), 0.5 * (M[2] + M[6])

@@ -98,7 +98,7 @@ PRIOR = "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n"
         (PRIOR + "0,0,0,0.1,-1\n", ["line 2 sd_common_mps = -1", ">= 0"]),
         (PRIOR + "0,0,0,nan,0\n", ["line 2 sd_mps", "finite"]),
         (PRIOR + "0,0,0,0.1\n", ["line 2 sd_common_mps", "missing: column 5"]),
-        ("depth_m,v_north_mps,u_east_mps,sd_mps,sd_mps,sd_common_mps\n0,0,0,1,1,0\n", ["sd_mps stands there twice"]),
+        ("depth_m,v_north_mps,u_east_mps,sd_mps,sd_mps,sd_common_mps\n0,0,0,1,1,0\n", ["sd_mps occurs more than once"]),
     ],
 )
 def test_a_wrong_prior_is_refused_with_file_line_field_value_and_bound(tmp_path, content, words):
