@@ -1,26 +1,26 @@
-"""From the instrument's coordinates and signs to the project's: velocity along four beams, their directions in NED.
+"""Conversion of PD0 coordinates and signs: velocities along four beams, and beam directions in NED.
 
-RDI     b_i > 0: water comes towards transducer i. X, Y, Z of the instrument: Y to beam 3, Z out of its back, away from
-        where it looks; X completes the right-handed three. With s = sin a, k = cos a of the beam angle a, and c = 1 for
+RDI     b_i > 0: water moves towards transducer i. Instrument axes: Y to beam 3, Z opposite to the viewing direction, X
+        completes the right-handed frame. With s = sin a, k = cos a of the beam angle a, and c = 1 for
         a convex head, -1 for a concave one:
             X = c (b1 - b2) / 2s,  Y = c (b4 - b3) / 2s,  Z = (b1 + b2 + b3 + b4) / 4k,
-            E = (b1 + b2 - b3 - b4) / (2 sqrt(2) s)       error velocity, as noisy as X; it does not see a uniform flow
+            E = (b1 + b2 - b3 - b4) / (2 sqrt(2) s)       error velocity, as noisy as X, 0 in a uniform flow
         [east, north, up] = M(H, P, Q) [X, Y, Z],  columns of M:
             X  [cos H cos Q + sin H sin P sin Q,  -sin H cos Q + cos H sin P sin Q,  -cos P sin Q]
             Y  [sin H cos P,  cos H cos P,  sin P]
             Z  [cos H sin Q - sin H sin P cos Q,  -sin H sin Q - cos H sin P cos Q,  cos P cos Q]
-        P = atan(tan(pitch) cos(roll)): the tilt sensors are no gimbal;  Q = roll, + 180 deg where it looks up.
-        Ship: H = 0. Tilts not used (EX): P = 0 and Q = 0 or 180 deg in what it computed, not in where it looked.
-Ours    z_i = -b_i, positive away; u_i unit vectors from the transducer in NED; beams in the order ahead, astern,
+        P = atan(tan(pitch) cos(roll)): the tilt sensors are no gimbal;  Q = roll, + 180 deg if it looks up.
+        Ship coordinates: H = 0. Tilts not used (EX): the instrument computed with P = 0 and Q = 0 or 180 deg.
+Here    z_i = -b_i, positive away; u_i unit vectors from the transducer in NED; beams in the order ahead, astern,
         starboard, port (3, 4, 2, 1 looking down; 3, 4, 1, 2 looking up).
-Back    b = T^-1 [X, Y, Z, E] with [X, Y, Z] = M^T [east, north, up]. Without E the instrument has used three beams
-        and has set E = 0, which makes up the fourth: the beam of the lowest correlation is taken to be that one and
-        left out (without correlations: the one furthest from the vertical).
-Cells   middle of cell j at d_j = d_1 + j cell from the face. Mapped bins (EX) are at depth d_j below or above in every
-        beam; else they are at d_j / cos a along each beam.
-Not     heading alignment (EA) and bias (EB) are not applied: north is the north of the heading in the file. How the
-        instrument is mounted in its vehicle is not in the file either; if the vehicle's attitude is what it wrote, the
-        directions here are off by the mounting, and the velocities in earth coordinates are not.
+Inverse b = T^-1 [X, Y, Z, E] with [X, Y, Z] = M^T [east, north, up]. A missing E means a three-beam solution with
+        E = 0, in which the fourth beam is not measured. It is taken to be the beam with the lowest correlation (without
+        correlations: the one furthest from the vertical) and is left out.
+Cells   The middle of cell j is at d_j = d_1 + j cell from the face. Mapped bins (EX) are at depth d_j below or above in
+        every beam; others are at d_j / cos a along each beam.
+Limits  Heading alignment (EA) and bias (EB) are not applied: north is the north of the heading in the file. The file
+        does not contain the mounting of the instrument. If it records the vehicle's attitude, the beam directions here
+        have the error of the mounting; velocities in earth coordinates do not.
 Source  Teledyne RD Instruments, ADCP Coordinate Transformation, P/N 951-6079-00.
 """
 
@@ -38,21 +38,21 @@ _ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 class BeamEnsemble(NamedTuple):
-    """One ensemble in the project's terms. NaN where there is nothing."""
+    """Ensemble in beam coordinates and the signs of this project; NaN if missing."""
 
     t_ns: int
     depth_m: float  # of the transducer
     direction: Array  # u, (4, 3), NED
     velocity_mps: Array  # z, (4, cells)
-    below_m: Array  # of the cell's middle below the transducer, (4, cells); negative above it
-    good: Array  # share of the pings that went into the cell, (4, cells)
+    below_m: Array  # depth of the cell's middle below the transducer, (4, cells); negative above it
+    good: Array  # share of good pings, (4, cells)
     echo: Array | None  # (4, cells), counts, by distance along the beam
-    range_m: Array  # of the echo's cells along the beam, (cells,)
+    range_m: Array  # range of the cells along the beam, (cells,)
     bottom_mps: Array  # velocity of the instrument over ground, (3,), NED
 
 
 def to_beams(ensemble: Ensemble) -> BeamEnsemble:
-    """The project's view of an ensemble."""
+    """Convert an ensemble to beam coordinates and the signs of this project."""
     settings = ensemble.settings
     order = _order(settings)
     u = _directions(ensemble)[order]
@@ -76,7 +76,7 @@ def to_beams(ensemble: Ensemble) -> BeamEnsemble:
 
 
 def instrument_matrix(settings: Settings) -> Array:
-    """T: beams 1 to 4 to X, Y, Z, E, (4, 4)."""
+    """Return T, from beams 1 to 4 to X, Y, Z, E, (4, 4)."""
     a = 1 / (2 * math.sin(settings.beam_angle_rad))
     b = 1 / (4 * math.cos(settings.beam_angle_rad))
     c = 1.0 if settings.convex else -1.0
@@ -85,7 +85,13 @@ def instrument_matrix(settings: Settings) -> Array:
 
 
 def earth_matrix(heading: float, pitch: float, roll: float, *, upward: bool) -> Array:
-    """M(H, P, Q) of the file's angles: X, Y, Z to east, north, up, (3, 3)."""
+    """Return M(H, P, Q), from X, Y, Z to east, north, up, (3, 3).
+
+    Parameters
+    ----------
+    heading, pitch, roll : angles in the file (rad).
+    upward : the instrument looks up.
+    """
     P = math.atan(math.tan(pitch) * math.cos(roll))
     Q = roll + math.pi if upward else roll
     (sh, ch), (sp, cp), (sq, cq) = ((math.sin(x), math.cos(x)) for x in (heading, P, Q))
@@ -99,13 +105,13 @@ def earth_matrix(heading: float, pitch: float, roll: float, *, upward: bool) -> 
 
 
 def _order(settings: Settings) -> list[int]:
-    """Beams ahead, astern, starboard, port, as indices of the file's."""
+    """Return the file's beam indices in the order ahead, astern, starboard, port."""
     sides = [0, 1] if settings.upward == settings.convex else [1, 0]
     return [2, 3, *sides] if settings.convex else [3, 2, *sides]
 
 
 def _directions(ensemble: Ensemble) -> Array:
-    """u of the file's beams 1 to 4, (4, 3), NED."""
+    """Return the unit vectors of the file's beams 1 to 4, (4, 3), NED."""
     settings = ensemble.settings
     s, k = math.sin(settings.beam_angle_rad), math.cos(settings.beam_angle_rad)
     c = 1.0 if settings.convex else -1.0
@@ -115,7 +121,7 @@ def _directions(ensemble: Ensemble) -> Array:
 
 
 def _as_computed(ensemble: Ensemble) -> Array:
-    """M as the instrument had it when it wrote ship or earth coordinates, (3, 3)."""
+    """Return the M with which the instrument computed ship or earth coordinates, (3, 3)."""
     settings = ensemble.settings
     heading = ensemble.heading_rad if settings.coordinates is Coordinates.EARTH else 0.0
     tilts = (ensemble.pitch_rad, ensemble.roll_rad) if settings.tilts_used else (0.0, 0.0)
@@ -123,7 +129,7 @@ def _as_computed(ensemble: Ensemble) -> Array:
 
 
 def _beam_velocities(ensemble: Ensemble) -> Array:
-    """b, (cells, 4): what the instrument measured before it turned it."""
+    """Return the velocities b along the file's beams, (cells, 4), as the instrument measured them."""
     settings, v = ensemble.settings, ensemble.velocity_mps
     if settings.coordinates is Coordinates.BEAM:
         return v
@@ -142,7 +148,7 @@ def _beam_velocities(ensemble: Ensemble) -> Array:
 
 
 def _good(ensemble: Ensemble) -> Array:
-    """Share of the pings in each velocity, (cells, 4); 1 where the file does not say."""
+    """Return the share of good pings, (cells, 4); 1 if the file does not contain it."""
     percent = ensemble.percent_good
     if percent is None:
         return np.ones((ensemble.settings.cells, BEAMS))
@@ -154,7 +160,7 @@ def _good(ensemble: Ensemble) -> Array:
 
 
 def _over_ground(ensemble: Ensemble) -> Array:
-    """Minus the bottom's velocity past the instrument, (3,), NED."""
+    """Return the velocity of the instrument over ground, (3,), NED: minus the bottom's relative velocity."""
     if ensemble.bottom is None:
         return np.full(3, np.nan)
     settings, v = ensemble.settings, ensemble.bottom.velocity_mps
@@ -173,7 +179,7 @@ def _over_ground(ensemble: Ensemble) -> Array:
 
 
 def _completed(b: Array) -> Array:
-    """Four beams; one that is missing is what makes b1 + b2 = b3 + b4."""
+    """Return four beam velocities (4,); a single missing one follows from b1 + b2 = b3 + b4."""
     missing = np.flatnonzero(np.isnan(b))
     if len(missing) != 1:
         return b

@@ -1,12 +1,12 @@
-"""A PD0 file: which of its bytes are whole ensembles, and which are lost.
+"""Reader of PD0 files: whole ensembles, and the bytes that belong to none.
 
-A frame counts where 7F 7F stands, its length ends within the file and the sum of its bytes, modulo 65536, is the
-checksum behind it. Frames are taken in the order of the file and do not overlap; every byte outside them, and every
-frame whose content is unusable, is a loss with its offset and its reason. The instrument's clock must go forward.
+A frame starts with 7F 7F, its length lies within the file, and the sum of its bytes modulo 65536 equals the checksum
+after it. Frames are read in file order and do not overlap. All other bytes, and frames with invalid content, are losses
+with offset and reason. The instrument clock must increase.
 
     checksum_i = total[i + length] - total[i]  (mod 65536),   total = running sum of all bytes
 
-so a file in which every byte starts a frame costs no more than any other: time and memory grow with its size alone.
+So time and memory depend only on the size of the file, even if every byte starts a frame.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ from ltv_mpc.localisation.pd0.records import HEADER, Bytes, DamagedEnsemble, Ens
 
 MARK = b"\x7f\x7f"
 MAX_FILE_BYTES = 1 << 26
-"""Three days of a glider's dives: ten minutes are 150 kB."""
+"""Largest size of a file: three days of a glider's dives, at 150 kB for ten minutes."""
+
 MAX_LISTED_LOSSES = 1000
-"""That are listed; all are counted."""
+"""Largest number of losses that are listed. All are counted."""
+
 _STRIDE = 1 << 20
 
 Sums: TypeAlias = npt.NDArray[np.uint16]
@@ -36,7 +38,7 @@ Places: TypeAlias = npt.NDArray[np.int64]
 
 
 class Loss(NamedTuple):
-    """Bytes that belong to no ensemble."""
+    """Range of bytes that belongs to no ensemble."""
 
     offset: int
     length: int
@@ -44,18 +46,24 @@ class Loss(NamedTuple):
 
 
 class Recording(NamedTuple):
-    """What a file holds, in its order; at least one ensemble."""
+    """Content of a file, in file order; at least one ensemble."""
 
-    source: str  # how errors call it
-    size: int
+    source: str  # name of the file in errors
+    size: int  # bytes
     ensembles: tuple[Ensemble, ...]
-    losses: tuple[Loss, ...]  # the first of them: at most MAX_LISTED_LOSSES
-    lost_places: int  # all of them
+    losses: tuple[Loss, ...]  # the first MAX_LISTED_LOSSES
+    lost_places: int  # number of all losses
     lost_bytes: int
 
 
 def read(path: str | Path) -> Recording:
-    """The file's ensembles. Raises ``ConfigError`` where there is no file, or not one ensemble in it."""
+    """Read the ensembles of a file.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or contains no valid ensemble.
+    """
     source = f"PD0 file {path}"
     try:
         status = Path(path).stat()
@@ -72,7 +80,18 @@ def read(path: str | Path) -> Recording:
 
 
 def parse(data: bytes, *, source: str) -> Recording:
-    """``data`` as ensembles and losses. Raises ``ConfigError``, saying where and why, where there is no ensemble."""
+    """Split bytes into ensembles and losses.
+
+    Parameters
+    ----------
+    data : content of a file.
+    source : name of the file in errors.
+
+    Raises
+    ------
+    ConfigError
+        If there is no valid ensemble, with the offset and reason of the first loss.
+    """
     total = _running_sum(data)
     ensembles: list[Ensemble] = []
     losses: list[Loss] = []
@@ -93,7 +112,7 @@ def parse(data: bytes, *, source: str) -> Recording:
         try:
             ensemble = records.decode(memoryview(data)[start : start + length], start)
             if ensembles and ensemble.t_ns <= ensembles[-1].t_ns:
-                raise DamagedEnsemble("its clock does not go forward")
+                raise DamagedEnsemble("its clock does not increase")
         except DamagedEnsemble as problem:
             lose(start, end, str(problem))
         else:
@@ -107,14 +126,14 @@ def parse(data: bytes, *, source: str) -> Recording:
 
 
 def _running_sum(data: bytes) -> Sums:
-    """total[i]: the sum of the first i bytes modulo 65536, (bytes + 1,)."""
+    """Return the running sums modulo 65536, (bytes + 1,): total[i] is the sum of the first i bytes."""
     total = np.zeros(len(data) + 1, dtype=np.uint16)
-    np.cumsum(np.frombuffer(data, dtype=np.uint8), dtype=np.uint16, out=total[1:])  # wraps, as the checksum does
+    np.cumsum(np.frombuffer(data, dtype=np.uint8), dtype=np.uint16, out=total[1:])  # wraps like the checksum
     return total
 
 
 def _frames(u8: Bytes, total: Sums) -> Iterator[tuple[int, int]]:
-    """Offset and length without checksum of all that begins with the mark and has the right sum, overlapping or not."""
+    """Iterate over offset and length, without checksum, of all byte ranges that form a frame; they may overlap."""
     size = len(u8)
     beyond = size - HEADER - 1
     for first in range(0, max(beyond, 0), _STRIDE):
@@ -132,7 +151,7 @@ def _u16(u8: Bytes, at: Places) -> Places:
 
 
 def _diagnosis(data: bytes, total: Sums, start: int, end: int) -> str:
-    """Why the bytes from ``start`` to ``end`` are no frame."""
+    """Return the reason why the bytes from ``start`` to ``end`` are no frame."""
     mark = data.find(MARK, start, end)
     if mark < 0:
         return "no header 7F 7F"
@@ -140,7 +159,7 @@ def _diagnosis(data: bytes, total: Sums, start: int, end: int) -> str:
         return f"the header at byte {mark} is cut off"
     length = int.from_bytes(data[mark + 2 : mark + 4], "little")
     if length < HEADER:
-        return f"the ensemble at byte {mark} names a length of {length} bytes"
+        return f"the ensemble at byte {mark} has an invalid length of {length} bytes"
     if mark + length + 2 > len(data):
         return f"the ensemble at byte {mark} has {length + 2} bytes, the file ends after {len(data) - mark} of them"
     stated = int.from_bytes(data[mark + length : mark + length + 2], "little")

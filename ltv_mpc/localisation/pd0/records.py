@@ -1,13 +1,13 @@
-"""One PD0 ensemble: the bytes of a frame that has passed its checksum become numbers with units.
+"""Decoding of a PD0 ensemble: the bytes of a frame with a valid checksum become numbers with units.
 
 Frame   7F 7F, bytes without checksum (u16), spare, number of data types n (u8), n offsets (u16), the data types, two
-        reserved bytes, checksum (u16); little-endian throughout. A data type begins with its identity (u16).
-Read    fixed leader 0000, variable leader 0080, velocity 0100, correlation 0200, echo 0300, percent good 0400, bottom
-        track 0600; every other type is passed over. Both leaders and velocity must be there.
-Units   velocities mm/s, -32768 where there is none (NaN here); cells and bottom ranges cm; depth dm; pressure 10 Pa;
+        reserved bytes, checksum (u16); all little-endian. A data type starts with its identity (u16).
+Types   fixed leader 0000, variable leader 0080, velocity 0100, correlation 0200, echo 0300, percent good 0400, bottom
+        track 0600; other types are skipped. Both leaders and velocity are required.
+Units   velocities mm/s, -32768 if missing (NaN here); cells and bottom ranges cm; depth dm; pressure 10 Pa;
         angles 0.01 deg.
-Signs   as the instrument has them: velocity TOWARDS the transducer is positive, in the coordinates of the EX byte.
-        ``beams.py`` turns them.
+Signs   as in the instrument: velocity TOWARDS the transducer is positive, in the coordinates of the EX byte.
+        ``beams.py`` converts them.
 Source  Teledyne RD Instruments, WorkHorse Commands and Output Data Format, P/N 957-6156-00, chapter on PD0.
 """
 
@@ -30,7 +30,7 @@ MISSING = -32768
 BEAMS = 4
 HEADER = 6
 MAX_DEPTH_M = 12_000.0
-"""A depth or pressure beyond it is no reading."""
+"""Largest valid depth (m). A larger depth or pressure is ignored."""
 SEA_WATER_KGPM3 = 1025.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _KILOHERTZ = {0: 75, 1: 150, 2: 300, 3: 600, 4: 1200, 5: 2400, 6: 38}
@@ -40,7 +40,7 @@ Bytes = npt.NDArray[np.uint8]
 
 
 class Coordinates(Enum):
-    """What the four velocities of a cell are."""
+    """Coordinates of the four velocities of a cell."""
 
     BEAM = 0  # beams 1 to 4
     INSTRUMENT = 1  # X, Y, Z, error
@@ -49,7 +49,7 @@ class Coordinates(Enum):
 
 
 class Settings(NamedTuple):
-    """The fixed leader. Distances are at right angles to the transducer's face: along a beam they are longer."""
+    """Instrument settings (fixed leader). Distances are perpendicular to the transducer face, not along a beam."""
 
     frequency_kHz: int
     upward: bool
@@ -67,28 +67,28 @@ class Settings(NamedTuple):
     heading_bias_rad: float
 
     def same_setup(self, other: Settings) -> bool:
-        """The same but for where the first cell lies: instruments move it by centimetres with the speed of sound."""
+        """Return True if the settings are equal; the first cell may move by 0.1 cells with the speed of sound."""
         near = abs(self.first_cell_m - other.first_cell_m) <= 0.1 * self.cell_m
         return near and self._replace(first_cell_m=other.first_cell_m) == other
 
 
 class BottomTrack(NamedTuple):
-    """Each (4,); in the coordinates of the ensemble, NaN where there is none."""
+    """Bottom track, each (4,), in the coordinates of the ensemble; NaN if missing."""
 
-    range_m: Array  # at right angles to the face, by beam
+    range_m: Array  # perpendicular to the face, by beam
     velocity_mps: Array
     percent_good: Array
 
 
 class Ensemble(NamedTuple):
-    """What one ensemble says. Records that the file does not hold are None."""
+    """Decoded ensemble. Records that the file does not contain are None."""
 
     offset: int  # of its first byte in the file
     number: int
-    t_ns: int  # of the instrument's clock, since 1970
+    t_ns: int  # instrument clock, since 1970
     settings: Settings
     heading_rad: float
-    pitch_rad: float  # as the tilt sensor has it, not yet of a gimbal
+    pitch_rad: float  # of the tilt sensor, not a gimbal angle
     roll_rad: float
     depth_m: float
     sound_speed_mps: float
@@ -100,17 +100,28 @@ class Ensemble(NamedTuple):
 
 
 class DamagedEnsemble(ValueError):
-    """A frame whose checksum is right and whose content is not."""
+    """Frame with a valid checksum and invalid content."""
 
 
 def decode(frame: memoryview, offset: int) -> Ensemble:
-    """``frame`` runs from 7F 7F to before the checksum. Raises ``DamagedEnsemble`` with the reason."""
+    """Decode a frame.
+
+    Parameters
+    ----------
+    frame : bytes from 7F 7F up to the checksum, without it.
+    offset : offset of the frame in the file.
+
+    Raises
+    ------
+    DamagedEnsemble
+        If the content is invalid, with the reason.
+    """
     records = _records(frame)
     settings = _settings(_needed(records, 0x0000, 42, "fixed leader"))
     leader = _needed(records, 0x0080, 28, "variable leader")
     heading, pitch, roll = (math.radians(x / 100) for x in struct.unpack_from("<Hhh", leader, 18))
     if not (heading <= 2 * math.pi and abs(pitch) < math.pi / 2 and abs(roll) <= math.pi):
-        raise DamagedEnsemble("heading, pitch or roll is no angle of an instrument")
+        raise DamagedEnsemble("heading, pitch or roll is outside its range")
     velocity = _needed(records, 0x0100, 2 + 2 * BEAMS * settings.cells, "velocity")
     return Ensemble(
         offset=offset,
@@ -131,7 +142,7 @@ def decode(frame: memoryview, offset: int) -> Ensemble:
 
 
 def _records(frame: memoryview) -> dict[int, memoryview]:
-    """Identity to content, identity included, up to where the next begins; of two with one identity the first."""
+    """Return the records by identity, each up to the start of the next; of two with one identity the first."""
     count = frame[5]
     first = HEADER + 2 * count
     if first > len(frame):
@@ -141,7 +152,7 @@ def _records(frame: memoryview) -> dict[int, memoryview]:
     found: dict[int, memoryview] = {}
     for place in places:
         if not first <= place <= len(frame) - 2:
-            raise DamagedEnsemble(f"a data type at {place} of {len(frame)} bytes")
+            raise DamagedEnsemble(f"data type at offset {place} of {len(frame)} bytes")
         found.setdefault(struct.unpack_from("<H", frame, place)[0], frame[place : ends[place]])
     return found
 
@@ -162,14 +173,14 @@ def _settings(leader: memoryview) -> Settings:
     (first_cm,) = struct.unpack_from("<H", leader, 32)
     alignment, bias = struct.unpack_from("<hh", leader, 26)
     angle_deg = _ANGLE_DEG.get(high & 0b11)
-    if angle_deg is None:  # "other": newer leaders name it
+    if angle_deg is None:  # "other": newer leaders contain the angle
         angle_deg = leader[58] if len(leader) > 58 else 0
     if beams != BEAMS:
         raise DamagedEnsemble(f"{beams} beams: only instruments with {BEAMS} are read")
     if low & 0b111 not in _KILOHERTZ:
         raise DamagedEnsemble(f"unknown frequency code {low & 0b111}")
     if not 5 <= angle_deg <= 45:
-        raise DamagedEnsemble(f"a beam angle of {angle_deg} deg")
+        raise DamagedEnsemble(f"beam angle {angle_deg} deg, must be 5 to 45")
     if not (cells and pings and cell_cm and first_cm):
         raise DamagedEnsemble("no cells, pings, cell length or first cell in the fixed leader")
     return Settings(
@@ -195,13 +206,13 @@ def _time(leader: memoryview) -> int:
     try:
         moment = datetime(1900 + year if year >= 80 else 2000 + year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
-        raise DamagedEnsemble("its clock shows no date") from None
+        raise DamagedEnsemble("its clock is not a valid date") from None
     whole = (moment - _EPOCH) // timedelta(seconds=1)
     return whole * 1_000_000_000 + hundredth * 10_000_000
 
 
 def _depth(leader: memoryview) -> float:
-    """From the pressure, which is finer, where there is one; else the depth of the transducer (ED)."""
+    """Return the depth from pressure if available, because it is finer, else the depth of the transducer (ED)."""
     if len(leader) >= 52:
         # p = rho g z, in units of 10 Pa
         depth_m: float = 10.0 * struct.unpack_from("<I", leader, 48)[0] / (SEA_WATER_KGPM3 * GRAVITY_MPS2)

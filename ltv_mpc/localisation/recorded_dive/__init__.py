@@ -1,1 +1,1 @@
-"""A recorded dive without an inertial unit: a profiler, its attitude and depth, bottom track for the first fixes."""
+"""Localisation of a recorded dive without IMU: ADCP, its attitude and depth, and bottom track for the first fixes."""

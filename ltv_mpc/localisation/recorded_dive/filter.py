@@ -1,7 +1,7 @@
-"""The filter of a recorded dive: beams and, for the first ensembles, bottom track; no inertial unit.
+"""Kalman filter of a recorded dive: ADCP beams and, for the first ensembles, bottom track; no IMU.
 
-Attitude and depth are the instrument's own and taken as exact, so the problem is linear and this a plain Kalman filter:
-states and changes in ``model.py``, rows, gate and update in ``update.py``.
+Attitude and depth come from the instrument and are taken as exact. So the problem is linear: states and propagation are
+in ``model.py``; measurement rows, gate and update are in ``update.py``.
 """
 
 from __future__ import annotations
@@ -23,45 +23,65 @@ from ltv_mpc.localisation.recorded_dive.update import Mask, beams, correct, over
 from ltv_mpc.messages import Array
 
 MAX_GRID_POINTS = 200
+"""Largest number of grid points of the current, which bounds the time of a run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Track:
-    """Of each ensemble: position relative to the first (m), velocity over ground (m/s), (N, 2), north and east."""
+    """Estimated track of N ensembles: position relative to the first and velocity over ground, north and east."""
 
     t_ns: tuple[int, ...]
-    position_m: Array
+    position_m: Array  # (N, 2)
     position_covariance: Array  # (N, 2, 2)
-    velocity_mps: Array
+    velocity_mps: Array  # (N, 2)
     velocity_covariance: Array  # (N, 2, 2)
     fixes: int  # ensembles whose bottom track was used
     cells_used: int
-    cells_screened: int  # with a velocity, but too few good pings or too near the bottom
-    cells_rejected: int  # by the gate
+    cells_screened: int  # cells with too few good pings or too near the bottom
+    cells_rejected: int  # rejected by the gate
     nis: float  # mean of residual^2 / S over the beams' rows, before the gate
     water: WaterPrior
 
     @property
     def t_s(self) -> Array:
-        """Since the first ensemble."""
+        """Time since the first ensemble (s), (N,)."""
         return 1e-9 * np.array([t - self.t_ns[0] for t in self.t_ns], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instrument:
-    """What is known of a recording as a whole before it is filtered."""
+    """Instrument settings of a recording, and the beam noise estimated from the whole recording."""
 
     settings: Settings
     beam_sd_mps: Array  # (cells,)
 
     @classmethod
     def of(cls, ensembles: Sequence[BeamEnsemble], settings: Settings, parameters: DiveParameters) -> Instrument:
-        """The noise from the recording's own spare beam."""
+        """Return the instrument with beam noise estimated from the error velocity (``noise.py``).
+
+        Parameters
+        ----------
+        ensembles : the recording.
+        settings : instrument settings.
+        parameters : ``min_good_share`` selects the cells.
+        """
         return cls(settings=settings, beam_sd_mps=beam_sd(ensembles, settings, parameters.min_good_share))
 
 
 def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: DiveParameters, *, fixes: int) -> Track:
-    """The track from the first of ``ensembles`` on, of whose first ``fixes`` bottom track is used where there is."""
+    """Estimate the track of a dive.
+
+    Parameters
+    ----------
+    ensembles : the dive, in order of time.
+    instrument : settings and beam noise.
+    parameters : assumptions of the filter.
+    fixes : number of first ensembles whose bottom track is used if available.
+
+    Returns
+    -------
+    Track from the first ensemble on.
+    """
     settings = instrument.settings
     masks = [usable(x, settings, parameters.min_good_share) for x in ensembles]
     model = Model.of(parameters, _nodes(ensembles, masks, settings), _ranges(masks, ensembles[0]))
@@ -102,7 +122,7 @@ def run(ensembles: Sequence[BeamEnsemble], instrument: Instrument, parameters: D
 
 
 def _nodes(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask], settings: Settings) -> Array:
-    """Depths of the water's nodes: all that is seen, a cell apart, and at most as many as can be paid for."""
+    """Return the depths of the grid points (m): all observed depths, a cell apart, at most ``MAX_GRID_POINTS``."""
     seen = [e.depth_m + e.below_m[mask] for e, mask in zip(ensembles, masks, strict=True)]
     depths = np.concatenate([*seen, [e.depth_m for e in ensembles]])
     top = max(float(depths.min()) - settings.cell_m, 0.0)
@@ -113,13 +133,13 @@ def _nodes(ensembles: Sequence[BeamEnsemble], masks: Sequence[Mask], settings: S
 
 
 def _ranges(masks: Sequence[Mask], ensemble: BeamEnsemble) -> Array:
-    """Ranges of the cells up to the last that is ever used, (C,)."""
+    """Return the ranges of the cells up to the last one that is ever used (m), (C,)."""
     ever = np.flatnonzero(np.any([mask.any(axis=0) for mask in masks], axis=0))
     return ensemble.range_m[: ever[-1] + 1 if len(ever) else 1]
 
 
 def _water(model: Model, x: Array, P: Array) -> WaterPrior:
-    """The current at the nodes; what two depths share least counts as shared by all."""
+    """Return the estimated current. The common variance is the smallest covariance of any two depths."""
     sd = np.sqrt(np.maximum(*(np.diagonal(P)[axis] for axis in (model.north, model.east))))
     shared = min(float(P[axis, axis].min()) for axis in (model.north, model.east))
     return WaterPrior(

@@ -1,14 +1,14 @@
-"""How noisy a recording's beams are, from the recording itself: four beams over three velocities leave one to spare.
+"""Beam noise of a recording, estimated from its error velocity: four beams measure three velocities.
 
     e = z_ahead + z_astern - z_starboard - z_port
 
-sees no flow that is the same in all beams; with independent noise sd(e) = 2 sigma. sigma of cell j is taken from the
-central 90 % of e over the dive (half its width / 1.645): outliers beyond are for the gate, a bias of e is not noise.
-With fewer than 30 samples of a cell it is that of the cell before, of the first cell that of all cells together; with
-fewer than 30 in all it is twice the data sheet's, which no cell's falls below:
+does not depend on a flow that all beams share; with independent noise sd(e) = 2 sigma. For each cell, sigma is taken
+from the central 90 % of e over the dive (half their width / 1.645): the gate handles outliers beyond, and a bias of e
+is no noise. A cell with fewer than 30 samples takes sigma of the cell before it, the first cell that of all cells.
+With fewer than 30 samples in all, sigma is twice the data sheet's. No cell's sigma is below the data sheet's:
     sigma = 1.94 cm/s (1200 kHz / f) (1 m / cell) / sqrt(pings)
-(WorkHorse 1200 kHz, 1 m cells, at rest; the uncertainty of a ping goes with 1 / (bandwidth x pulse length)).
-A cell whose share g of good pings is less has sigma / sqrt(g).
+(WorkHorse 1200 kHz, 1 m cells, at rest; the noise of a ping is proportional to 1 / (bandwidth x pulse length)).
+A cell with a share g of good pings has sigma / sqrt(g).
 """
 
 from __future__ import annotations
@@ -22,18 +22,28 @@ from ltv_mpc.localisation.pd0.records import Settings
 from ltv_mpc.messages import Array
 
 MIN_SAMPLES = 30
+"""Smallest number of samples for an estimate of sigma."""
+
 NOISE_AT_SEA = 2.0
-"""Of the data sheet's noise, where nothing better is known: a vehicle moves while it pings."""
+"""Noise relative to the data sheet's if it cannot be estimated: a vehicle moves while it pings."""
+
 _OPPOSED = np.array([1.0, 1.0, -1.0, -1.0])
 
 
 def data_sheet_sd(settings: Settings) -> float:
-    """sigma of one beam and ensemble (m/s), all pings good."""
+    """Return sigma of one beam and ensemble by the data sheet (m/s), all pings good."""
     return 0.0194 * (1200 / settings.frequency_kHz) / settings.cell_m / float(np.sqrt(settings.pings))
 
 
 def beam_sd(ensembles: Sequence[BeamEnsemble], settings: Settings, min_good_share: float) -> Array:
-    """sigma of one beam (m/s) by cell, (cells,)."""
+    """Estimate sigma of one beam for each cell (m/s), (cells,).
+
+    Parameters
+    ----------
+    ensembles : the recording.
+    settings : instrument settings.
+    min_good_share : smallest share of good pings of a cell in use.
+    """
     sheet = data_sheet_sd(settings)
     spare = np.array([_OPPOSED @ x.velocity_mps for x in ensembles])
     spare[np.array([x.good[0] < min_good_share for x in ensembles])] = np.nan
@@ -50,7 +60,7 @@ def beam_sd(ensembles: Sequence[BeamEnsemble], settings: Settings, min_good_shar
 
 
 def _sd(e: Array) -> float | None:
-    """sigma of one beam from samples of e; None where there are too few."""
+    """Return sigma of one beam from samples of e, or None if there are too few."""
     if len(e) < MIN_SAMPLES:
         return None
     return float(np.quantile(np.abs(e - np.median(e)), 0.9)) / 1.645 / 2

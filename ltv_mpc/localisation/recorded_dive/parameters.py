@@ -1,8 +1,8 @@
-"""What the filter of a recorded dive assumes: one set for every instrument and every dive.
+"""Parameters of the filter for recorded dives: one set for all instruments and dives.
 
-Each number stands with where it is from: the kind of vehicle, the design's figures for sea and instrument, data sheets,
-and what a recording says of its instrument without a position: error velocities and vertical velocities by cell. None
-is fitted to the position error of a dive. The beams' noise is not here: ``noise.py`` takes it from each recording.
+Each number has its source beside it: the kind of vehicle, the design's figures for sea and instrument, data sheets, and
+statistics of recordings that need no position (error velocities and vertical velocities by cell). None is fitted to the
+position error of a dive. Beam noise is not a parameter: ``noise.py`` estimates it from each recording.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ Sd: TypeAlias = Annotated[float, Meta(ge=0, le=10)]
 
 
 class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All 1 sigma, SI."""
+    """Standard deviations (1 sigma) and lengths, SI units."""
 
-    # Velocity over ground as a random walk, wide enough never to hold a vehicle back: 6 cm/s in the 4 s of an ensemble
-    # is 0.3 m/s turned by 3 deg/s, or a swell; shear of 0.02 per second at 0.14 m/s of descent is a fifth of it.
+    # Velocity over ground is a random walk, wide enough for any vehicle: 6 cm/s in the 4 s of an ensemble is 0.3 m/s
+    # turned by 3 deg/s, or a swell; a shear of 0.02 per second at a descent of 0.14 m/s is a fifth of it.
     velocity_change_mps_per_rts: Positive = 0.03
     # Before the first fix: no glider or survey vehicle is faster.
     velocity_sd_mps: Positive = 2.0
 
-    # c = m + s(z): what all depths share is a tide of a shelf sea; s is as strong as the design's sweep of measured
-    # profiles goes (0.03 to 0.1 m/s, 6 to 16 m), so that cells speak for themselves and not for their neighbours.
+    # c = m + s(z): m is a tide of a shelf sea. s has the upper end of the design's range of measured profiles (0.03 to
+    # 0.1 m/s, 6 to 16 m), so that a cell has little influence on its neighbours.
     water_mean_sd_mps: Positive = 0.5
     water_sd_mps: Positive = 0.1
     water_correlation_length_m: Positive = 10.0
@@ -38,18 +38,18 @@ class DiveParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     # ... a part that varies with range (error velocities and vertical velocities by cell differ by 2 to 4 mm/s) ...
     range_bias_sd_mps: Sd = 0.003
     range_bias_length_m: Positive = 5.0
-    # ... and one near the face, by ringing and the flow about the hull, that falls with exp(-range / length): 1.7 and
-    # 1.0 cm/s in the first two cells of 2 m at 30 deg. Known of such instruments: 1 to 2 cm/s in the near cells.
+    # ... and one near the transducer, from ringing and the flow around the hull, that falls with exp(-range / length):
+    # 1.7 and 1.0 cm/s in the first two cells of 2 m at 30 deg. Typical of such instruments: 1 to 2 cm/s near the face.
     near_bias_sd_mps: Sd = 0.04
     near_bias_length_m: Positive = 4.0
-    # Biases go with speed and attitude, which a vehicle keeps for minutes.
+    # Biases depend on speed and attitude, which a vehicle keeps for minutes.
     bias_tau_s: Positive = 300.0
-    # Of one ensemble of pings, north and east: error velocities of bottom track of 3 to 7 mm/s, rounded up because
-    # bottom and water pings take turns.
+    # Bottom track of one ensemble, north and east: its error velocities are 3 to 7 mm/s, rounded up because bottom and
+    # water pings alternate.
     bottom_sd_mps: Positive = 0.01
 
-    # What is used at all: the usual half of the pings, and the gate of the whole project.
+    # Screening: the usual half of the pings must be good; the gate is that of the estimator.
     min_good_share: Annotated[float, Meta(gt=0, le=1)] = 0.5
     gate_probability: Annotated[float, Meta(gt=0.5, lt=1)] = 0.999
-    # A dive ends at a longer gap: the vehicle is at the surface, or the clock was set.
+    # A dive ends at a longer gap: the vehicle is at the surface, or its clock was set.
     longest_gap_s: Positive = 120.0

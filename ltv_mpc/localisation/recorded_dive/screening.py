@@ -1,13 +1,13 @@
-"""Which cells of an ensemble are water: enough good pings, above the sea bed's side lobes, below the surface.
+"""Screening of ADCP cells: enough good pings, above the side lobes of the sea bed, below the surface.
 
-Sea bed     the echo falls with range until it rises by 9 dB within two cells: the bottom of that beam, at r_i.
-            Of a flat bottom, with u_d the beams' down components, which add up to 4 cos(beam angle) cos(tilt) however
-            the instrument is mounted:
+Sea bed     The echo falls with range until it rises by 9 dB within two cells: the bottom in that beam, at range r_i.
+            For a flat bottom, with u_d the down components of the beams (their sum is 4 cos(beam angle) cos(tilt) for
+            any mounting):
                 altitude  h = sum(u_d) / sum(1 / r_i),   cos(beam i from the vertical) = h / r_i
-            Side lobes straight down come back at slant range h, so beam i is water to the depth h cos_i; one cell less
-            for the length of the pulse; the beam that lies flattest counts for all, because earth coordinates mix them.
+            Side lobes straight down return at slant range h, so beam i sees water down to the depth h cos_i; one cell
+            less for the length of the pulse. The flattest beam counts for all, because earth coordinates mix the beams.
             A beam without a rise sees no bottom: its range is that of the last cell. With fewer than two rises nothing
-            is cut. Looking up, the same of the surface.
+            is cut. Looking up, the same applies to the surface.
 """
 
 from __future__ import annotations
@@ -21,13 +21,21 @@ from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.localisation.pd0.records import Settings
 
 RISE_COUNTS = 20.0
-"""9 dB at 0.45 dB a count: scattering layers rise by less, a sea bed by 15 to 25 dB."""
+"""Smallest rise of a sea-bed echo: 9 dB at 0.45 dB a count. Scattering layers rise by less, a sea bed by 15 to 25."""
+
 FIRST = 3
-"""Nearer cells may ring."""
+"""First cell searched for the sea bed. Nearer cells may ring."""
 
 
 def usable(ensemble: BeamEnsemble, settings: Settings, min_good_share: float) -> npt.NDArray[np.bool_]:
-    """(4, cells)."""
+    """Return the mask of usable cells, (4, cells).
+
+    Parameters
+    ----------
+    ensemble : beam velocities, depths and echoes.
+    settings : instrument settings.
+    min_good_share : smallest share of good pings.
+    """
     there = np.isfinite(ensemble.velocity_mps) & (ensemble.good >= min_good_share)
     in_water = ensemble.depth_m + ensemble.below_m > 0
     reach = np.abs(ensemble.below_m) < reach_m(ensemble, settings)
@@ -36,7 +44,13 @@ def usable(ensemble: BeamEnsemble, settings: Settings, min_good_share: float) ->
 
 
 def reach_m(ensemble: BeamEnsemble, settings: Settings) -> float:
-    """Vertical distance to which the water is free of the bottom's echo; infinite where no bottom is seen."""
+    """Return the vertical distance without side-lobe echoes of the bottom (m); infinite if no bottom is seen.
+
+    Parameters
+    ----------
+    ensemble : echoes by beam and cell.
+    settings : instrument settings.
+    """
     if ensemble.echo is None or settings.cells <= FIRST + 2:
         return math.inf
     echo = ensemble.echo

@@ -1,10 +1,10 @@
-"""One dive, many starts: the filter's error after a while against bottom track's, and against constant velocity's.
+"""Study of one dive from many starts: error of the filter against bottom track, compared with constant velocity.
 
-A start's window runs to the first ensemble 300 s or more after it. Of the window the filter gets the bottom track of
-the first ``fixes`` ensembles; the error is the distance of its displacement from bottom track's.
-Constant velocity is the mean of those fixes, held from the start.
-Inside 3 sigma: e^T P^-1 e <= 9, e the error in the plane and P its covariance (98.9 % of a perfect filter's).
-The windows overlap: a dive of ten minutes is one dive, however many starts are counted.
+The window of a start runs to the first ensemble 300 s or more after it. In the window the filter receives the bottom
+track of the first ``fixes`` ensembles; its error is the distance between its displacement and that of bottom track.
+Constant velocity is the mean velocity of those fixes, held from the start.
+Inside 3 sigma: e^T P^-1 e <= 9, with the horizontal error e and its covariance P (98.9 % of a perfect filter's).
+The windows overlap: a dive of ten minutes remains one dive, however many starts are counted.
 """
 
 from __future__ import annotations
@@ -21,19 +21,24 @@ from ltv_mpc.localisation.recorded_dive.truth import BottomTrackPath
 from ltv_mpc.messages import Array
 
 WINDOW_S = 300.0
+"""Smallest length of a window."""
+
 MIN_START_DEPTH_M, MAX_START_DEPTH_M = 2.0, 14.0
+"""Depths between which windows start."""
+
 START_STRIDE = 2
+"""Ensembles from one start to the next."""
 
 
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
-    """One start."""
+    """Result of one start."""
 
-    start: int  # which of the dive's ensembles, from 0
+    start: int  # number of the ensemble in the dive, from 0
     depth_m: float
     after_s: float
     fixes: int
     error_m: float
-    sigma_m: float  # of the position, along its worst axis
+    sigma_m: float  # standard deviation of the position along its worst axis
     inside_3_sigma: bool
     constant_velocity_error_m: float | None  # None without a fix
 
@@ -47,7 +52,17 @@ def run_trial(
     start: int,
     fixes: int,
 ) -> Trial | None:
-    """From ensemble ``start``; None where the dive or its bottom track ends before the window does."""
+    """Run the filter over one window; return None if the dive or its bottom track ends before the window.
+
+    Parameters
+    ----------
+    ensembles : the dive.
+    ground : its bottom-track path.
+    instrument : settings and beam noise.
+    parameters : assumptions of the filter.
+    start : first ensemble of the window.
+    fixes : number of first ensembles whose bottom track the filter receives.
+    """
     end = window_end(ground, start)
     if end is None or ground.displacement(start, end) is None:
         return None
@@ -58,7 +73,16 @@ def run_trial(
 def evaluate_track(
     ensembles: Sequence[BeamEnsemble], ground: BottomTrackPath, track: Track, *, start: int, end: int, fixes: int
 ) -> Trial | None:
-    """``track``, which begins at ensemble ``start``, at ensemble ``end``. None without truth."""
+    """Compare a track with bottom track; return None if the true displacement is unknown.
+
+    Parameters
+    ----------
+    ensembles : the dive.
+    ground : its bottom-track path.
+    track : estimated track that begins at ensemble ``start``.
+    start, end : ensembles between which displacements are compared.
+    fixes : number of first ensembles whose bottom track the filter received.
+    """
     true = ground.displacement(start, end)
     held = constant_velocity(ensembles[start : start + fixes])
     if true is None:
@@ -79,17 +103,23 @@ def evaluate_track(
 
 
 def constant_velocity(fixed: Sequence[BeamEnsemble]) -> Array | None:
-    """Mean of the bottom track that there is, (2,)."""
+    """Return the mean velocity of the available bottom track (m/s), (2,), or None."""
     there = [e.bottom_mps[:2] for e in fixed if np.isfinite(e.bottom_mps[:2]).all()]
     return np.mean(there, axis=0) if there else None
 
 
 def window_end(ground: BottomTrackPath, start: int) -> int | None:
-    """The first ensemble ``WINDOW_S`` or more after ``start``."""
+    """Return the first ensemble at least ``WINDOW_S`` after ``start``, or None.
+
+    Parameters
+    ----------
+    ground : bottom-track path of the dive.
+    start : first ensemble of the window.
+    """
     end = int(np.searchsorted(ground.t_s, ground.t_s[start] + WINDOW_S))
     return end if end < len(ground.t_s) else None
 
 
 def starts(ensembles: Sequence[BeamEnsemble]) -> list[int]:
-    """Every second ensemble between 2 and 14 m."""
+    """Return the starts: every second ensemble between 2 and 14 m of depth."""
     return [k for k, e in enumerate(ensembles) if MIN_START_DEPTH_M <= e.depth_m <= MAX_START_DEPTH_M][::START_STRIDE]

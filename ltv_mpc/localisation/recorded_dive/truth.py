@@ -1,10 +1,9 @@
-"""Where a dive went by bottom track: velocity over ground, added up. Truth for a filter that is not given it.
+"""True path of a dive from bottom track, by dead reckoning; the filter under test does not receive this bottom track.
 
-    p(t) = integral of v_b dt,  trapezoids from ensemble to ensemble
+    p(t) = integral of v_b dt,  trapezoidal rule from ensemble to ensemble
 
-An ensemble without bottom track takes the velocity that lies linearly between its neighbours' in time. Where bottom
-track is missing for longer than ``LONGEST_GAP_S`` there is no truth across the gap; nor before the first and after the
-last ensemble that has it.
+The velocity of an ensemble without bottom track is interpolated linearly in time. The truth is unknown across gaps
+longer than ``MAX_GAP_S``, and before the first and after the last ensemble with bottom track.
 """
 
 from __future__ import annotations
@@ -17,26 +16,32 @@ import numpy as np
 from ltv_mpc.localisation.pd0.beams import BeamEnsemble
 from ltv_mpc.messages import Array
 
-LONGEST_GAP_S = 30.0
+MAX_GAP_S = 30.0
+"""Longest gap of bottom track across which the velocity is interpolated (s)."""
 
 
 @dataclass(frozen=True, slots=True)
 class BottomTrackPath:
-    """Dead reckoning of all ensembles of a dive."""
+    """Path of a dive by dead reckoning from bottom track."""
 
     t_s: Array  # (N,), since the first ensemble
     velocity_mps: Array  # (N, 2), north and east; NaN outside the first and last bottom track
-    _position_m: Array  # (N, 2), from an arbitrary place
-    _broken: Array  # (N,), how many gaps too long lie before each ensemble
+    _position_m: Array  # (N, 2), from an arbitrary origin
+    _broken: Array  # (N,), number of too long gaps before each ensemble
 
     def displacement(self, start: int, end: int) -> Array | None:
-        """From ensemble ``start`` to ``end``, (2,), north and east; None where it is not known."""
+        """Return the displacement between two ensembles (m, north and east), (2,), or None if it is unknown.
+
+        Parameters
+        ----------
+        start, end : ensembles.
+        """
         known = np.isfinite(self.velocity_mps[[start, end]]).all() and self._broken[start] == self._broken[end]
         return self._position_m[end] - self._position_m[start] if known else None
 
 
 def dead_reckon(ensembles: Sequence[BeamEnsemble]) -> BottomTrackPath:
-    """Of ensembles in their order."""
+    """Integrate the bottom-track velocity of ensembles in order of time."""
     t = 1e-9 * np.array([e.t_ns - ensembles[0].t_ns for e in ensembles], dtype=np.float64)
     measured = np.array([e.bottom_mps[:2] for e in ensembles])
     there = np.isfinite(measured).all(axis=1)
@@ -47,9 +52,9 @@ def dead_reckon(ensembles: Sequence[BeamEnsemble]) -> BottomTrackPath:
         inside = slice(first, last + 1)
         for axis in range(2):
             v[inside, axis] = np.interp(t[inside], t[there], measured[there, axis])
-        late = np.flatnonzero(there)[1:][np.diff(t[there]) > LONGEST_GAP_S]
+        late = np.flatnonzero(there)[1:][np.diff(t[there]) > MAX_GAP_S]
         broken = np.searchsorted(late, np.arange(len(t)), side="right").astype(np.float64)
-        # within a gap that is too long nothing is known
+        # the velocity within a too long gap is unknown
         for end in late:
             start = np.flatnonzero(there[:end])[-1]
             v[start + 1 : end] = np.nan

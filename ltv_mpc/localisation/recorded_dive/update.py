@@ -1,15 +1,15 @@
-"""What one ensemble measures of the states, and the update by it.
+"""Measurement model and update of one ADCP ensemble.
 
-Beams   z_ij = u_i . (c(z_ij) - v) - u_id w + beta_ij + n,   v and c horizontal, z_ij the depth of the cell's middle
-        The velocity of a cell is that of the water over twice its length, weighted with a triangle: here 1/4, 1/2, 1/4
-        at half a cell above, at and below the middle.
-Bottom  z = v + n, north and east. Its vertical velocity is not used: w is what all beams have in common.
-Noise   neighbouring cells share half of their water: their noises are correlated by about 0.15, which is here
-        1 + 2 x 0.15 times the variance.
-Update  S = H P H^T + R,  of the rows that pass with S = L L^T, W = L^-1 H P:  x += W^T L^-1 r,  P -= W^T W
-Gate    velocity and w are nearly free before an ensemble, so a row is judged by what its neighbours say: with A = S^-1
-        the innovation of row i given all others is (A r)_i / A_ii, of variance 1 / A_ii. While the largest
-        (A r)_i^2 / A_ii exceeds chi-square's quantile, that row is taken out (A := A - a_i a_i^T / A_ii).
+Beams   z_ij = u_i . (c(d_ij) - v) - u_id w + beta_ij + n,   v and c horizontal, d_ij the depth of the cell's middle
+        A cell measures the water over twice its length with triangular weights: here 1/4, 1/2, 1/4 at half a cell
+        above, at and below its middle.
+Bottom  z = v + n, north and east. The vertical velocity is not used: w is common to all beams.
+Noise   Neighbouring cells share half of their water, so their noise is correlated by about 0.15. The model has
+        independent noise with 1 + 2 x 0.15 times the variance instead.
+Update  S = H P H^T + R;  for the rows that pass, S = L L^T, W = L^-1 H P:  x += W^T L^-1 r,  P -= W^T W
+Gate    Velocity and w are nearly unknown before an ensemble, so each row is tested against all others: with A = S^-1,
+        the innovation of row i given all others is (A r)_i / A_ii with variance 1 / A_ii. While the largest
+        (A r)_i^2 / A_ii exceeds the chi-square quantile, that row is removed (A := A - a_i a_i^T / A_ii).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ltv_mpc.localisation.recorded_dive.model import BIAS, HEAVE, VELOCITY, Mode
 from ltv_mpc.messages import Array
 
 OVERLAP = 1.3
-"""Of the variance: 1 + 2 x 0.15."""
+"""Factor of the variance for correlated neighbours: 1 + 2 x 0.15."""
 _TRIANGLE = ((-0.5, 0.25), (0.0, 0.5), (0.5, 0.25))
 
 Mask: TypeAlias = npt.NDArray[np.bool_]
@@ -39,12 +39,21 @@ class Batch(NamedTuple):
     variance: Array  # (m,)
 
     def joined(self, other: Batch) -> Batch:
-        """One after the other."""
+        """Return this batch followed by another."""
         return Batch(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
 def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array, cell_m: float) -> Batch:
-    """The cells that ``mask`` (4, cells) leaves; ``sd_mps`` (cells,) is the noise where all pings are good."""
+    """Return the rows of the usable cells.
+
+    Parameters
+    ----------
+    model : states.
+    ensemble : beam velocities and directions.
+    mask : (4, cells) usable cells.
+    sd_mps : (cells,) beam noise with all pings good (m/s).
+    cell_m : length of a cell (m).
+    """
     beam, cell = np.nonzero(mask[:, : model.cells])
     m = len(beam)
     u = ensemble.direction[beam]
@@ -67,14 +76,33 @@ def beams(model: Model, ensemble: BeamEnsemble, mask: Mask, sd_mps: Array, cell_
 
 
 def over_ground(model: Model, ensemble: BeamEnsemble) -> Batch:
-    """Bottom track, north and east."""
+    """Return the rows of the bottom track, north and east.
+
+    Parameters
+    ----------
+    model : states.
+    ensemble : its bottom track must be finite.
+    """
     H = np.zeros((2, model.size))
     H[:, VELOCITY] = np.eye(2)
     return Batch(H, ensemble.bottom_mps[:2], np.full(2, model.parameters.bottom_sd_mps**2))
 
 
 def correct(x: Array, P: Array, batch: Batch, gate: float) -> tuple[npt.NDArray[np.bool_], Array]:
-    """Update in place; which rows passed, (m,), and (A r)_i^2 / A_ii of each before the gate, (m,)."""
+    """Update estimate and covariance in place.
+
+    Parameters
+    ----------
+    x : (n,) estimate.
+    P : (n, n) covariance.
+    batch : m rows.
+    gate : quantile of the chi-square distribution with one degree of freedom.
+
+    Returns
+    -------
+    accepted : (m,) rows that passed the gate.
+    nis : (m,) (A r)_i^2 / A_ii of each row before the gate.
+    """
     H, z, variance = batch
     accepted = np.ones(len(z), dtype=np.bool_)
     if not len(z):

@@ -17,7 +17,7 @@ from ltv_mpc.localisation.recorded_dive.filter import Instrument, Track, run
 from ltv_mpc.localisation.recorded_dive.model import BIAS, HEAVE, HEAVE_SD_MPS, VELOCITY, Model
 from ltv_mpc.localisation.recorded_dive.parameters import DiveParameters
 from ltv_mpc.localisation.recorded_dive.screening import reach_m, usable
-from ltv_mpc.localisation.recorded_dive.truth import LONGEST_GAP_S, dead_reckon
+from ltv_mpc.localisation.recorded_dive.truth import MAX_GAP_S, dead_reckon
 from ltv_mpc.localisation.recorded_dive.update import Batch, beams, correct, over_ground
 from tests.recorded.glider import Dive, World, dive
 
@@ -323,7 +323,7 @@ def test_truth_is_bottom_track_added_up_and_gaps_are_bridged_linearly() -> None:
 
 
 def test_there_is_no_truth_outside_bottom_track_nor_across_a_long_gap() -> None:
-    long = LONGEST_GAP_S + 1
+    long = MAX_GAP_S + 1
     t = [0.0, 5.0, 10.0, 15.0, 10 + long, 15 + long, 20 + long]
     ground = dead_reckon(grounded(t, [None, (1, 0), (1, 0), None, (1, 0), (1, 0), None]))
     assert ground.displacement(0, 1) is None

@@ -312,9 +312,9 @@ VARIABLE = struct.unpack_from("<H", FRAMES[0], 8)[0]
 @pytest.mark.parametrize(
     ("place", "content", "why"),
     [
-        (5, b"\xff", "do not fit|a data type at"),
-        (6, b"\xff\xff", "a data type at 65535"),
-        (6, b"\x00\x00", "a data type at 0"),
+        (5, b"\xff", "do not fit|data type at"),
+        (6, b"\xff\xff", "data type at offset 65535"),
+        (6, b"\x00\x00", "data type at offset 0"),
         (FIXED, b"\x99\x99", "no fixed leader"),
         (VARIABLE, b"\x99\x99", "no variable leader"),
         (FIXED + 4, b"\x0f", "unknown frequency code 7"),
@@ -326,7 +326,7 @@ VARIABLE = struct.unpack_from("<H", FRAMES[0], 8)[0]
         (VARIABLE + 5, b"\x0d", "no date"),
         (VARIABLE + 18, b"\xff\xff", "no angle"),
         (VARIABLE + 20, b"\x28\x23", "no angle"),  # pitch 90 deg
-        (VARIABLE + 4, b"\x0f", "does not go forward"),  # a year earlier
+        (VARIABLE + 4, b"\x0f", "does not increase"),  # a year earlier
     ],
 )
 def test_content_that_cannot_be_is_refused_although_its_checksum_is_right(place: int, content: bytes, why: str) -> None:
@@ -399,7 +399,7 @@ def test_files_that_cannot_be_read_are_refused_by_name(tmp_path: Path, monkeypat
 def test_settings_are_alike_where_only_the_first_cell_has_moved_by_centimetres():
     leader = parse(written(HEADS[0], still(HEADS[0]))).ensembles[0].settings
     moved = leader._replace(first_cell_m=leader.first_cell_m + 0.04 * leader.cell_m)
-    assert leader.alike(moved)
-    assert moved.alike(leader)
-    assert not leader.alike(leader._replace(first_cell_m=leader.first_cell_m + 0.5 * leader.cell_m))
-    assert not leader.alike(moved._replace(pings=leader.pings + 1))
+    assert leader.same_setup(moved)
+    assert moved.same_setup(leader)
+    assert not leader.same_setup(leader._replace(first_cell_m=leader.first_cell_m + 0.5 * leader.cell_m))
+    assert not leader.same_setup(moved._replace(pings=leader.pings + 1))
