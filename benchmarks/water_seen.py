@@ -94,7 +94,7 @@ class Run(NamedTuple):
 class Watch(Probe):
     """Keeps what the filter says besides, and has a gyro fail."""
 
-    hears = Probe.hears | {LocalisationReport}
+    message_types = Probe.message_types | {LocalisationReport}
 
     def __init__(self, run_config: RunConfig, gyro_radps: float) -> None:
         super().__init__(run_config)

@@ -85,7 +85,7 @@ def summarise_recording(
         losses.add(message.key, epoch, sequence)
         rejected += message.kind is RejectedFrame
         mended += message.key == MENDED and message.plain["kind"] == "fault"
-        if message.kind in metrics.hears:
+        if message.kind in metrics.message_types:
             try:
                 signal, _ = message.typed()
             except WireError:  # its readers have turned it away too

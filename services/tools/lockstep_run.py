@@ -103,7 +103,7 @@ class _Log:
     @property
     def heard(self) -> frozenset[type[Message]]:
         """Return the message types whose content is needed when nothing is recorded."""
-        return self.metrics.hears | {Estimate, RejectedFrame}
+        return self.metrics.message_types | {Estimate, RejectedFrame}
 
     def stepped(self, step: Step) -> None:
         assert self._writer is not None

@@ -1,10 +1,10 @@
-"""Is an estimate as good as its covariance says? Normalised squared errors against chi-square, over many runs.
+"""Consistency of estimates with their covariance: normalised squared errors against chi-square, over many runs.
 
 NEES    e^T P^-1 e of true minus estimated, absolute errors;  NIS  r^T S^-1 r of an innovation before any gate
-Band    at each instant the sum over the runs is chi-square of (sum of their degrees of freedom), if the filter is
-        consistent: it lies between the quantiles 2.5 % and 97.5 % at 95 % of the instants in the long run.
-        Errors that hardly change, as of constant biases, are one draw in each run: all instants in or all out.
-Seen    cells of the water that a beam has measured so far: the two nodes around each of its cells.
+Band    If the filter is consistent, the sum over the runs at an instant is chi-square with the sum of their degrees of
+        freedom. It lies between the quantiles 2.5 % and 97.5 % at 95 % of the instants in the long run. Errors that
+        hardly change, such as constant biases, are one draw per run: all instants are inside or all outside.
+Observed  Only currents that a beam has measured count: the two grid points around each of its cells.
 Source  Bar-Shalom, Li & Kirubarajan 2001, Estimation with applications to tracking and navigation, section 5.4.
 """
 
@@ -27,7 +27,7 @@ Mask = npt.NDArray[np.bool_]
 
 
 class TrueState(NamedTuple):
-    """What the filter estimates, as it is. Sizes follow the sensors file; biases that do not exist are not read."""
+    """True values of the filter's states. Biases that the sensor configuration lacks are not read."""
 
     position_m: Array  # (3,)
     velocity_mps: Array  # (3,)
@@ -38,30 +38,30 @@ class TrueState(NamedTuple):
     near_bias_mps: Array  # (4,)
     mounting: Array  # (3, 3)
     compass_bias_rad: float
-    water_mps: Array  # (G, 2) of the filter's cells (``cells.py``)
+    water_mps: Array  # (G, 2) projection onto the filter's grid (``cells.py``)
 
 
 class Consistency(NamedTuple):
-    """Of one quantity over R runs at T instants."""
+    """Consistency of one quantity over R runs at T instants."""
 
-    total: Array  # (T,) sum of squares over the runs
-    dof: npt.NDArray[np.int64]  # (T,)
-    low: Array  # (T,) the band
-    high: Array
+    total: Array  # (T,) sum of normalised squares over the runs
+    dof: npt.NDArray[np.int64]  # (T,) their degrees of freedom
+    low: Array  # (T,) lower limit of the band
+    high: Array  # (T,) upper limit
 
     @property
     def in_band(self) -> float:
-        """Share of instants inside."""
+        """Share of the instants inside the band."""
         return float(np.mean((self.low <= self.total) & (self.total <= self.high)))
 
     @property
     def per_dof(self) -> float:
-        """Mean square per degree of freedom: 1 if consistent, more if too sure of itself."""
+        """Mean square per degree of freedom: 1 if consistent, more if overconfident."""
         return float(self.total.sum() / self.dof.sum())
 
 
 def squared(error: Array, covariance: Array) -> float:
-    """e^T P^-1 e. ``LinAlgError`` where P is not positive definite."""
+    """Return e^T P^-1 e. Raises ``LinAlgError`` if P is not positive definite."""
     # P = D C D with correlations C: water (m/s) and gyro biases (rad/s) differ by 1e4 in size
     variance = np.diagonal(covariance)
     d = np.sqrt(np.where(variance > 0, variance, 1.0))
@@ -73,16 +73,16 @@ def squared(error: Array, covariance: Array) -> float:
 
 
 def band(dof: npt.ArrayLike, probability: float = 0.95) -> tuple[Array, Array]:
-    """Chi-square quantiles that hold ``probability`` between them, in equal tails."""
+    """Return the chi-square quantiles that enclose ``probability``, with equal tails."""
     k = 0.5 * np.asarray(dof, dtype=np.float64)
     tail = 0.5 * (1.0 - probability)
     return np.asarray(2.0 * gammaincinv(k, tail)), np.asarray(2.0 * gammaincinv(k, 1.0 - tail))
 
 
 def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float = 0.95) -> Consistency:
-    """Of squares (R, T) with their degrees of freedom (R, T), 0 where a run has none.
+    """Combine normalised squares (R, T) with degrees of freedom (R, T), 0 if a run has no value at an instant.
 
-    Instants without any are left out. Raises ``ValueError`` where none is left.
+    Instants without any value are left out. Raises ``ValueError`` if none remains.
     """
     total, degrees = np.sum(squares, axis=0), np.sum(dof, axis=0)
     some = degrees > 0
@@ -93,7 +93,10 @@ def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float =
 
 
 def errors(truth: TrueState, belief: Belief) -> Array:
-    """True minus estimated, in the filter's order and conventions, (n,); what ``TrueState`` does not have stays 0."""
+    """Return the errors, true minus estimated, in the filter's order and conventions, (n,).
+
+    States that ``TrueState`` does not contain have error 0.
+    """
     layout, x = belief.layout, belief.x
     e = np.zeros(layout.size)
     water = truth.water_mps[_window(belief)]
@@ -117,7 +120,7 @@ def errors(truth: TrueState, belief: Belief) -> Array:
 
 
 def quantities(belief: Belief, seen: Mask) -> dict[str, npt.NDArray[np.int64]]:
-    """States by the name of what they are, those that exist; of the water the nodes that are ``seen`` (G,)."""
+    """Return the state indices of each quantity that exists; of the current only ``seen`` (G,) grid points."""
     layout = belief.layout
 
     def of(*slices: slice) -> npt.NDArray[np.int64]:
@@ -140,7 +143,7 @@ def quantities(belief: Belief, seen: Mask) -> dict[str, npt.NDArray[np.int64]]:
 
 
 def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float, int]]:
-    """Square and degrees of freedom by quantity. What the filter is sure of (variance 0) has no place in it."""
+    """Return normalised square and degrees of freedom of each quantity. States of variance 0 are left out."""
     e, P = errors(truth, belief), belief.P
     result = {}
     for name, states in quantities(belief, seen).items():
@@ -151,9 +154,10 @@ def nees(belief: Belief, truth: TrueState, seen: Mask) -> dict[str, tuple[float,
 
 
 def drawn(truth: TrueState, suite: SensorConfig) -> dict[str, tuple[float, int]]:
-    """Squares of the true biases against the sensors file's own deviations, with their degrees of freedom.
+    """Return normalised squares of the true biases by the sensor configuration, with their degrees of freedom.
 
-    Over few runs they say how far from 1 a NEES may lie by the seeds alone: what is hardly observed keeps its draw.
+    Over few runs they show how far from 1 a NEES may be because of the seeds alone: a bias that is hardly observed
+    keeps its draw.
     """
     imu, adcp = suite.imu, suite.adcp
     askew = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
@@ -174,13 +178,13 @@ def drawn(truth: TrueState, suite: SensorConfig) -> dict[str, tuple[float, int]]
 
 
 def _window(belief: Belief) -> slice:
-    """Nodes of the grid that are states."""
+    """Return the slice of the grid that is in the state."""
     cells = belief.layout.north.stop - belief.layout.north.start
     return slice(belief.column.first, belief.column.first + cells)
 
 
 def nodes_around(depths_m: Array, cell_m: float, nodes: int) -> Mask:
-    """Nodes of the grid 0, h, 2h, ... between which ``depths_m`` lie, (nodes,)."""
+    """Return a mask (nodes,) of the grid points 0, h, 2h, ... next to the depths ``depths_m``."""
     k = np.floor(np.ravel(depths_m) / cell_m).astype(int)
     k = k[(k >= 0) & (k <= nodes - 2)]
     seen = np.zeros(nodes, dtype=bool)

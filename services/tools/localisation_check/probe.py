@@ -112,7 +112,7 @@ class _Watched:
 class Probe:
     """Observer of a run: it compares the estimator with the truth."""
 
-    hears: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
+    message_types: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
 
     def __init__(self, run_config: RunConfig) -> None:
         """Set up the nodes of a run. Raises ``ConfigError``."""
@@ -156,7 +156,7 @@ class Probe:
             start_ns=scenario.start_ns,
             compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
             observe=self,
-            heard=self.hears,
+            heard=self.message_types,
             latest=lockstep_run.LATEST,
         ).advance(scenario.end_ns)
 

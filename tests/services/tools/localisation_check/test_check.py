@@ -140,7 +140,7 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
     headings: list[float] = []
 
     class Ears(Probe):
-        hears = Probe.hears | {CompassHeading}
+        message_types = Probe.message_types | {CompassHeading}
 
         def published(self, node: str, message: ReceivedMessage) -> None:
             super().published(node, message)
