@@ -114,7 +114,7 @@ class Watch(Probe):
                 said = float(np.trace(estimate.covariance[2:4, 2:4])) if estimate.covariance is not None else math.nan
                 self.rows[estimate.t_ns] = self._said is FilterStatus.NOMINAL, off, said
         if self.truth is not None and self.truth.t_ns >= BEGINS_S * 1e9:
-            self.imu._bias.value[0] += self._to_fail_radps
+            self.true_states.imu._bias.value[0] += self._to_fail_radps
             self._to_fail_radps = 0.0
 
 
@@ -132,7 +132,7 @@ def descend(job: tuple[Job, float]) -> Run:
         cells=np.array([of.get(t, (0.0, 0)) for t in velocity.t_ns], dtype=np.float64),
         well=np.array([well for well, _, _ in rows]),
         off=np.array([squares for _, *squares in rows]),
-        subgrid_mps=watch.subgrid_mps(run_config.scenario.end_ns),
+        subgrid_mps=watch.true_states.subgrid_mps(run_config.scenario.end_ns),
     )
 
 

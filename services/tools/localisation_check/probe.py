@@ -18,6 +18,7 @@ from ltv_mpc.frames import rotation
 from ltv_mpc.localisation.estimator import Estimator
 from ltv_mpc.localisation.filter.error_state_filter import ErrorStateFilter, Innovations
 from ltv_mpc.localisation.filter.state import VELOCITY, Belief, grid
+from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import AdcpPing, Array, Estimate, Message, Truth
 from ltv_mpc.node import Due, Node, ReceivedMessage
 from services.run.nodes import make_nodes
@@ -35,11 +36,13 @@ from sim.sensors.node import Sensors
 from sim.sensors.outlier_masks import HasOutliers
 
 LOOK_NS = 1_000_000_000
+"""Period of the comparison of belief and truth."""
+
 TRACK_NS = 100_000_000
-"""Between two looks at the belief; between two points of the true track, for the bound."""
+"""Period of the true track that the bound uses."""
 
 EIGENVALUE_NS = 10_000_000_000
-"""Between two looks at the least eigenvalue, which takes as long as ten of the other looks."""
+"""Period of the smallest eigenvalue of the covariance, which costs as much as ten other comparisons."""
 
 N = TypeVar("N")
 
@@ -55,18 +58,18 @@ class Squares(NamedTuple):
 class Record(NamedTuple):
     """Result of one run."""
 
-    drift_m: Array  # (2,) north, east: localisation error at the end less that at t = 0
+    drift_m: Array  # (2,) north, east: localisation error at the end minus that at t = 0
     velocity_error_mps: Array  # (2,) at t = 0, estimated minus true
-    velocity_reported_m2ps2: Array  # (2,) variance that the filter says
+    velocity_reported_m2ps2: Array  # (2,) variance reported by the filter at t = 0
     bound_drift_m2: Array  # (2,) variance
     bound_velocity_m2ps2: Array  # (2,) variance at t = 0
     true_error_m: float  # mean distance of the vehicle from the line through where it was at t = 0
-    drawn: dict[str, tuple[float, int]]  # normalised square of the true biases themselves, and its degrees of freedom
+    drawn: dict[str, tuple[float, int]]  # normalised squares of the true biases, with degrees of freedom
     nees: dict[str, Squares]
     nis: dict[str, Squares]
     min_eigenvalue: float
     asymmetry: float  # largest |P - P^T|
-    missed: int  # instants at which the filter stood elsewhere
+    missed: int  # whole seconds without a belief of that time
 
 
 def descend(job: Job) -> Record:
@@ -74,6 +77,32 @@ def descend(job: Job) -> Record:
     probe = Probe(job.run_config())
     probe.descend()
     return probe.record()
+
+
+class _StepObserver:
+    """Node wrapper that reports steps to an observer.
+
+    ``observe`` receives time and output of each step at a multiple of ``LOOK_NS``, of the last step of a batch, and of
+    all steps while ``every_step`` returns True.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        observe: Callable[[int, Sequence[Message]], None],
+        every_step: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
+        self._steps, self._observe, self._every_step = node.steps, observe, every_step
+
+    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
+        """Step the node, in batches that end at the steps to observe."""
+        output: list[list[Message]] = []
+        for number, (t_ns, _) in enumerate(due, 1):
+            if t_ns % LOOK_NS == 0 or number == len(due) or self._every_step():
+                output += self._steps(due[len(output) : number])
+                self._observe(t_ns, output[-1])
+        return output
 
 
 class _Biases(NamedTuple):
@@ -84,33 +113,130 @@ class _Biases(NamedTuple):
     compass_rad: float
 
 
-class _Watched:
-    """Node wrapper that reports each step to an observer."""
+class TrueStates:
+    """True values of the filter's states at whole seconds, from the simulated sensors and water."""
 
-    def __init__(
-        self,
-        node: Node,
-        ran: Callable[[int, Sequence[Message]], None],
-        closely: Callable[[], bool] = lambda: False,
-    ) -> None:
-        """Wrap a node; ``ran`` receives time and output of each step at a multiple of ``LOOK_NS``, or of all while
-        ``closely``.
-        """
-        self.name, self.reads, self.writes, self.schedule = node.name, node.reads, node.writes, node.schedule
-        self._steps, self._ran, self._closely = node.steps, ran, closely
+    def __init__(self, run_config: RunConfig, sensors: Sensors) -> None:
+        self.imu, self._adcp = _the(InertialUnit, sensors.sensors), _the(Profiler, sensors.sensors)
+        self._compass = _the(MagneticCompass, sensors.sensors)
+        self._water = run_config.water
+        self._projection = GridProjection(grid(run_config.scenario.estimator), run_config.water.depth_m)
+        self._biases: dict[int, _Biases] = {}
 
-    def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """Step the node, in batches that end at the steps to observe."""
-        said: list[list[Message]] = []
-        for number, (t_ns, _) in enumerate(due, 1):
-            if t_ns % LOOK_NS == 0 or number == len(due) or self._closely():
-                said += self._steps(due[len(said) : number])
-                self._ran(t_ns, said[-1])
-        return said
+    def copy_biases(self, t_ns: int, output: Sequence[Message]) -> None:  # noqa: ARG002  (an observer of steps)
+        """Copy the true biases after a step of the sensors."""
+        if t_ns % LOOK_NS == 0:
+            imu = self.imu
+            self._biases[t_ns] = _Biases(imu.gyro_bias_radps, imu.accelerometer_bias_mps2, self._compass.bias_rad)
+
+    def at(self, truth: Truth) -> TrueState:
+        """Return the true state at a multiple of ``LOOK_NS``."""
+        biases = self._biases[truth.t_ns]
+        return TrueState(
+            position_m=np.array(truth.position_m),
+            velocity_mps=np.array(truth.velocity_mps),
+            rotation=rotation(*truth.attitude_rad),
+            gyro_bias_radps=biases.gyro_radps,
+            accelerometer_bias_mps2=biases.accelerometer_mps2,
+            beam_bias_mps=self._adcp.beam_bias_mps,
+            near_bias_mps=self._adcp.near_bias_mps,
+            mounting=self._adcp.mounting,
+            compass_bias_rad=biases.compass_rad,
+            water_mps=self._projection.fit(self._current_mps(truth.t_ns)),
+        )
+
+    def subgrid_mps(self, t_ns: int) -> float:
+        """Return the part of the current (m/s) that the filter's depth grid cannot represent."""
+        return self._projection.subgrid_mps(self._current_mps(t_ns))
+
+    def _current_mps(self, t_ns: int) -> Array:
+        return self._water.over(self._projection.depth_m, t_ns)
+
+
+class ObservedGridPoints:
+    """Grid points of the current that a beam has measured so far."""
+
+    def __init__(self, run_config: RunConfig, sensors: Sensors) -> None:
+        config, adcp = run_config.scenario.estimator, run_config.suite.adcp
+        self.mask = np.zeros(len(grid(config)), dtype=bool)
+        self._cell_m = config.cell_m
+        self._beams = beams(adcp.beam_angle_rad) @ _the(Profiler, sensors.sensors).mounting.T
+        self._lever = np.array(adcp.lever_arm_m)
+
+    def add(self, ping: AdcpPing, truth: Truth) -> None:
+        """Mark the grid points around the cells that returned."""
+        down = rotation(*truth.attitude_rad)[2]
+        along = down @ self._lever + np.outer(self._beams @ down, ping.range_m)  # (4, K)
+        returned = np.isfinite(ping.beam_velocity_mps)
+        self.mask |= nodes_around(truth.position_m[2] + along[returned], self._cell_m, len(self.mask))
+
+
+class SquaresLog:
+    """Normalised squares by the name of a quantity or sensor, over time."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[tuple[int, float, int]]] = {}
+
+    def add(self, name: str, t_ns: int, square: float, dof: int) -> None:
+        """Add one square with its degrees of freedom."""
+        self._rows.setdefault(name, []).append((t_ns, square, dof))
+
+    def all(self) -> dict[str, Squares]:
+        """Return the squares so far by name."""
+        return {name: _squares(rows) for name, rows in self._rows.items()}
+
+
+class InnovationLog:
+    """NIS of each sensor before the gate, without simulated outliers."""
+
+    def __init__(self, sensors: Sensors) -> None:
+        self.nis = SquaresLog()
+        self._outliers = {
+            name: unit.outlier_masks for name, unit in sensors.by_name.items() if isinstance(unit, HasOutliers)
+        }
+
+    def add(self, innovations: Innovations) -> None:
+        """Add the innovations of one message."""
+        good = np.ones(len(innovations.residual), dtype=bool)
+        masks = self._outliers.get(innovations.sensor)
+        if masks is not None and (outliers := masks.at(innovations.t_ns)) is not None:
+            good = ~(outliers.ravel()[innovations.indices] if outliers.size > 1 else outliers)
+        if good.any():
+            square = squared(innovations.residual[good], innovations.S[np.ix_(good, good)])
+            self.nis.add(innovations.sensor, innovations.t_ns, square, int(good.sum()))
+
+
+class ErrorLog:
+    """Errors of the estimates, and checks of the covariance at whole seconds."""
+
+    def __init__(self, suite: SensorConfig) -> None:
+        self._suite = suite
+        self.error: dict[int, Array] = {}  # position and velocity, (4,), estimated minus true, by time
+        self.nees = SquaresLog()
+        self.velocity_m2ps2 = np.full(2, np.nan)  # reported variance at t = 0
+        self.drawn: dict[str, tuple[float, int]] = {}
+        self.min_eigenvalue, self.asymmetry, self.missed = np.inf, 0.0, 0
+
+    def add_estimate(self, estimate: Estimate, truth: Truth) -> None:
+        """Add the error of a published estimate."""
+        estimated = estimate.north_m, estimate.east_m, estimate.velocity_north_mps, estimate.velocity_east_mps
+        self.error[estimate.t_ns] = np.array(estimated) - np.array(truth.position_m[:2] + truth.velocity_mps[:2])
+
+    def add_belief(self, belief: Belief, true: TrueState, observed: npt.NDArray[np.bool_]) -> None:
+        """Compare a belief with the true state; ``observed`` is the mask of observed grid points."""
+        t_ns, P = belief.t_ns, belief.P
+        for name, (square, dof) in nees(belief, true, observed).items():
+            self.nees.add(name, t_ns, square, dof)
+        if t_ns == 0:
+            self.velocity_m2ps2 = np.diagonal(P)[VELOCITY][:2].copy()
+            self.drawn = drawn(true, self._suite)
+        self.asymmetry = max(self.asymmetry, float(np.abs(P - P.T).max()))
+        if t_ns % EIGENVALUE_NS == 0:
+            self.min_eigenvalue = min(self.min_eigenvalue, float(np.linalg.eigvalsh(P)[0]))
 
 
 class Probe:
-    """Observer of a run: it compares the estimator with the truth."""
+    """Observer of a run: it compares the estimator with the truth. The run is not affected."""
 
     message_types: frozenset[type[Message]] = frozenset({Truth, AdcpPing, Estimate})
 
@@ -119,34 +245,21 @@ class Probe:
         self._run_config = run_config
         nodes = make_nodes(run_config, unread=False)
         self.estimator, sensors = _the(Estimator, nodes), _the(Sensors, nodes)
-        watched = {
-            sensors.name: _Watched(sensors, self._measured),
-            self.estimator.name: _Watched(self.estimator, self._estimated, lambda: self.estimator.filter is None),
-        }
-        self._nodes: list[Node] = [watched.get(node.name, node) for node in nodes]
-        units = sensors.sensors
-        self.imu, self._profiler = _the(InertialUnit, units), _the(Profiler, units)
-        self._compass = _the(MagneticCompass, units)
-        self._outlier_masks = {
-            name: unit.outlier_masks for name, unit in sensors.by_name.items() if isinstance(unit, HasOutliers)
-        }
-        config = run_config.scenario.estimator
-        self._grid, self._cell_m = grid(config), config.cell_m
-        self._cells = GridProjection(self._grid, run_config.water.depth_m)
-        self.seen = np.zeros(len(self._grid), dtype=bool)  # nodes of the grid that a beam has measured so far
-        self._beams = beams(run_config.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T
-        self._lever = np.array(run_config.suite.adcp.lever_arm_m)
-        self._watched: ErrorStateFilter | None = None
-        self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
-        self._biases: dict[int, _Biases] = {}
         self.truth: Truth | None = None  # the last
+        self.true_states = TrueStates(run_config, sensors)
+        self.observed = ObservedGridPoints(run_config, sensors)
+        self._innovations = InnovationLog(sensors)
+        self._errors = ErrorLog(run_config.suite)
         self._track: list[Truth] = []
-        self._nees: dict[str, list[tuple[int, float, int]]] = {}
-        self._nis: dict[str, list[tuple[int, float, int]]] = {}
-        self._error: dict[int, Array] = {}  # of position and velocity, (4,), estimated minus true
-        self._velocity_said = np.full(2, np.nan)
-        self._drawn: dict[str, tuple[float, int]] = {}
-        self._least, self._asymmetry, self._missed = np.inf, 0.0, 0
+        self._filter: ErrorStateFilter | None = None  # observed now
+        self._beliefs: dict[int, Belief] = {}  # not compared with the truth yet
+        observed = {
+            sensors.name: _StepObserver(sensors, self.true_states.copy_biases),
+            self.estimator.name: _StepObserver(
+                self.estimator, self._copy_belief, every_step=lambda: self.estimator.filter is None
+            ),
+        }
+        self._nodes: list[Node] = [observed.get(node.name, node) for node in nodes]
 
     def descend(self) -> None:
         """Run the whole descent."""
@@ -160,44 +273,58 @@ class Probe:
             latest=lockstep_run.LATEST,
         ).advance(scenario.end_ns)
 
-    def _measured(self, t_ns: int, said: Sequence[Message]) -> None:  # noqa: ARG002  (whatever it was)
-        if t_ns % LOOK_NS == 0:
-            imu = self.imu
-            self._biases[t_ns] = _Biases(imu.gyro_bias_radps, imu.accelerometer_bias_mps2, self._compass.bias_rad)
+    def _copy_belief(self, t_ns: int, output: Sequence[Message]) -> None:
+        """Observe the current filter, and copy its belief at whole seconds.
 
-    def _estimated(self, t_ns: int, said: Sequence[Message]) -> None:
-        """Attach the observer to the current filter and keep its state at whole seconds. The first filter is observed
-        from its next message on, a later one from the next cycle on.
+        The first filter is observed from its next message on, a later one from the next cycle on.
         """
         filter_ = self.estimator.filter
-        if filter_ is not self._watched:
-            self._watched = filter_
+        if filter_ is not self._filter:
+            self._filter = filter_
             if filter_ is not None:
-                filter_.observers.append(self._judge)
-        published = t_ns % LOOK_NS == 0 and any(isinstance(signal, Estimate) for signal in said)
+                filter_.observers.append(self._innovations.add)
+        published = t_ns % LOOK_NS == 0 and any(isinstance(message, Estimate) for message in output)
         if published and filter_ is not None and filter_.belief.t_ns == t_ns >= 0:
             self._beliefs[t_ns] = filter_.propagated_belief()
 
-    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type says who)
-        """Take a published message."""
+    def published(self, node: str, message: ReceivedMessage) -> None:  # noqa: ARG002  (the type implies the node)
+        """Receive a published message."""
         match message.message:
             case Truth() as truth:
                 self.truth = truth
                 if truth.t_ns % TRACK_NS == 0:
                     self._track.append(truth)
-            case AdcpPing() as ping:
-                self._see(ping)
-            case Estimate() as estimate if self.truth is not None:
+            case AdcpPing() as ping if self.truth is not None:
+                self.observed.add(ping, self.truth)
+            case Estimate() as estimate if self.truth is not None and estimate.t_ns >= 0:
                 self._compare(estimate, self.truth)
+
+    def _compare(self, estimate: Estimate, truth: Truth) -> None:
+        """Compare an estimate, and at whole seconds the belief, with the truth of the same time."""
+        t_ns = estimate.t_ns
+        if t_ns == truth.t_ns:
+            self._errors.add_estimate(estimate, truth)
+        if t_ns % LOOK_NS != 0:
+            return
+        belief = self._beliefs.pop(t_ns, None)
+        if belief is None or t_ns != truth.t_ns:
+            self._errors.missed += 1
+        else:
+            self._errors.add_belief(belief, self.true_states.at(truth), self.observed.mask)
+
+    @property
+    def nees(self) -> dict[str, Squares]:
+        """NEES of each quantity so far."""
+        return self._errors.nees.all()
 
     def record(self) -> Record:
         """Return the result after the run. Raises ``ConfigError`` if there was no estimate at t = 0."""
-        run_config = self._run_config
-        if 0 not in self._error:
-            problem = "must be so long that the estimate has begun at t = 0"
+        run_config, errors = self._run_config, self._errors
+        if 0 not in errors.error:
+            problem = "must be long enough for an estimate at t = 0"
             value = run_config.scenario.run.surface_time_s
             raise ConfigError(f"scenario {run_config.name}", "[run] surface_time_s", problem, value=value)
-        end_ns = max(self._error)
+        end_ns = max(errors.error)
         limit = bound(
             run_config.suite,
             run_config.scenario.estimator,
@@ -206,91 +333,24 @@ class Probe:
             surface_time_s=run_config.scenario.run.surface_time_s,
         )
         return Record(
-            drift_m=(self._error[end_ns] - self._error[0])[:2],
-            velocity_error_mps=self._error[0][2:],
-            velocity_reported_m2ps2=self._velocity_said,
+            drift_m=(errors.error[end_ns] - errors.error[0])[:2],
+            velocity_error_mps=errors.error[0][2:],
+            velocity_reported_m2ps2=errors.velocity_m2ps2,
             bound_drift_m2=np.diagonal(limit.drift[1])[:2].copy(),
             bound_velocity_m2ps2=np.diagonal(limit.covariance[0])[3:5].copy(),
-            true_error_m=self._true_error(),
-            drawn=self._drawn,
+            true_error_m=self._true_error_m(),
+            drawn=errors.drawn,
             nees=self.nees,
-            nis={name: _squares(rows) for name, rows in self._nis.items()},
-            min_eigenvalue=float(self._least),
-            asymmetry=self._asymmetry,
-            missed=self._missed,
+            nis=self._innovations.nis.all(),
+            min_eigenvalue=float(errors.min_eigenvalue),
+            asymmetry=errors.asymmetry,
+            missed=errors.missed,
         )
 
-    @property
-    def nees(self) -> dict[str, Squares]:
-        """Return the NEES of each quantity so far."""
-        return {name: _squares(rows) for name, rows in self._nees.items()}
-
-    def subgrid_mps(self, t_ns: int) -> float:
-        """Return the part of the current (m/s) that the filter's depth grid cannot represent."""
-        return self._cells.subgrid_mps(self._run_config.water.over(self._cells.depth_m, t_ns))
-
-    def _true_error(self) -> float:
+    def _true_error_m(self) -> float:
+        """Return the mean distance of the vehicle from the line through its position at t = 0."""
         track = np.array([truth.position_m[:2] for truth in self._track if truth.t_ns >= 0])
         return float(np.hypot(*(track - track[0]).T).mean())
-
-    def _see(self, ping: AdcpPing) -> None:
-        """Mark the grid points around the beams that returned."""
-        if self.truth is None:
-            return
-        down = rotation(*self.truth.attitude_rad)[2]
-        along = down @ self._lever + np.outer(self._beams @ down, ping.range_m)  # (4, K)
-        back = np.isfinite(ping.beam_velocity_mps)
-        self.seen |= nodes_around(self.truth.position_m[2] + along[back], self._cell_m, len(self.seen))
-
-    def _judge(self, verdict: Innovations) -> None:
-        """Record the NIS of one message before the gate; simulated outliers are left out."""
-        good = np.ones(len(verdict.residual), dtype=bool)
-        outlier_masks = self._outlier_masks.get(verdict.sensor)
-        if outlier_masks is not None and (wild := outlier_masks.at(verdict.t_ns)) is not None:
-            good = ~(wild.ravel()[verdict.indices] if wild.size > 1 else wild)
-        if good.any():
-            row = verdict.t_ns, squared(verdict.residual[good], verdict.S[np.ix_(good, good)]), int(good.sum())
-            self._nis.setdefault(verdict.sensor, []).append(row)
-
-    def _compare(self, estimate: Estimate, truth: Truth) -> None:
-        t_ns = estimate.t_ns
-        if t_ns < 0:
-            return
-        if t_ns == truth.t_ns:
-            said = estimate.north_m, estimate.east_m, estimate.velocity_north_mps, estimate.velocity_east_mps
-            self._error[t_ns] = np.array(said) - np.array(truth.position_m[:2] + truth.velocity_mps[:2])
-        if t_ns % LOOK_NS != 0:
-            return
-        belief = self._beliefs.pop(t_ns, None)
-        if belief is None or t_ns != truth.t_ns:
-            self._missed += 1
-            return
-        true = self.true_state(truth)
-        for name, (square, dof) in nees(belief, true, self.seen).items():
-            self._nees.setdefault(name, []).append((t_ns, square, dof))
-        P = belief.P
-        if t_ns == 0:
-            self._velocity_said = np.diagonal(P)[VELOCITY][:2].copy()
-            self._drawn = drawn(true, self._run_config.suite)
-        self._asymmetry = max(self._asymmetry, float(np.abs(P - P.T).max()))
-        if t_ns % EIGENVALUE_NS == 0:
-            self._least = min(self._least, float(np.linalg.eigvalsh(P)[0]))
-
-    def true_state(self, truth: Truth) -> TrueState:
-        """Return the true state at a multiple of ``LOOK_NS``."""
-        biases = self._biases[truth.t_ns]
-        return TrueState(
-            position_m=np.array(truth.position_m),
-            velocity_mps=np.array(truth.velocity_mps),
-            rotation=rotation(*truth.attitude_rad),
-            gyro_bias_radps=biases.gyro_radps,
-            accelerometer_bias_mps2=biases.accelerometer_mps2,
-            beam_bias_mps=self._profiler.beam_bias_mps,
-            near_bias_mps=self._profiler.near_bias_mps,
-            mounting=self._profiler.mounting,
-            compass_bias_rad=biases.compass_rad,
-            water_mps=self._cells.fit(self._run_config.water.over(self._cells.depth_m, truth.t_ns)),
-        )
 
     def _trajectory(self) -> Trajectory:
         return Trajectory(
@@ -298,7 +358,7 @@ class Probe:
             position_m=np.array([truth.position_m for truth in self._track]),
             velocity_mps=np.array([truth.velocity_mps for truth in self._track]),
             rotation=np.array([rotation(*truth.attitude_rad) for truth in self._track]),
-            water_mps=self._run_config.water.over(self._grid, 0),
+            water_mps=self._run_config.water.over(grid(self._run_config.scenario.estimator), 0),
         )
 
 

@@ -151,14 +151,14 @@ def test_what_the_probe_holds_for_true_is_what_sensors_and_filter_show(scenario:
     probe = Ears(run_config)
     probe.descend()
     assert probe.truth is not None
-    true = probe.true_state(probe.truth)
+    true = probe.true_states.at(probe.truth)
     sd = run_config.suite.compass.heading_sd_rad / math.sqrt(len(headings))
     assert abs(np.mean(headings) - true.compass_bias_rad) < 3 * sd < abs(true.compass_bias_rad)
     filter_ = probe.estimator.filter
     assert filter_ is not None
     own = filter_.belief.column.observed
     assert np.count_nonzero(own) >= 14
-    assert np.count_nonzero(own != probe.seen) <= 1  # a cell's edge may lie a centimetre either side of a node
+    assert np.count_nonzero(own != probe.observed.mask) <= 1  # a cell's edge may lie a centimetre either side of a node
 
 
 def test_the_command_says_the_same_in_words_json_and_files(
