@@ -1,9 +1,10 @@
 """Localisation check over many seeds: drift relative to its bound, and consistency of errors with the covariance.
 
-drift      of one horizontal axis over the descent, rms over the runs and both axes; the bound likewise, each run's own
-consistent each quantity's NEES and each sensor's NIS, summed over the runs, inside chi-square's 95 % band by instant
-per dof    the mean square, with its standard error over the runs: what is constant in a run is one draw of each
-slope, R2  of the final drift against the error of velocity at submergence, through the origin, both axes
+drift      of one horizontal axis over the descent, rms over runs and both axes; the bound is that of each run
+consistent share of instants at which the NEES of a quantity, or the NIS of a sensor, summed over the runs, lies in the
+           95 % band of chi-square
+per dof    mean square with its standard error over the runs, because a constant error is one draw per run
+slope, R2  of the final drift against the velocity error at submergence, through the origin, both axes
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from sim.evaluation.consistency import Consistency, band, consistency
 MAX_RATIO = 1.2
 MIN_SPEED_RATIO = 0.9
 CELLS = (0.9, 1.1)
-"""What is asked for: drift over bound, instants inside the band, mean NEES of the water's cells."""
+"""Requirements: largest drift over bound, smallest share of instants in the band, mean NEES of the currents."""
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,8 +39,8 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     drift_rms_m: float
     bound_rms_m: float
     ratio: float
-    ratio_at_bound: tuple[float, float]  # where 95 % of such checks lie of a filter that is at its bound
-    true_error_m: float  # mean over time and runs: the vehicle from the line, by the full loop
+    ratio_at_bound: tuple[float, float]  # 95 % interval of such checks for a filter at its bound
+    true_error_m: float  # mean distance of the vehicle from the line, over time and runs, in closed loop
     velocity_error_rms_mps: float  # at t = 0
     velocity_reported_rms_mps: float  # by the filter
     velocity_bound_rms_mps: float
@@ -47,12 +48,12 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     r2: float
     nees_in_band: dict[str, float]
     nees_per_dof: dict[str, float]
-    nees_standard_error: dict[str, float]  # of nees_per_dof, by what the runs differ
+    nees_standard_error: dict[str, float]  # of nees_per_dof, from the spread of the runs
     cells_nees_per_dof: float
     nis_in_band: dict[str, float]
     nis_per_dof: dict[str, float]
     nis_standard_error: dict[str, float]
-    drawn_per_dof: dict[str, float]  # of the true biases themselves: how far from 1 these seeds are
+    drawn_per_dof: dict[str, float]  # of the true biases: deviation of these seeds from 1
     min_eigenvalue: float
     max_asymmetry: float
     instants_missed: int
@@ -106,8 +107,9 @@ def over_runs(runs: Sequence[Mapping[str, Squares]]) -> dict[str, Graded]:
 
 
 def standard_error(runs: Sequence[Mapping[str, Squares]], name: str) -> float:
-    """Estimate the standard error of the mean square per degree of freedom over the runs. Runs are independent, the
-    instants of one run are not.
+    """Estimate the standard error of the mean square per degree of freedom over the runs.
+
+    Runs are independent, the instants of one run are not.
 
     With S_r the sum of squares of run r and n_r its degrees of freedom, m = sum S_r / sum n_r (a ratio estimate:
     Cochran 1977, Sampling techniques, section 2.11):  se^2 = R / (R - 1) sum (S_r - m n_r)^2 / (sum n_r)^2
@@ -179,7 +181,7 @@ def failed(of: Result) -> list[str]:
     if not low <= of.cells_nees_per_dof <= high:
         problems.append(f"NEES of cells per degree of freedom {of.cells_nees_per_dof:.2f}, not {low} to {high}")
     if not of.min_eigenvalue > 0 or of.max_asymmetry > 0:
-        problems.append("a covariance lost symmetry or definiteness")
+        problems.append("a covariance is not symmetric or not positive definite")
     return problems
 
 

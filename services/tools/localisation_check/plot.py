@@ -15,7 +15,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 LINE, BAND, OUTSIDE = "#0072B2", "#999999", "#D55E00"
-"""Okabe and Ito: told apart by the colour-blind, and in grey; what is outside is marked besides."""
+"""Colours of Okabe and Ito, distinct for colour-blind readers and in grey; points outside are also marked."""
 
 COLUMNS = 3
 

@@ -1,8 +1,8 @@
 """Localisation of a recorded dive: one track, and a study over many starting points.
 
-Which ensembles: from the first one, or from the first at or below ``--start-depth-m``, to the end, as long as the
-instrument's settings stay and no gap is longer than two minutes. Noise is taken from all of them. The study's starts
-are all of the file's first such stretch, wherever the track begins.
+The dive runs from the first ensemble, or from the first at or below ``--start-depth-m``, to the end of the file, to a
+change of the instrument settings, or to a gap of more than two minutes. Beam noise is estimated from all its ensembles.
+The starts of the study lie in the first dive of the file, independent of where the track starts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ COLUMNS = (
     *("t_ns", "t_s", "depth_m", "north_m", "east_m", "sigma_m", "velocity_north_mps", "velocity_east_mps"),
     *("bottom_north_m", "bottom_east_m"),
 )
-"""Of track.csv: positions from the first ensemble; those of bottom track are the truth."""
+"""Columns of track.csv. Positions are relative to the first ensemble; those of bottom track are the truth."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Outcome:
     result: LocalisationResult
     ensembles: Sequence[BeamEnsemble]  # of the track
     track: Track
-    truth_m: Array  # (N, 2), bottom track's, NaN where it is not known
+    truth_m: Array  # (N, 2), from bottom track, NaN if unknown
     constant_velocity_mps: Array | None
 
 
@@ -54,8 +54,9 @@ def localise(
     parameters: DiveParameters | None = None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Outcome:
-    """Read the file, run the filter, compare with bottom track. ``progress``: share done, as a callback. Raises
-    ConfigError.
+    """Read a PD0 file, run the filter and compare it with bottom track.
+
+    ``progress`` receives the share done. Raises ``ConfigError``.
     """
     parameters = parameters or DiveParameters()
     recording = reader.read(path)
@@ -87,7 +88,7 @@ def localise(
 
 
 def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
-    """Return the end (exclusive) of the dive that contains ``first``, and why it ends there; "" at the file's end."""
+    """Return the end (exclusive) of the dive that starts at ``first``, and the reason; "" at the end of the file."""
     for k in range(first + 1, len(ensembles)):
         gap = 1e-9 * (ensembles[k].t_ns - ensembles[k - 1].t_ns)
         if gap > longest_gap_s:
@@ -98,7 +99,7 @@ def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) ->
 
 
 def write(outcome: Outcome, folder: Path) -> str:
-    """Write localise.json, track.csv, currents.csv and localise.png; return why the picture is missing, else ""."""
+    """Write localise.json, track.csv, currents.csv and localise.png; return why the plot is missing, else ""."""
     plain = msgspec.json.format(msgspec.json.encode(outcome.result), indent=2)
     (folder / "localise.json").write_bytes(plain + b"\n")
     (folder / "track.csv").write_text(_table(outcome), encoding="utf-8")

@@ -28,7 +28,7 @@ class InstrumentRow(msgspec.Struct, frozen=True, kw_only=True):
     cell_m: float
     first_cell_m: float
     pings: int
-    beam_sd_mps: float  # of the middle one of the cells that were used
+    beam_sd_mps: float  # median over the cells
 
 
 class TrackRow(msgspec.Struct, frozen=True, kw_only=True):

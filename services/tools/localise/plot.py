@@ -1,4 +1,4 @@
-"""The picture of a localised dive: track from above, error over time with its standard deviation, current by depth."""
+"""Plot of a recorded dive: horizontal track, error over time with its standard deviation, current over depth."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 ESTIMATE, HELD, EAST = "#0072B2", "#E69F00", "#D55E00"
-"""Okabe and Ito: told apart by the colour-blind, and in grey; bottom track is black."""
+"""Colours of Okabe and Ito, distinct for colour-blind readers and in grey; bottom track is black."""
 
 
-class Shown(Protocol):
-    """What is drawn."""
+class PlotData(Protocol):
+    """Data of the plot."""
 
     @property
     def track(self) -> Track:
-        """The filter's."""
+        """Track of the filter."""
 
     @property
     def truth_m(self) -> Array:
-        """Bottom track's, (N, 2), NaN where it is not known."""
+        """Positions from bottom track, (N, 2), NaN if unknown."""
 
     @property
     def constant_velocity_mps(self) -> Array | None:
-        """Of the fixes, (2,)."""
+        """Mean velocity of the fixes, (2,)."""
 
 
-def draw(shown: Shown, out: Path) -> None:
-    """Write the picture."""
+def draw(data: PlotData, out: Path) -> None:
+    """Write the plot."""
     plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False})
     figure = plt.figure(figsize=(9.0, 4.6), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.2))
-    _above(figure.add_subplot(grid[:, 0]), shown)
-    _error(figure.add_subplot(grid[0, 1]), shown)
-    _water(figure.add_subplot(grid[1, 1]), shown.track)
+    _above(figure.add_subplot(grid[:, 0]), data)
+    _error(figure.add_subplot(grid[0, 1]), data)
+    _water(figure.add_subplot(grid[1, 1]), data.track)
     figure.savefig(out, dpi=160)
     plt.close(figure)
 
 
-def _above(panel: Axes, shown: Shown) -> None:
-    track, truth, held = shown.track, shown.truth_m, shown.constant_velocity_mps
+def _above(panel: Axes, data: PlotData) -> None:
+    track, truth, held = data.track, data.truth_m, data.constant_velocity_mps
     panel.plot(truth[:, 1], truth[:, 0], color="black", linewidth=1.1, label="bottom track")
     panel.plot(track.position_m[:, 1], track.position_m[:, 0], color=ESTIMATE, linewidth=1.4, label="filter")
     if held is not None:
@@ -62,21 +62,21 @@ def _above(panel: Axes, shown: Shown) -> None:
     )
     panel.plot(ring[:, 1], ring[:, 0], color=ESTIMATE, linewidth=0.8, linestyle=":", label="3 sigma at the end")
     panel.plot(0, 0, "k+", markersize=9)
-    panel.set(xlabel="east (m)", ylabel="north (m)", title="from above")
+    panel.set(xlabel="east (m)", ylabel="north (m)", title="horizontal track")
     panel.set_aspect("equal", adjustable="datalim")
     panel.legend(frameon=False, loc="best")
 
 
-def _error(panel: Axes, shown: Shown) -> None:
-    track = shown.track
+def _error(panel: Axes, data: PlotData) -> None:
+    track = data.track
     sigma = np.sqrt(np.linalg.eigvalsh(track.position_covariance)[:, -1].clip(0))
     panel.fill_between(track.t_s, 0, 3 * sigma, color=ESTIMATE, alpha=0.2, linewidth=0, label="3 sigma")
-    error = np.hypot(*(track.position_m - shown.truth_m).T)
+    error = np.hypot(*(track.position_m - data.truth_m).T)
     panel.plot(track.t_s, error, color=ESTIMATE, linewidth=1.3, label="filter from bottom track")
-    if shown.constant_velocity_mps is not None:
-        held = np.hypot(*(shown.constant_velocity_mps * track.t_s[:, None] - shown.truth_m).T)
+    if data.constant_velocity_mps is not None:
+        held = np.hypot(*(data.constant_velocity_mps * track.t_s[:, None] - data.truth_m).T)
         panel.plot(track.t_s, held, color=HELD, linewidth=1.0, linestyle="--", label="constant velocity")
-    panel.set(xlabel="time (s)", ylabel="distance (m)", title="error")
+    panel.set(xlabel="time (s)", ylabel="distance (m)", title="position error against bottom track")
     panel.set_ylim(bottom=0)
     panel.legend(frameon=False, loc="upper left")
 

@@ -1,4 +1,4 @@
-"""What the localisation of a recorded dive came to, in a few lines."""
+"""Text report of the localisation of a recorded dive."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from services.tools.localise.dive_result import LocalisationResult, StudyRow
 
 
 def text(result: LocalisationResult) -> str:
-    """For people."""
+    """Format the result as text."""
     i, t = result.instrument, result.track
     lost = f"{result.lost_bytes} bytes lost in {result.lost_places} places" if result.lost_places else "no byte lost"
     rows = [

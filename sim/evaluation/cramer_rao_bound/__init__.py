@@ -1,4 +1,4 @@
-"""How well any estimator could know the vehicle: linear covariance analysis of a suite along a true trajectory."""
+"""Posterior Cramer-Rao bound of any estimator: linear covariance analysis of the sensors along a true trajectory."""
 
 from sim.evaluation.cramer_rao_bound.analysis import Bound, bound
 from sim.evaluation.cramer_rao_bound.model import Trajectory

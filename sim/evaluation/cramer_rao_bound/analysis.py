@@ -1,14 +1,14 @@
-"""The bound itself: information about the errors, gathered along a true trajectory (the posterior Cramer-Rao bound).
+"""Posterior Cramer-Rao bound: information about the errors, accumulated along a true trajectory.
 
-J (n, n) is the information about all errors of one instant. Measurements add to it, in any order: J := J + H^T H.
-From one instant to the next the joint information of the moving errors x before and y after is
-    [[J_xx + Phi^T Q^-1 Phi, -Phi^T Q^-1, J_xs], [., Q^-1, 0], [., ., J_ss]]        s: the errors that stand still
-and x is marginalised (Schur). Where a position is still wanted later, at a satellite epoch or at t = 0, it is not
-marginalised but joins s: no clone of a covariance is made. J^-1 is the bound on the errors' covariance.
-From t = 0 on the moving position is d = p - p_0: a drift of 0.2 m beside a position that is known to 5 m.
-Drift   of published positions, e(t) - e(0), where e(0) is not corrected afterwards:
+J (n, n) is the information about all errors at one instant. Measurements add to it, in any order: J := J + H^T H.
+From one instant to the next the joint information of the moving errors, x before and y after, is
+    [[J_xx + Phi^T Q^-1 Phi, -Phi^T Q^-1, J_xs], [., Q^-1, 0], [., ., J_ss]]        s: the constant errors
+and x is marginalised (Schur complement). A position that is needed later, at a satellite epoch or at t = 0, is not
+marginalised but joins s, so no covariance is cloned. J^-1 is the bound on the covariance of the errors.
+From t = 0 on the moving position is d = p - p_0: a drift of 0.2 m is small against a position known to 5 m.
+Drift   of published positions, e(t) - e(0), where e(0) is not corrected later:
             cov = cov(d | data to t) + cov(p_0 | data to 0) - cov(p_0 | data to t)
-        since what is learnt of p_0 after t = 0 is independent of what is not known yet at t.
+        because the knowledge of p_0 gained after t = 0 is independent of the remaining error at t.
 Source  Tichavsky, Muravchik & Nehorai 1998, IEEE T-SP 46(5); exact where the model is linear.
 """
 
@@ -41,20 +41,20 @@ CORE = 15
 
 
 class Bound(NamedTuple):
-    """At the instants asked for. What was taken as known has zeros."""
+    """Bound at M instants. Errors that are taken as known have covariance 0."""
 
     t_s: Array  # (M,)
     covariance: Array  # (M, 15, 15) of position, velocity, attitude, gyro bias, accelerometer bias
-    drift: Array  # (M, 3, 3) of position since t = 0; 0 before it
+    drift: Array  # (M, 3, 3) of the position drift since t = 0; 0 before it
 
     @property
     def drift_rms_m(self) -> Array:
-        """Of one horizontal axis, (M,)."""
+        """Bound on the drift along one horizontal axis (m), (M,)."""
         return np.sqrt(0.5 * (self.drift[:, 0, 0] + self.drift[:, 1, 1]))
 
     @property
     def velocity_rms_mps(self) -> Array:
-        """Of one horizontal axis, (M,)."""
+        """Bound on the velocity along one horizontal axis (m/s), (M,)."""
         return np.sqrt(0.5 * (self.covariance[:, 3, 3] + self.covariance[:, 4, 4]))
 
 
@@ -68,12 +68,27 @@ def bound(
     known: Collection[str] = (),
     without: Collection[str] = (),
 ) -> Bound:
-    """The bound at ``at_s`` for the sensors of ``suite`` along ``trajectory``, from ``-surface_time_s`` on.
+    """Compute the bound along a trajectory.
 
-    ``known``: errors that do not exist (``model.NAMES``). ``without``: sensors that are not there (``"gnss"``,
-    ``"tdcp"``, ``"adcp"``, ``"pressure"``, ``"compass"``). Measurements count at their validity times, whatever their
-    latency; bottom track, LBL and USBL are not in it, nor is a water prior from a file. ``ValueError`` where ``at_s``
-    has a time before the first satellite fix; ``LinAlgError`` where what is left determines too little.
+    Measurements count at their validity times, without latency. Bottom track, LBL, USBL and a water prior from a file
+    are not included.
+
+    Parameters
+    ----------
+    suite : sensors of the vehicle.
+    config : assumptions of the estimator about the water.
+    trajectory : true motion, from ``-surface_time_s`` on.
+    at_s : instants of the bound (s).
+    surface_time_s : time at the surface before t = 0 (s).
+    known : errors that are taken as known (keys of ``model.NAMES``).
+    without : sensors that are missing (``"gnss"``, ``"tdcp"``, ``"adcp"``, ``"pressure"``, ``"compass"``).
+
+    Raises
+    ------
+    ValueError
+        If ``at_s`` has a time before the first satellite fix.
+    LinAlgError
+        If the remaining sensors do not determine the errors.
     """
     model = ErrorModel(suite, config, known)
     events = schedule(suite, [*at_s, 0.0], surface_time_s, without)
@@ -82,7 +97,7 @@ def bound(
     information = _Information(model, config.current_change_mps_per_rts)
     wanted = sorted(at_s)
     cores, drifts = [], []
-    start: Array | None = None  # covariance of the position at t = 0 by what was known then
+    start: Array | None = None  # covariance of the position at t = 0 from the data up to then
     seen_epoch = False
     for i, (t, kinds, depths) in enumerate(events):
         now = at(trajectory, t)
@@ -96,7 +111,7 @@ def bound(
             drifts.append(information.drift(start) if start is not None and t > 0 else np.zeros((3, 3)))
         if i + 1 < len(events):
             ahead = events[i + 1].t_s
-            if "gnss" in kinds and t < 0.0:  # the last one, at t = 0, is kept as the start
+            if "gnss" in kinds and t < 0.0:  # the last fix, at t = 0, is kept as START
                 information.marginalise(EPOCH)
                 keep: slice | None = EPOCH
                 seen_epoch = True
@@ -134,26 +149,26 @@ def _rows(
 
 
 class _Information:
-    """J of the errors that exist at this instant."""
+    """Information matrix J of the errors that exist at one instant."""
 
     def __init__(self, model: ErrorModel, water_walk: float) -> None:
         self._J = model.prior()
         self._present = model.free.copy()
         self._present[EPOCH] = self._present[START] = False
-        self._relative = False  # the moving position is that since t = 0
+        self._relative = False  # True: the moving position is relative to that at t = 0
         self._walk = water_walk
         self._moving = np.arange(model.size) < MOVING
         if water_walk > 0:
             self._moving[WATER:] = True
 
     def add(self, rows: Array) -> None:
-        """J + H^T H."""
+        """Add measurements, J := J + H^T H."""
         if self._relative:
             rows[:, START] += rows[:, POSITION]  # p = d + p_0
         self._J += rows.T @ rows
 
     def marginalise(self, states: slice) -> None:
-        """Marginalise what is not needed any more."""
+        """Marginalise states that are not needed any more."""
         gone = np.zeros_like(self._present)
         gone[states] = self._present[states]
         if gone.any():
@@ -165,7 +180,7 @@ class _Information:
         self._J[:, states] = 0.0
 
     def propagate(self, Phi: Array, Q: Array, dt: float, keep: slice | None) -> None:
-        """To the next instant; the position of this one stays as ``keep``, as ``START`` for d to count from."""
+        """Propagate to the next instant. The present position is kept in the states ``keep``; d starts at ``START``."""
         n = len(self._J)
         x = np.flatnonzero(self._present & self._moving)
         s = np.flatnonzero(self._present & ~self._moving)
@@ -181,10 +196,10 @@ class _Information:
             self._present[clone] = True
         if keep == START:
             self._relative = True
-            step[:, kept] = 0.0  # d after the step does not depend on where it began
+            step[:, kept] = 0.0  # d after the step does not depend on the position before
         inverse = np.linalg.inv(spread)
         back = inverse @ step  # Q^-1 Phi
-        # What remains, in this order: the moving errors after, the kept position, what stands still.
+        # Remaining states in order: the moving errors after the step, the kept position, the constant errors.
         y, old = slice(0, q), self._J[np.ix_(x, x)] + step.T @ back
         k = slice(q, q + len(clone))
         rest = slice(k.stop, k.stop + len(s))
@@ -202,16 +217,16 @@ class _Information:
         self._J[np.ix_(order, order)] = _without(after, cross, old[np.ix_(~kept, ~kept)])
 
     def covariance(self, states: slice) -> Array:
-        """The bound on the named errors; zeros where they do not exist."""
+        """Return the bound on the covariance of states; 0 for states that do not exist."""
         return self._covariance(np.eye(len(self._J))[states])
 
     def drift(self, start: Array) -> Array:
-        """Of published positions since t = 0. ``start`` is cov(p_0 | data to 0)."""
+        """Return the bound on the drift of published positions; ``start`` is cov(p_0 | data to 0)."""
         own, then = np.eye(len(self._J))[POSITION], np.eye(len(self._J))[START]
         return self._covariance(own - then) + start - self._covariance(then)
 
     def _covariance(self, of: Array) -> Array:
-        """Of linear combinations (w, n) of errors, POSITION meaning p."""
+        """Return the bound on linear combinations (w, n) of errors, with POSITION as p."""
         if self._relative:
             of = of.copy()
             of[:, START] += of[:, POSITION]
@@ -222,7 +237,7 @@ class _Information:
 
 
 def _without(A: Array, B: Array, C: Array) -> Array:
-    """Schur: A - B^T C^-1 B."""
+    """Return the Schur complement A - B^T C^-1 B."""
     L = np.linalg.cholesky(C)
     W = solve_triangular(L, B, lower=True)
     S: Array = A - W.T @ W

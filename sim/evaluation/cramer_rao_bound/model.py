@@ -1,14 +1,14 @@
-"""The error model of the bound, linearised about the truth: how errors grow, and what each sensor says of them.
+"""Error model of the bound, linearised about the truth: propagation of errors and measurement rows.
 
-Errors  true minus assumed, of position and velocity (NED), gyro and accelerometer bias (body), compass bias, beam and
-        near-range bias of each beam, and the water north and east at the nodes of the estimator's grid; the attitude's
-        is phi in NED with R_true = exp(phi^) R, the mounting's is mu in body axes with M_true = exp(mu^) M.
-Growth  continuous,  x' = F x + G n,  with specific force a = v' - g + 2 W x v (NED) and Earth rate W:
+Errors  true minus assumed: position and velocity (NED), gyro and accelerometer bias (FRD), compass bias, beam and
+        near-range bias of each beam, and current north and east at the grid points of the estimator; attitude error phi
+        in NED with R_true = exp(phi^) R, mounting error mu in body axes with M_true = exp(mu^) M.
+Propagation  continuous,  x' = F x + G n,  with specific force a = v' - g + 2 W x v (NED) and Earth rate W:
             p' = v,   v' = -a x phi - R b_a - 2 W x v - R n_a,   phi' = -W x phi - R b_g - R n_g,   b' = -b/tau + n_b
         discretised over dt by Van Loan:  exp([[-F, G S G^T], [0, F^T]] dt) = [[., Phi^-1 Q], [0, Phi^T]]
 Rows    y = h . x + n, each divided by its standard deviation; information is h h^T.
-Source  Groves 2013, chapter 14 (error equations in a local frame); Van Loan 1978, IEEE T-AC 23(3). Nothing here is
-        shared with the filter but the sensors file, the [estimator] table and the frames' conventions.
+Source  Groves 2013, chapter 14 (error equations in a local frame); Van Loan 1978, IEEE T-AC 23(3). This model shares
+        only the sensor configuration, the [estimator] table and the frame conventions with the filter.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from ltv_mpc.messages import Array
 POSITION, VELOCITY, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCELEROMETER_BIAS, COMPASS_BIAS = slice(9, 12), slice(12, 15), slice(15, 16)
 MOVING = 16
-"""The errors that change in time: the first sixteen. Behind them stand those that do not."""
+"""Number of errors that change in time: the first sixteen. The others are constant."""
 
 EPOCH, START = slice(16, 19), slice(19, 22)
 """Position at the last satellite epoch and at t = 0."""
 BEAM_BIAS, NEAR_BIAS, MOUNTING = slice(22, 26), slice(26, 30), slice(30, 33)
 WATER = 33
-"""North at every node, then east."""
+"""Index of the first current: north at every grid point, then east."""
 
 NAMES = {
     "vertical": [2, 5],
@@ -45,28 +45,28 @@ NAMES = {
     "accelerometer_bias": [12, 13, 14],
     "compass_bias": [15],
 }
-"""What may be taken as known, for cases of fewer dimensions."""
+"""Errors that may be taken as known, for analyses with fewer dimensions."""
 
 LEVELLING_S = 0.2
 HEAVE_SD_MPS = 0.1
-"""As the estimator starts: accelerometers averaged over this time, and this of vertical velocity assumed."""
+"""Initial alignment as in the estimator: averaging time of the accelerometers, sd of the vertical velocity (m/s)."""
 
 _ANYWHERE = 1e-8
-"""Information about what is not known at all at first (1/m2, 1/rad2)."""
+"""Information about initially unknown errors (1/m2, 1/rad2)."""
 
 
 class Trajectory(NamedTuple):
-    """True motion, at 10 Hz or faster; linear in between."""
+    """True motion at 10 Hz or faster, linear between samples."""
 
     t_s: Array  # (T,) increasing, 0 at the start of the descent
     position_m: Array  # (T, 3) NED
     velocity_mps: Array  # (T, 3) over ground, NED
     rotation: Array  # (T, 3, 3) body to world
-    water_mps: Array  # (K, 2) north, east at the nodes of the estimator's grid
+    water_mps: Array  # (K, 2) north, east at the grid points of the estimator
 
 
 class Instant(NamedTuple):
-    """One point of a trajectory."""
+    """Point of a trajectory: position, velocity and rotation."""
 
     p: Array
     v: Array
@@ -74,7 +74,7 @@ class Instant(NamedTuple):
 
 
 def at(trajectory: Trajectory, t_s: float) -> Instant:
-    """Linear between the samples, constant beyond them."""
+    """Return the point at a time, linear between samples and constant beyond them."""
     t = trajectory.t_s
     i = min(max(int(np.searchsorted(t, t_s)), 1), len(t) - 1)
     s = min(max((t_s - t[i - 1]) / (t[i] - t[i - 1]), 0.0), 1.0)
@@ -83,10 +83,10 @@ def at(trajectory: Trajectory, t_s: float) -> Instant:
 
 
 class ErrorModel:
-    """Of a suite and the estimator's assumptions. ``size`` n; ``free`` (n,) says which errors exist at all."""
+    """Error model of a sensor configuration. ``size`` is n; ``free`` (n,) marks the errors that exist."""
 
     def __init__(self, suite: SensorConfig, config: EstimatorConfig, known: Collection[str] = ()) -> None:
-        """``known``: keys of ``NAMES``. Raises ``KeyError`` for another."""
+        """Set up the model; ``known`` are keys of ``NAMES``, ``KeyError`` for another."""
         self._suite, self._config = suite, config
         self._earth = earth_rate(suite.latitude_rad) if suite.imu.senses_earth_rate else np.zeros(3)
         self.nodes = math.ceil(config.deepest_m / config.cell_m - 1e-9) + 1
@@ -113,11 +113,11 @@ class ErrorModel:
         self._range = adcp.blanking_m + adcp.cell_m * (
             0.5 + np.arange(math.floor((adcp.range_m - adcp.blanking_m) / adcp.cell_m + 1e-9))
         )
-        # A lost beam or an outlier that is recognised says nothing: what a ping says is less by their share.
+        # A lost beam or a recognised outlier has no information: the information of a ping is reduced by their share.
         self._beam_weight = (1.0 - adcp.missing_share) * (1.0 - adcp.outlier_share) / adcp.beam_noise_sd_mps**2
 
     def prior(self) -> Array:
-        """Information before anything is measured, (n, n); none about the clones, which do not exist yet."""
+        """Return the prior information, (n, n); 0 about the clones, which do not exist yet."""
         J = np.zeros((self.size, self.size))
         drawn = np.flatnonzero(self._sd)
         J[drawn, drawn] = 1.0 / self._sd[drawn] ** 2
@@ -133,7 +133,7 @@ class ErrorModel:
         return J
 
     def growth(self, a: Instant, b: Instant, dt: float) -> tuple[Array, Array]:
-        """Phi and Q of the moving errors from ``a`` to ``b``, (16, 16) each."""
+        """Return Phi and Q of the moving errors from ``a`` to ``b`` over ``dt`` (s), (16, 16) each."""
         imu, W = self._suite.imu, self._earth
         R = 0.5 * (a.R + b.R)
         force = (b.v - a.v) / dt - gravity() + skew(W) @ (a.v + b.v)
@@ -163,7 +163,7 @@ class ErrorModel:
         return np.zeros((count, self.size))
 
     def levelling(self, now: Instant) -> Array:
-        """Accelerometers say which way is down, if it is the only acceleration:  g z x phi - (R b_a)_h = n."""
+        """Return the rows of levelling without acceleration:  g z x phi - (R b_a)_h = n."""
         white = self._suite.imu.velocity_random_walk_mps_per_rts**2 / LEVELLING_S
         h = self._rows(2)
         h[:, ATTITUDE] = skew(gravity())[:2]  # -(a x phi) with a = -g
@@ -171,7 +171,7 @@ class ErrorModel:
         return h / math.sqrt(white + self._config.afloat_acceleration_sd_mps2**2)
 
     def gnss(self, now: Instant) -> Array:
-        """Antenna's position, p + R l, and velocity."""
+        """Return the rows of a satellite fix: antenna position p + R l, and velocity."""
         h = self._rows(4)
         h[:2, POSITION] = h[2:, VELOCITY] = np.eye(3)[:2]
         h[:2, ATTITUDE] = -skew(now.R @ np.array(self._suite.gnss.lever_arm_m))[:2]
@@ -180,20 +180,20 @@ class ErrorModel:
         return h
 
     def tdcp(self) -> Array:
-        """Way since the last epoch, p - p_epoch; that the antenna swings about the origin is left out."""
+        """Return the rows of TDCP: displacement p - p_epoch, without the lever arm of the antenna."""
         h = self._rows(2)
         h[:, POSITION], h[:, EPOCH] = np.eye(3)[:2], -np.eye(3)[:2]
         return h / self._suite.tdcp.displacement_sd_m
 
     def pressure(self, now: Instant, readings: int) -> Array:
-        """Gauge's depth, [p + R l]_d, as often as it was read since the last instant."""
+        """Return the row of the gauge's depth, [p + R l]_d, for ``readings`` readings since the last instant."""
         h = self._rows(1)
         h[0, 2] = 1.0
         h[0, ATTITUDE] = -skew(now.R @ np.array(self._suite.pressure.lever_arm_m))[2]
         return h * math.sqrt(readings) / self._suite.pressure.depth_sd_m
 
     def compass(self, now: Instant) -> Array:
-        """Heading of the forward axis f:  phi x f, sideways, over its horizontal length; and the bias."""
+        """Return the row of the compass: sideways (phi x f) over the horizontal length of forward axis f, plus bias."""
         f = now.R[:, 0]
         level = f[:2] @ f[:2]
         h = self._rows(1)
@@ -202,9 +202,10 @@ class ErrorModel:
         return h / self._suite.compass.heading_sd_rad
 
     def adcp(self, now: Instant, water: Array) -> Array:
-        """One ping: beam k's cell at range r says  u . (c(z) - v) + bias,  u = R M e_k,  z = p_d + [R (l + r M e_k)]_d.
+        """Return the rows of one ping with ``water`` (K, 2) at the grid points.
 
-        What the angular rate adds at the lever arm is left out: 0.1 mm/s for a mounting error of 0.3 deg.
+        The cell of beam k at range r measures  u . (c(z) - v) + bias,  u = R M e_k,  z = p_d + [R (l + r M e_k)]_d.
+        The effect of the angular rate at the lever arm is left out: 0.1 mm/s for a mounting error of 0.3 deg.
         """
         adcp, cell, r = self._suite.adcp, self._config.cell_m, self._range
         lever = np.array(adcp.lever_arm_m)
@@ -240,7 +241,7 @@ class ErrorModel:
 
 
 def _beams(adcp: Adcp) -> Array:
-    """M e_k as meant, (4, 3): ahead, astern, to starboard, to port."""
+    """Return the nominal beam directions M e_k, (4, 3): ahead, astern, starboard, port."""
     away, down = math.sin(adcp.beam_angle_rad), math.cos(adcp.beam_angle_rad)
     e = np.array([[away, 0, down], [-away, 0, down], [0, away, down], [0, -away, down]])
     beams: Array = e @ rotation(*adcp.mounting_rad).T

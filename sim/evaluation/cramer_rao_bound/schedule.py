@@ -1,4 +1,4 @@
-"""When which sensor of a suite measures, from the first satellite fix on: latencies do not count."""
+"""Measurement schedule of the sensors from the first satellite fix on, without latencies."""
 
 from __future__ import annotations
 
@@ -11,19 +11,23 @@ import numpy as np
 from ltv_mpc.localisation.sensor_config import SensorConfig
 
 TOGETHER_S = 0.02
-"""Instants this close are one: a satellite fix at 1 s and a ping at 0.999999999 s. Errors do not move meanwhile."""
+"""Largest distance of measurements that share one instant (s), such as a fix at 1 s and a ping at 0.999999999 s."""
 
 
 class Events(NamedTuple):
-    """What is measured at one instant."""
+    """Measurements of one instant."""
 
     t_s: float
     kinds: frozenset[str]
-    depths: int  # pressure readings
+    depths: int  # number of pressure readings
 
 
 def schedule(suite: SensorConfig, extra: Sequence[float], surface_s: float, without: Collection[str]) -> list[Events]:
-    """Every instant from the first satellite fix to the last that is asked for; pressure readings at the nearest."""
+    """Return all instants from the first satellite fix to the last requested one.
+
+    ``extra`` are the requested times (s), ``surface_s`` is the time at the surface before t = 0, and ``without`` are
+    missing sensors. Pressure readings count at the nearest instant.
+    """
     last = max(extra)
     gnss_s = suite.gnss.period_ns * 1e-9
     first = -math.floor(surface_s / gnss_s + 1e-9) * gnss_s

@@ -323,9 +323,9 @@ VARIABLE = struct.unpack_from("<H", FRAMES[0], 8)[0]
         (FIXED + 9, b"\xff", "velocity cut off"),
         (FIXED + 10, b"\x00\x00", "no cells, pings"),
         (FIXED + 12, b"\x00\x00", "cell length"),
-        (VARIABLE + 5, b"\x0d", "no date"),
-        (VARIABLE + 18, b"\xff\xff", "no angle"),
-        (VARIABLE + 20, b"\x28\x23", "no angle"),  # pitch 90 deg
+        (VARIABLE + 5, b"\x0d", "not a valid date"),
+        (VARIABLE + 18, b"\xff\xff", "outside its range"),
+        (VARIABLE + 20, b"\x28\x23", "outside its range"),  # pitch 90 deg
         (VARIABLE + 4, b"\x0f", "does not increase"),  # a year earlier
     ],
 )
