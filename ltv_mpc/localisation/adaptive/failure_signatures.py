@@ -51,7 +51,12 @@ class FailureSignatures:
         return FailureSignatures(self.error.copy(), self.score.copy(), self.information.copy())
 
     def clear(self, columns: slice = slice(None)) -> None:
-        """Set signature, score and information of the hypotheses in ``columns`` to zero."""
+        """Set signature, score and information of the hypotheses in ``columns`` to zero.
+
+        Parameters
+        ----------
+        columns : slice of the hypotheses.
+        """
         self.error[:, columns] = 0.0
         self.score[columns] = 0.0
         self.information[columns, :] = 0.0

@@ -73,7 +73,12 @@ class FrontOrGyroTest:
         return self._t_s[-1] - self._t_s[0]
 
     def is_drifting(self, level_sd_rad: float) -> bool:
-        """Return True if the sum still drifts; ``level_sd_rad`` is the standard deviation of the level error."""
+        """Return True if the sum still drifts.
+
+        Parameters
+        ----------
+        level_sd_rad : standard deviation of the level error (rad).
+        """
         t = np.array(self._t_s)
         late = t > t[-1] - SLOPE_S
         t = t[late] - t[late].mean()

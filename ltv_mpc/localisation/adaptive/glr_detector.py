@@ -70,7 +70,12 @@ class OnsetDetection(NamedTuple):
     root: Array  # (n, r) the added covariance is root root^T
 
     def compensate(self, belief: Belief) -> None:
-        """Add the mean error to the estimate and its uncertainty to the covariance."""
+        """Add the mean error to the estimate and its uncertainty to the covariance.
+
+        Parameters
+        ----------
+        belief : state estimate; estimate and covariance change.
+        """
         belief.apply_error(self.error)
         belief.P += self.root @ self.root.T
 
@@ -89,19 +94,33 @@ class GlrDetector:
         return other
 
     def reset(self, belief: Belief) -> None:
-        """Discard all hypotheses and their evidence."""
+        """Discard all hypotheses and their evidence.
+
+        Parameters
+        ----------
+        belief : state estimate whose signatures are cleared.
+        """
         belief.signatures.clear()
         self._start_ns[:] = _NONE_NS
         self._pending_s = 0.0
 
     def add_elapsed(self, dt: float) -> None:
-        """Let the drift of all started hypotheses continue for ``dt`` (s)."""
+        """Let the drift of all started hypotheses continue for ``dt`` (s).
+
+        Parameters
+        ----------
+        dt : time (s).
+        """
         self._pending_s += dt
 
     def start_hypothesis(self, belief: Belief) -> None:
         """Bring the signatures to the time of the belief, before rows that depend on the current are used.
 
         At a new instant of the time grid a hypothesis starts in the columns of the oldest one.
+
+        Parameters
+        ----------
+        belief : state estimate; its signatures change.
         """
         signatures, t_ns = belief.signatures, belief.t_ns
         if not signatures.score.size:

@@ -131,7 +131,12 @@ class AdaptiveProcessNoise:
         return other
 
     def reset_tests(self, belief: Belief) -> None:
-        """Discard the evidence of the pings so far, because it is explained. The current inflation stays."""
+        """Discard the evidence of the pings so far, because it is explained. The current inflation stays.
+
+        Parameters
+        ----------
+        belief : state estimate whose signatures are cleared.
+        """
         self._glr.reset(belief)
         self._clear()
 
@@ -144,15 +149,30 @@ class AdaptiveProcessNoise:
         self._inconsistent_ns: int | None = None
 
     def level(self, t_ns: int) -> NoiseLevel:
-        """Return the level at ``t_ns``."""
+        """Return the level at ``t_ns``.
+
+        Parameters
+        ----------
+        t_ns : time.
+        """
         return max((c for c, until_ns in self._until_ns.items() if t_ns < until_ns), default=NoiseLevel.NONE)
 
     def walk_mps_per_rts(self, t_ns: int) -> float:
-        """Return the random walk q of the water at ``t_ns`` (m/s per sqrt(s))."""
+        """Return the random walk q of the water at ``t_ns`` (m/s per sqrt(s)).
+
+        Parameters
+        ----------
+        t_ns : time.
+        """
         return WALK_MPS_PER_RTS[self.level(t_ns)]
 
     def is_inconsistent(self, t_ns: int) -> bool:
-        """Return True if recent innovations cannot be water: a vertical current, or more than FAST explains."""
+        """Return True if recent innovations cannot be water: a vertical current, or more than FAST explains.
+
+        Parameters
+        ----------
+        t_ns : time.
+        """
         return self._inconsistent_ns is not None and t_ns - self._inconsistent_ns < _INCONSISTENT_NS
 
     def add_innovations(self, t_ns: int, u: Array, cell: npt.NDArray[np.int64], r: Array, S: Array) -> None:
@@ -174,11 +194,21 @@ class AdaptiveProcessNoise:
             self._shears.add(t_ns, shear.d, shear.V)
 
     def start_ping(self, belief: Belief) -> None:
-        """Bring the GLR detector to the time of the belief, before a ping is used."""
+        """Bring the GLR detector to the time of the belief, before a ping is used.
+
+        Parameters
+        ----------
+        belief : state estimate; its signatures change.
+        """
         self._glr.start_hypothesis(belief)
 
     def detect_onset(self, belief: Belief) -> OnsetDetection | None:
-        """Return a drift that started recently, or None."""
+        """Return a drift that started recently, or None.
+
+        Parameters
+        ----------
+        belief : state estimate after the last ping.
+        """
         if belief.t_ns < self._from_ns or self.is_inconsistent(belief.t_ns):
             return None
         found = self._glr.detect(belief, JOINT_THRESHOLD, BACK_NS)
@@ -241,7 +271,13 @@ class AdaptiveProcessNoise:
         return change in self._until_ns and t_ns < self._until_ns[change] + self._held_ns[change]
 
     def inflation_end_ns(self, change: NoiseLevel, now_ns: int) -> int:
-        """Return the end of an inflation that starts now: twice as long as the last one if that was recent."""
+        """Return the end of an inflation that starts now: twice as long as the last one if that was recent.
+
+        Parameters
+        ----------
+        change : level.
+        now_ns : start of the inflation.
+        """
         last_ns, hold_ns = self._held_ns.get(change, 0), _HOLD_NS[change]
         if last_ns and now_ns < self._until_ns[change] + 2 * last_ns:
             hold_ns = min(2 * last_ns, _MAX_HOLD_NS)
@@ -277,7 +313,13 @@ class AdaptiveProcessNoise:
                 self._until_ns[NoiseLevel.FAST] = belief.t_ns + _EXTENSION_NS
 
     def propagate(self, belief: Belief, dt: float) -> None:
-        """Add the inflated process noise over the last ``dt`` (s) to the covariance."""
+        """Add the inflated process noise over the last ``dt`` (s) to the covariance.
+
+        Parameters
+        ----------
+        belief : state estimate; its covariance changes.
+        dt : time (s).
+        """
         self._glr.add_elapsed(dt)
         if not (self._until_ns or self._inflates_imu):
             return

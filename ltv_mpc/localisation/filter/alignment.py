@@ -82,7 +82,12 @@ class Alignment:
         return ", ".join(missing)
 
     def take(self, message: ImuSample | Measurement) -> None:
-        """Add a message, in order of arrival. Duplicates are ignored."""
+        """Add a message, in order of arrival. Duplicates are ignored.
+
+        Parameters
+        ----------
+        message : IMU sample or measurement, with its measurement time.
+        """
         place = bisect.bisect_right(self._messages, message.t_ns, key=lambda m: m.t_ns)
         first = bisect.bisect_left(self._messages, message.t_ns, key=lambda m: m.t_ns)
         if any(is_duplicate(earlier, message) for earlier in self._messages[first:place]):

@@ -232,7 +232,12 @@ class ErrorStateFilter:
         return self._state.copy()
 
     def restore(self, then: FilterState) -> None:
-        """Return to a snapshot, bitwise. The snapshot stays valid."""
+        """Return to a snapshot, bitwise. The snapshot stays valid.
+
+        Parameters
+        ----------
+        then : state from ``snapshot``.
+        """
         self._state = then.copy()
 
     def propagate_covariance(self) -> None:

@@ -50,5 +50,11 @@ def coupling_vector(correction: Array, mean: int, north: int, east: int) -> Arra
 
 
 def heading_coupling(correction: Array, layout: Layout) -> Array:
-    """Return ``coupling_vector`` of a correction (n,) with the indices of ``layout``."""
+    """Return ``coupling_vector`` of a correction (n,) with the indices of ``layout``.
+
+    Parameters
+    ----------
+    correction : (n,) error by which the estimate has just moved.
+    layout : order of the states.
+    """
     return coupling_vector(correction, layout.mean.start, layout.north.start, layout.east.start)

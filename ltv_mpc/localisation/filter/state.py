@@ -198,12 +198,22 @@ class Belief:
         )
 
     def apply_error(self, error: Array) -> None:
-        """Add an error (n,), with the sign convention above, to the estimate. The covariance does not change."""
+        """Add an error (n,), with the sign convention above, to the estimate. The covariance does not change.
+
+        Parameters
+        ----------
+        error : (n,) error.
+        """
         apply_error(self.x, self.R, error)
         self.apply_mounting_error(error)
 
     def apply_mounting_error(self, error: Array) -> None:
-        """Apply the mounting part of an error (n,): M := exp(mu^) M."""
+        """Apply the mounting part of an error (n,): M := exp(mu^) M.
+
+        Parameters
+        ----------
+        error : (n,) error.
+        """
         mounting = self.layout.mounting
         if mounting.stop > mounting.start:
             self.mounting = rotation_exp(error[mounting]) @ self.mounting

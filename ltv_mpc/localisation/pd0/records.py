@@ -67,7 +67,12 @@ class Settings(NamedTuple):
     heading_bias_rad: float
 
     def same_setup(self, other: Settings) -> bool:
-        """Return True if the settings are equal; the first cell may move by 0.1 cells with the speed of sound."""
+        """Return True if the settings are equal; the first cell may move by 0.1 cells with the speed of sound.
+
+        Parameters
+        ----------
+        other : settings of another ensemble.
+        """
         near = abs(self.first_cell_m - other.first_cell_m) <= 0.1 * self.cell_m
         return near and self._replace(first_cell_m=other.first_cell_m) == other
 

@@ -80,7 +80,12 @@ class Model:
         return BIAS + BEAMS * self.cells + 2 * len(self.depth_m)
 
     def bias_of(self, beam: int) -> slice:
-        """Return the slice of the biases of one beam."""
+        """Return the slice of the biases of one beam.
+
+        Parameters
+        ----------
+        beam : number of the beam, 0 to 3.
+        """
         start = BIAS + beam * self.cells
         return slice(start, start + self.cells)
 

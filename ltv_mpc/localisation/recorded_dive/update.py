@@ -39,7 +39,12 @@ class Batch(NamedTuple):
     variance: Array  # (m,)
 
     def joined(self, other: Batch) -> Batch:
-        """Return this batch followed by another."""
+        """Return this batch followed by another.
+
+        Parameters
+        ----------
+        other : further rows of the same states.
+        """
         return Batch(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 

@@ -44,11 +44,21 @@ class NodePrior:
 
     @classmethod
     def certain(cls, nodes: int) -> NodePrior:
-        """Return a prior of still water with zero variance at ``nodes`` grid points."""
+        """Return a prior of still water with zero variance at ``nodes`` grid points.
+
+        Parameters
+        ----------
+        nodes : number of grid points G.
+        """
         return cls(mean_mps=np.zeros((nodes, 2)), sd_mps=np.zeros(nodes), common_sd_mps=0.0, correlation=1.0)
 
     def covariance(self, nodes: slice) -> Array:
-        """Return the covariance of c along one axis over a slice of the grid, (K, K) m2/s2. It includes m."""
+        """Return the covariance of c along one axis over a slice of the grid, (K, K) m2/s2. It includes m.
+
+        Parameters
+        ----------
+        nodes : slice of K grid points.
+        """
         sd = self.sd_mps[nodes]
         k = np.arange(len(sd))
         covariance: Array = np.outer(sd, sd) * self.correlation ** np.abs(k[:, None] - k[None, :])
@@ -93,12 +103,22 @@ class WaterColumn:
 
     @classmethod
     def certain(cls, nodes: int) -> WaterColumn:
-        """Return still water with zero variance at ``nodes`` grid points, the window at the surface."""
+        """Return still water with zero variance at ``nodes`` grid points, the window at the surface.
+
+        Parameters
+        ----------
+        nodes : number of grid points G.
+        """
         seen = np.zeros(nodes, dtype=bool)
         return cls(prior=NodePrior.certain(nodes), first=0, observed=seen, dropped={}, walked=0.0)
 
     def mark_observed(self, upper: npt.NDArray[np.int64]) -> None:
-        """Mark these grid points (m,) and the next below each as observed."""
+        """Mark these grid points (m,) and the next below each as observed.
+
+        Parameters
+        ----------
+        upper : (m,) indices of grid points.
+        """
         self.observed[upper] = self.observed[upper + 1] = True
 
     def copy(self) -> WaterColumn:
