@@ -344,7 +344,7 @@ SHADOW = (
 SLOW_FRONTS = (
     "adaptive/glr_detector.py",
     "adaptive/failure_signatures.py",
-    "filter/correction.py:_swing_too",
+    "filter/correction.py:_couple_signatures",
     "adaptive/process_noise.py:AdaptiveProcessNoise.detect_onset",
 )
 ADAPTATION = (
@@ -446,7 +446,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
         SEEN,
     ),
     *of("slow walk after a shear", no_slow_walk, (WAVES, STEP), (*SEEN, "cells silent")),
-    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptive/process_noise.py:_doubt",)),
+    *of("doubt of the inertial unit", no_unit, (GYRO, GYRO_FAST), SEEN, ("adaptive/process_noise.py:_inflate_imu",)),
     *of(
         "adaptation to water, all of it",
         no_adaptation,
@@ -464,10 +464,10 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "de-weighted satellite rows",
-        lambda: replaced((error_state_filter, "_DOUBTFUL", 0.0)),
+        lambda: replaced((error_state_filter, "_MAX_DEWEIGHTED", 0.0)),
         (WRONG_FIX, ONE_FIX),
         ERRORS,
-        ("filter/correction.py:_doubted",),
+        ("filter/correction.py:_inflation",),
     ),
     *of(
         "IMU dropout: coasting",
@@ -522,7 +522,7 @@ MECHANISMS: tuple[Mechanism, ...] = (
     ),
     *of(
         "measurement compression",
-        lambda: replaced((correction, "_MUCH_LESS", 0.0)),
+        lambda: replaced((correction, "_COMPRESSION_RATIO", 0.0)),
         (Event("foretold, timed", FORETOLD.description, Descent()),),
         ("estimator ms per s", "drift end m"),
         ("filter/measurement_compression.py:sufficient", "filter/measurement_compression.py:_root"),
@@ -537,7 +537,11 @@ MECHANISMS: tuple[Mechanism, ...] = (
         ),
         (FORETOLD, ONE_FIX, LONG, LONG_BLIND),
         (*CONSISTENT, *HEADING),
-        ("filter/invariant_correction.py", "filter/correction.py:_turn", "filter/correction.py:_swing_too"),
+        (
+            "filter/invariant_correction.py",
+            "filter/correction.py:_heading_column",
+            "filter/correction.py:_couple_signatures",
+        ),
         ("filter/test_invariant_correction.py",),
     ),
     *of(

@@ -90,7 +90,7 @@ def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
     result = onsets.detect(belief, THRESHOLD, REACH_NS)
     np.testing.assert_allclose(result.error, mean, atol=2e-3 * np.abs(mean).max())
     np.testing.assert_allclose(result.root @ result.root.T, P, atol=2e-2 * np.abs(P).max())
-    assert result.old == old
+    assert result.is_old == old
     before = belief.P.copy()
     result.compensate(belief)
     np.testing.assert_allclose(belief.x[VELOCITY], result.error[VELOCITY])

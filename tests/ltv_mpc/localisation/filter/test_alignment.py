@@ -294,4 +294,4 @@ def test_without_an_inertial_unit_messages_do_not_pile_up():
     alignment = Alignment(SUITE, CONFIG)
     for k in range(6100):
         alignment.take(depth(T0 + k))
-    assert len(alignment._heard) == 6000
+    assert len(alignment._messages) == 6000

@@ -129,10 +129,10 @@ def test_a_ping_is_used_alike_by_fewer_rows_and_by_all(belief, monkeypatch, turn
     belief.R[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     rows, by_all = ping(belief), belief.copy()
     fewer = []
-    monkeypatch.setattr(correction, "sufficient", lambda *a: fewer.append(1) or compress(*a))
+    monkeypatch.setattr(correction, "compress", lambda *a: fewer.append(1) or compress(*a))
     correct(belief, rows, 10.8)
     assert fewer
-    monkeypatch.setattr(correction, "_MUCH_LESS", 0.0)
+    monkeypatch.setattr(correction, "_COMPRESSION_RATIO", 0.0)
     correct(by_all, rows, 10.8)
     assert len(fewer) == 1
     sd = np.sqrt(np.maximum(np.diag(by_all.P), 1e-12))  # the satellites' epoch is certain
