@@ -106,18 +106,20 @@ def test_a_beam_sees_the_rate_at_which_water_recedes_from_the_moving_transducer(
         return x[:3] + x[3:6] * t + R @ rotation_exp(w * t) @ lever
 
     velocity = (transducer(1e-5) - transducer(-1e-5)) / 2e-5
-    z = np.empty((4, 15))
+    z, depths = np.empty((4, 15)), np.empty((4, 15))
     for i, e in enumerate(beam_directions(SUITE.adcp.beam_angle_rad)):
         along = R @ belief.mounting @ e
         for j, r in enumerate(ranges):
             depth = (transducer(0.0) + r * along)[2]
+            depths[i, j] = depth
             water = [np.interp(depth, np.arange(71), x[axis]) for axis in (LAYOUT.north, LAYOUT.east)]
             z[i, j] = along @ (np.array([*water, 0.0]) - velocity)
             z[i, j] += x[LAYOUT.beam_bias][i] + x[LAYOUT.near_bias][i] * math.exp(-r / SUITE.adcp.near_bias_length_m)
     ping = AdcpPing(t_ns=0, range_m=ranges, beam_velocity_mps=z)
     linearised = adcp.linearise(belief, ping, SUITE.adcp, context(tuple(measured.tolist())))
-    assert len(linearised.rows.residual) == 60
     np.testing.assert_allclose(linearised.rows.residual, 0, atol=1e-9)
+    np.testing.assert_array_equal(linearised.indices, np.arange(60))
+    np.testing.assert_array_equal(linearised.grid_points, np.floor(depths.ravel()))
 
 
 def test_what_has_no_return_or_lies_outside_the_grid_is_left_out_and_counted(belief):
