@@ -1,4 +1,4 @@
-"""What ranges, fixes and the sea bed do against drift: a dive on dead reckoning alone, and the first fix after it."""
+"""Ranges, fixes and bottom track bound the drift of dead reckoning; the first fix after a long drift is consistent."""
 
 import math
 
@@ -54,7 +54,7 @@ def dive(make_dive):
 
 
 def at(dive, t_ns, lever):
-    """Place and velocity of a point of the vehicle at an inertial sample, by differences of the truth."""
+    """Return position and velocity of a point of the vehicle at an inertial sample, by differences of the truth."""
     k = dive.at(t_ns)
     path = dive.position[k - 1 : k + 2] + dive.R[k - 1 : k + 2] @ np.array(lever)
     return path[1], (path[2] - path[0]) / 0.02
@@ -88,7 +88,7 @@ def bottom(dive, rng):
 
 
 def drifts(dive, inbox_of, aid=None):
-    """By the second: horizontal error (m), its deviation, without the profiler's help; and the estimator."""
+    """Return horizontal error (m) and its deviation for each second, without the profiler, and the estimator."""
     arriving = [(m.t_ns, i, m) for i, m in enumerate(dive.messages) if not isinstance(m, AdcpPing)]
     if aid is not None:
         arriving += [(t_ns, 10**6 + i, m) for i, (t_ns, m) in enumerate(aid(dive, np.random.default_rng(3)))]
@@ -104,8 +104,8 @@ def drifts(dive, inbox_of, aid=None):
     return errors, estimator
 
 
-def test_each_of_them_bounds_a_drift_that_is_without_bound(dive, inbox_of):
-    """Dead reckoning is lost after 60 s; ranges and fixes hold the place, the sea bed holds the velocity."""
+def test_each_sensor_bounds_the_drift_of_dead_reckoning(dive, inbox_of):
+    """Dead reckoning is lost after 60 s; ranges and fixes bound the position, bottom track the velocity."""
     alone, _ = drifts(dive, inbox_of)
     assert alone[-1][1] > 12.0
     # sensor, what it brings, deviation at the end: the sea bed does not mend the 5 m that the satellites left
@@ -120,7 +120,7 @@ def test_each_of_them_bounds_a_drift_that_is_without_bound(dive, inbox_of):
 
 
 @pytest.mark.parametrize("fitted", [True, False])
-def test_what_the_sensors_file_does_not_have_is_counted_and_changes_nothing(fitted):
+def test_a_message_of_a_sensor_that_is_not_fitted_is_counted_and_changes_nothing(fitted):
     suite = SUITE if fitted else REALISTIC
     belief = Belief.blank(Layout.of(suite, CONFIG), 0)
     belief.P += 1e-2 * np.eye(len(belief.P))
@@ -137,7 +137,7 @@ def test_what_the_sensors_file_does_not_have_is_counted_and_changes_nothing(fitt
 
 
 def first_fixes(transponders, drift_m, *, calls, seeds=100):
-    """After a drift of ``drift_m`` (1 sd, each axis): error over deviation, squared, and ranges turned away, by seed.
+    """After a drift of ``drift_m`` (1 sd, each axis): error over deviation, squared, and rejected ranges, by seed.
 
     Each seed draws where the vehicle really is, and the ranges that it hears.
     """
@@ -171,7 +171,7 @@ SQUARED = 11.83
 
 
 def test_the_first_range_after_a_long_drift_leaves_an_error_within_three_sigma():
-    """Transponders 100 m away. Were ranges taken for straight, a third of the vehicles would not be within them."""
+    """Transponders 100 m away. Without the second-order term a third of the vehicles would be outside."""
     nees, gated, deviation = first_fixes(FOUR, 30.0, calls=1)
     assert np.mean(nees < SQUARED) >= 0.98
     assert gated < 0.01
@@ -183,7 +183,7 @@ def test_the_first_range_after_a_long_drift_leaves_an_error_within_three_sigma()
 
 
 def test_ranges_to_one_transponder_leave_the_uncertainty_of_its_curvature():
-    """Thirty calls: their common error does not average out. Across, the drift remains."""
+    """Thirty ranges share one error, which does not average out. Across the line of sight the drift remains."""
     nees, _, deviation = first_fixes(FOUR[:1], 30.0, calls=30)
     assert 0.5 < np.mean(nees) / 2 < 1.3
     assert np.mean(nees < SQUARED) >= 0.95

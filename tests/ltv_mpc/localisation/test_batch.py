@@ -1,4 +1,4 @@
-"""A whole trajectory at once: the filter, messages late and out of order, against one dense least-squares solution.
+"""Batch least squares over a whole trajectory as the oracle of the filter, with late and out-of-order messages.
 
 Level, heading north, attitude and gyros known: all is linear but a range (``test_acoustic.py``). Unknowns, three axes
 each: position and velocity at the start, accelerometer bias, and the velocity noise of every inertial sample.
@@ -84,7 +84,7 @@ class Problem:
 
 
 def measured(problem, rng):
-    """Messages of all kinds at samples of their own, with their rows put into ``problem``; (latency, message)."""
+    """Add rows of all sensors to ``problem``; yield the messages with their latencies."""
     beams = beam_directions(SUITE.adcp.beam_angle_rad)
     antenna, beacon, gauge = (np.array(s.lever_arm_m) for s in (SUITE.gnss, SUITE.usbl, SUITE.pressure))
     epoch = 0

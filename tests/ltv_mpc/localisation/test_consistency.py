@@ -1,4 +1,4 @@
-"""Whole descents: is the filter as good as it says, and as theory says? Bands are wide: seeds are few, but fixed."""
+"""Consistency of the filter over whole descents, against its covariance and theory; wide limits, few fixed seeds."""
 
 import msgspec
 import numpy as np
@@ -87,18 +87,18 @@ def realistic(sail):
 
 
 def check_nees(dives):
-    """Means over seeds and instants. Errors of one seed stay alike over time, so seeds count, not instants."""
+    """Check means over seeds and instants. Errors of one seed are correlated in time, so only seeds count."""
     for quantity in dives[0].nees:
         mean = np.mean([np.mean(dive.nees[quantity]) for dive in dives])
         low, high = (0.85, 1.15) if quantity == "cells" else (0.3, 2.2)
         assert low < mean < high, f"{quantity}: {mean:.2f}"
 
 
-def test_errors_are_as_large_as_the_filter_says_with_the_papers_sensors(paper):
+def test_errors_match_the_covariance_with_the_papers_sensors(paper):
     check_nees(paper)
 
 
-def test_errors_are_as_large_as_the_filter_says_with_realistic_sensors(realistic):
+def test_errors_match_the_covariance_with_realistic_sensors(realistic):
     check_nees(realistic)
 
 
@@ -129,14 +129,14 @@ def test_velocity_error_at_submergence_dictates_the_drift(paper):
     assert np.corrcoef(velocity, drift)[0, 1] > 0.5
 
 
-def test_thirty_carrier_phase_fixes_bring_the_velocity_to_two_millimetres_per_second(sail):
+def test_thirty_carrier_phase_fixes_determine_the_velocity_to_2_mm_per_s(sail):
     dives = sail("paper", range(30, 32), surface_s=30.0, duration_s=1.0)
     said = np.sqrt([dive.estimates[0].covariance[i, i] for dive in dives for i in (2, 3)])
     np.testing.assert_allclose(said, 2.0e-3, rtol=0.15)
     assert np.abs([dive.error(0)[2:] for dive in dives]).max() < 4 * 2e-3
 
 
-def test_outliers_and_silent_beams_are_turned_away_and_counted(realistic):
+def test_outliers_and_silent_beams_are_rejected_and_counted(realistic):
     """1 % of the beam cells by +-0.5 m/s, 25 deviations; 2 % of the beams; and 0.1 % of the good cells."""
     account = {}
     for dive in realistic:
@@ -147,8 +147,8 @@ def test_outliers_and_silent_beams_are_turned_away_and_counted(realistic):
     assert 0.01 < account["adcp.no_return"] / (cells + account["adcp.no_return"]) < 0.035
 
 
-def test_water_unlike_the_prior_is_still_let_through_the_gate(make_dive, inbox_of):
-    """A tide of 0.25 m/s where the prior holds 0.04 m/s: the part that all depths have in common takes it."""
+def test_water_unlike_the_prior_still_passes_the_gate(make_dive, inbox_of):
+    """A tide of 0.25 m/s where the prior holds 0.04 m/s: the mean over all depths absorbs it."""
     suite = SensorConfig.load("paper")
     dive = make_dive(suite, 1, duration_s=3.0)
     s = np.sin(suite.adcp.beam_angle_rad)

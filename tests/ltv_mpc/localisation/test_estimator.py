@@ -1,4 +1,4 @@
-"""The node: when it speaks, in which order it uses what arrives, and what its words mean."""
+"""The estimator node: when it publishes, in which order it uses messages, and what an estimate contains."""
 
 import hashlib
 
@@ -46,7 +46,7 @@ def same(a: Estimate, b: Estimate) -> bool:
     )
 
 
-def test_it_speaks_once_a_period_from_alignment_on_and_at_zero(dive, run):
+def test_it_publishes_once_a_period_from_alignment_on_and_at_zero(dive, run):
     _, out = run(dive.messages)
     times = [said.t_ns for _, said in out]
     assert times == list(range(times[0], 4_000_000_001, PERIOD_NS))
@@ -54,7 +54,7 @@ def test_it_speaks_once_a_period_from_alignment_on_and_at_zero(dive, run):
     assert 0 in times
 
 
-def test_it_is_silent_and_says_what_it_waits_for_until_it_is_aligned(dive, run):
+def test_until_it_is_aligned_it_publishes_nothing_and_names_what_it_waits_for(dive, run):
     without = [m for m in dive.messages if not isinstance(m, CompassHeading)]
     estimator, out = run(without)
     assert out == []
@@ -88,8 +88,8 @@ def test_a_sensor_that_is_silent_does_not_hold_the_estimate_for_more_than_one_sa
     assert max(late.values()) <= 10_000_000
 
 
-def test_an_estimate_waits_for_the_sea_bed_where_it_is_tracked_at_once(dive, run):
-    """Tracked ten times a second, and the last to speak at each instant."""
+def test_an_estimate_waits_for_a_bottom_track_without_latency(dive, run):
+    """Ten bottom tracks a second, each the last message of its instant."""
     tracking = BottomTracking(
         period_ns=PERIOD_NS,
         range_m=50.0,
@@ -110,7 +110,7 @@ def test_an_estimate_waits_for_the_sea_bed_where_it_is_tracked_at_once(dive, run
 
 @pytest.mark.parametrize("sensor", ["adcp", "pressure", "compass", "gnss", "tdcp"])
 def test_an_estimate_does_not_wait_for_a_sensor_that_is_late_by_its_file(dive, run, sensor):
-    """Nor for one that is not there: at -0.1 s only the pressure is due, at 0 everything but the profiler's ping."""
+    """Nor for an absent one: at -0.1 s only the pressure is due, at 0 everything but the profiler's ping."""
     late = msgspec.structs.replace(getattr(SUITE, sensor), latency_ns=50_000_000)
     kind = next(kind for kind, s in BY_MESSAGE.items() if s.name == sensor)
     others = [m for m in dive.messages if not isinstance(m, kind) or m.t_ns < -800_000_000]
@@ -148,7 +148,7 @@ def test_a_ping_between_two_samples_is_used_at_its_own_time(dive, run):
     assert stops == [1_333_333_332, 1_340_000_000]
 
 
-def test_what_is_too_old_or_comes_twice_is_counted_and_changes_nothing(dive, run, inbox_of):
+def test_a_message_that_is_too_old_or_a_duplicate_is_counted_and_changes_nothing(dive, run, inbox_of):
     estimator, _ = run(dive.messages)
     before = estimator.filter.belief.copy()
     kinds = (ImuSample, PressureDepth, AdcpPing)
@@ -173,7 +173,7 @@ def test_lost_inertial_samples_are_bridged_and_counted(dive, run):
     assert [said.t_ns for _, said in out] == [said.t_ns for _, said in run(dive.messages)[1]]
 
 
-def test_messages_without_an_inertial_unit_do_not_pile_up(dive, run, inbox_of):
+def test_the_queue_of_measurements_is_bounded_without_an_inertial_unit(dive, run, inbox_of):
     estimator, _ = run(dive.messages)
     for k in range(1, 1101):
         message = PressureDepth(t_ns=4_000_000_000 + k, depth_m=0.8)

@@ -1,4 +1,4 @@
-"""What the filter says of its sensors and of itself, on innovations drawn as they should be and as they should not."""
+"""Health of sensors and filter, on synthetic innovations that are consistent or not."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ ROWS = {"adcp": 60, "pressure": 1, "compass": 1}
 
 
 def hear(monitor, rng, seconds, sensor, scale=1.0, outliers=0.0, start_s=0.0):
-    """``seconds`` of one sensor's verdicts; innovations ``scale`` times as large as the filter says."""
+    """Feed ``seconds`` of one sensor's innovations, ``scale`` times as large as the filter expects."""
     limit = chi2.ppf(GATE, 1)
     for t in np.arange(start_s * SECOND + PERIODS[sensor], (start_s + seconds) * SECOND + 1, PERIODS[sensor]):
         m = ROWS[sensor]
@@ -45,13 +45,13 @@ def test_sensors_as_their_file_says_are_ok_and_so_is_the_filter():
         assert filter_status(tuple(said.values())) == (FilterStatus.NOMINAL, "")
 
 
-def test_the_mean_of_what_passed_is_one_whatever_the_gate_cuts_off():
-    """1.3 % too small where the cut is left out: 12,000 rows have a mean good to 1.3 % (1 sigma)."""
+def test_the_mean_of_the_accepted_rows_is_one_for_any_gate():
+    """1.3 % too small without the correction for the gate: 12,000 rows have a mean good to 1.3 % (1 sigma)."""
     means = [reports(nominal(np.random.default_rng(seed)), 12.0)["adcp"].nis for seed in range(60)]
     assert np.mean(means) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (60 * 30 * 60)))
 
 
-def test_outliers_are_refused_and_do_not_make_the_sensor_look_wrong():
+def test_outliers_are_rejected_and_do_not_make_the_sensor_inconsistent():
     monitor = nominal(np.random.default_rng(1), adcp={"outliers": 0.05})
     said = reports(monitor, 12.0)["adcp"]
     assert said.status is SensorStatus.OK
@@ -59,7 +59,7 @@ def test_outliers_are_refused_and_do_not_make_the_sensor_look_wrong():
 
 
 @pytest.mark.parametrize(("scale", "sensor"), [(2.2, "adcp"), (1.15, "adcp"), (0.3, "adcp"), (2.2, "pressure")])
-def test_innovations_larger_or_smaller_than_said_make_a_sensor_inconsistent(scale, sensor):
+def test_innovations_larger_or_smaller_than_expected_make_a_sensor_inconsistent(scale, sensor):
     said = reports(nominal(np.random.default_rng(2), **{sensor: {"scale": scale}}), 12.0)
     assert said[sensor].status is SensorStatus.INCONSISTENT
     others = {r.status for name, r in said.items() if name in PERIODS and name != sensor}
@@ -94,7 +94,7 @@ def test_a_sensor_is_silent_after_three_periods_but_not_satellites_under_water()
     assert reports(HealthMonitor(SUITE, GATE), -1.0)["gnss"].status is SensorStatus.SILENT
 
 
-def test_what_is_older_than_the_window_counts_no_more():
+def test_innovations_older_than_the_window_do_not_count():
     rng = np.random.default_rng(6)
     monitor = HealthMonitor(SUITE, GATE)
     hear(monitor, rng, 6.0, "adcp", scale=20.0)
@@ -123,7 +123,7 @@ def test_counts_are_those_since_the_last_report_with_the_reason():
     assert (second.used, second.rejected) == (50, {"no_return": 7})
 
 
-def test_a_good_sensor_is_called_wrong_about_once_in_a_million():
+def test_the_false_alarm_rate_of_a_good_sensor_is_about_one_in_a_million():
     low, high = band(30)
     draws = chi2.rvs(30, size=2_000_000, random_state=7) / 30
     assert np.count_nonzero(draws > high) <= 10
@@ -132,7 +132,7 @@ def test_a_good_sensor_is_called_wrong_about_once_in_a_million():
     assert chi2.cdf(30 * low, 30) == pytest.approx(FALSE_ALARM)
 
 
-def test_rows_that_share_an_error_count_as_the_fewer_that_they_are_worth():
+def test_rows_that_share_an_error_count_as_fewer_independent_ones():
     """Fifty rows with a correlation of 0.7: the mean square of a window strays more than that of 1500, and is right."""
     rng = np.random.default_rng(8)
     m, rho = 50, 0.7
@@ -158,7 +158,7 @@ def test_a_sensor_noisier_than_its_file_is_flagged_and_the_filter_is_not():
     assert filter_status(tuple(said.values())) == (FilterStatus.NOMINAL, "")
 
 
-def test_a_report_of_a_sensor_that_the_vehicle_does_not_have_is_not_made():
+def test_a_sensor_that_the_vehicle_lacks_is_not_reported():
     names = {r.sensor for r in HealthMonitor(SUITE, GATE).sensors(0, {})}
     assert names == {"gnss", "tdcp", "adcp", "pressure", "compass"}
     assert all(isinstance(r, SensorReport) for r in HealthMonitor(SUITE, GATE).sensors(0, {}))

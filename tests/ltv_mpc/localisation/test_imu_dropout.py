@@ -1,4 +1,4 @@
-"""Inertial samples that are lost, or come too late: what was not measured is not known, what comes after it is used."""
+"""Lost or late inertial samples: the covariance covers the gap, and measurements after it are used."""
 
 import msgspec
 import numpy as np
@@ -30,13 +30,13 @@ def flown(messages, inbox_of):
 
 
 def without(dive, gaps):
-    """Samples whose times are in none of the gaps (start, end], in seconds."""
+    """Return the messages without the samples of the gaps (start, end], in seconds."""
     lost = [(round(a * S), round(b * S)) for a, b in gaps]
     return [m for m in dive.messages if not (isinstance(m, ImuSample) and any(a < m.t_ns <= b for a, b in lost))]
 
 
 def normalised(said, dive):
-    """Squared errors of position, velocity and heading by their covariance, at each estimate."""
+    """Return the normalised squared errors of position, velocity and heading at each estimate."""
     squares = []
     for estimate in (one for one in said if isinstance(one, Estimate)):
         k = dive.at(estimate.t_ns)
@@ -57,7 +57,7 @@ def normalised(said, dive):
     ],
     ids=["delays", "silence", "slow"],
 )
-def test_the_truth_stays_inside_what_the_filter_says_and_nobody_else_is_blamed(dive, inbox_of, gaps):
+def test_the_truth_stays_within_the_covariance_and_no_sensor_is_reported(dive, inbox_of, gaps):
     estimator, said = flown(without(dive, gaps), inbox_of)
     assert estimator.account["imu.gap"] == len(gaps)
     assert max(normalised(said, dive)) < CHI_SQUARE_5
@@ -68,7 +68,7 @@ def test_the_truth_stays_inside_what_the_filter_says_and_nobody_else_is_blamed(d
 
 @pytest.mark.parametrize(("seed", "silent_s"), [(20, 6.0), (23, 6.0), (21, 9.0), (27, 9.0)])
 def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(make_dive, inbox_of, seed, silent_s):
-    """Not levelled, each of these is inconsistent within 6 s, the last 15 m further off."""
+    """Without levelling each of these is inconsistent within 6 s; the last is then 15 m further off."""
     dive = make_dive(SUITE, seed, duration_s=silent_s + 14.0)
     silent = range(4 * S + 1, round((4 + silent_s) * S) + 1)
     _, said = flown([m for m in dive.messages if m.t_ns not in silent], inbox_of)
@@ -77,7 +77,7 @@ def test_after_seconds_without_any_sensor_the_filter_is_levelled_and_continues(m
     assert {report.status for report in reports} == {FilterStatus.NOMINAL}
 
 
-def test_a_coasted_gap_is_the_same_in_one_piece_and_in_two():
+def test_coasting_over_a_gap_is_the_same_in_one_part_and_in_two():
     ends = []
     for cuts in ((2.0,), (0.7, 1.3)):
         x, R = np.arange(20.0), rotation(0.1, 0.2, 0.3)

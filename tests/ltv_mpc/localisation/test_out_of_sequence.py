@@ -1,4 +1,4 @@
-"""Messages that come after their time: the belief they leave is that of the same messages in order, bit for bit."""
+"""Late messages: the resulting belief is that of the same messages in order, bit for bit."""
 
 import copy
 import dataclasses
@@ -58,7 +58,7 @@ KINDS = (GnssFix, TdcpFix, AdcpPing, PressureDepth, CompassHeading, BottomTrack,
 
 @pytest.fixture(scope="module")
 def messages(make_dive):
-    """Three seconds afloat and three below, all nine sensors, of one instant in the order of ``KINDS``."""
+    """Three seconds at the surface and three below, all sensors, those of one instant in the order of ``KINDS``."""
     dive = make_dive(SUITE, 7, surface_s=3.0, duration_s=3.0)
     rng = np.random.default_rng(8)
     out = list(dive.messages)
@@ -82,17 +82,17 @@ def messages(make_dive):
 
 
 def arriving(messages, latency_of):
-    """In order of arrival; at one instant the inertial sample first, then what was measured earlier."""
+    """Return messages in order of arrival; of one instant the inertial sample first, then by validity time."""
     return sorted(messages, key=lambda m: (m.t_ns + latency_of(m), not isinstance(m, ImuSample), m.t_ns))
 
 
 def in_order(arrived):
-    """The same messages by time; of one time as they came."""
+    """Return the same messages by time; those of one time in order of arrival."""
     return sorted(arrived, key=lambda m: m.t_ns)
 
 
 def used(messages, inbox_of, observe=None):
-    """An estimator that has used them one by one, and what it said."""
+    """Return an estimator that has used the messages one by one, and its output."""
     estimator, said = Estimator(SUITE, CONFIG), []
     for message in messages:
         heard = estimator.filter is not None and message.t_ns > ALIGNED_NS
@@ -103,7 +103,7 @@ def used(messages, inbox_of, observe=None):
 
 
 def plain(value):
-    """To compare to the last bit."""
+    """Return a value that can be compared to the last bit."""
     if isinstance(value, np.ndarray):
         return value.shape, value.tobytes()
     if dataclasses.is_dataclass(value):
@@ -118,7 +118,7 @@ def plain(value):
 
 
 def state(filter_):
-    """Everything that a filter is made of, but for what it has said."""
+    """Return all attributes of a filter except account and observers."""
     return {name: plain(value) for name, value in vars(filter_).items() if name not in ("account", "observers")}
 
 
@@ -131,13 +131,13 @@ def only(kind, latency_ns):
 
 
 def scattered(seed):
-    """Up to a second for every message but the inertial unit's, at random."""
+    """Return random latencies of up to a second for every message but the inertial unit's."""
     latency_ns = np.random.default_rng(seed).integers(0, SECOND, 10_000).tolist()
     return lambda m: 0 if isinstance(m, ImuSample) or m.t_ns <= ALIGNED_NS else latency_ns[(m.t_ns // 1000) % 9973]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_sensor_that_is_late_leaves_the_belief_that_it_leaves_in_time(messages, inbox_of, kind):
+def test_a_late_sensor_gives_the_same_belief_as_in_time(messages, inbox_of, kind):
     arrived = arriving(messages, only(kind, 730_000_000))
     late, ordered = used(arrived, inbox_of)[0], used(in_order(arrived), inbox_of)[0]
     assert_same(late, ordered)
@@ -146,7 +146,7 @@ def test_a_sensor_that_is_late_leaves_the_belief_that_it_leaves_in_time(messages
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_all_sensors_late_at_random_leave_the_belief_that_they_leave_in_order(messages, inbox_of, seed):
+def test_sensors_late_at_random_give_the_same_belief_as_in_order(messages, inbox_of, seed):
     """Up to a second each, so that they overtake each other, and carrier phases come before their epoch's fix."""
     arrived = arriving(messages, scattered(seed))
     late, ordered = used(arrived, inbox_of)[0], used(in_order(arrived), inbox_of)[0]
@@ -165,8 +165,8 @@ def test_sensors_that_are_late_from_the_start_align_the_filter_as_in_order(messa
     assert late.filter.belief.t_ns == 3 * SECOND
 
 
-def test_a_message_is_judged_counted_and_observed_once(messages, inbox_of):
-    """However often it is corrected with again."""
+def test_a_message_is_counted_and_observed_once(messages, inbox_of):
+    """It may be applied several times."""
     verdicts = []
     arrived = arriving(messages, scattered(0))
     late = used(arrived, inbox_of, verdicts.append)[0]
@@ -190,7 +190,7 @@ def test_estimates_are_published_once_and_as_when_all_is_in_time(messages, inbox
 
 
 def test_a_late_message_shows_in_the_next_estimate(messages, inbox_of):
-    """A bottom track that comes 0.7 s late: the estimate before it is that of a filter that never hears of it."""
+    """A bottom track that comes 0.7 s late: the estimate before it is that of a filter that never receives it."""
     ping = next(m for m in messages if isinstance(m, BottomTrack) and m.t_ns > SECOND)
     others = [m for m in messages if m is not ping]
     arrived = arriving(messages, lambda m: 700_000_000 if m is ping else 0)
@@ -201,7 +201,7 @@ def test_a_late_message_shows_in_the_next_estimate(messages, inbox_of):
     assert never[-1].velocity_north_mps != ordered[-1].velocity_north_mps
 
 
-def test_what_is_later_than_the_history_reaches_is_counted_and_dropped(messages, inbox_of):
+def test_a_message_beyond_the_buffers_reach_is_counted_and_dropped(messages, inbox_of):
     fix = next(m for m in messages if isinstance(m, UsblFix) and m.t_ns > 0)
     others = [m for m in messages if m is not fix]
     for latency_ns, what in ((REACH_NS - 20_000_000, "late_applied"), (REACH_NS + 20_000_000, "late")):
@@ -210,8 +210,8 @@ def test_what_is_later_than_the_history_reaches_is_counted_and_dropped(messages,
     assert_same(late, used(others, inbox_of)[0])
 
 
-def test_a_message_that_comes_twice_is_used_once(messages, inbox_of):
-    """Again at once, and again half a second later; two answers to one call are not the same message."""
+def test_a_message_that_arrives_twice_is_used_once(messages, inbox_of):
+    """Once more at once, and half a second later; two replies to one interrogation are different messages."""
     twice = sorted([*messages, *messages], key=lambda m: m.t_ns)
     again = [*messages, *(m for m in messages if m.t_ns > 3 * SECOND - 500_000_000)]
     once = used(messages, inbox_of)[0]
@@ -245,9 +245,7 @@ def test_a_restored_filter_is_what_it_was_in_every_attribute(messages, inbox_of)
 
 
 @pytest.mark.parametrize(("suite", "a_second"), [(REALISTIC, 1), (SUITE, 4)])
-def test_snapshots_are_few_and_rarer_where_nothing_is_meant_to_be_late(
-    messages, inbox_of, monkeypatch, suite, a_second
-):
+def test_snapshots_are_rarer_if_no_sensor_has_a_latency(messages, inbox_of, monkeypatch, suite, a_second):
     taken = []
     snapshot = ErrorStateFilter.snapshot
     monkeypatch.setattr(ErrorStateFilter, "snapshot", lambda self: taken.append(self.belief.t_ns) or snapshot(self))

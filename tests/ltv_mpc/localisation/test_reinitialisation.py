@@ -1,4 +1,4 @@
-"""Where a filter that has diverged begins anew, and how sure of itself."""
+"""Reinitialisation of a diverged filter: its start, its uncertainty, and its report."""
 
 import math
 
@@ -37,7 +37,7 @@ BAD, GOOD = FilterStatus.INCONSISTENT, FilterStatus.NOMINAL
 
 
 def belief_at(t_s, sd_m=2.0):
-    """On its way north at 0.4 m/s and west at 0.1 m/s through the origin at t = 0."""
+    """Return the belief of a vehicle that moves north at 0.4 m/s and west at 0.1 m/s through the origin at t = 0."""
     belief = Belief.blank(Layout.of(SUITE, CONFIG), round(t_s * SECOND))
     belief.x[:2], belief.x[3:5] = (0.4 * t_s, -0.1 * t_s), (0.4, -0.1)
     belief.P = np.diag(np.full(belief.layout.size, sd_m**2))
@@ -45,7 +45,7 @@ def belief_at(t_s, sd_m=2.0):
 
 
 def watched(*spans):
-    """Reinitialisation that have been told of each second of (until, status), and when they first called for one."""
+    """Return a reinitialisation after each second of (until, status), and when it first asked for a new filter."""
     restarts, t_s = Reinitialisation(SUITE, CONFIG, None), 0
     for until_s, status in spans:
         while t_s < until_s:
@@ -56,7 +56,7 @@ def watched(*spans):
 
 
 def recent(now_s, yaw_rate_radps=0.0, tilt_rad=0.0):
-    """The last two and a half seconds of a vehicle with that roll; heading 1 rad at ``now_s``."""
+    """Return the messages of the last 2.5 s of a vehicle with that roll; heading 1 rad at ``now_s``."""
     out = []
     R = rotation(tilt_rad, 0.0, 0.0)
     force = tuple((R.T @ np.array([0.0, 0.0, -9.80665])).tolist())
@@ -79,7 +79,7 @@ def test_reinitialisation_needs_ten_bad_seconds_in_a_row():
 
 
 @pytest.mark.parametrize("spoil", ["position", "covariance", "variance", "innovations"])
-def test_what_is_not_finite_or_not_definite_is_not_waited_for(spoil):
+def test_a_belief_that_is_not_finite_or_not_definite_is_replaced_at_once(spoil):
     restarts, _ = watched((20, GOOD))
     belief = belief_at(21)
     if spoil == "position":
@@ -117,7 +117,7 @@ def test_attitude_is_that_of_the_heading_and_of_the_accelerometers_at_one_instan
     np.testing.assert_allclose(np.sqrt(np.diagonal(belief.P)[6:8]), tilt, rtol=0.05)
 
 
-def test_satellites_of_just_before_the_dive_do_not_take_the_places_place():
+def test_recent_satellite_fixes_do_not_replace_the_good_position():
     restarts, at_s = watched((30, GOOD), (60, BAD))
     fix = GnssFix(
         t_ns=at_s * SECOND - 100_000_000, north_m=99.0, east_m=99.0, velocity_north_mps=0.0, velocity_east_mps=0.0
@@ -126,7 +126,7 @@ def test_satellites_of_just_before_the_dive_do_not_take_the_places_place():
     assert belief.x[0] == pytest.approx(0.4 * 40.4)
 
 
-def test_without_a_heading_lately_it_waits_for_one():
+def test_without_a_recent_heading_it_waits_for_one():
     restarts, at_s = watched((30, GOOD), (60, BAD))
     alignment = restarts.begin(at_s * SECOND, [m for m in recent(at_s) if not isinstance(m, CompassHeading)])
     assert alignment.waiting_for == "compass"
@@ -136,7 +136,7 @@ def test_without_a_heading_lately_it_waits_for_one():
     assert alignment.belief()[0].t_ns == at_s * SECOND
 
 
-def test_it_is_said_for_half_a_minute():
+def test_it_is_reported_for_half_a_minute():
     restarts, at_s = watched((30, GOOD), (60, BAD))
     assert not restarts.recent(at_s * SECOND)
     restarts.begin(at_s * SECOND, recent(at_s))
@@ -145,8 +145,8 @@ def test_it_is_said_for_half_a_minute():
 
 
 @pytest.mark.parametrize("spoil", ["covariance", "position"])
-def test_an_estimator_whose_belief_is_spoilt_goes_on_at_the_next_estimate(make_dive, inbox_of, spoil):
-    """Not definite, or not a number, just before 20 s: anew at 20 s, and no estimate is left out."""
+def test_an_estimator_whose_belief_is_corrupted_continues_at_the_next_estimate(make_dive, inbox_of, spoil):
+    """Not definite, or not a number, just before 20 s: reinitialised at 20 s, and no estimate is missing."""
     dive = make_dive(SUITE, 50, duration_s=24.0)
     estimator, out, spoilt = Estimator(SUITE, EstimatorConfig()), [], False
     for message in dive.messages:
@@ -174,8 +174,8 @@ def test_an_estimator_whose_belief_is_spoilt_goes_on_at_the_next_estimate(make_d
     assert account["pressure.used"] + account["pressure.gate"] <= 10 * 25 + 1  # none is counted twice
 
 
-def test_water_that_was_known_tells_the_velocity_after_a_restart_as_before_it(make_dive, inbox_of):
-    """An inertial unit that is wrong by 20 mg and 4 deg/s for 5 s; anew ten seconds after it began."""
+def test_known_water_determines_the_velocity_after_a_reinitialisation(make_dive, inbox_of):
+    """An inertial unit is wrong by 20 mg and 4 deg/s for 5 s; reinitialised ten seconds after that began."""
     dive = make_dive(SUITE, 50, duration_s=32.0)
     estimator, sd, restarts = Estimator(SUITE, EstimatorConfig()), {}, set()
     for message in dive.messages:
@@ -193,8 +193,8 @@ def test_water_that_was_known_tells_the_velocity_after_a_restart_as_before_it(ma
     assert abs(x[3:5] - dive.velocity[k, :2]).max() < 3.5 * sd[32 * SECOND]
 
 
-def test_a_second_restart_soon_after_the_first_knows_nothing_of_the_water():
-    """It may be the water that has changed."""
+def test_a_second_reinitialisation_soon_after_the_first_has_no_known_water():
+    """The water may have changed."""
     restarts, at_s = Reinitialisation(SUITE, CONFIG, None), 41
     known = belief_at(20.0)
     known.x[known.layout.north] = 0.3

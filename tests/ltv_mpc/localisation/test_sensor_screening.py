@@ -1,4 +1,4 @@
-"""What can be seen to be wrong of a message by itself: it is counted, moves nothing, and what follows is used."""
+"""Sensor screening: an implausible message is counted and changes nothing, and the messages after it are used."""
 
 import msgspec
 import numpy as np
@@ -25,7 +25,7 @@ SAID = (
 
 
 @pytest.mark.parametrize("message", SAID, ids=lambda message: type(message).__name__)
-def test_an_instrument_that_repeats_itself_is_stuck_until_it_says_something_else(message):
+def test_a_sensor_that_repeats_its_reading_is_stuck_until_it_changes(message):
     screening = SensorScreening()
     assert screening.rejection(S, message, S) is None
     assert screening.rejection(S, message, S) is None  # the same message twice: of that the history knows
@@ -38,7 +38,7 @@ def test_an_instrument_that_repeats_itself_is_stuck_until_it_says_something_else
 
 
 @pytest.mark.parametrize("message", [PressureDepth(t_ns=S, depth_m=3.0), CompassHeading(t_ns=S, heading_rad=1.0)])
-def test_one_number_may_come_twice_and_a_ping_without_any_return_too(message):
+def test_a_single_number_and_a_ping_without_return_may_repeat(message):
     screening = SensorScreening()
     nothing = AdcpPing(t_ns=S, range_m=np.arange(2.0), beam_velocity_mps=np.full((4, 2), np.nan))
     assert [screening.rejection(t, one, t) for t in (S, 2 * S) for one in (message, nothing)] == [None] * 4
@@ -67,7 +67,7 @@ def test_over_a_longer_time_a_vehicle_may_turn_further():
     assert [screening.rejection(one.t_ns, one, one.t_ns) for one in samples] == [None, None]
 
 
-def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
+def test_random_readings_of_an_inertial_unit_are_no_motion(make_dive):
     """Up to 0.2 rad/s and 2 m/s2 for 4 s, a tenth of its range: the truth stays within 3.5 sigma."""
     dive, rng = make_dive(SUITE, 4, duration_s=12.0), np.random.default_rng(2)
     estimator = Estimator(SUITE, CONFIG)
@@ -93,11 +93,11 @@ def test_what_an_inertial_unit_raves_is_no_motion(make_dive):
         (0, None),  # a bus may be slow, and the history knows what is too late
     ],
 )
-def test_stamps_ahead_of_their_arrival_are_refused(stamp_ns, why):
+def test_stamps_later_than_their_arrival_are_rejected(stamp_ns, why):
     assert SensorScreening().rejection(stamp_ns, CompassHeading(t_ns=stamp_ns, heading_rad=1.0), 10 * S) == why
 
 
-def test_what_a_slow_bus_brings_is_used_and_given_up_only_once_newer_ones_have_come():
+def test_delayed_messages_are_used_unless_newer_ones_have_arrived():
     """A delay of 0.8 s that ends: the newest first, and what was under way between newer ones."""
     screening = SensorScreening()
     for k in range(100):
@@ -111,7 +111,7 @@ def test_what_a_slow_bus_brings_is_used_and_given_up_only_once_newer_ones_have_c
 
 @pytest.mark.parametrize("jump_s", [3600.0, -4.0, -1.2], ids=["ahead", "back", "a little back"])
 def test_a_clock_that_jumps_and_comes_back_leaves_a_gap_and_nothing_else(make_dive, jump_s):
-    """For 5 s: stamps that are back by 4 s catch up with the filter's time, but say what was measured 4 s later."""
+    """For 5 s: stamps that are back by 4 s catch up with the filter's time, but the measurements are 4 s younger."""
     dive = make_dive(SUITE, 4, duration_s=12.0)
     estimator = Estimator(SUITE, CONFIG)
     for message in dive.messages:

@@ -1,4 +1,4 @@
-"""A filter that was right when an instrument was wrong comes back; one that was wrong does not."""
+"""A shadow filter takes over if a sensor was wrong, and does not if the filter was wrong."""
 
 from collections.abc import Callable
 
@@ -19,7 +19,7 @@ BACK = "the shadow filter has replaced the active filter"
 
 
 class Said:
-    """Of a dive of 34 s in which messages of after 15 s are as ``change`` makes them."""
+    """Output of a dive of 34 s in which ``change`` alters the messages after 15 s."""
 
     def __init__(self, make_dive, inbox_of, change: Callable[[Message], Message], *, late: bool = False) -> None:
         self.dive = make_dive(SUITE, 50, duration_s=34.0)
@@ -54,7 +54,7 @@ class Said:
 
 
 def profiler_off(until_s: float) -> Callable[[Message], Message]:
-    """By 0.5 m/s of each beam, one way of one and the other of its neighbour."""
+    """Return a change of each beam by 0.5 m/s, with the opposite sign for its neighbour."""
     wrong = np.array([0.5, -0.5, 0.5, -0.5])[:, None]
 
     def change(message: Message) -> Message:
@@ -66,7 +66,7 @@ def profiler_off(until_s: float) -> Callable[[Message], Message]:
 
 
 def unit_off(message: Message) -> Message:
-    """An inertial unit that is wrong by 20 mg and 4 deg/s for 5 s."""
+    """Return the message of an inertial unit that is wrong by 20 mg and 4 deg/s for 5 s."""
     if not isinstance(message, ImuSample) or message.t_ns > 20 * SECOND:
         return message
     rate = tuple(w + 0.07 for w in message.angular_rate_radps)
@@ -75,15 +75,15 @@ def unit_off(message: Message) -> Message:
 
 
 def pressure_off(message: Message) -> Message:
-    """By 20 m, for good: the profiler agrees with the filter all the time."""
+    """Return a depth that stays wrong by 20 m; the profiler agrees with the filter all the time."""
     if not isinstance(message, PressureDepth):
         return message
     return msgspec.structs.replace(message, depth_m=message.depth_m + 20.0)
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_after_a_profiler_that_was_wrong_for_twelve_seconds_nothing_is_lost(make_dive, inbox_of, late):
-    """The new filter's place is 3 m unsure, and it may have believed what was wrong."""
+def test_twelve_seconds_of_a_wrong_profiler_leave_no_error(make_dive, inbox_of, late):
+    """The position of a new filter is uncertain by 3 m, and it may have believed the wrong profiler."""
     said = Said(make_dive, inbox_of, profiler_off(27.0), late=late)
     assert said.reports[27 * SECOND].restarts == said.reports[34 * SECOND].restarts == 1
     assert min(said.came_back) in (28, 29, 30)
@@ -99,14 +99,14 @@ def test_after_a_profiler_that_was_wrong_for_twelve_seconds_nothing_is_lost(make
 
 
 @pytest.mark.parametrize("change", [unit_off, pressure_off], ids=["unit", "pressure"])
-def test_a_filter_that_was_led_astray_or_is_refused_still_does_not_come_back(make_dive, inbox_of, change):
+def test_a_filter_that_was_wrong_or_is_still_rejected_does_not_take_over(make_dive, inbox_of, change):
     said = Said(make_dive, inbox_of, change)
     assert said.reports[34 * SECOND].restarts == 1
     assert not said.came_back
 
 
 def test_a_state_with_large_innovations_inside_the_gate_is_no_restore_point(make_dive, inbox_of):
-    """Twice the noise that it says: most of it passes, and it begins anew as ever."""
+    """Twice the expected noise: most of it passes, and the filter is reinitialised as usual."""
     rng = np.random.default_rng(3)
 
     def change(message: Message) -> Message:
@@ -120,13 +120,13 @@ def test_a_state_with_large_innovations_inside_the_gate_is_no_restore_point(make
     assert not said.came_back
 
 
-def test_it_is_forgotten_after_a_minute(make_dive, inbox_of, monkeypatch):
+def test_it_is_dropped_after_a_minute(make_dive, inbox_of, monkeypatch):
     monkeypatch.setattr(shadow_filter, "MAX_AGE_NS", 2 * SECOND)
     assert not Said(make_dive, inbox_of, profiler_off(30.0)).came_back
 
 
-def test_one_that_has_come_to_the_same_is_nothing_to_come_back_to(make_dive, inbox_of):
-    """A profiler that raves makes the water look like a front: what that grants both have, and begin anew helps."""
+def test_a_copy_with_the_same_state_does_not_take_over(make_dive, inbox_of):
+    """A random profiler looks like a front: both filters have inflated noise, and a reinitialisation helps."""
     rng = np.random.default_rng(4)
 
     def change(message: Message) -> Message:
@@ -140,6 +140,6 @@ def test_one_that_has_come_to_the_same_is_nothing_to_come_back_to(make_dive, inb
     assert not said.came_back
 
 
-def test_nor_one_that_is_less_sure_of_its_velocity(make_dive, inbox_of, monkeypatch):
+def test_a_copy_with_a_less_certain_velocity_does_not_take_over(make_dive, inbox_of, monkeypatch):
     monkeypatch.setattr(shadow_filter, "MAX_SD_RATIO", 0.1)
     assert not Said(make_dive, inbox_of, profiler_off(27.0)).came_back

@@ -1,4 +1,4 @@
-"""A filter that goes on from another's checkpoint: what it knows is what was known, and what it missed it does not."""
+"""Warm restart: a filter continues from a checkpoint, and its covariance covers the gap."""
 
 import math
 
@@ -48,14 +48,14 @@ def of(kind, signals):
 
 @pytest.fixture(scope="module")
 def dived(make_dive, inbox_of):
-    """Twenty seconds of a dive, and what one estimator has made of it without a break."""
+    """Twenty seconds of a dive, and the output of an estimator without a gap."""
     dive = make_dive(SUITE, 4, duration_s=20.0)
     estimator = Estimator(SUITE, CONFIG)
     return dive, said(estimator, dive.messages, inbox_of), estimator
 
 
 def wrong_by(estimate, dive):
-    """Errors in north, east, velocity north, east and heading."""
+    """Return the errors in north, east, velocity north, east and heading."""
     k = dive.at(estimate.t_ns)
     heading = roll_pitch_heading(dive.R[k])[2]
     found = [estimate.north_m, estimate.east_m, estimate.velocity_north_mps, estimate.velocity_east_mps]
@@ -64,7 +64,7 @@ def wrong_by(estimate, dive):
 
 
 def restored(dive, outputs, inbox_of, died_ns, *, estimate=True):
-    """Died after ``died_ns``, back after the gap: what the new one says."""
+    """Return the output of an estimator that replaces one that stopped at ``died_ns``, after the gap."""
     before = [signal for signal in outputs if signal.t_ns <= died_ns]
     newest = of(Estimate, before)[-1] if estimate else None
     state = msgspec.structs.replace(of(EstimatorState, before)[-1], estimate=newest)
@@ -116,7 +116,7 @@ def test_a_checkpoint_restores_the_filters_belief_to_the_bit_over_the_wire_too(d
     assert np.array_equal(belief.column.prior.covariance(slice(None)), own.column.prior.covariance(slice(None)))
 
 
-def test_a_checkpoint_of_other_settings_is_not_gone_on_from(dived, inbox_of):
+def test_a_checkpoint_of_other_settings_is_not_used(dived, inbox_of):
     dive, outputs, _ = dived
     checkpoint = of(EstimatorState, outputs)[-1]
     coarser = msgspec.structs.replace(CONFIG, cell_m=2.0)
@@ -130,8 +130,8 @@ def test_a_checkpoint_of_other_settings_is_not_gone_on_from(dived, inbox_of):
     assert estimator.waiting_for != ""  # as if there were none
 
 
-def test_back_at_once_under_water_and_never_more_wrong_than_it_says(dived, inbox_of):
-    """Where one without a checkpoint waits for satellites that do not come. A gap of three seconds at seven times."""
+def test_a_warm_restart_under_water_is_immediate_and_consistent(dived, inbox_of):
+    """Without a checkpoint it would wait for satellites. A gap of three seconds at seven times."""
     dive, outputs, _ = dived
     worst = []
     for died_ns in range(8 * S, 15 * S, S):
@@ -146,7 +146,7 @@ def test_back_at_once_under_water_and_never_more_wrong_than_it_says(dived, inbox
     assert of(Estimate, fresh) == []
 
 
-def test_what_is_measured_after_the_gap_tells_of_the_way_within_it(dived, inbox_of):
+def test_measurements_after_the_gap_determine_the_displacement_within_it(dived, inbox_of):
     """A velocity at both ends: of q T^3 / 3 a quarter is left."""
     dive, outputs, _ = dived
     back = of(Estimate, restored(dive, outputs, inbox_of, 10 * S))
@@ -183,7 +183,7 @@ def test_a_restart_is_reported_for_half_a_minute_and_counts_are_kept(dived, inbo
     assert of(LocalisationReport, said(estimator, after, inbox_of, state=checkpoint))[-1].restarts == 3
 
 
-def test_the_same_words_after_the_same_restore_to_the_last_bit(dived, inbox_of):
+def test_the_same_restart_gives_the_same_output_to_the_last_bit(dived, inbox_of):
     dive, outputs, _ = dived
     once, again = (restored(dive, outputs, inbox_of, 12 * S) for _ in range(2))
     assert [encode(s, Header(epoch=1, sequence=0)) for s in once] == [
@@ -191,8 +191,8 @@ def test_the_same_words_after_the_same_restore_to_the_last_bit(dived, inbox_of):
     ]
 
 
-def test_the_covariance_after_a_gap_is_one_and_holds_what_may_have_happened(dived):
-    """Position, velocity and heading by the closed form; level and bias hang together as levelling makes them."""
+def test_the_covariance_after_a_gap_is_that_of_the_closed_form(dived):
+    """Position, velocity and heading by the closed form; level and bias are correlated as by levelling."""
     _, outputs, _ = dived
     checkpoint = of(EstimatorState, outputs)[-1]
     start = belief_of(checkpoint, SUITE, CONFIG, None)
@@ -235,7 +235,7 @@ def test_the_covariance_after_a_gap_is_one_and_holds_what_may_have_happened(dive
 
 
 def test_a_warm_restart_skips_used_messages_and_keeps_the_last_uncertainty(dived, inbox_of):
-    """Messages that were on their way when it died, and an estimate that is less sure than the checkpoint."""
+    """Messages that were under way when it stopped, and an estimate less certain than the checkpoint."""
     dive, outputs, _ = dived
     before = [s for s in outputs if s.t_ns <= 12 * S]
     checkpoint, estimate = of(EstimatorState, before)[-1], of(Estimate, before)[-1]
@@ -248,8 +248,8 @@ def test_a_warm_restart_skips_used_messages_and_keeps_the_last_uncertainty(dived
     assert first.covariance[1, 1] > 900.0
 
 
-def test_a_way_back_into_the_past_says_all_the_while_that_it_gets_on(dived, inbox_of):
-    """Else whoever watches the process would take it for a hang."""
+def test_repeating_past_operations_reports_progress(dived, inbox_of):
+    """Otherwise the supervisor would take it for a hang."""
     dive, _, _ = dived
     got_on = []
     estimator = Estimator(SUITE, CONFIG, progress=lambda: got_on.append(None))

@@ -1,4 +1,4 @@
-"""The sensors files under examples/: each is read, and measures; and what a file may name as its base."""
+"""The sensors files under examples/: each can be read and measures; a base must be a shipped file."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_an_example_of_one_more_sensor_is_the_realistic_suite_and_that_table(nam
     assert back == REALISTIC
 
 
-def test_the_example_of_an_own_profiler_differs_where_it_says_so():
+def test_the_example_of_an_own_profiler_differs_only_in_its_keys():
     suite = load("own_adcp")
     own = {
         "mounting_rad": (0.0, 0.0, pytest.approx(math.radians(45.0))),
@@ -61,7 +61,7 @@ def test_the_example_of_an_own_profiler_differs_where_it_says_so():
         ("own_adcp", AdcpPing, 200_000_000),
     ],
 )
-def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
+def test_each_example_measures_in_a_hover_at_20_m(name, kind, late_ns):
     scenario = with_overrides(Scenario.load("hover"), ["water.bottom_m=35"])
     node = Sensors(scenario, load(name), make(scenario.water, 0))
     seen = 0
@@ -94,14 +94,14 @@ def test_each_example_speaks_in_a_hover_at_20_m(name, kind, late_ns):
         ("3", "own.toml: base = 3: must be the name of a shipped sensors file"),
     ],
 )
-def test_a_base_is_a_shipped_suite_and_nothing_else(tmp_path, base, says):
+def test_a_base_must_be_a_shipped_sensors_file(tmp_path, base, says):
     (tmp_path / "own.toml").write_text(f'base = {base}\nname = "own"\n')
     with pytest.raises(ConfigError) as error:
         SensorConfig.load(str(tmp_path / "own.toml"))
     assert says in str(error.value)
 
 
-def test_keys_on_top_of_a_base_are_judged_as_any_others(tmp_path):
+def test_keys_that_replace_those_of_a_base_are_validated(tmp_path):
     for text, says in (
         ("[adcp]\nmountng_rad = [0.0, 0.0, 0.0]", 'unknown key "mountng_rad" in [adcp]; did you mean "mounting_rad"?'),
         ("[usbl]\nperiod_ns = 2_000_000_000", 'key "latency_ns" in [usbl] is missing'),

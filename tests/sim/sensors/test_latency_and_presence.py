@@ -1,4 +1,4 @@
-"""The sensors node with late sensors and with those that not every vehicle has: when things are said, and by whom."""
+"""The sensors node with latencies and with optional sensors: time and type of its messages."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def scenario(*settings: str) -> Scenario:
 
 
 def truths(from_ns=-S, until_ns=3 * S, step_ns=10 * MS, depth=20.0) -> list[Truth]:
-    """A vehicle that goes slowly ahead at one depth, and rolls."""
+    """Return the truth of a vehicle that moves slowly ahead at one depth, and rolls."""
     return [
         Truth(
             t_ns=t,

@@ -1,4 +1,4 @@
-"""What each sensor is expected to say, against the same quantity reached by another road."""
+"""Expected measurement of each sensor, against the same quantity computed independently."""
 
 import math
 
@@ -122,7 +122,7 @@ def test_a_beam_sees_the_rate_at_which_water_recedes_from_the_moving_transducer(
     np.testing.assert_array_equal(linearised.grid_points, np.floor(depths.ravel()))
 
 
-def test_what_has_no_return_or_lies_outside_the_grid_is_left_out_and_counted(belief):
+def test_cells_without_return_or_outside_the_grid_are_counted(belief):
     belief.R, belief.mounting = np.eye(3), np.eye(3)
     belief.x[2] = 60.0
     ranges = 1.4 + np.arange(15.0)
@@ -212,8 +212,8 @@ def test_a_travel_time_is_there_and_back(belief, transponder, range_m):
     np.testing.assert_array_equal(rows.variance, [1.0])
 
 
-def test_a_transducer_ahead_is_nearer_to_what_lies_ahead(belief):
-    """Heading east with the transducer 10 m ahead, the one at 30 m north and 40 m east is 30 sqrt(2) away."""
+def test_a_transducer_ahead_is_nearer_to_a_transponder_ahead(belief):
+    """Heading east with the transducer 10 m ahead, a transponder 30 m north and 40 m east is 30 sqrt(2) away."""
     heading_east(belief)
     ahead = msgspec.structs.replace(LBL, lever_arm_m=(10.0, 0.0, 0.0))
     heard = LblRange(t_ns=0, transponder=1, travel_time_s=2 * 30 * math.sqrt(2) / 1500.0)
@@ -245,7 +245,7 @@ def test_the_second_order_range_term_agrees_with_drawn_positions(belief):
     np.testing.assert_allclose(rows.variance - 1.0, 4 * beyond.var(), rtol=0.15)
 
 
-def test_a_transponder_at_the_vehicles_own_place_makes_no_infinity(belief):
+def test_a_transponder_at_the_vehicles_position_gives_finite_rows(belief):
     heading_east(belief)
     belief.x[:3] = LBL.transponders_m[0]
     belief.P[:3, :3] = np.eye(3)
@@ -253,7 +253,7 @@ def test_a_transponder_at_the_vehicles_own_place_makes_no_infinity(belief):
     assert all(np.isfinite(part).all() for part in rows)
 
 
-def test_a_ship_sees_the_beacon_and_worse_from_afar(belief):
+def test_a_ship_measures_the_beacon_less_precisely_from_afar(belief):
     """Beacon 2 m ahead at 40 m depth, ship 30 m north: 50 m of slant range from the vehicle below its origin."""
     heading_east(belief)
     belief.x[2] = 40.0
@@ -265,7 +265,7 @@ def test_a_ship_sees_the_beacon_and_worse_from_afar(belief):
     )
 
 
-def test_the_bottom_goes_astern_and_up_past_a_vehicle_that_goes_ahead_and_down(belief):
+def test_the_bottom_moves_astern_and_up_past_a_vehicle_that_moves_ahead_and_down(belief):
     """Level, heading east at 1 m/s, sinking at 0.2: it comes nearer ahead, and recedes astern less 0.2 cos a."""
     heading_east(belief)
     belief.x[4], belief.x[5] = 1.0, 0.2
@@ -291,7 +291,7 @@ def test_water_that_moves_with_the_bottom_looks_like_the_bottom(belief):
     np.testing.assert_allclose(bed.rows.residual, water.rows.residual, atol=1e-14)
 
 
-def test_a_beam_that_has_not_found_the_bottom_is_left_out_and_counted(belief):
+def test_a_beam_that_has_not_found_the_bottom_is_counted(belief):
     lost = np.array([9.0, np.nan, 9.0, np.nan])
     ping = BottomTrack(t_ns=0, range_m=lost, beam_velocity_mps=lost)
     seen = bottom_track.linearise(belief, ping, TRACKING, context())

@@ -1,4 +1,4 @@
-"""Many steps of the estimator at once are those one by one, bit for bit, whatever its instruments send."""
+"""A batch of estimator steps gives the same bits as single steps, for any messages of the sensors."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from tests.stepping import step
 S = 1_000_000_000
 
 
-class Ears:
-    """What the sensors say."""
+class MessageLog:
+    """Recorder of the sensors' messages."""
 
     def __init__(self) -> None:
         self.said: list[ReceivedMessage] = []
@@ -40,7 +40,7 @@ def descent(sensors: str) -> RunConfig:
 
 
 def heard(run_config: RunConfig) -> list[ReceivedMessage]:
-    ears, scenario = Ears(), run_config.scenario
+    ears, scenario = MessageLog(), run_config.scenario
     nodes = make_nodes(run_config)
     LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(scenario.end_ns)
     return ears.said
@@ -67,7 +67,7 @@ def payload(signal: Message) -> bytes:
 def both(
     run_config: RunConfig, arrivals: Sequence[ReceivedMessage], chunk: int
 ) -> tuple[list[Message], dict[str, int]]:
-    """What the estimator says to them, once it has been seen to say the same in chunks."""
+    """Return the output of single steps, after comparing it with that of batches."""
     due: list[Due] = [(arrival.message.t_ns, [arrival]) for arrival in arrivals]  # type: ignore[attr-defined]
     one, other = estimator(run_config), estimator(run_config)
     slow = [step(one, *one_due) for one_due in due]
@@ -92,14 +92,16 @@ def is_imu(message: ReceivedMessage, from_s: float, to_s: float) -> bool:
 
 
 @pytest.mark.parametrize("chunk", [7, 60])
-def test_of_a_quiet_descent(run_config: RunConfig, said: list[ReceivedMessage], chunk: int) -> None:
+def test_batches_equal_single_steps_in_a_quiet_descent(
+    run_config: RunConfig, said: list[ReceivedMessage], chunk: int
+) -> None:
     out, account = both(run_config, said, chunk)
     assert len(out) > 500
     assert not {key for key in account if key.startswith("imu.")}
 
 
-def test_of_satellites_that_come_at_once() -> None:
-    """Each fix's position is remembered when time goes on from it."""
+def test_batches_equal_single_steps_with_satellite_fixes_without_latency() -> None:
+    """The position of each fix is cloned when time continues."""
     run_config = descent("paper")
     _, account = both(run_config, heard(run_config), 40)
     assert account["tdcp.used"] > 2
@@ -107,21 +109,25 @@ def test_of_satellites_that_come_at_once() -> None:
 
 
 @pytest.mark.parametrize("lost", [(6.03, 6.04), (8.03, 8.08), (12.03, 13.24), (17.03, 19.04)])
-def test_where_samples_are_lost(run_config: RunConfig, said: list[ReceivedMessage], lost: tuple[float, float]) -> None:
+def test_batches_equal_single_steps_if_samples_are_lost(
+    run_config: RunConfig, said: list[ReceivedMessage], lost: tuple[float, float]
+) -> None:
     """One, some, a second and two of them, from within an interval between two estimates, and every second one."""
     arrivals = [m for i, m in enumerate(said) if not is_imu(m, *lost) and not (is_imu(m, 24.0, 25.0) and i % 2)]
     _, account = both(run_config, arrivals, 40)
     assert account["imu.gap"] > 3
 
 
-def test_where_others_are_lost(run_config: RunConfig, said: list[ReceivedMessage]) -> None:
-    """An estimate then waits for them until time goes on."""
+def test_batches_equal_single_steps_if_other_messages_are_lost(
+    run_config: RunConfig, said: list[ReceivedMessage]
+) -> None:
+    """An estimate then waits for them until time continues."""
     arrivals = [m for m in said if not (isinstance(m.message, PressureDepth) and m.message.t_ns % (3 * S) < 2 * S)]
     out, _ = both(run_config, arrivals, 40)
     assert len(out) > 500
 
 
-def test_where_samples_are_wild_stuck_or_ahead_of_time(run_config: RunConfig, said: list[ReceivedMessage]) -> None:
+def test_batches_equal_single_steps_if_samples_are_rejected(run_config: RunConfig, said: list[ReceivedMessage]) -> None:
     arrivals: list[ReceivedMessage] = []
     for message in said:
         if is_imu(message, 6.0, 6.03):
@@ -135,7 +141,7 @@ def test_where_samples_are_wild_stuck_or_ahead_of_time(run_config: RunConfig, sa
     assert min(account[f"imu.{why}"] for why in ("jump", "stuck", "future")) > 2
 
 
-def test_where_others_come_late_or_before_the_samples_that_cover_them(
+def test_batches_equal_single_steps_if_messages_are_late_or_early(
     run_config: RunConfig, said: list[ReceivedMessage]
 ) -> None:
     arrivals: list[ReceivedMessage] = []
@@ -155,7 +161,9 @@ def test_where_others_come_late_or_before_the_samples_that_cover_them(
 
 
 @pytest.mark.parametrize("what", ["accelerometer", "profiler"])
-def test_where_the_filter_begins_anew(run_config: RunConfig, said: list[ReceivedMessage], what: str) -> None:
+def test_batches_equal_single_steps_across_a_reinitialisation(
+    run_config: RunConfig, said: list[ReceivedMessage], what: str
+) -> None:
     """A bias a hundred times as large, or a wrong scale, for as long as it takes, and then no longer."""
 
     def wrong(message: ReceivedMessage) -> ReceivedMessage:
@@ -175,11 +183,11 @@ def test_where_the_filter_begins_anew(run_config: RunConfig, said: list[Received
     assert returned == (what == "profiler")
 
 
-def test_what_the_quick_look_lets_through_the_door_does() -> None:
+def test_the_quick_check_accepts_only_samples_that_screening_accepts() -> None:
     rng = np.random.default_rng(4)
     let = refused = 0
     for _ in range(300):
-        door, other = SensorScreening(), SensorScreening()
+        screening, other = SensorScreening(), SensorScreening()
         samples: list[ImuSample] = []
         t_ns = 0
         force = np.array([0.0, 0.0, -9.8])
@@ -204,8 +212,10 @@ def test_what_the_quick_look_lets_through_the_door_does() -> None:
             s.t_ns + int(rng.choice([0, 5_000_000, -MAX_CLOCK_LEAD_NS - 1], p=[0.5, 0.49, 0.01])) for s in samples
         ]
         for sample, received_ns in zip(samples[:3], came_ns[:3], strict=True):
-            assert door.rejection(sample.t_ns, sample, received_ns) == other.rejection(sample.t_ns, sample, received_ns)
-        verdicts = [door.rejection(s.t_ns, s, r) for s, r in zip(samples[3:], came_ns[3:], strict=True)]
+            assert screening.rejection(sample.t_ns, sample, received_ns) == other.rejection(
+                sample.t_ns, sample, received_ns
+            )
+        verdicts = [screening.rejection(s.t_ns, s, r) for s, r in zip(samples[3:], came_ns[3:], strict=True)]
         if other.accepts_all(samples[3:], came_ns[3:], sample_matrix(samples[3:])):
             let += 1
             assert verdicts == [None] * 9
@@ -214,7 +224,7 @@ def test_what_the_quick_look_lets_through_the_door_does() -> None:
             assert not other.accepts_all([later], [came_ns[-1] + 10_000_000], sample_matrix([later]))  # stuck
             turned = msgspec.structs.replace(later, angular_rate_radps=(0.0, 0.0, 0.11))
             assert other.accepts_all([turned], [came_ns[-1] + 10_000_000], sample_matrix([turned]))
-            assert door.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
+            assert screening.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
             assert other.rejection(later.t_ns, later, came_ns[-1] + 10_000_000) == "stuck"
             # A sample that came by itself is what the next are held against, not the last of many before it.
             assert other.rejection(turned.t_ns, turned, came_ns[-1] + 10_000_000) is None
