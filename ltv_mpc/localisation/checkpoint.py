@@ -1,6 +1,6 @@
 """Checkpoint: a filter's belief as a message, and back. A restarted process continues from it.
 
-Included      the states with their covariance, and the data of the water beside them (``column.py``)
+Included      the states with their covariance, and the other data of the water (``column.py``)
 Not included  data that lose their meaning within seconds or only rate the filter: snapshots, sums of innovations, the
               windows of the health monitor. A filter that continues from a checkpoint collects them again.
 """

@@ -81,7 +81,7 @@ class Estimator:
 
     @property
     def waiting_for(self) -> str:
-        """Sensors without which the filter cannot start, in words; empty once it runs."""
+        """Sensors without which the filter cannot start, as text; empty once it runs."""
         return self._alignment.waiting_for if self.filter is None else ""
 
     @property
@@ -202,6 +202,6 @@ class Estimator:
         if self._supervision.is_report_due(belief.t_ns):
             self._out.append(self._supervision.report(self.account))
         due = self._checkpoints.is_due(belief) and not self._supervision.is_inconsistent and is_usable(belief)
-        if due:  # a filter in doubt is not worth a restart from
+        if due:  # a restart must not continue from an inconsistent filter
             self._checkpoints.advance(belief)
             self._out.append(checkpoint_of(filter_, self._settings, self._supervision.restarts))

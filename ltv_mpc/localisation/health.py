@@ -47,7 +47,7 @@ ESSENTIAL = frozenset(s.name for s in SENSORS if s.is_essential)
 NOT_REJECTED = ("used", "deweighted", "late_applied")
 """Outcomes of measurements that are used; the first counts the others too."""
 AT_SURFACE = frozenset(s.name for s in SENSORS if s.availability is Availability.SURFACE)
-"""Sensors whose silence is normal once the descent has begun."""
+"""Sensors whose silence is normal during the descent."""
 
 
 class _Record(NamedTuple):

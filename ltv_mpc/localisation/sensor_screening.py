@@ -140,10 +140,10 @@ class SensorScreening:
         if before is None or before.t_ns == sample.t_ns:
             return False
         seconds = max(abs(sample.t_ns - before.t_ns) * 1e-9, MIN_INTERVAL_S)
-        turned = _differs(
+        rate_jumps = _differs(
             sample.angular_rate_radps, before.angular_rate_radps, MAX_ANGULAR_ACCELERATION_RADPS2 * seconds
         )
-        if turned or _differs(sample.specific_force_mps2, before.specific_force_mps2, MAX_JERK_MPS3 * seconds):
+        if rate_jumps or _differs(sample.specific_force_mps2, before.specific_force_mps2, MAX_JERK_MPS3 * seconds):
             self._required = MIN_CONSISTENT
         elif self._required:
             self._required -= 1

@@ -144,7 +144,7 @@ class Supervision:
             self._compare(self._active(), self._shadow)
 
     def is_report_due(self, t_ns: int) -> bool:
-        """Return True if the report of this second has not been made yet.
+        """Return True if the report of this second is still due.
 
         Parameters
         ----------

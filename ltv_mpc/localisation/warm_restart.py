@@ -182,11 +182,11 @@ def _specific_force(samples: Sequence[ImuSample]) -> tuple[Array, float]:
 
     The force is in the body axes at the end of the first sample.
     """
-    total, turned, seconds = np.zeros(3), np.eye(3), 0.0
+    total, R_first, seconds = np.zeros(3), np.eye(3), 0.0
     for sample in samples[1:]:
         dt = sample.interval_ns * 1e-9
         turn = np.array(sample.angular_rate_radps) * dt
-        total += dt * (turned @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
-        turned = turned @ rotation_exp(turn)
+        total += dt * (R_first @ rotation_exp(0.5 * turn) @ np.array(sample.specific_force_mps2))
+        R_first = R_first @ rotation_exp(turn)
         seconds += dt
     return total / seconds, seconds

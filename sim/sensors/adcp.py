@@ -103,9 +103,9 @@ class Profiler:
         # Everything is drawn at every ping, so that no setting changes the random numbers of another.
         noise = self._draws.standard_normal(shape)
         silent = self._draws.random(4) < settings.missing_share
-        wild = self._draws.random(shape)
+        uniform = self._draws.random(shape)
         velocity += self.bias_mps + settings.beam_noise_sd_mps * noise
-        up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
+        up, down = uniform < 0.5 * settings.outlier_share, uniform > 1.0 - 0.5 * settings.outlier_share
         self.outliers = up | down
         self.outlier_masks.put(now.t_ns, self.outliers)
         velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))

@@ -47,9 +47,9 @@ class BottomTracker:
         # Everything is drawn at every ping, so that no setting changes the random numbers of another.
         noise = self._draws.standard_normal(4)
         lost = self._draws.random(4) < settings.missing_share
-        wild = self._draws.random(4)
+        uniform = self._draws.random(4)
         lost |= (u[:, 2] < _MIN_COSINE) | (not 0.0 < altitude <= settings.range_m)
-        up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
+        up, down = uniform < 0.5 * settings.outlier_share, uniform > 1.0 - 0.5 * settings.outlier_share
         self.outlier_masks.put(now.t_ns, up | down)
         velocity = u @ -np.array(now.point_velocity_mps(lever)) + settings.beam_noise_sd_mps * noise
         velocity += settings.outlier_mps * (up.astype(np.float64) - down.astype(np.float64))

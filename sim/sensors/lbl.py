@@ -51,15 +51,15 @@ class AcousticTransceiver:
         # Everything is drawn at every interrogation, so that no setting changes the random numbers of another.
         noise = settings.range_sd_m * self._draws.standard_normal(count)
         lost = self._draws.random(count) < settings.missing_share
-        wild = self._draws.random(count) < settings.outlier_share
+        outlier = self._draws.random(count) < settings.outlier_share
         detour = settings.outlier_m * self._draws.random(count)
         head = now.point_m(settings.lever_arm_m)
         if head[2] <= 0.0:
             return []
-        error = 2.0 * (noise + np.where(wild, detour, 0.0)) / settings.sound_speed_mps
+        error = 2.0 * (noise + np.where(outlier, detour, 0.0)) / settings.sound_speed_mps
         for j in np.flatnonzero(~lost).tolist():
             there = self._one_way_s(head, j)
-            self._under_way.append(_Reply(now.t_ns, j, there, float(error[j]), bool(wild[j])))
+            self._under_way.append(_Reply(now.t_ns, j, there, float(error[j]), bool(outlier[j])))
         return []
 
     def answers(self, motion: Motion, until_ns: int) -> list[LblRange]:

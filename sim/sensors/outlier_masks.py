@@ -1,4 +1,4 @@
-"""Record of the measurements that were made outliers, so that an evaluation of the filter can leave them out."""
+"""Record of the measurements that are simulated outliers, so that an evaluation of the filter can leave them out."""
 
 from __future__ import annotations
 

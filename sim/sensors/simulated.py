@@ -12,7 +12,7 @@ from sim.water import WaterColumn
 
 
 class Environment(NamedTuple):
-    """Quantities that a sensor is made from, beside its own settings."""
+    """Quantities that a sensor is made from, in addition to its settings."""
 
     sensors: SensorConfig  # settings of all sensors of the vehicle
     seed: int  # of the run; each sensor draws from a stream of its own
@@ -30,7 +30,7 @@ class SimulatedSensor(Protocol):
 
 @runtime_checkable
 class InterrogatingSensor(Protocol):
-    """A sensor that sends a signal when it samples, and receives answers at times of their own."""
+    """A sensor that sends a signal when it samples, and receives answers at other times."""
 
     def sample(self, now: VehicleState) -> Sequence[Message]:
         """Send the signal; nothing is measured yet."""

@@ -35,12 +35,12 @@ class ShipTransceiver:
         # Everything is drawn at every fix, so that no setting changes the random numbers of another.
         noise = self._draws.standard_normal(2)
         lost = self._draws.random() < settings.missing_share
-        wild = self._draws.random(2)
+        uniform = self._draws.random(2)
         beacon = now.point_m(settings.lever_arm_m)
         if lost or beacon[2] <= 0.0:
             return []
         slant = math.dist(beacon, (*settings.ship_m, 0.0))
-        up, down = wild < 0.5 * settings.outlier_share, wild > 1.0 - 0.5 * settings.outlier_share
+        up, down = uniform < 0.5 * settings.outlier_share, uniform > 1.0 - 0.5 * settings.outlier_share
         self.outlier_masks.put(now.t_ns, up | down)
         error = math.hypot(settings.position_sd_m, settings.bearing_sd_rad * slant) * noise
         error += settings.outlier_m * (up.astype(np.float64) - down.astype(np.float64))

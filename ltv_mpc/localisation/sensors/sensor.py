@@ -1,4 +1,4 @@
-"""Description of a sensor: everything that the estimator needs to know of it, beside its settings."""
+"""Description of a sensor: everything that the estimator needs to know of it in addition to its settings."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Availability(enum.Enum):
 
 
 class Context(NamedTuple):
-    """Quantities that a measurement model may use beside the belief, the message and its own settings."""
+    """Quantities that a measurement model may use in addition to the belief, the message and its own settings."""
 
     sensors: SensorConfig  # settings of all sensors
     cell_m: float  # spacing of the grid points of the water (m)
