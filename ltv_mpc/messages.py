@@ -845,7 +845,7 @@ class RejectedFrame(Message, frozen=True, kw_only=True, eq=False):
     t_ns: Annotated[Time, Meta(description="time of arrival")]
     node: Publisher
     key: Key
-    reason: Annotated[str, Meta(description="field and bound that it violates")]
+    reason: Annotated[str, Meta(description="reason of the rejection, with the field and its bound")]
     crc: Crc
     payload_base64: Annotated[str, Meta(description="first bytes of the frame, at most 3072")]
 

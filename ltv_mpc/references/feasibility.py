@@ -77,12 +77,12 @@ def descent_notes(vehicle: Vehicle, rate_mps: float) -> list[str]:
     """
     if vehicle.heave is None:
         return ["the reference has a depth, but the vehicle has no vertical thruster: its depth does not change"]
-    heave, most = vehicle.heave, vehicle.thrusters[2].max_N
+    heave, max_N = vehicle.heave, vehicle.thrusters[2].max_N
     push = (heave.linear_damping_kgps + heave.quadratic_damping_kgpm * rate_mps) * rate_mps + vehicle.net_buoyancy_N
-    if push <= most / EQUAL:
+    if push <= max_N / EQUAL:
         return []
     return [
-        f"descent_rate_mps = {rate_mps:g} takes {push:.0f} N of the vertical thruster, which has {most:g} N: "
+        f"descent_rate_mps = {rate_mps:g} takes {push:.0f} N of the vertical thruster, which has {max_N:g} N: "
         "the vehicle descends as fast as it can"
     ]
 

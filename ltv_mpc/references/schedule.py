@@ -275,7 +275,7 @@ def cross_track_error(table: Array, s: float, n: float, e: float, window: float)
     M = table.shape[1]
     way, north, east = table[1], table[2], table[3]
     first = max(int(np.searchsorted(way, s - window)) - 1, 0)
-    least, signed = np.inf, 0.0
+    nearest, signed = np.inf, 0.0
     for i in range(first, M - 1):
         if way[i] > s + window:
             break
@@ -286,8 +286,8 @@ def cross_track_error(table: Array, s: float, n: float, e: float, window: float)
         part = min(max(((n - north[i]) * dn + (e - east[i]) * de) / square, 0.0), 1.0)
         on, oe = n - north[i] - part * dn, e - east[i] - part * de
         distance = on * on + oe * oe
-        if distance < least:
-            least = distance
+        if distance < nearest:
+            nearest = distance
             signed = np.sqrt(distance) if dn * oe - de * on >= 0.0 else -np.sqrt(distance)
     return signed
 

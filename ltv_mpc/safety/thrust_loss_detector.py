@@ -44,7 +44,7 @@ MAX_SIGMAS = 3.0
 """Bound on the missing impulse of one cycle, in standard deviations, beyond what mismatch explains."""
 
 WINDOWS = (2, 3, 4, 6, 9, 14, 20, 30)
-"""Lengths of the windows in cycles: a loss may have begun at the start of any of them."""
+"""Lengths of the windows in cycles: a loss may have started at the start of any of them."""
 
 PAST_WEIGHT = 0.1
 """Weight of the cycles before a window."""
@@ -179,7 +179,7 @@ def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
         for i in range(4):
             for j in range(4):
                 before[i, j] += surge[k, i] * surge[k, j] + yaw[k, i] * yaw[k, j]
-    most, port, starboard = 0.0, 0.0, 0.0
+    evidence, port, starboard = 0.0, 0.0, 0.0
     for k in range(n):
         for i in range(4):
             for j in range(4):
@@ -187,10 +187,10 @@ def evaluate(rows: Array, past: Array) -> tuple[float, float, float]:
                 products[i, j] += now
                 before[i, j] -= now
         if k + 1 in WINDOWS:
-            gained, l1, l2 = _likelihood_gain(products, before)
-            if gained > most:
-                most, port, starboard = gained, l1, l2
-    return most, port, starboard
+            gain, l1, l2 = _likelihood_gain(products, before)
+            if gain > evidence:
+                evidence, port, starboard = gain, l1, l2
+    return evidence, port, starboard
 
 
 @jit

@@ -91,13 +91,13 @@ def straight_thrusts(vehicle: Vehicle, *, ahead: bool) -> Array:
     ahead : True for ahead, False for astern.
     """
     port, starboard = vehicle.thrusters[:2]
-    most = (port.max_N, starboard.max_N) if ahead else (-port.min_N, -starboard.min_N)
+    limits = (port.max_N, starboard.max_N) if ahead else (-port.min_N, -starboard.min_N)
     sign = 1.0 if ahead else -1.0
     if port.arm_m == starboard.arm_m:
-        return sign * np.full(2, min(most))
+        return sign * np.full(2, min(limits))
     if port.arm_m == 0.0 or starboard.arm_m == 0.0:  # only the thruster on the centre line is used
-        return sign * np.array([most[0] * (port.arm_m == 0.0), most[1] * (starboard.arm_m == 0.0)])
-    moment = min(most[0] * port.arm_m, most[1] * starboard.arm_m)
+        return sign * np.array([limits[0] * (port.arm_m == 0.0), limits[1] * (starboard.arm_m == 0.0)])
+    moment = min(limits[0] * port.arm_m, limits[1] * starboard.arm_m)
     return sign * np.array([moment / port.arm_m, moment / starboard.arm_m])
 
 
@@ -269,8 +269,8 @@ def _sway(vehicle: Vehicle, speed: float) -> float | None:
 
 
 def _thruster(vehicle: Vehicle) -> float:
-    most = np.array([t.max_N for t in vehicle.thrusters[:2]])
+    full = np.array([t.max_N for t in vehicle.thrusters[:2]])
     run = _StillWaterRun(vehicle)
-    while run.t_s < MAX_TIME_S and (run.X[6:] < TIME_CONSTANT_SHARE * most).any():
-        run.step(most)
+    while run.t_s < MAX_TIME_S and (run.X[6:] < TIME_CONSTANT_SHARE * full).any():
+        run.step(full)
     return run.t_s

@@ -80,19 +80,19 @@ def identify(
     """Identify masses, damping, thrust, arms and lags from a recorded run, with 95 % intervals."""
     from services.tools import vehicle_identify
 
-    held = vehicle_identify.opened(run)
-    believed = vehicle_identify.vehicle_of(held, name)
+    folder = vehicle_identify.open_run(run)
+    loaded = vehicle_identify.load_vehicle(folder, name)
     if out is not None:
         _free(out, force=force)
     from services.reporting.terminal import reading_progress
 
-    with reading_progress(held.recording):
-        result, found = vehicle_identify.identified(held, believed, known.value, known_yaw.value)
+    with reading_progress(folder.recording):
+        result, found = vehicle_identify.identify_run(folder, loaded, known.value, known_yaw.value)
     typer.echo(_json(result) if as_json else vehicle_identify.table(result))
     if out is not None:
         from ltv_mpc.vehicle.identification import with_coefficients
 
-        _write(out, vehicle_identify.toml(result, with_coefficients(believed, found.found)), force=force, quiet=as_json)
+        _write(out, vehicle_identify.toml(result, with_coefficients(loaded, found.found)), force=force, quiet=as_json)
 
 
 def _json(result: object) -> str:

@@ -57,7 +57,7 @@ class _Recorded(NamedTuple):
     plans: list[tuple[int, Plan]]  # with the time of publication
 
 
-def opened(run: str) -> RunFolder:
+def open_run(run: str) -> RunFolder:
     """Open a run (its folder, its run.mcap or ``latest``). Raises ``ConfigError``."""
     path = folder.ROOT / folder.LATEST if run == folder.LATEST else Path(run)
     held = RunFolder(path.parent if path.name == "run.mcap" else path)
@@ -67,12 +67,12 @@ def opened(run: str) -> RunFolder:
     return held
 
 
-def vehicle_of(run: RunFolder, name: str | None) -> Vehicle:
+def load_vehicle(run: RunFolder, name: str | None) -> Vehicle:
     """Load the named vehicle, or the run's own. Raises ``ConfigError``."""
     return Vehicle.load(str(run.config("vehicle")) if name is None else name)
 
 
-def identified(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> tuple[Result, Identified]:
+def identify_run(run: RunFolder, vehicle: Vehicle, known: Known, known_yaw: KnownYaw) -> tuple[Result, Identified]:
     """Identify the vehicle from the run. Raises ``ConfigError`` if the run does not excite it enough."""
     recorded = _recorded(run.recording)
     try:
