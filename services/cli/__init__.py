@@ -1,1 +1,1 @@
-"""The command line: one file a panel."""
+"""Command line ``ltv-mpc``: parses options, calls one function and prints its result."""

@@ -1,4 +1,4 @@
-"""``python -P -m services.cli``: how child processes start, so that a folder's own files are never imported."""
+"""Entry point ``python -P -m services.cli`` of child processes: -P prevents imports from the current folder."""
 
 from services.cli.app import main
 

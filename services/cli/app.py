@@ -1,4 +1,7 @@
-"""The command line: every command in its panel, exit codes, errors in one line. Commands import inside themselves."""
+"""Command line application: panels of commands, exit codes, one-line errors.
+
+Commands import what they need inside their functions, so that help and completion stay fast.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ from services.cli.ros2 import ros2
 
 HELP = ((), ("--help",), ("-h",))
 COMPLETION = "_LTV_MPC_COMPLETE"
-"""Set by a shell that asks what could come next."""
+"""Environment variable that a shell sets to request completions."""
 
 NOT_COMPLETED = 1
 BAD_INPUT = 2
@@ -53,7 +56,9 @@ processes.register(app, "One process each")
 @app.callback(invoke_without_command=True)
 def _commands(
     context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Of this program, with its commit in a checkout.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version, with the commit in a checkout.")
+    ] = False,
 ) -> None:
     """Model predictive control of an underactuated AUV in an estimated water current, over Zenoh."""
     if version:
@@ -66,14 +71,14 @@ def _commands(
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command and exit: 0 done, 1 not completed, 2 bad input, 130 Ctrl-C."""
+    """Run a command line and exit: 0 done, 1 not completed, 2 bad input, 130 Ctrl-C."""
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 
 def run(arguments: Sequence[str]) -> int:
-    """The exit code of a command line. Bad input is one line on stderr, without a traceback.
+    """Run a command line and return its exit code. Bad input gives one line on stderr and no traceback.
 
-    Typer itself turns Ctrl-C into 130.
+    Typer itself converts Ctrl-C into 130.
     """
     if tuple(arguments) in HELP and COMPLETION not in os.environ:
         typer.echo(_overview())
@@ -87,10 +92,10 @@ def run(arguments: Sequence[str]) -> int:
         if not _is_config_error(error):
             raise
         return _refuse(f"ltv-mpc: {error}")
-    except BrokenPipeError:  # the reader of our output has gone: `ltv-mpc topics | head`
+    except BrokenPipeError:  # the reader of the output has ended: `ltv-mpc topics | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return NOT_COMPLETED
-    except OSError as error:  # of a disk that is full, a folder that is gone
+    except OSError as error:  # a full disk or a deleted folder, for example
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(f"ltv-mpc: {where}{error.strerror or error}", NOT_COMPLETED)
     return code if isinstance(code, int) else 0
@@ -102,14 +107,14 @@ def _overview() -> str:
 
 @cache
 def _tree() -> Callable[..., object]:
-    """All commands, built once."""
+    """Return the tree of all commands, built once."""
     command = get_command(app)
-    _left_out_of_help(command.params)
+    _hide_completion_options(command.params)
     return command
 
 
-def _left_out_of_help(parameters: Iterable[object]) -> None:
-    """The two options for shell completion, which typer would show before all else."""
+def _hide_completion_options(parameters: Iterable[object]) -> None:
+    """Hide the two options for shell completion, which typer would list first."""
     for parameter in parameters:
         if isinstance(parameter, TyperOption) and parameter.name in ("install_completion", "show_completion"):
             parameter.hidden = True
@@ -122,11 +127,11 @@ def _is_config_error(error: ValueError) -> bool:
 
 
 def _refuse_usage(command: str, problem: str) -> int:
-    """Nothing is said where there is nothing to say: a group alone has shown its help."""
+    """Print a usage error; it is empty after a group without a command, which has printed its help."""
     if not problem:
         return BAD_INPUT
     end = problem if problem.endswith("?") else f"{problem.rstrip('.')};"
-    return _refuse(f"{command}: {end} `{command} --help` lists what there is")
+    return _refuse(f"{command}: {end} `{command} --help` lists the options")
 
 
 def _refuse(text: str, code: int = BAD_INPUT) -> int:

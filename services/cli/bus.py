@@ -1,4 +1,4 @@
-"""The bus options -e, -l, -m, -c, --namespace and --certs: one block, which ``with_bus`` adds to a command."""
+"""Bus options -e, -l, -m, -c, --namespace and --certs: one block, which ``with_bus`` adds to a command."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import typer
 if TYPE_CHECKING:
     from services.bus.session import BusOptions
 
-PANEL = "Bus options, as Zenoh's"
+PANEL = "Bus options (those of Zenoh)"
 
 Certs: TypeAlias = Annotated[
     Path | None,
     typer.Option(
         "--certs",
         metavar="DIR",
-        help="mTLS with the certificates in this folder, which `ltv-mpc certs new DIR` makes.",
+        help="Use mTLS with the certificates in this folder; `ltv-mpc certs new DIR` creates them.",
         rich_help_panel=PANEL,
     ),
 ]
@@ -42,12 +42,13 @@ def _block(
             "--listen",
             "-l",
             metavar="ENDPOINT",
-            help="Listen on this endpoint and be the router; repeatable.",
+            help="Listen on this endpoint as the router; repeatable.",
             rich_help_panel=PANEL,
         ),
     ] = None,
     mode: Annotated[
-        str | None, typer.Option("--mode", "-m", metavar="MODE", help="client, peer or router.", rich_help_panel=PANEL)
+        str | None,
+        typer.Option("--mode", "-m", metavar="MODE", help="Zenoh mode: client, peer or router.", rich_help_panel=PANEL),
     ] = None,
     config: Annotated[
         Path | None,
@@ -55,21 +56,21 @@ def _block(
             "--config",
             "-c",
             metavar="FILE",
-            help="A Zenoh configuration (JSON5). Default: $ZENOH_CONFIG where it is set.",
+            help="Zenoh configuration file (JSON5). Default: $ZENOH_CONFIG, if it is set.",
             rich_help_panel=PANEL,
         ),
     ] = None,
     namespace: Annotated[
         str,
         typer.Option(
-            "--namespace", metavar="NAME", help="Put before every key: one per vehicle.", rich_help_panel=PANEL
+            "--namespace", metavar="NAME", help="Prefix of every key: one for each vehicle.", rich_help_panel=PANEL
         ),
     ] = "",
     certs: Certs = None,
     *,
     role: str = "",
 ) -> BusOptions:
-    """The bus options as one, checked. ``role`` is whose certificate is shown with --certs. Raises ``ConfigError``."""
+    """Check the bus options and return them as one. ``role`` selects the certificate. Raises ``ConfigError``."""
     from msgspec import structs
 
     from ltv_mpc.config import parse, read_text
@@ -84,14 +85,14 @@ def _block(
     table = {"connect": connect or (), "listen": listen or (), "mode": mode, "namespace": namespace}
     parsed = parse(table, BusOptions, source="option --mode")
     options = structs.replace(parsed, config=config, certs=certs, role=role)
-    configuration(options)  # Zenoh's own word, before anything is made or started
+    configuration(options)  # Zenoh checks the options before any file is written or process started
     return options
 
 
 def with_bus(role: str = "", *, without: Iterable[str] = ()) -> Callable[[Callable[..., int]], Callable[..., int]]:
-    """Give a command the bus options, and its parameter ``bus`` what they say.
+    """Add the bus options to a command, which receives them as its parameter ``bus``.
 
-    ``role`` is whose certificate the command shows with --certs; ``without`` names the options that it does not have.
+    ``role`` selects the certificate that the command uses with --certs; ``without`` names options to leave out.
     """
 
     def decorate(function: Callable[..., int]) -> Callable[..., int]:
@@ -112,7 +113,7 @@ def with_bus(role: str = "", *, without: Iterable[str] = ()) -> Callable[[Callab
 
 
 def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
-    """Raise ``ConfigError`` unless Zenoh can take it, and with certificates unless it is secure."""
+    """Raise ``ConfigError`` if Zenoh cannot use the endpoint, or if it is not secure although certificates are used."""
     from ltv_mpc.errors import ConfigError
     from services.bus.session import SECURE, endpoint_error
 
@@ -123,7 +124,7 @@ def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
 
 
 def check_namespace(namespace: str, option: str = "--namespace") -> None:
-    """Raise ``ConfigError`` unless it can stand before a key."""
+    """Raise ``ConfigError`` if the namespace cannot be the prefix of a key."""
     from ltv_mpc.errors import ConfigError
 
     if (namespace and not all(namespace.split("/"))) or set(namespace) & set("*$#? "):
@@ -132,7 +133,7 @@ def check_namespace(namespace: str, option: str = "--namespace") -> None:
 
 
 def _parameters(function: Callable[..., Any]) -> list[inspect.Parameter]:
-    """The parameters with their types in place of the types' names; ``BusOptions`` is not imported for that."""
+    """Return the parameters of a function with resolved annotations, without importing ``BusOptions``."""
     types = get_type_hints(function, localns={"BusOptions": Any}, include_extras=True)
     return [
         one.replace(annotation=types[one.name], kind=inspect.Parameter.KEYWORD_ONLY)

@@ -1,4 +1,4 @@
-"""Measure: ``campaign``."""
+"""Command ``campaign``: run a design of many runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from services.cli.options import Force, Json
+from services.cli.options import CampaignFolder, Force, Json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,79 +17,99 @@ if TYPE_CHECKING:
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="What varies over what; docs/campaigns.md.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Design of the campaign: docs/campaigns.md.")],
     cluster: Annotated[
         str | None,
-        typer.Option("--cluster", metavar="tcp://HOST:PORT", help="A Dask scheduler, whose workers do it."),
+        typer.Option("--cluster", metavar="tcp://HOST:PORT", help="Run on the workers of this Dask scheduler."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", help="Processes here. Default: one a core.", min=1, max=1024)
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", help="Number of processes. Default: one for each core.", min=1, max=1024
+        ),
     ] = None,
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Its folder; one of the same campaign is gone on with."),
-    ] = None,
+    out: CampaignFolder = None,
 ) -> int:
-    """A design of many runs in lock step, on all cores or Dask.
+    """Run a design of many runs on all cores or on Dask.
 
-    Interrupted and started again it goes on.
-    DIR/results.parquet has a row a run, and is the same to the byte whoever computed it.
+    All runs are in lock step. A campaign that was interrupted continues with the same command and --out.
+    DIR/results.parquet has a row for each run; it does not depend on the machines that computed it.
     """
-    import importlib.util
-
     import msgspec
-    from rich.console import Console
 
-    from ltv_mpc.errors import ConfigError
+    _check_packages(cluster, workers)
     from services.run import folder
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
-
-    if importlib.util.find_spec("pyarrow") is None:
-        raise ConfigError("campaign", "", "needs pyarrow: install the extra campaign")
-    if cluster is not None and workers is not None:
-        raise ConfigError("option --workers", "", "cannot act together with --cluster, which has its own workers")
-    from services.reporting.static_files import NoPlotly
     from services.tools.campaign import file as files
-    from services.tools.campaign import page, table, text
+    from services.tools.campaign import table, text
     from services.tools.campaign.campaign import opened, plan, run
     from services.tools.campaign.progress import Progress
     from services.tools.campaign.ranking import ranked, scores
 
-    wanted = files.load(file)
-    made = plan(wanted, f"campaign {file}")
+    design = files.load(file)
+    planned = plan(design, f"campaign {file}")
     place = out or folder.make_default(file.stem)
-    with opened(place, made, force=force) as store, stop_on_signals() as request:
+    with opened(place, planned, force=force) as store, stop_on_signals() as request:
         there = [row for _, row in store.results()]
-        with Progress(wanted, there, made.runs, quiet=as_json) as progress:
-            run(made, store, workers=workers, cluster=cluster, hear=progress.hear, stop=request)
+        with Progress(design, there, planned.runs, quiet=as_json) as progress:
+            run(planned, store, workers=workers, cluster=cluster, hear=progress.hear, stop=request)
         rows: Sequence[Row] = progress.rows
-        table.write(place, wanted, rows, {"made_by": msgspec.json.encode(made.made_by).decode()})
+        table.write(place, design, rows, {"made_by": msgspec.json.encode(planned.made_by).decode()})
+    _write_page(place)
+    best = ranked(scores(rows, design.minimise, design.varied), text.SHOWN)
+    _print_result(place, rows, best, runs=planned.runs, minimise=design.minimise, as_json=as_json)
+    if len(rows) < planned.runs:
+        left = f"{planned.runs - len(rows)} of {planned.runs} runs left"
+        typer.echo(f"{left}: continue with the same command and --out {place}", err=True)
+        return INTERRUPTED if request.interrupted else FAILED
+    return FAILED if all(row["failed"] is not None for row in rows) else DONE
+
+
+def _check_packages(cluster: str | None, workers: int | None) -> None:
+    import importlib.util
+
+    from ltv_mpc.errors import ConfigError
+
+    if importlib.util.find_spec("pyarrow") is None:
+        problem = "needs the package pyarrow: pip install pyarrow (extra campaign)"
+        raise ConfigError("campaign", "", problem)
+    if cluster is not None and workers is not None:
+        raise ConfigError("option --workers", "", "cannot act together with --cluster, which has its own workers")
+
+
+def _write_page(folder: Path) -> None:
+    from services.reporting.static_files import NoPlotly
+    from services.tools.campaign import page
+
     try:
-        page.write(place)
+        page.write(folder)
     except NoPlotly as missing:
-        typer.echo(f"no {page.NAME}: {missing}, the extra viz brings it", err=True)
-    best: list[Standing] = ranked(scores(rows, wanted.minimise, wanted.varied), text.SHOWN)
+        typer.echo(f"no {page.NAME}: {missing}: pip install plotly (extra viz)", err=True)
+
+
+def _print_result(
+    place: Path, rows: Sequence[Row], best: list[Standing], *, runs: int, minimise: str, as_json: bool
+) -> None:
+    import msgspec
+    from rich.console import Console
+
+    from services.tools.campaign import text
+
     failed = [row for row in rows if row["failed"] is not None]
     if as_json:
         result = {
             "out": str(place),
-            "runs": made.runs,
+            "runs": runs,
             "done": len(rows),
             "failed": len(failed),
-            "minimise": wanted.minimise,
+            "minimise": minimise,
             "best": best,
         }
         typer.echo(msgspec.json.format(msgspec.json.encode(result), indent=2).decode())
-    else:
-        Console().print(text.standings(best, wanted.minimise))
-        for line in text.failures(failed):
-            typer.echo(line)
-        typer.echo(str(place))
-    if len(rows) < made.runs:
-        typer.echo(
-            f"{made.runs - len(rows)} of {made.runs} runs left: the same command with --out {place} goes on", err=True
-        )
-        return INTERRUPTED if request.interrupted else FAILED
-    return FAILED if len(failed) == len(rows) else DONE
+        return
+    Console().print(text.standings(best, minimise))
+    for line in text.failures(failed):
+        typer.echo(line)
+    typer.echo(str(place))

@@ -1,4 +1,4 @@
-"""``certs``: keys and certificates for mTLS."""
+"""Command ``certs``: keys and certificates for mTLS."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ certs = typer.Typer(no_args_is_help=True, context_settings={"help_option_names":
 
 @certs.callback()
 def _about() -> None:
-    """Keys and certificates for mTLS: new."""
+    """Create keys and certificates for mTLS."""
 
 
 @certs.command()
 def new(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder to make.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to create.")],
     host: Annotated[
         list[str] | None,
         typer.Option(
             "--host",
             metavar="NAME",
-            help="A name or address of a router besides loopback's; repeatable.",
+            help="Name or address of a router, in addition to loopback; repeatable.",
         ),
     ] = None,
-    days: Annotated[int, typer.Option("--days", metavar="N", help="How long they are valid.", min=1, max=36_500)] = 365,
+    days: Annotated[int, typer.Option("--days", metavar="N", help="Validity in days.", min=1, max=36_500)] = 365,
     force: Force = False,
 ) -> int:
-    """An authority, and a key and certificate for every role.
+    """Create a certificate authority, and a key and certificate for every role.
 
-    Copy to each host ca.pem and the two files of each role that runs there, and nothing else.
+    Copy to each host only ca.pem and the two files of each role that runs there.
     """
     import re
 
@@ -52,7 +52,7 @@ def new(
     except ModuleNotFoundError as error:
         if error.name != "cryptography":
             raise
-        problem = "needs the package cryptography, the extra `secure`: pip install cryptography"
+        problem = "needs the package cryptography: pip install cryptography (extra secure)"
         raise ConfigError("ltv-mpc certs new", "", problem) from None
     certificates.make(folder, ROLES, hosts=host or (), days=days)
     typer.echo(f"certificates of {len(ROLES)} roles, valid for {days} days: {', '.join(ROLES)}", err=True)

@@ -1,4 +1,4 @@
-"""``ctl``: who has the thrusters, and what the controller follows."""
+"""Command ``ctl``: send a command to a running controller."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ if TYPE_CHECKING:
 @with_bus("operator")
 def ctl(
     action: Annotated[
-        str, typer.Argument(metavar="ACTION", help="arm, disarm, stop, manual, release, follow or hold.")
+        str, typer.Argument(metavar="ACTION", help="One of arm, disarm, stop, manual, release, follow, hold.")
     ],
     file: Annotated[
-        str | None, typer.Argument(metavar="[NAME|FILE]", help="Of follow: a shipped reference or a TOML file.")
+        str | None, typer.Argument(metavar="[NAME|FILE]", help="Reference for follow: a shipped name or a TOML file.")
     ] = None,
     *,
     bus: BusOptions,
 ) -> int:
-    """Arm, disarm, stop, manual, release, follow FILE, or hold.
+    """Send a command to a running controller: arm, stop, hold, ...
 
-    Puts a running controller in charge or out of it.
-
-    Waits for its answer, at most 3 s; exit 1 with the reason where it refuses.
+    Waits for the reply, at most 3 s. Exit code 1 and the reason if the controller rejects the command.
     """
     from ltv_mpc import references
     from ltv_mpc.config import to_toml
@@ -42,7 +40,7 @@ def ctl(
         raise ConfigError("argument ACTION", "", f"must be one of {', '.join(known)}{near}", value=action)
     wanted = Action(action)
     if (file is not None) != (wanted is Action.FOLLOW):
-        problem = "must be followed by a reference, NAME or FILE" if file is None else "takes no file: follow does"
+        problem = "needs a reference, NAME or FILE, after it" if file is None else "takes no file: only follow does"
         raise ConfigError("argument ACTION", "", problem, value=action)
     toml = "" if file is None else to_toml(references.load(file))
     from services.processes import operator as node

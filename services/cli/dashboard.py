@@ -1,4 +1,4 @@
-"""Start here: ``dashboard``."""
+"""Command ``dashboard``: serve the live page."""
 
 from __future__ import annotations
 
@@ -16,41 +16,46 @@ if TYPE_CHECKING:
 @with_bus("operator")
 def dashboard(
     port: Annotated[
-        int, typer.Option("--port", metavar="P", help="Where the page is; 0: any free one.", min=0, max=65535)
+        int, typer.Option("--port", metavar="P", help="TCP port of the page; 0 takes any free one.", min=0, max=65535)
     ] = 0,
     host: Annotated[
         str,
-        typer.Option("--host", metavar="ADDRESS", help="An address of this machine; but loopback: open to others."),
+        typer.Option(
+            "--host", metavar="ADDRESS", help="Address of this machine; any but loopback opens the page to others."
+        ),
     ] = "127.0.0.1",
-    open_: Annotated[bool, typer.Option("--open", help="Open it in a browser.")] = False,
+    open_: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,
     vehicle: Annotated[
-        str | None, typer.Option("--vehicle", metavar="NAME|FILE", help="Whose thrust limits are shown. Default: none.")
+        str | None,
+        typer.Option("--vehicle", metavar="NAME|FILE", help="Vehicle whose thrust limits are shown. Default: none."),
     ] = None,
     *,
     bus: BusOptions,
 ) -> int:
     """Watch any run, or your own vehicle, in a browser.
 
-    Prints the page's address, with the token that its buttons need; without it the page is read-only.
+    Prints the address of the page with the token for its buttons; without the token the page is read-only.
     """
     from ltv_mpc.errors import ConfigError
 
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
-        raise ConfigError("option --host", "", "must be an address, as 127.0.0.1", value=host) from None
+        raise ConfigError("option --host", "", "must be an IP address such as 127.0.0.1", value=host) from None
     if address.is_unspecified:
-        raise ConfigError("option --host", "", "must be one address, by which the page is then called", value=host)
+        raise ConfigError(
+            "option --host", "", "must be one address, not all of them: the page checks it in each request", value=host
+        )
     try:
         from services.dashboard import serve
         from services.dashboard.config import Config
     except ModuleNotFoundError as missing:
-        typer.echo(f"dashboard: {missing.name} is not installed: the extra viz brings it", err=True)
+        typer.echo(f"dashboard: {missing.name} is not installed: pip install {missing.name} (extra viz)", err=True)
         return 1
     from services.reporting.static_files import NoPlotly
 
     try:
         return serve.main(Config(bus=bus, host=host, port=port, vehicle=vehicle, open_browser=open_))
     except NoPlotly as missing:
-        typer.echo(f"dashboard: {missing}: the extra viz brings it", err=True)
+        typer.echo(f"dashboard: {missing}: pip install plotly (extra viz)", err=True)
         return 1

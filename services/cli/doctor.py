@@ -1,4 +1,4 @@
-"""Start here: ``doctor``."""
+"""Command ``doctor``: check this machine."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from services.cli.options import Json
 
 
 def doctor(as_json: Json = False) -> int:
-    """What is wrong with this machine and how to mend it.
+    """Check this machine and print a remedy for each problem.
 
-    Exit 1 where something is a problem; a warning is none. Shell completion: ltv-mpc --install-completion.
+    Exit code 1 if there is a problem; a warning is not a problem. Shell completion: ltv-mpc --install-completion.
     """
     import json
     from dataclasses import asdict

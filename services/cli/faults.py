@@ -1,4 +1,4 @@
-"""Measure: ``faults``."""
+"""Command ``faults``: run a fault injection campaign."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from services.cli.options import Force, Json
+from services.cli.options import CampaignFolder, Force, Json
 
 QUICK = 25
 FULL = 1000
@@ -15,30 +15,30 @@ FULL = 1000
 
 def faults(
     n: Annotated[
-        int | None, typer.Option("--n", metavar="N", help=f"Faults. Default {FULL}, quick {QUICK}.", min=1, max=100_000)
+        int | None,
+        typer.Option("--n", metavar="N", help=f"Number of faults. Default {FULL}, quick {QUICK}.", min=1, max=100_000),
     ] = None,
     classes: Annotated[
-        str, typer.Option("--classes", metavar="NAME,...", help="Of these classes alone; an unknown name lists them.")
+        str, typer.Option("--classes", metavar="NAME,...", help="Only these fault classes; an unknown name lists them.")
     ] = "",
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", help="Of times, sizes and scenarios.", min=0, max=2**31)
+        int, typer.Option("--seed", metavar="N", help="Seed of times, sizes and scenarios.", min=0, max=2**31)
     ] = 0,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Safety and reactions alone: not what the error is a minute later.")
+        bool, typer.Option("--quick", help="Check safety and reactions only, not the errors one minute later.")
     ] = False,
-    where: Annotated[str, typer.Option("--where", metavar="PLACE", help="lockstep, processes, or both.")] = "both",
+    where: Annotated[
+        str, typer.Option("--where", metavar="PLACE", help="Where to inject: lockstep, processes, or both.")
+    ] = "both",
     as_json: Json = False,
     force: Force = False,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Its folder; one of the same campaign is gone on with."),
-    ] = None,
+    out: CampaignFolder = None,
 ) -> int:
-    """Inject faults by the thousand, count what got through.
+    """Inject faults by the thousand and check the reactions.
 
-    Most of them in lock step, a fifth in real processes on a bus; each with a seeded time and size. What has been found
-    is in DIR as runs end, so that a campaign may be made in several sittings. Exit code 1: a promise was not kept, and
-    which is said, or a fault could not be injected.
+    Most faults are injected in lock step, one in five in real processes on a bus. Times and sizes are drawn from the
+    seed. Results are stored in DIR when a run ends, so a campaign can be interrupted and continued. Exit code 1: a
+    requirement failed, which is printed, or a fault could not be injected.
     """
     import os
     import tempfile

@@ -1,4 +1,4 @@
-"""One process each: ``inject``."""
+"""Command ``inject``: inject faults on the bus."""
 
 from __future__ import annotations
 
@@ -15,24 +15,28 @@ if TYPE_CHECKING:
 
 @with_bus("inject", without=["listen", "mode"])
 def inject(
-    node: Annotated[str, typer.Argument(metavar="NODE", help="The node under test, which is alone at router B.")],
-    b: Annotated[str, typer.Option("--to", metavar="ENDPOINT", help="Router B. Router A is the one of --connect.")],
+    node: Annotated[str, typer.Argument(metavar="NODE", help="Node under test, the only one at router B.")],
+    b: Annotated[
+        str, typer.Option("--to", metavar="ENDPOINT", help="Endpoint of router B. Router A is the one of --connect.")
+    ],
     schedule: Annotated[
-        Path | None, typer.Option("--schedule", metavar="FILE", help="TOML: one [[fault]] for each, times in s.")
+        Path | None,
+        typer.Option(
+            "--schedule", metavar="FILE", help="TOML file with one [[fault]] table for each fault, times in s."
+        ),
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option("--fault", metavar="HARM,KEY,START,END[,SIZE[,SEED]]", help="One more; repeatable."),
+        typer.Option("--fault", metavar="HARM,KEY,START,END[,SIZE[,SEED]]", help="One more fault; repeatable."),
     ] = None,
     *,
     bus: BusOptions,
 ) -> int:
-    """Faults on the bus, injected between two routers.
+    """Inject faults on the bus, between two routers.
 
-    What passes is copied, and some of it harmed.
-    Messages are lost, delayed, reordered, doubled, damaged, made NaN, stale, or stamped by a clock that jumped. Faults
-    come from --schedule, from --fault and from the topic `inject`, while it runs. Times are vehicle times. With neither
-    it copies everything, byte for byte.
+    Copies all messages between the routers and harms some of them: lost, delayed, reordered, doubled, damaged, NaN,
+    stale, or stamped by a clock that jumped. Faults come from --schedule, --fault and the topic `inject`. Times are
+    vehicle times. Without faults it copies everything byte for byte.
     """
     from msgspec import structs
 

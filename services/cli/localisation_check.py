@@ -1,4 +1,4 @@
-"""Measure: ``localisation-check``."""
+"""Command ``localisation-check``: drift and consistency of the localisation filter over many runs."""
 
 from __future__ import annotations
 
@@ -11,29 +11,31 @@ from services.cli.options import Force, Json, SensorsFile, short
 
 
 def localisation_check(
-    runs: Annotated[int, typer.Option("--runs", metavar="N", help="Seeds, one run each.", min=2, max=100_000)] = 20,
+    runs: Annotated[
+        int, typer.Option("--runs", metavar="N", help="Number of runs, one seed each.", min=2, max=100_000)
+    ] = 20,
     sensors: SensorsFile = "paper",
     surface_time_s: Annotated[
-        str, short("--surface-time-s", "run.surface_time_s", "S", "Afloat before the descent: one TDCP fix a second.")
+        str, short("--surface-time-s", "run.surface_time_s", "S", "Time at the surface: one TDCP fix per second.")
     ] = "1",
     seed: Annotated[int, typer.Option("--seed", metavar="FIRST", help="First seed.", min=0, max=2**53 - 1)] = 0,
     scenario: Annotated[
-        str, typer.Option("--scenario", metavar="NAME|FILE", help="What is run: a shipped scenario or a TOML file.")
+        str, typer.Option("--scenario", metavar="NAME|FILE", help="Scenario: a shipped name or a TOML file.")
     ] = "descent",
     as_json: Json = False,
     force: Force = False,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="DIR", help="Also write localisation-check.json and .png here; runs that are there stay."
+            "--out", metavar="DIR", help="Write localisation-check.json and .png here; finished runs in it are reused."
         ),
     ] = None,
 ) -> int:
-    """Drift against the bound of theory, errors against sigma.
+    """Check localisation drift and consistency over many runs.
 
-    Of the drift after a descent; and whether errors are as large as the filter says.
-    Full-loop runs in lock step on all cores. Exit code 1: a figure is not as it should be, which few runs may show of a
-    good filter too.
+    Compares the drift after a descent with the posterior Cramer-Rao bound, and the errors with the filter's covariance.
+    Closed-loop runs in lock step on all cores. Exit code 1: a figure is outside its limits; with few runs this can
+    happen by chance.
     """
     import tempfile
     import time
@@ -63,13 +65,13 @@ def localisation_check(
     problems = check.failed(result)
     typer.echo(plain if as_json else check.table(result))
     for problem in problems:
-        typer.echo(f"not held: {problem}", err=as_json)
+        typer.echo(f"outside its limit: {problem}", err=as_json)
     if out is not None:
         (out / "localisation-check.json").write_text(plain + "\n", encoding="utf-8")
         try:
             from services.tools.localisation_check import plot
         except ImportError:
-            typer.echo("no picture: matplotlib is not installed (extra viz)", err=True)
+            typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
         else:
             nees = check.over_runs([record.nees for record in records])
             title = f"{result.runs} runs, sensors {result.sensors}, {result.surface_time_s:g} s afloat"

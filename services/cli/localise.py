@@ -1,4 +1,4 @@
-"""Your vehicle: ``localise``."""
+"""Command ``localise``: localise a recorded ADCP dive."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from services.cli.options import Force, Json
 
 
 def localise(
-    file: Annotated[Path, typer.Argument(metavar="FILE.PD0", help="As Teledyne RDI instruments record it.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.PD0", help="PD0 file of a Teledyne RDI instrument.")],
     surface_fixes: Annotated[
         int,
         typer.Option(
             "--surface-fixes",
             metavar="N",
-            help="Ensembles from the start whose bottom track may be used.",
+            help="Number of first ensembles whose bottom track is used.",
             min=0,
             max=100_000,
         ),
@@ -25,20 +25,24 @@ def localise(
     start_depth_m: Annotated[
         float | None,
         typer.Option(
-            "--start-depth-m", metavar="D", help="Start at the first ensemble at or below it.", min=0, max=12_000
+            "--start-depth-m",
+            metavar="D",
+            help="Start at the first ensemble at or below this depth.",
+            min=0,
+            max=12_000,
         ),
     ] = None,
     as_json: Json = False,
     force: Force = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Also write track, current profile, result and picture here."),
+        typer.Option("--out", metavar="DIR", help="Also write track, current profile, result and plot here."),
     ] = None,
 ) -> int:
     """Localise a recorded ADCP dive that has no inertial unit.
 
-    Bottom track is used for the first ensembles, as a fix at the surface would be; after them it is the truth that the
-    track is compared with.
+    Bottom track replaces the fix at the surface during the first ensembles; later it is the reference with which the
+    track is compared.
     """
     import msgspec
 

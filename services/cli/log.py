@@ -1,4 +1,4 @@
-"""A run: ``log``, its recording: info, recover, export."""
+"""Command ``log``: inspect, recover or export a recording."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from services.cli.options import Force, Json
 log = typer.Typer(no_args_is_help=True, context_settings={"help_option_names": ["-h", "--help"]})
 
 Run: TypeAlias = Annotated[
-    str, typer.Argument(metavar="RUN", help="A recorded run: its folder, its run.mcap, or latest.")
+    str, typer.Argument(metavar="RUN", help="Recorded run: its folder, its run.mcap, or latest.")
 ]
 
 
 class Format(enum.StrEnum):
-    """What a recording is exported as."""
+    """File format of an export."""
 
     CSV = "csv"
     PARQUET = "parquet"
@@ -27,14 +27,14 @@ class Format(enum.StrEnum):
 
 @log.callback()
 def _about() -> None:
-    """A run's recording: info, recover, export."""
+    """Inspect, recover or export the recording of a run."""
 
 
 @log.command()
 def info(run: Run = "latest", as_json: Json = False) -> int:
-    """What it holds: messages by key with rate, times and gaps; segments; events; whether it is whole.
+    """Show the contents: messages by key with rate, times and gaps; segments; events; completeness.
 
-    Exit 1 where it is not whole.
+    Exit code 1 if the recording is incomplete.
     """
     from services.recording import info as figures
     from services.recording.recover import segments
@@ -59,14 +59,15 @@ def info(run: Run = "latest", as_json: Json = False) -> int:
 def recover(
     run: Run = "latest",
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="What to write. Default run.recovered.mcap beside it.")
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="File to write. Default run.recovered.mcap beside the recording."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """A whole file out of one that was cut, damaged or left in segments (run.mcap, run.2.mcap, ...).
+    """Write a complete file from one that was cut off, damaged or left in segments (run.mcap, run.2.mcap, ...).
 
-    Every whole message is copied as it is; the original stays, and nothing is ever written over. Of a file that is
-    whole nothing is written (--json: null).
+    Copies every complete message unchanged; the original stays, and no file is overwritten. Nothing is written if the
+    recording is complete (--json: null).
     """
     from services.recording import recover as recovery
     from services.run import folder
@@ -74,7 +75,7 @@ def recover(
     recording = folder.find(run)
     parts = recovery.segments(recording)
     if len(parts) == 1 and recovery.is_whole(recording):
-        typer.echo(f"{recording} is whole: nothing to recover", err=as_json)
+        typer.echo(f"{recording} is complete: nothing to recover", err=as_json)
         if as_json:
             typer.echo("null")
         return
@@ -97,18 +98,18 @@ def recover(
 def export(
     run: Run = "latest",
     form: Annotated[
-        Format, typer.Option("--format", help="Tables, one a key; or a trace for ui.perfetto.dev.")
+        Format, typer.Option("--format", help="Tables with one file for each key, or a trace for ui.perfetto.dev.")
     ] = Format.CSV,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="DIR", help="The one folder to write. Default a folder of the format's name in RUN."
+            "--out", metavar="DIR", help="Folder to write. Default: a folder with the name of the format in RUN."
         ),
     ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Tables for other tools, one file a key; or trace.json: each cycle's stages, from estimate to plan to thrust."""
+    """Write one table for each key, or trace.json with the stages of each cycle from estimate to thrust."""
     from services.recording import export as tables
     from services.recording import perfetto
     from services.recording.recover import segments

@@ -79,7 +79,7 @@ def profile(
         try:
             from services.tools.profile import plot
         except ImportError:
-            typer.echo("no picture: matplotlib is not installed (extra viz)", err=True)
+            typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
         else:
             plot.draw(measured, written.path / "profile.png")
         typer.echo(str(written.path), err=as_json)

@@ -1,7 +1,6 @@
-"""``ltv-mpc --help``: every command in its panel, in one line.
+"""Overview printed by ``ltv-mpc --help``: every command in its panel, one line each.
 
-Typer would draw it in boxes by rich, whose Markdown alone takes a quarter of the time in which this is there: a list of
-commands is asked for often. Each command's own help is typer's.
+It replaces the help of typer, which is slower because it imports rich's Markdown. The help of each command is typer's.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ import typer
 
 WIDTH = 80
 INDENT = 2
-OPTIONS = (("--version", "Of this program, with its commit in a checkout."), ("--help, -h", "This list."))
+OPTIONS = (("--version", "Print the version, with the commit in a checkout."), ("--help, -h", "Show this list."))
 
 
 def overview(app: typer.Typer, name: str, about: str) -> str:
-    """All of it. A command's line is the first of its function's docstring."""
+    """Return the overview. The line of a command is the first line of its function's docstring."""
     panels: dict[str, list[tuple[str, str]]] = {}
     for panel, command, line in commands(app):
         panels.setdefault(panel, []).append((command, line))
@@ -26,11 +25,11 @@ def overview(app: typer.Typer, name: str, about: str) -> str:
     for panel, rows in {**panels, "Options": list(OPTIONS)}.items():
         lines += ["", f"{panel}:"]
         lines += [f"{'':{INDENT}}{command:{wide}}{line}" for command, line in rows]
-    return "\n".join([*lines, "", f"{name} COMMAND --help says more of each."])
+    return "\n".join([*lines, "", f"{name} COMMAND --help describes a command."])
 
 
 def commands(app: typer.Typer) -> Iterator[tuple[str, str, str]]:
-    """Panel, name and first line of every command, in the panels' order."""
+    """Yield panel, name and first line of every command, in the order of the panels."""
     for command in app.registered_commands:
         assert command.callback is not None
         name = command.name or command.callback.__name__.replace("_", "-")

@@ -1,4 +1,4 @@
-"""One process each: what ``sim`` starts, alone in a terminal, in any order."""
+"""Commands that start one process each: the processes of ``sim``, in any order, each in its own terminal."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def router(
     *,
     bus: BusOptions,
 ) -> int:
-    """The router that all others connect to.
+    """Run the router to which all other processes connect.
 
     Without --listen it listens at tcp/127.0.0.1:7447.
     """
@@ -40,12 +40,14 @@ def plant(
     scenario: ScenarioName = "descent",
     expect: Annotated[
         list[str] | None,
-        typer.Option("--expect", metavar="NODE", help="Also wait for this one to be ready, as recorder; repeatable."),
+        typer.Option(
+            "--expect", metavar="NODE", help="Also wait until this node is ready, such as recorder; repeatable."
+        ),
     ] = None,
     *,
     bus: BusOptions,
 ) -> int:
-    """The simulated vehicle, which keeps vehicle time.
+    """Run the simulated vehicle, which keeps the vehicle time.
 
     Reads plan; writes world/truth, applied and clock. Starts when sensors, estimator and controller are ready.
     """
@@ -60,7 +62,7 @@ def sensors(
     *,
     bus: BusOptions,
 ) -> int:
-    """The simulated sensors.
+    """Run the simulated sensors.
 
     Reads world/truth; writes sensor/*.
     """
@@ -74,12 +76,12 @@ def estimator(
     vehicle: VehicleFile = "paper",
     sensors: SensorsFile = "paper",
     settings: Annotated[
-        Path | None, typer.Option("--settings", metavar="FILE", help="The [estimator] table alone, as TOML.")
+        Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the [estimator] table only.")
     ] = None,
     *,
     bus: BusOptions,
 ) -> int:
-    """The localisation filter.
+    """Run the localisation filter.
 
     Reads sensor/*; writes estimate.
     """
@@ -102,20 +104,20 @@ def recorder(
     scenario: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SCENARIO]", help="What plant and sensors simulate: its settings are kept. None: a real vehicle."
+            metavar="[SCENARIO]", help="Simulated scenario, whose settings are recorded. None: a real vehicle."
         ),
     ] = None,
     out: Out = None,
     force: Force = False,
     goes_on: Annotated[
-        bool, typer.Option("--continue", help="Go on in --out of this scenario, with the next segment: run.2.mcap.")
+        bool, typer.Option("--continue", help="Continue the recording in --out with the next segment, run.2.mcap.")
     ] = False,
     *,
     bus: BusOptions,
 ) -> int:
-    """Records every message into one folder.
+    """Record every message into one folder.
 
-    Reads everything; run.mcap opens in Foxglove. `ltv-mpc replay` needs the SCENARIO that made the run.
+    Reads everything; run.mcap opens in Foxglove. `ltv-mpc replay` needs the SCENARIO of the run.
     """
     from services.processes import recorder as process
     from services.run import folder

@@ -1,4 +1,4 @@
-"""A run: ``replay``, every output again, byte for byte."""
+"""Command ``replay``: compute every output of a recorded run again."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from services.cli.options import Json
 
 
 def replay(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's folder, its run.mcap, or latest.")],
+    run: Annotated[str, typer.Argument(metavar="RUN", help="Folder of a run, its run.mcap, or latest.")],
     with_: Annotated[
         Path | None,
         typer.Option(
-            "--with", metavar="FILE", help="What would have changed: other settings, as RUN/config/controller.toml."
+            "--with", metavar="FILE", help="Compare with other settings, a file such as RUN/config/controller.toml."
         ),
     ] = None,
     node: Annotated[
         str | None,
-        typer.Option("--node", metavar="NAME", help="This node alone: plant, sensors, estimator, controller."),
+        typer.Option("--node", metavar="NAME", help="Replay this node only: plant, sensors, estimator or controller."),
     ] = None,
     as_json: Json = False,
 ) -> int:
-    """A run again, byte for byte, or with other settings.
+    """Replay a run byte for byte, or with other settings.
 
-    Every output is compared; with ``--with`` it is told what would have changed.
-    The nodes are built from the run's own settings and fed the recorded inputs in the recorded order. Exit code 0 where
-    every step that can be compared is identical.
+    Builds the nodes from the settings of the run, feeds them the recorded inputs in the recorded order and compares
+    every output; with --with it reports the differences that other settings make. Exit code 0 if every step that can
+    be compared is identical.
     """
     from contextlib import ExitStack
     from functools import cache
@@ -47,7 +47,7 @@ def replay(
 
         @cache
         def bar() -> Callable[[int], None]:
-            """From the first word on: it has a thread, and nobody forks a process of several."""
+            """Open the bar at the first progress: it starts a thread, and processes must be forked before that."""
             return shown.enter_context(run_progress_bar(scenario.start_ns, scenario.end_ns))
 
         def progress(t_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""A run: ``report``, its plots and figures in one file; several laid over each other."""
+"""Command ``report``: write the plots and figures of one run, or compare several runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def report(
         list[str] | None,
         typer.Argument(
             metavar="[RUN]...",
-            help="Folder, run.mcap, latest; or a campaign's folder.",
+            help="Folder of a run, its run.mcap, latest, or the folder of a campaign.",
             show_default="latest",
         ),
     ] = None,
@@ -29,15 +29,15 @@ def report(
         typer.Option(
             "--out",
             metavar="FILE|DIR",
-            help="Default report.html in the run's folder; of several runs in runs/<UTC time>-report.",
+            help="File or folder to write. Default: in the folder of the run; for several runs runs/<UTC time>-report.",
         ),
     ] = None,
     as_json: Json = False,
     force: Force = False,
 ) -> int:
-    """One run: its report. Several: overlay and differences.
+    """Write a report of one run, or compare several runs.
 
-    report.html holds everything and opens without a network. Works on the recording of a run that was cut off.
+    report.html is one file and needs no network. Recordings that were cut off are accepted.
     """
     from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
@@ -56,7 +56,7 @@ def report(
         with reading_progress(", ".join(run.name for run in shown)):
             figures = page.write(shown, target)
     except NoPlotly as missing:
-        typer.echo(f"report: {missing}: the extra viz brings it, as `make setup` does", err=True)
+        typer.echo(f"report: {missing}: run `make setup`, or pip install plotly (extra viz)", err=True)
         return 1
     if as_json:
         import msgspec
@@ -72,22 +72,22 @@ def report(
 
 
 def _of_campaign(folder: Path) -> int:
-    """Anew, from the rows that it has."""
+    """Write the report of a campaign again, from its rows."""
     from services.reporting.static_files import NoPlotly
     from services.tools.campaign import page
 
     try:
         typer.echo(str(page.write(folder)))
     except NoPlotly as missing:
-        typer.echo(f"report: {missing}: the extra viz brings it, as `make setup` does", err=True)
+        typer.echo(f"report: {missing}: run `make setup`, or pip install plotly (extra viz)", err=True)
         return 1
     return 0
 
 
 def after_run(recording: Path, summary: dict[str, Any]) -> str:
-    """Write report.html at the end of a run, into its folder; the one line that says so, or why there is none.
+    """Write report.html into the folder of a run at its end; return the line to print: its path or the failure.
 
-    A run's exit code is its own: nothing here can change it.
+    A failure here does not change the exit code of the run.
     """
     from ltv_mpc.errors import ConfigError
     from services.reporting import report as page
@@ -99,7 +99,7 @@ def after_run(recording: Path, summary: dict[str, Any]) -> str:
         with reading_progress(page.NAME):
             page.write([page.Run(name=recording.parent.name, recording=recording, summary=summary)], target)
     except NoPlotly as missing:
-        return f"no {page.NAME}: {missing}, the extra viz brings it"
+        return f"no {page.NAME}: {missing}: pip install plotly (extra viz)"
     except (ConfigError, OSError) as error:
         return f"no {page.NAME}: {error}"
     return f"report: {target}"
@@ -112,7 +112,7 @@ def _run(recording: Path, name: str) -> Run:
 
 
 def _summary(recording: Path) -> dict[str, Any]:
-    """summary.json; where a run ended without one, what its recording gives."""
+    """Return the contents of summary.json; if there is none, a summary computed from the recording."""
     import json
 
     try:
@@ -128,15 +128,15 @@ def _summary(recording: Path) -> dict[str, Any]:
 
     try:
         run_config = resolve(str(recording.with_name("scenario.toml")))
-    except ConfigError:  # a vehicle's own recording: nobody knows the truth, and there is nothing to grade
+    except ConfigError:  # the recording of a real vehicle: without a truth there are no errors to summarise
         return {}
     graded = summarise_recording(run_config, recording)[0]
     plain: dict[str, Any] = msgspec.to_builtins(graded) if graded.cycles else {}
-    return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # the recording says how
+    return {key: value for key, value in plain.items() if key not in ("mode", "speed")}  # taken from the recording
 
 
 def _names(recordings: Sequence[Path]) -> list[str]:
-    """The runs' folders, or whole paths where two would be called the same."""
+    """Return the names of the runs' folders, or their full paths if two names are equal."""
     names = [path.absolute().parent.name if path.name == "run.mcap" else path.stem for path in recordings]
     return names if len(set(names)) == len(names) else [str(path) for path in recordings]
 
@@ -150,7 +150,7 @@ def _target(recordings: Sequence[Path], out: Path | None, *, force: bool) -> Pat
 
     if out is None and len(recordings) == 1:
         return recordings[0].with_name(NAME)
-    if out is None:  # not by folder.make: what it makes is a run's, and `latest` links to it
+    if out is None:  # not by folder.make, which creates the folder of a run and links `latest` to it
         out = folder.ROOT / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-report"
     target = out if out.suffix == ".html" else out / NAME
     if target.exists() and not force:

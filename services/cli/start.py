@@ -1,4 +1,4 @@
-"""Start here: ``sim``."""
+"""Command ``sim``: run a scenario."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn, TypeAlias
 
 import typer
 
@@ -34,6 +34,66 @@ KEYS = {
     "--reference": "reference",
 }
 
+Speed: TypeAlias = Annotated[str | None, short("--speed", KEYS["--speed"], "X", "Vehicle time per real time.")]
+Seed: TypeAlias = Annotated[str | None, short("--seed", KEYS["--seed"], "N", "Seed of all random draws.")]
+Duration: TypeAlias = Annotated[
+    str | None, short("--duration-s", KEYS["--duration-s"], "T", "Duration after the surface phase.")
+]
+SurfaceTime: TypeAlias = Annotated[
+    str | None, short("--surface-time-s", KEYS["--surface-time-s"], "S", "Time at the surface before the descent.")
+]
+ComputeDelay: TypeAlias = Annotated[
+    str | None, short("--compute-delay-s", KEYS["--compute-delay-s"], "D", "Delay added to that of the controller.")
+]
+Horizon: TypeAlias = Annotated[
+    str | None, short("--horizon-s", KEYS["--horizon-s"], "H", "Prediction horizon of the controller.")
+]
+Currents: TypeAlias = Annotated[
+    str | None,
+    short("--currents", KEYS["--currents"], "FILE.csv", "Measured current profile (depth_m, v_north_mps, u_east_mps)."),
+]
+WaterPrior: TypeAlias = Annotated[
+    str | None,
+    short("--water-prior", KEYS["--water-prior"], "FILE.csv", "Current known to the estimator: a run's currents.csv."),
+]
+Sensors: TypeAlias = Annotated[
+    str | None, short("--sensors", KEYS["--sensors"], "NAME|FILE", "Sensors: paper, realistic, or a TOML file.")
+]
+Vehicle: TypeAlias = Annotated[
+    str | None, short("--vehicle", KEYS["--vehicle"], "NAME|FILE", "Vehicle: paper, or a TOML file.")
+]
+Reference: TypeAlias = Annotated[
+    str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Reference: descent, hover, or a TOML file.")
+]
+Lockstep: TypeAlias = Annotated[
+    bool, typer.Option("--lockstep", help="Run in one process on a simulated clock, as fast as the machine allows.")
+]
+Assignments: TypeAlias = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Set any key of the scenario; repeatable.", show_default=False),
+]
+PerfectState: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--perfect-state",
+        help="Give the true state to the controller. Key run.perfect_state.",
+        rich_help_panel="Scenario keys",
+    ),
+]
+NoControl: TypeAlias = Annotated[
+    bool,
+    typer.Option(
+        "--no-control",
+        help="Keep the lateral thrusts at zero. Key controller.lateral.",
+        rich_help_panel="Scenario keys",
+    ),
+]
+Dashboard: TypeAlias = Annotated[
+    bool | None,
+    typer.Option("--dashboard/--no-dashboard", help="Serve a live page and print its address. Default: on a terminal."),
+]
+Open: TypeAlias = Annotated[bool, typer.Option("--open", help="Open the live page in a browser.")]
+
 
 def register(app: typer.Typer, panel: str) -> None:
     """Add the commands to their panel."""
@@ -42,63 +102,23 @@ def register(app: typer.Typer, panel: str) -> None:
 
 def sim(
     scenario: ScenarioName = "descent",
-    speed: Annotated[str | None, short("--speed", KEYS["--speed"], "X", "Times real time.")] = None,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="In one process on a simulated clock, as fast as it goes.")
-    ] = False,
-    seed: Annotated[str | None, short("--seed", KEYS["--seed"], "N", "Of every random draw.")] = None,
-    duration_s: Annotated[
-        str | None, short("--duration-s", KEYS["--duration-s"], "T", "Length after the surface phase.")
-    ] = None,
-    horizon_s: Annotated[
-        str | None, short("--horizon-s", KEYS["--horizon-s"], "H", "How far the controller looks ahead.")
-    ] = None,
-    compute_delay_s: Annotated[
-        str | None, short("--compute-delay-s", KEYS["--compute-delay-s"], "D", "Added to the controller's own delay.")
-    ] = None,
-    currents: Annotated[
-        str | None,
-        short("--currents", KEYS["--currents"], "FILE.csv", "A measured profile (depth_m, v_north_mps, u_east_mps)."),
-    ] = None,
-    water_prior: Annotated[
-        str | None,
-        short("--water-prior", KEYS["--water-prior"], "FILE.csv", "What the estimator knows: a run's currents.csv."),
-    ] = None,
-    sensors: Annotated[
-        str | None, short("--sensors", KEYS["--sensors"], "NAME|FILE", "What is mounted: paper, realistic, or a file.")
-    ] = None,
-    vehicle: Annotated[str | None, short("--vehicle", KEYS["--vehicle"], "NAME|FILE", "Paper, or a TOML file.")] = None,
-    reference: Annotated[
-        str | None, short("--reference", KEYS["--reference"], "NAME|FILE", "Where to be: descent, hover, or a file.")
-    ] = None,
-    surface_time_s: Annotated[
-        str | None, short("--surface-time-s", KEYS["--surface-time-s"], "S", "Afloat before the descent.")
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Any key of a scenario; repeatable.", show_default=False),
-    ] = None,
-    perfect_state: Annotated[
-        bool,
-        typer.Option(
-            "--perfect-state",
-            help="Give the controller the truth. Key run.perfect_state.",
-            rich_help_panel="Scenario keys",
-        ),
-    ] = False,
-    no_control: Annotated[
-        bool,
-        typer.Option(
-            "--no-control",
-            help="Lateral thrusters stay at zero. Key controller.lateral.",
-            rich_help_panel="Scenario keys",
-        ),
-    ] = False,
-    dashboard: Annotated[
-        bool | None,
-        typer.Option("--dashboard/--no-dashboard", help="A live page; prints its address. Default: on a terminal."),
-    ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="Open the live page in a browser.")] = False,
+    speed: Speed = None,
+    lockstep: Lockstep = False,
+    seed: Seed = None,
+    duration_s: Duration = None,
+    horizon_s: Horizon = None,
+    compute_delay_s: ComputeDelay = None,
+    currents: Currents = None,
+    water_prior: WaterPrior = None,
+    sensors: Sensors = None,
+    vehicle: Vehicle = None,
+    reference: Reference = None,
+    surface_time_s: SurfaceTime = None,
+    set_: Assignments = None,
+    perfect_state: PerfectState = False,
+    no_control: NoControl = False,
+    dashboard: Dashboard = None,
+    open_: Open = False,
     certs: Certs = None,
     as_json: Json = False,
     force: Force = False,
@@ -108,32 +128,22 @@ def sim(
 
     SCENARIO is a shipped name (descent, hover) or a TOML file. Precedence: option, --set, file, default.
     """
-    from ltv_mpc.errors import ConfigError
     from services.run import folder
     from services.run.host_resources import check_disk_space
     from services.run.run_config import resolve
 
-    texts = {
-        "--speed": speed,
-        "--seed": seed,
-        "--duration-s": duration_s,
-        "--surface-time-s": surface_time_s,
-        "--compute-delay-s": compute_delay_s,
-        "--horizon-s": horizon_s,
-        "--currents": currents,
-        "--water-prior": water_prior,
-        "--sensors": sensors,
-        "--vehicle": vehicle,
-        "--reference": reference,
-    }
-    given = {name: text for name, text in texts.items() if text is not None}
+    texts = (
+        *(speed, seed, duration_s, surface_time_s, compute_delay_s, horizon_s),
+        *(currents, water_prior, sensors, vehicle, reference),
+    )
+    given = {name: text for name, text in zip(KEYS, texts, strict=True) if text is not None}
     flags = {"--perfect-state": perfect_state, "--no-control": no_control}
     overrides = _overrides(set_ or (), given, [name for name, on in flags.items() if on])
     if lockstep:
         _refuse_speed(overrides)
         _refuse_page(dashboard, open_)
     if perfect_state and water_prior is not None:
-        raise ConfigError("option --water-prior", "", "cannot act together with --perfect-state: nothing is estimated")
+        _refuse_prior()
     run_config = resolve(scenario, overrides)
     if certs is not None:
         _check_certs(certs, run_config, lockstep=lockstep)
@@ -148,7 +158,7 @@ def sim(
 
 
 def _overrides(assignments: Sequence[str], given: dict[str, str], flags: Sequence[str]) -> list[Override]:
-    """Last wins: --set first, then the options."""
+    """Return the overrides in the order of their precedence, the last one wins: --set, then the options."""
     from services.run.run_config import Override
 
     overrides = [Override("option --set", assignments)] if assignments else []
@@ -165,29 +175,40 @@ def _refuse_speed(overrides: Sequence[Override]) -> None:
 
     for source, assignments in overrides:
         if any(text.partition("=")[0].strip() == KEYS["--speed"] for text in assignments):
-            problem = "cannot act together with --lockstep, whose simulated clock goes as fast as it can: leave one out"
+            problem = (
+                "cannot act together with --lockstep, which runs as fast as the machine allows: leave one of them out"
+            )
             raise ConfigError(source, KEYS["--speed"] if source == "option --set" else "", problem)
+
+
+def _refuse_prior() -> NoReturn:
+    from ltv_mpc.errors import ConfigError
+
+    problem = "cannot act together with --perfect-state: nothing is estimated"
+    raise ConfigError("option --water-prior", "", problem)
 
 
 def _refuse_page(dashboard: bool | None, open_: bool) -> None:
     from ltv_mpc.errors import ConfigError
 
     if dashboard or open_:
-        problem = "cannot act together with --lockstep, where nothing travels: report.html shows what it did"
+        problem = (
+            "cannot act together with --lockstep, which publishes no messages: report.html shows the run afterwards"
+        )
         raise ConfigError(f"option {'--open' if open_ else '--dashboard'}", "", problem)
 
 
 def _check_certs(certs: Path, run_config: RunConfig, *, lockstep: bool) -> None:
-    """A certificate for every process; none of them can be another's."""
+    """Check that each process of the run has its own certificate. Raises ``ConfigError``."""
     from ltv_mpc.errors import ConfigError
     from services.bus.roles import LAUNCHER
     from services.bus.security import credentials
     from services.supervisor import process_table
 
     if lockstep:
-        raise ConfigError("option --certs", "", "cannot act together with --lockstep, where nothing travels")
+        raise ConfigError("option --certs", "", "cannot act together with --lockstep, which publishes no messages")
     if run_config.scenario.run.perfect_state:
-        problem = "cannot act together with run.perfect_state, where the sensors write the estimator's key"
+        problem = "cannot act together with run.perfect_state, in which the sensors publish the estimate themselves"
         raise ConfigError("option --certs", "", problem)
     for role in (LAUNCHER, *(row.name for row in process_table.processes(run_config.scenario))):
         credentials(certs, role)
@@ -205,7 +226,7 @@ def _run_in_lockstep(run_config: RunConfig, folder: RunFolder, as_json: bool) ->
     if summary.duration_s >= scenario.run.duration_s:
         return DONE
     if request():
-        typer.echo("stopped; what was recorded until then is kept", err=True)
+        typer.echo("stopped early; the messages recorded so far are kept", err=True)
     return INTERRUPTED if request.interrupted else FAILED
 
 
@@ -231,7 +252,7 @@ def _run_processes(
 
 
 def _print_summary(summary: Summary, folder: RunFolder, as_json: bool) -> None:
-    """Write the report; on stdout: the object of summary.json alone, or a few lines and the folder."""
+    """Write the report, then print summary.json or a few lines with the folder of the run on stdout."""
     import msgspec
 
     from services.cli.report import after_run

@@ -1,4 +1,4 @@
-"""``topics``: what travels, for people, for validators, and as the protocol's pages."""
+"""Command ``topics``: topics of the bus as a table, as JSON Schema, or as the pages of the protocol."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from services.cli.options import Json
 
 
 def topics(
-    topic: Annotated[str | None, typer.Argument(metavar="[TOPIC]", help="A key: its fields and their types.")] = None,
+    topic: Annotated[
+        str | None, typer.Argument(metavar="[TOPIC]", help="Key of one topic: list its fields and types.")
+    ] = None,
     as_json: Json = False,
-    schema: Annotated[bool, typer.Option("--schema", help="JSON Schema of the topic, or of all by key.")] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of the topic, or of all by key.")
+    ] = False,
     write: Annotated[
         Path | None, typer.Option("--write", metavar="DIR", help="Write protocol.md and schemas/ into this folder.")
     ] = None,
 ) -> int:
-    """What travels; of one topic its fields.
+    """List the topics of the bus, or the fields of one topic.
 
-    All topics: key, signal, period, delivery, sole writer, readers.
+    The list has key, message type, period, delivery, the only writer, and the readers.
     """
     from ltv_mpc.errors import ConfigError
 

@@ -1,1 +1,1 @@
-"""The live page: what a bus carries, drawn in a browser on this machine, and a few buttons for who holds the token."""
+"""Live page: plots and status of a bus in a browser, and command buttons for clients that hold the token."""

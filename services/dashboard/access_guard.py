@@ -1,11 +1,11 @@
-"""Who may read the page and who may command: any web page in the same browser can send requests to this machine.
+"""Access control of the live page. It is needed because any web page in the same browser can send requests to it.
 
-Host     a name of this machine's page must be in it: else a foreign name that was pointed at this machine's address
-         (DNS rebinding) would make the page a foreign page's own
-Origin   where a browser sends one, it is the page itself; every WebSocket has to have it, since browsers let any page
-         open one to anywhere
-token    192 random bits in the printed URL, behind its #, which no browser sends: commands hold it, reading does not
-         need it
+Host     must be a name of this page. Otherwise a foreign name that resolves to this machine (DNS rebinding) could
+         read the page as its own.
+Origin   must be this page if the browser sends one. Every WebSocket needs it, because browsers allow any page to open
+         a WebSocket to any host.
+token    192 random bits in the printed URL after the #, which browsers do not send. Commands carry the token; reading
+         needs none.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ HEADERS = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""Of every answer. plotly sets styles, so these may stand in the page; scripts may not."""
+"""Headers of every response. Inline styles are allowed because plotly sets them; inline scripts are not."""
 
 
 class Token:
-    """The secret of one start of the page's process."""
+    """Secret token, new at each start of the page's process."""
 
     def __init__(self) -> None:
         self.text = secrets.token_urlsafe(TOKEN_BYTES)
 
     def matches(self, text: str) -> bool:
-        """In a time that tells nothing about how much of it is right."""
+        """Return True if ``text`` is the token; the comparison takes constant time."""
         return hmac.compare_digest(self.text.encode(), text.encode(errors="replace"))
 
 
 def hosts(names: Iterable[str], port: int) -> frozenset[str]:
-    """What may stand in Host: these names with the port, and without where it is HTTP's own."""
+    """Return the accepted values of the Host header: each name with the port, and without it if the port is 80."""
     named = frozenset(f"{name}:{port}" for name in names)
     return named | frozenset(names) if port == 80 else named
 
 
 def rejection_reason(scope: Scope, allowed: frozenset[str]) -> str:
-    """Why a request or a WebSocket is turned away; empty where it is not."""
+    """Return why a request or a WebSocket is rejected; empty if it is accepted."""
     headers = Headers(scope=scope)
     if headers.getlist("host") != [headers.get("host", "")] or headers["host"].lower() not in allowed:
-        return "Host is no name of this page"
+        return "Host header is not a name of this page"
     origins = headers.getlist("origin")
     if scope["type"] == "websocket" and not origins:
-        return "a WebSocket without Origin"
+        return "WebSocket without an Origin header"
     if any(origin.lower() not in {f"http://{host}" for host in allowed} for origin in origins):
-        return "Origin is another page"
+        return "Origin header names another page"
     return ""
 
 
@@ -73,7 +73,7 @@ class AccessGuard:
         self._allowed = allowed
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
+        """Handle a connection (ASGI)."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -82,7 +82,7 @@ class AccessGuard:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "http":
             await PlainTextResponse(f"refused: {why}\n", 403)(scope, receive, _with_headers(send))
-        else:  # closing before accepting is answered with 403
+        else:  # the server answers a close before the accept with 403
             await send({"type": "websocket.close", "code": 1008, "reason": why})
 
 

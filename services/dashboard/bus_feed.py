@@ -1,4 +1,4 @@
-"""What the page hears of a bus: every plan and event, of all else the newest, brought together ten times a second."""
+"""Bus subscription of the live page: every plan and event, the newest of all other messages, read 10 times a second."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ S = TypeVar("S", bound=Message)
 NEWEST = (Clock, Truth, Estimate, Applied, ControllerStatus, LocalisationReport)
 EVERY = (Plan, CycleTiming, RunEvent, Command, Acknowledgement)
 WAITING = 200
-"""Frames of these between two looks; at 20 times real time there are 14."""
+"""Queue length of the messages of ``EVERY`` between two updates; at 20 times real time there are 14."""
 
 
 class Process(msgspec.Struct, frozen=True, kw_only=True):
-    """One process's word about itself, as the page shows it."""
+    """Status of one process as the page shows it."""
 
     name: str
     state: str
-    silent_s: float  # wall time since its last word
+    silent_s: float  # wall time since its last status message
     steps: int
     step_us: float
     dropped: int
@@ -54,7 +54,7 @@ class Process(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """What the page says in words. Ages are vehicle time between a message's validity and now."""
+    """Status shown by the page. Ages are vehicle time from the validity of a message to now."""
 
     t_s: float | None
     clock: str  # waiting, running, paused; "silent" where nothing was decoded
@@ -70,17 +70,17 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     progress: float | None
     ages_s: dict[str, float | None]
     processes: tuple[Process, ...]
-    simulated: bool  # somebody says the truth
+    simulated: bool  # the true state is published
 
 
 class BusFeed:
-    """Listens on ``session``. ``look`` is to be called about ten times a second, from one thread."""
+    """Receiver of the messages of ``session``. Call ``update`` about ten times a second, from one thread."""
 
     def __init__(self, session: Session, thrusters: tuple[Thruster, Thruster] | None) -> None:
         self._thrusters = thrusters
         self.collector = Collector(thrusters)
         self.run = 0
-        """Grows when another run begins on the same keys: what was collected before has gone."""
+        """Number of the run. A new run on the same keys increases it; the collected data are then dropped."""
         self._newest = LatestCache()
         self._every = Mailbox(WAITING)
         self._seen: dict[str, bytes] = {}
@@ -93,7 +93,7 @@ class BusFeed:
             session.subscribe(f"{topic.key}/*" if topic.written_by == "*" else topic.key, topic, inlet)
 
     def update(self) -> None:
-        """Take what has come since the last look."""
+        """Process the messages received since the last call."""
         for key, newest in sorted(self._newest.items(), key=_clock_first):
             if self._seen.get(key) is newest.payload:
                 continue
@@ -107,7 +107,7 @@ class BusFeed:
                 self._receive(*decoded, 0.0)
 
     def status(self) -> PageStatus:
-        """The page's words for now."""
+        """Return the current status."""
         clock, controller = self._of(Clock), self._of(ControllerStatus)
         plan, estimate, applied = self.collector.plan, self.collector.estimate, self._of(Applied)
         t_ns = self.t_ns()
@@ -138,7 +138,7 @@ class BusFeed:
         )
 
     def t_ns(self) -> int | None:
-        """Vehicle time now; where nobody keeps it, that of the newest estimate."""
+        """Return the vehicle time now (ns); without a clock, the time of the newest estimate."""
         reading = self._clock.read(monotonic_us())
         estimate = self.collector.estimate
         return estimate.t_ns if reading is None and estimate is not None else reading
@@ -155,7 +155,7 @@ class BusFeed:
         newest = self._of(Clock)
         if newest is not None and newest.clock_epoch != clock.clock_epoch:
             self._reset()
-        with contextlib.suppress(ClockError):  # kept on another host: times are then the estimates' own
+        with contextlib.suppress(ClockError):  # the clock of another host: use the time of the estimates
             self._clock.follow(clock)
 
     def _reset(self) -> None:
@@ -186,7 +186,7 @@ class BusFeed:
 
 
 def _clock_first(item: tuple[str, LatestFrame]) -> tuple[bool, bool]:
-    """A truth before its estimate: the error at the start needs both."""
+    """Return a sort key: clock, then truth, then the rest, so that the start error has a truth for its estimate."""
     kind = item[1].topic.message_type
     return kind is not Clock, kind is not Truth
 
@@ -194,7 +194,7 @@ def _clock_first(item: tuple[str, LatestFrame]) -> tuple[bool, bool]:
 def _decoded(kind: type[Message], payload: bytes) -> tuple[Message, Header] | None:
     try:
         return decode(kind, payload)
-    except WireError:  # its readers count it
+    except WireError:  # the readers of the topic count it
         return None
 
 

@@ -1,7 +1,6 @@
-"""What the page's buttons do: one message on the bus each, and for the controller's its answer.
+"""Commands of the page's buttons: each publishes one message; commands to the controller wait for its reply.
 
-Each command opens a session of its own and closes it again: buttons are pressed seldom, and what was asked for ends
-with it.
+Each command opens its own session and closes it again, because buttons are pressed rarely.
 """
 
 from __future__ import annotations
@@ -22,11 +21,11 @@ from services.processes.operator import PATIENCE_S, send_command
 
 KICK_S = 2.0
 KICK_N = (0.0, 120.0, 0.0)
-"""Force on the vehicle (NED), for so much vehicle time: about half a metre to the east."""
+"""Disturbance force on the vehicle (N, NED) for ``KICK_S`` of vehicle time: it moves it about 0.5 m to the east."""
 
 
 class Button(enum.StrEnum):
-    """Every button there is."""
+    """Buttons of the page."""
 
     ARM = "arm"
     DISARM = "disarm"
@@ -40,13 +39,13 @@ class Button(enum.StrEnum):
 
 
 SIMULATED = frozenset((Button.PAUSE, Button.RESUME, Button.SPEED, Button.KICK, Button.KILL))
-"""Where there is a world to do it to."""
+"""Buttons that work in a simulation only."""
 
 
 class ButtonRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the page sends. ``speed`` and ``node`` belong to the buttons of that name."""
+    """Command that the page sends. ``speed`` is for the button SPEED, ``node`` for KILL."""
 
-    number: Annotated[int, Meta(ge=0, le=2**53 - 1)]  # its answer has the same
+    number: Annotated[int, Meta(ge=0, le=2**53 - 1)]  # repeated in the reply
     token: Annotated[str, Meta(max_length=100)]
     button: Button
     speed: Annotated[float, Meta(ge=0.01, le=1000.0)] = 1.0
@@ -54,7 +53,7 @@ class ButtonRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class ButtonReply(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", tag="reply"):
-    """What the page is told."""
+    """Reply to a command of the page."""
 
     number: int
     done: bool
@@ -62,7 +61,10 @@ class ButtonReply(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
 
 
 def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) -> ButtonReply:
-    """Do it, and say what came of it; may take ``PATIENCE_S`` twice. ``t_ns``: vehicle time, ``speed``: the clock's."""
+    """Execute a command and return its result, within twice ``PATIENCE_S``.
+
+    ``t_ns`` is the vehicle time, None if unknown; ``speed`` is the requested speed of the clock.
+    """
     try:
         with open_session(bus, stop=_patience(), say=lambda _: None) as session:
             return _done(request, session, t_ns, speed)
@@ -77,17 +79,17 @@ def _done(request: ButtonRequest, session: Session, t_ns: int | None, speed: flo
         case Button.ARM | Button.DISARM | Button.STOP | Button.HOLD:
             return _by_controller(request, send_command(session, Action(request.button.value)))
         case Button.PAUSE:
-            return _sent(request, session, ClockCommand(paused=True, speed=speed), "asked the clock to stand still")
+            return _sent(request, session, ClockCommand(paused=True, speed=speed), "requested: pause the clock")
         case Button.RESUME:
-            return _sent(request, session, ClockCommand(paused=False, speed=speed), "asked the clock to go on")
+            return _sent(request, session, ClockCommand(paused=False, speed=speed), "requested: resume the clock")
         case Button.SPEED:
-            text = f"asked for {request.speed:g} x real time"
+            text = f"requested: {request.speed:g} x real time"
             return _sent(request, session, ClockCommand(paused=False, speed=request.speed), text)
         case Button.KILL:
-            return _sent(request, session, Kill(node=request.node), f"asked the launcher to end {request.node}")
+            return _sent(request, session, Kill(node=request.node), f"requested: kill {request.node}")
         case Button.KICK:
             if t_ns is None:
-                return _reply(request, "nobody has said what time it is")
+                return _reply(request, "no clock message and no estimate received yet: vehicle time is unknown")
             kick = Disturbance(end_t_ns=t_ns + round(KICK_S * 1e9), force_N=KICK_N)
             return _sent(request, session, kick, f"pushed east with {KICK_N[1]:g} N for {KICK_S:g} s")
 
@@ -103,11 +105,11 @@ def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFra
         case RejectedFrame():
             return _reply(request, f"{request.button.value} refused by {answer.node}: {answer.reason}")
         case None:
-            return _reply(request, f"no controller answered within {PATIENCE_S:.0f} s")
+            return _reply(request, f"no reply from a controller within {PATIENCE_S:.0f} s")
 
 
 def _sent(request: ButtonRequest, session: Session, signal: Message, text: str) -> ButtonReply:
-    """Nobody answers these: what they do shows on the page."""
+    """Publish a message that has no acknowledgement; its effect shows on the page."""
     Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(type(signal),)).publish(signal)
     return _reply(request, text, done=True)
 

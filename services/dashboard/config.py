@@ -1,4 +1,4 @@
-"""Config of the dashboard process; apart from the server, so that who starts it need not import that."""
+"""Configuration of the dashboard process; separate from the server, so that its starter need not import the server."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ SERVER = "services.dashboard.serve"
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the dashboard process needs to start."""
+    """Configuration of the dashboard process."""
 
     bus: BusOptions
     host: str = "127.0.0.1"
-    port: int = 0  # 0 takes any
-    vehicle: str | None = None  # NAME or FILE: whose thrust limits are shown
+    port: int = 0  # 0 takes any free port
+    vehicle: str | None = None  # NAME or FILE of the vehicle whose thrust limits are shown
     open_browser: bool = False
-    gives_way: bool = False  # to the processes of a run: to be watched must cost the vehicle nothing
+    gives_way: bool = False  # lower the priority, so that the page takes no time from the processes of a run

@@ -33,15 +33,15 @@ from services.reporting.plots.catalogue import PLOTS
 HERE = Path(__file__).parent / "static"
 
 Do = Callable[[ButtonRequest, int | None, float], ButtonReply]
-"""Runs in a thread of its own: a command waits for its answer."""
+"""Executes a command; called in a worker thread, because it waits for the reply."""
 
 REQUEST = msgspec.json.Decoder(ButtonRequest)
 MAX_COMMAND_BYTES = 1024
-"""The server closes on whoever sends more."""
+"""Largest command; the server closes the connection of a client that sends more."""
 
 
 def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, command: Do) -> Starlette:
-    """The application. ``name`` is what the page calls what it shows; ``allowed`` is what may stand in Host."""
+    """Return the application. ``name`` is the title of the page; ``allowed`` are the accepted Host headers."""
     stream = Stream(feed)
     files = {
         "live.js": HERE / "live.js",
@@ -75,10 +75,10 @@ def make(feed: BusFeed, token: Token, *, allowed: frozenset[str], name: str, com
 
 
 async def _live(socket: WebSocket, stream: Stream, feed: BusFeed, token: Token, *, name: str, command: Do) -> None:
-    """One browser, until it goes."""
+    """Serve one browser until it disconnects."""
     await socket.accept()
     if len(stream.readers) >= MAX_READERS:
-        await socket.close(1013, f"{MAX_READERS} pages are the most")
+        await socket.close(1013, f"{MAX_READERS} pages are open already, which is the limit")
         return
     reader = Reader()
     await socket.send_text(msgspec.json.encode({"kind": "hello", "name": name, "plots": PLOTS}).decode())
@@ -100,7 +100,7 @@ async def _send(socket: WebSocket, reader: Reader) -> None:
 
 
 async def _obey(socket: WebSocket, reader: Reader, feed: BusFeed, token: Token, command: Do) -> None:
-    """One command after the other."""
+    """Execute the commands of a browser one after the other."""
     with contextlib.suppress(WebSocketDisconnect):
         while True:
             text = await socket.receive_text()
@@ -110,18 +110,18 @@ async def _obey(socket: WebSocket, reader: Reader, feed: BusFeed, token: Token, 
 async def _reply(text: str, feed: BusFeed, token: Token, command: Do) -> ButtonReply:
     try:
         asked = REQUEST.decode(text)
-    except ValueError as error:  # msgspec's too
+    except ValueError as error:  # includes the errors of msgspec
         return ButtonReply(number=0, done=False, text=f"no such command: {error}")
     if not token.matches(asked.token):
         return ButtonReply(
-            number=asked.number, done=False, text="read-only: the address that was printed has the token"
+            number=asked.number, done=False, text="read-only: open the printed address, which carries the token"
         )
     moment = feed.status()
     if asked.button in SIMULATED and not moment.simulated:
-        return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} is for simulations")
+        return ButtonReply(number=asked.number, done=False, text=f"{asked.button.value} works in a simulation only")
     return await asyncio.to_thread(command, asked, feed.t_ns(), moment.requested_speed)
 
 
 def commander(bus: BusOptions) -> Do:
-    """Commands on this bus."""
+    """Return the function that executes commands on this bus."""
     return lambda asked, t_ns, speed: do(asked, bus, t_ns, speed)

@@ -1,4 +1,4 @@
-"""``ltv-mpc dashboard``: hears a bus, serves the page on this machine, prints where."""
+"""Server process of the live page (``ltv-mpc dashboard``): subscribes to a bus, serves the page, prints its address."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ GRACE_S = 1
 
 NICE = 10
 AUTOGROUP = Path("/proc/self/autogroup")
-"""Where Linux shares the processor out by sessions, of which each process of a run is one, first."""
+"""Priority of the session: Linux first divides processor time between sessions; each process of a run has its own."""
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket there; ``port`` 0 takes any. Raises ``ConfigError`` where that cannot be."""
+    """Return a socket bound to host and port; port 0 takes any free one. Raises ``ConfigError`` if this fails."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    made = socket.socket(family, socket.SOCK_STREAM)
+    bound = socket.socket(family, socket.SOCK_STREAM)
     try:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind((host, port))
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind((host, port))
     except OSError as error:
-        made.close()
+        bound.close()
         where = f"{host}:{port}"
         raise ConfigError("option --port", "", f"cannot listen there ({error.strerror})", value=where) from None
-    return made
+    return bound
 
 
 def main(config: Config) -> int:
-    """Serve until told to stop."""
+    """Serve the page until a stop is requested."""
     if config.gives_way:
         _give_way()
     bus, host = config.bus, config.host
@@ -52,8 +52,8 @@ def main(config: Config) -> int:
     token = Token()
 
     def work(request: StopRequest, say: Say) -> None:
-        with listen(host, config.port) as place, open_session(bus, stop=request, say=say) as session:
-            port = place.getsockname()[1]
+        with listen(host, config.port) as bound, open_session(bus, stop=request, say=say) as session:
+            port = bound.getsockname()[1]
             named = f"[{host}]" if ":" in host else host
             name = bus.namespace or ", ".join(bus.connects_to)
             app = page.make(
@@ -63,17 +63,17 @@ def main(config: Config) -> int:
                 name=name,
                 command=page.commander(bus),
             )
-            place.listen()  # who comes before the server runs waits for it
+            bound.listen()  # clients that connect before the server runs wait for it
             _announce(f"http://{named}:{port}/#{token.text}", open_browser=config.open_browser)
-            # a signal ends it, and is then handed on to the handlers that were there before
-            uvicorn.Server(configuration(app)).run(sockets=[place])
+            # a signal ends the server, which then passes it to the previous handlers
+            uvicorn.Server(configuration(app)).run(sockets=[bound])
 
     return run_until_stopped("dashboard", work)
 
 
 def _give_way() -> None:
     os.nice(NICE)
-    with suppress(OSError):  # there is none where it is shared out by processes alone
+    with suppress(OSError):  # the file is missing on systems without session scheduling
         AUTOGROUP.write_text(str(NICE))
 
 
@@ -85,13 +85,13 @@ def _announce(url: str, *, open_browser: bool) -> None:
 
 
 def configuration(app: Starlette) -> uvicorn.Config:
-    """uvicorn's, for one page on one machine."""
+    """Return the server configuration for a page on one machine."""
     return uvicorn.Config(
         app,
         log_level="error",
         access_log=False,
         ws_max_size=page.MAX_COMMAND_BYTES,
-        ws_per_message_deflate=False,  # loopback has room; the other processes need the processor
+        ws_per_message_deflate=False,  # loopback has bandwidth; the other processes need the processor time
         timeout_graceful_shutdown=GRACE_S,
         server_header=False,
         proxy_headers=False,

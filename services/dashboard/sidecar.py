@@ -1,4 +1,4 @@
-"""The page of a run that is started here: a process beside the run's own, whose end is nobody's."""
+"""Live page of a run started on this machine: a separate process, whose failure does not affect the run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ STOP_S = 1.5
 
 
 class Sidecar:
-    """``say`` is told the page's address as soon as it is there. Spawn from the main thread: it dies with that."""
+    """Process of the live page. ``say`` receives its address when it is ready.
+
+    Start it from the main thread: the process ends with the thread that started it.
+    """
 
     def __init__(self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool) -> None:
         self._say = say
@@ -34,10 +37,10 @@ class Sidecar:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self, bus: BusOptions) -> None:
-        """Attach it to this bus."""
+        """Start the page on this bus, or report that a package is missing."""
         missing = next((name for name in NEEDS if find_spec(name) is None), None)
         if missing is not None:
-            self._say(f"no live page: {missing} is not installed, the extra viz brings it")
+            self._say(f"no live page: {missing} is not installed: pip install {missing} (extra viz)")
             return
         write_config(
             self._config,
@@ -60,7 +63,7 @@ class Sidecar:
         threading.Thread(target=self._receive, args=(self._process,), name="page", daemon=True).start()
 
     def stop(self) -> None:
-        """The run is over."""
+        """Stop the process; kill it after ``STOP_S``."""
         process = self._process
         if process is None:
             return
@@ -77,5 +80,5 @@ class Sidecar:
             url = output.readline().strip()
             if url:
                 self._say(f"live page: {url}")
-            for _ in output:  # a browser's own words, so that its pipe does not fill
+            for _ in output:  # discard the output of a browser, so that the pipe does not fill
                 pass

@@ -24,20 +24,20 @@ MAX_READERS = 32
 
 
 class Reader:
-    """One browser's queue."""
+    """Queue of texts for one browser."""
 
     def __init__(self) -> None:
         self._texts: asyncio.Queue[str] = asyncio.Queue(MAX_BACKLOG)
         self.behind = True
-        """It has to be given the whole."""
+        """True if the next text must be the complete state."""
 
     @property
     def idle(self) -> bool:
-        """It has taken all there was for it."""
+        """True if the browser has taken all texts."""
         return self._texts.empty()
 
     def put(self, text: str) -> None:
-        """Leave it here; of one that is too late, forget all."""
+        """Queue a text; if the queue is full, drop all texts and mark the browser as behind."""
         if self._texts.full():
             self.behind = True
             while not self._texts.empty():
@@ -46,12 +46,12 @@ class Reader:
         self._texts.put_nowait(text)
 
     async def get(self) -> str:
-        """The next one."""
+        """Wait for the next text and return it."""
         return await self._texts.get()
 
 
 class Stream:
-    """Looks at what was heard, and gives it to all readers."""
+    """Sender of the updates of a bus feed to all browsers."""
 
     def __init__(self, feed: BusFeed) -> None:
         self._feed = feed
@@ -61,13 +61,13 @@ class Stream:
         self._marks = 0
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Send updates every ``PERIOD_S`` until cancelled."""
         while True:
             self.tick()
             await asyncio.sleep(PERIOD_S)
 
     def tick(self) -> None:
-        """Look, and give everyone what is new."""
+        """Update the feed and queue the new data for every browser."""
         self._feed.update()
         new = self._new()
         if not self.readers:
@@ -84,7 +84,7 @@ class Stream:
 
     def _new(self) -> dict[str, Any]:
         collector = self._feed.collector
-        if self._feed.run != self._run:  # everything that readers have is of another run
+        if self._feed.run != self._run:  # the browsers hold the data of another run
             self._run = self._feed.run
             self._sent, self._marks = {}, 0
             for reader in self.readers:

@@ -1,4 +1,4 @@
-"""What several runs came to, side by side, from their summary.json; the differences are to the first."""
+"""Comparison table of several runs: figures of summary.json side by side, with differences to the first run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import msgspec
 
 
 class Figure(msgspec.Struct, frozen=True):
-    """One row. ``path`` into summary.json; ``scale`` brings it to the unit."""
+    """Definition of a table row: ``path`` into summary.json and ``scale`` from its unit to ``unit``."""
 
     label: str
     unit: str
@@ -42,7 +42,7 @@ FIGURES = (
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """A figure of every run, None where a run does not have it, and the differences of all but the first to it."""
+    """One figure of every run (None if a run lacks it) and the difference of each later run to the first."""
 
     label: str
     unit: str
@@ -52,9 +52,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def rows(summaries: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """The figures that at least one run has."""
-    made = (_row(figure, summaries) for figure in FIGURES)
-    return [row for row in made if any(value is not None for value in row.values)]
+    """Return a row for each figure that at least one run has."""
+    table = (_row(figure, summaries) for figure in FIGURES)
+    return [row for row in table if any(value is not None for value in row.values)]
 
 
 def _row(figure: Figure, summaries: Sequence[Mapping[str, Any]]) -> Row:
@@ -77,7 +77,7 @@ def _value(figure: Figure, summary: Mapping[str, Any]) -> float | None:
 
 
 def text(names: Sequence[str], table: Sequence[Row]) -> str:
-    """The table in plain lines: a column a run, then the differences to the first."""
+    """Format the table as plain text: one column for each run, then the differences to the first."""
     head = ["", *names, *(f"{name} - first" for name in names[1:])]
     body = [
         [f"{row.label} ({row.unit})" if row.unit else row.label]

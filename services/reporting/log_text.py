@@ -1,4 +1,4 @@
-"""A recording in figures, for people: the table of ``ltv-mpc log info``."""
+"""Text output of ``ltv-mpc log``: contents of a recording, result of a recovery or an export."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from services.recording.perfetto import TraceSummary
 from services.recording.recover import Recovery
 
 MAX_EVENTS = 20
-"""That are printed; --json has more."""
+"""Number of events that are printed; --json lists all of them."""
 
 
 def text(info: Info) -> str:
-    """Of what, how long, whether whole; a line a key; gaps; events."""
+    """Format the contents of a recording: source, duration, completeness, a line for each key, gaps and events."""
     lines = [f"{info.recording}: {info.scenario}"]
-    made = info.made_by
-    by = ", ".join(f"{name} {made[name]}" for name in ("ltv_mpc", "python", "numpy", "osqp", "numba") if name in made)
+    versions = info.made_by
+    packages = ("ltv_mpc", "python", "numpy", "osqp", "numba")
+    by = ", ".join(f"{name} {versions[name]}" for name in packages if name in versions)
     lines.append(f"mode {info.mode}, seed {info.seed}, {info.duration_s:.1f} s{'; ' if by else ''}{by}")
     lines += [_segment(segment) for segment in info.segments]
     lines.append(f"{info.messages} messages, {info.missing or 'none'} missing{_unreadable(info)}")
@@ -31,25 +32,25 @@ def text(info: Info) -> str:
         if info.events_total > len(shown):
             lines.append(f"  ... {info.events_total - len(shown)} more")
     if not info.whole:
-        lines += ["", "not whole: `ltv-mpc log recover RUN` writes what is there into one that is"]
+        lines += ["", "incomplete: `ltv-mpc log recover RUN` writes the readable messages into a complete file"]
     return "\n".join(lines)
 
 
-def recovered(made: Recovery) -> str:
-    """What was saved and what was lost."""
+def recovered(recovery: Recovery) -> str:
+    """Format the result of a recovery: messages saved and bytes lost."""
     lines = []
-    for part in made.segments:
+    for part in recovery.segments:
         state = "whole" if part.whole else f"{part.lost_bytes} bytes lost"
         lines.append(f"{part.file}: {part.messages} messages saved, {state} of {part.size_bytes}")
         lines += [f"  byte {loss.offset}: {loss.length} bytes: {loss.why}" for loss in part.losses]
         if part.orphans:
-            lines.append(f"  {part.orphans} messages left out: their channel is named in a lost part")
-    lines.append(f"{made.messages} messages saved, {made.lost_bytes} bytes lost")
+            lines.append(f"  {part.orphans} messages left out: their channel record is lost")
+    lines.append(f"{recovery.messages} messages saved, {recovery.lost_bytes} bytes lost")
     return "\n".join(lines)
 
 
 def exported(result: ExportResult | TraceSummary) -> str:
-    """What the files hold."""
+    """Format the result of an export: files and the number of their rows or trace events."""
     if isinstance(result, TraceSummary):
         parts = f"{result.slices} slices of {result.processes} processes, {result.arrows} arrows, {result.marks} marks"
         lines = [f"{result.file}: {parts}; open it at https://ui.perfetto.dev"]
@@ -57,7 +58,7 @@ def exported(result: ExportResult | TraceSummary) -> str:
         rows = [(file.file, str(file.rows), str(file.columns)) for file in result.files]
         lines = _columns([("file", "rows", "columns"), *rows])
     if result.unreadable:
-        lines.append(f"{result.unreadable} messages left out: not what their key holds")
+        lines.append(f"{result.unreadable} messages left out: their content does not match their key")
     return "\n".join(lines)
 
 
@@ -73,7 +74,7 @@ def _row(key: Key) -> tuple[str, ...]:
 
 def _segment(segment: Segment) -> str:
     times = "" if segment.first_s is None else f", {segment.first_s:.1f} to {segment.last_s:.1f} s"
-    state = "whole" if segment.whole else f"NOT WHOLE, {segment.lost_bytes} bytes give nothing"
+    state = "whole" if segment.whole else f"INCOMPLETE, {segment.lost_bytes} bytes unreadable"
     return f"{segment.file}: {segment.bytes / 1e6:.2f} MB, {segment.messages} messages{times}, {state}"
 
 
@@ -88,13 +89,13 @@ def _gaps(key: Key) -> Iterable[str]:
             listed = ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in source.gaps)
             words.append(f"sequence {listed}")
         if source.doubled:
-            words.append(f"{source.doubled} there twice")
+            words.append(f"{source.doubled} duplicated")
         if words:
             yield f"  {key.key}, epoch {source.epoch}: {'; '.join(words)}"
 
 
 def _columns(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Texts to the left, numbers to the right."""
+    """Align the first column to the left and all others to the right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return [
         "  ".join(

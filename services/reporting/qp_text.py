@@ -1,4 +1,4 @@
-"""A saved QP for people: its size, what is wrong with it, and what a solver makes of it."""
+"""Text output of ``ltv-mpc qp show``: size and faults of a saved QP, and the result of solving it again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ltv_mpc.control.qp.residuals import residuals
 
 
 def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]:
-    """Everything as plain values: what ``--json`` prints."""
+    """Return all results as plain values, as printed by ``--json``."""
     qp, solve = failed.qp, solution.solve
     finite = bool(np.isfinite(solution.x).all() and np.isfinite(solution.y).all())
     kkt = residuals(qp, solution.x, solution.y) if finite else None
@@ -46,11 +46,11 @@ def figures(failed: FailedQp, solver: str, solution: Solution) -> dict[str, Any]
 
 
 ACTIVE = 1e-6
-"""Distance from a bound, in the QP's own scale, up to which it counts as active."""
+"""Largest distance from a bound, in the scale of the QP, at which it counts as active."""
 
 
 def active(failed: FailedQp, x: NDArray[np.float64]) -> list[str]:
-    """The inequalities that hold x (n,) back."""
+    """List the inequality rows that are active at x (n,)."""
     qp = failed.qp
     Ax = qp.A @ x
     at = (qp.l != qp.u) & (np.minimum(np.abs(Ax - qp.l), np.abs(Ax - qp.u)) <= ACTIVE)
@@ -58,12 +58,12 @@ def active(failed: FailedQp, x: NDArray[np.float64]) -> list[str]:
 
 
 def text(plain: dict[str, Any]) -> str:
-    """The same for reading."""
+    """Format the result of ``figures`` as text."""
     failed, again = plain["failed"], plain["solved_again"]
     lines = [
         f"QP        {plain['variables']} variables, {plain['rows']} rows, {plain['equalities']} of them equalities",
         *(f"|{name}|{' ' * (9 - len(name) - 1)}{_words(plain[name])}" for name in ("P", "A", "q")),
-        f"failed    {failed['status']} after {failed['iterations']} iterations: {failed['why'] or 'no reason given'}",
+        f"failed    {failed['status']} after {failed['iterations']} iterations: {failed['why'] or 'no reason'}",
         *(f"wrong     {fault}" for fault in plain["faults"]),
     ]
     outcome = f"again     {again['solver']}: {again['status']}"
@@ -78,7 +78,7 @@ def text(plain: dict[str, Any]) -> str:
 
 
 def _range(values: NDArray[np.float64]) -> list[float] | None:
-    """Least and largest size of what is finite and not zero."""
+    """Return the smallest and largest magnitude of the finite, non-zero values."""
     sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
     return [float(sizes.min()), float(sizes.max())] if sizes.size else None
 

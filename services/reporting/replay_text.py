@@ -1,4 +1,4 @@
-"""What a replay came to, for a terminal of 80 columns and more."""
+"""Text output of ``ltv-mpc replay``, for a terminal of at least 80 columns."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from services.replay.verdict import Difference, Elsewhere, NodeVerdict, Verdict,
 
 MAX_VALUE_LENGTH = 32
 MODES = {"lockstep": "in lock step", "services": "as processes"}
-SAME_MACHINE_NEEDED = "another processor or version may change last bits, and with them every output from there on:"
+SAME_MACHINE_NEEDED = "another processor or version may change the last bits, and all outputs that follow:"
 
 
 def text(verdict: Verdict) -> str:
-    """The lines, without a line break at the end."""
+    """Format the result of a replay, without a line break at the end."""
     compared, run = verdict.steps_compared, verdict.steps_run
     lines = [
         f"run           {verdict.scenario}, {verdict.vehicle_s:.1f} s {MODES.get(verdict.mode, verdict.mode)}",
@@ -34,7 +34,7 @@ def text(verdict: Verdict) -> str:
 
 
 def what_if_text(verdict: WhatIfVerdict) -> str:
-    """The same of a replay with other settings."""
+    """Format the result of a replay with other settings (``--with``)."""
     node = verdict.node
     changes = [f"{change.key} = {_value(change.here)}, in the run {_value(change.run)}" for change in verdict.changes]
     what = "estimates of one time" if verdict.node == "estimator" else "plans of one cycle, at the recorded one's knots"
@@ -65,18 +65,18 @@ def _table(nodes: Iterable[NodeVerdict]) -> Iterator[str]:
 
 
 def _losses(verdict: Verdict) -> Iterator[str]:
-    said = ["the recording ends in its middle"] if verdict.cut else []
+    losses = ["the recording is cut off"] if verdict.cut else []
     for node in verdict.nodes:
         for gap in node.gaps:
             since = "" if gap.t_ns is None else f" from {gap.t_ns / 1e9:.2f} s on"
-            said.append(f"{node.node}: {gap.steps} steps{since} not replayed: {gap.why}")
+            losses.append(f"{node.node}: {gap.steps} steps{since} not replayed: {gap.why}")
         if node.more_gaps:
-            said.append(f"{node.node}: and {node.more_gaps} gaps more")
+            losses.append(f"{node.node}: and {node.more_gaps} more gaps")
         if node.outputs_lost:
-            said.append(f"{node.node}: {node.outputs_lost} outputs are not in the file")
+            losses.append(f"{node.node}: {node.outputs_lost} outputs are not in the file")
         if node.outputs_unpublished:
-            said.append(f"{node.node}: {node.outputs_unpublished} outputs were on their way when it ended")
-    yield from _labelled("not there", said)
+            losses.append(f"{node.node}: {node.outputs_unpublished} outputs were computed but not published at its end")
+    yield from _labelled("missing", losses)
 
 
 def _difference(difference: Difference | None) -> Iterator[str]:
@@ -90,12 +90,12 @@ def _difference(difference: Difference | None) -> Iterator[str]:
         recorded = f"recorded {_value(field.recorded)}"
         yield f"    {field.path:<26} {recorded:<{MAX_VALUE_LENGTH + 10}} replayed {_value(field.replayed)}"
     if difference.more_fields:
-        yield f"    and {difference.more_fields} fields more"
+        yield f"    and {difference.more_fields} more fields"
 
 
 def _elsewhere(differing: Iterable[Elsewhere]) -> Iterator[str]:
-    said = [f"{entry.what}: the run {entry.run}, here {entry.here}" for entry in differing]
-    yield from _labelled("otherwise", [SAME_MACHINE_NEEDED, *said] if said else [])
+    lines = [f"{entry.what}: the run {entry.run}, here {entry.here}" for entry in differing]
+    yield from _labelled("differs", [SAME_MACHINE_NEEDED, *lines] if lines else [])
 
 
 def _labelled(label: str, lines: Iterable[str]) -> Iterator[str]:
@@ -104,7 +104,7 @@ def _labelled(label: str, lines: Iterable[str]) -> Iterator[str]:
 
 
 def _share(part: int, whole: int) -> str:
-    """Never rounded up to what it is not."""
+    """Format a share in percent, never rounded up to 100 %."""
     if part == whole:
         return "100 %" if whole else "0 %"
     return f"{min(99.999, 100 * part / whole):.3f} %"

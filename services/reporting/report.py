@@ -1,7 +1,7 @@
-"""report.html: a run's plots, figures and events in one file that opens anywhere, without a network.
+"""Run report, report.html: plots, figures and events of a run in one file that needs no network.
 
-Several runs lie over each other, with a table of what they came to. The numbers in it are decimated: 8 MB are a limit,
-5 of them plotly's.
+Several runs are overlaid, with a table that compares their figures. The plotted data are decimated so that the file
+stays below 8 MB, of which plotly takes 5 MB.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ NAME = "report.html"
 
 MAX_RUNS = 40
 ROWS_OF_ALL = 4 * ROWS
-"""Of one table over all runs: so that many runs make no larger file than a few."""
+"""Rows of one table, summed over all runs: a report of many runs is no larger than one of a few."""
 
 SCENARIO = "scenario.toml"
 
 
 class Run(msgspec.Struct, frozen=True, kw_only=True):
-    """A run to be shown: its name, its recording, and what it came to (summary.json; empty where nobody graded it)."""
+    """Run to be reported: name, recording and the contents of summary.json (empty if there is none)."""
 
     name: str
     recording: Path
@@ -39,9 +39,9 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
-    """Write the file, whole or not at all; the figures that stand in it.
+    """Write the report, completely or not at all, and return the figures in it.
 
-    Raises ``NoPlotly``, ``ConfigError`` where a file is no recording, ``OSError``.
+    Raises ``NoPlotly``, ``ConfigError`` if a file is not a recording, and ``OSError``.
     """
     plotly = static_files.plotly()
     plot_data = [read(run.recording, rows=min(ROWS, ROWS_OF_ALL // len(runs))) for run in runs]
@@ -63,7 +63,7 @@ def write(runs: Sequence[Run], out: Path) -> list[differences.Row]:
 
 
 def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
-    """For report.js; no tag of HTML can begin in it."""
+    """Return the data for report.js as JSON in which no HTML tag can start."""
     several = len(runs) > 1
     shown = [
         {
@@ -80,19 +80,19 @@ def _data(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> str:
 
 
 def _lines(runs: Sequence[Run], plot_data: Sequence[PlotData]) -> list[str]:
-    """What stands under the title."""
+    """Return the lines below the title, one for each run."""
     lines = []
     for run, data in zip(runs, plot_data, strict=True):
         words = [_how(run.summary, data.metadata)]
         if data.cut:
-            words.append('<span class="bad">the recording was cut off: this is what is in it</span>')
+            words.append('<span class="bad">the recording was cut off: the report shows its readable part</span>')
         name = f"{html.escape(run.name)}: " if len(runs) > 1 else ""
         lines.append(name + " · ".join(words))
     return lines
 
 
 def _how(summary: Mapping[str, Any], metadata: Mapping[str, str]) -> str:
-    """In which way it was run, and its seed."""
+    """Describe the mode of the run and its seed."""
     ran = how({"mode": metadata.get("mode"), **summary})
     seed = summary.get("seed", metadata.get("seed"))
     return html.escape(f"{ran}, seed {seed}" if seed is not None else ran)
@@ -102,13 +102,13 @@ def _tables(runs: Sequence[Run], plot_data: Sequence[PlotData], figures: Sequenc
     sections = [_figures(runs, figures)] if figures else []
     sections += [_events(run, data, several=len(runs) > 1) for run, data in zip(runs, plot_data, strict=True)]
     if len(runs) == 1 and (scenario := plot_data[0].metadata.get(SCENARIO)):
-        text = f"<details><summary>{SCENARIO}: every setting, and what made it</summary>"
+        text = f"<details><summary>{SCENARIO}: every setting and the program versions</summary>"
         sections.append(f'<section class="panel wide">{text}<pre>{html.escape(scenario)}</pre></details></section>')
     return sections
 
 
 def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
-    """A row each; with several runs a column each, then the differences to the first."""
+    """Return the table of figures; several runs have a column each, then the differences to the first."""
     head = "".join(f'<th class="number">{html.escape(run.name)}</th>' for run in runs) if len(runs) > 1 else "<th></th>"
     if len(runs) > 1:
         head += "".join(f'<th class="number">{html.escape(run.name)} − first</th>' for run in runs[1:])
@@ -121,7 +121,7 @@ def _figures(runs: Sequence[Run], figures: Sequence[differences.Row]) -> str:
     )
     wide = " wide" if len(runs) > 1 else ""
     table = f'<div class="scroll"><table id="figures"><tr><th></th>{head}</tr>{body}</table></div>'
-    return f'<section class="panel{wide}"><h2>What it came to</h2>{table}</section>'
+    return f'<section class="panel{wide}"><h2>Results</h2>{table}</section>'
 
 
 def _events(run: Run, data: PlotData, *, several: bool) -> str:
@@ -133,7 +133,7 @@ def _events(run: Run, data: PlotData, *, several: bool) -> str:
     if data.omitted_marks:
         body += f'<tr><td></td><td></td><td class="quiet">and {data.omitted_marks} more</td></tr>'
     if not body:
-        body = '<tr><td></td><td></td><td class="quiet">nothing out of the ordinary</td></tr>'
+        body = '<tr><td></td><td></td><td class="quiet">no events</td></tr>'
     title = f"Events of {html.escape(run.name)}" if several else "Events"
     head = '<tr><th class="number">time (s)</th><th>process</th><th>what happened</th></tr>'
     table = f'<div class="scroll events"><table>{head}{body}</table></div>'

@@ -1,4 +1,4 @@
-"""What a run came to in a few lines of 80 columns, from summary.json; the folder's path stands on the last line."""
+"""Text summary of a run, from summary.json: a few lines of 80 columns, the last one is the path of its folder."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 MIN_SPEED_RATIO = 0.95
-"""Of the speed that was asked for; a machine that reached less is said."""
+"""Ratio of reached to requested speed below which the summary names the reached speed."""
 
 
 def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[str] = ()) -> str:
-    """The lines, without a line break at the end."""
+    """Format the summary, without a line break at the end."""
     rows = [
         ("run", f"{summary['scenario']}, {summary['duration_s']:.1f} s {how(summary)}, seed {summary['seed']}"),
         ("tracking", _error(summary["tracking_error_m"], "estimate from the line")),
@@ -30,7 +30,7 @@ def verdict(summary: Mapping[str, Any], folder: Path, next_commands: Sequence[st
 
 
 def how(summary: Mapping[str, Any]) -> str:
-    """In which way it was run, as far as its summary says; that of a run that was cut off says nothing."""
+    """Describe the mode and speed of a run as far as its summary holds them (a run that was cut off has neither)."""
     if summary.get("mode") == "lockstep":
         return "in lock step"
     asked, reached = summary.get("speed"), summary.get("speed_reached")

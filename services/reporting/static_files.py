@@ -1,4 +1,4 @@
-"""Scripts and styles of page and report: written here, or in the installed plotly, whose JavaScript is one file."""
+"""Scripts and styles of the live page and the report: files of this folder, and the JavaScript of plotly."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ NO_PLOTLY = "plotly is not installed"
 
 
 class NoPlotly(Exception):
-    """The extra ``viz`` is missing."""
+    """Error: plotly, part of the extra ``viz``, is not installed."""
 
 
 def text(name: str) -> str:
-    """One of this folder's files."""
+    """Return the contents of a file of this folder."""
     return (HERE / name).read_text(encoding="utf-8")
 
 
 def plotly_path() -> Path:
-    """plotly.min.js, found without importing plotly, which takes a second. Raises ``NoPlotly``."""
+    """Return the path of plotly.min.js without importing plotly, which takes 1 s. Raises ``NoPlotly``."""
     spec = find_spec("plotly")
-    for place in (spec.submodule_search_locations or ()) if spec is not None else ():
-        path = Path(place) / "package_data" / "plotly.min.js"
+    for folder in (spec.submodule_search_locations or ()) if spec is not None else ():
+        path = Path(folder) / "package_data" / "plotly.min.js"
         if path.is_file():
             return path
     raise NoPlotly(NO_PLOTLY)
@@ -32,5 +32,5 @@ def plotly_path() -> Path:
 
 @cache
 def plotly() -> str:
-    """The text of it."""
+    """Return the contents of plotly.min.js."""
     return plotly_path().read_text(encoding="utf-8")

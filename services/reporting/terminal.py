@@ -1,4 +1,4 @@
-"""A run in the terminal: one live screen of 80 x 24, or a plain line now and then where there is no screen."""
+"""Terminal output of a run: a live screen of 80 x 24 characters, or a plain line every few seconds without one."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ Limits = Sequence[tuple[float, float]]
 
 REDRAW_S = 0.125
 LINE_S = 5.0
-BAR = 31  # characters from full astern to full ahead
+BAR = 31  # width in characters, from full astern to full ahead
 ORDER = ("router", "plant", "sensors", "estimator", "controller", "recorder")
 
 
 def screen_for(title: str, limits: Limits, console: Console | None = None) -> Screen:
-    """The screen that suits stderr: live on a terminal, plain lines where it is a pipe, or NO_COLOR or CI is set."""
+    """Return a live screen if stderr is a terminal; plain lines if it is a pipe, or NO_COLOR or CI is set."""
     console = console or Console(stderr=True)
     return PlainScreen(console) if _plain(console) else LiveScreen(title, limits, console)
 
@@ -45,7 +45,7 @@ def _plain(console: Console) -> bool:
 
 
 class LiveScreen:
-    """One picture that is drawn over itself."""
+    """Live screen that is redrawn in place."""
 
     def __init__(self, title: str, limits: Limits, console: Console) -> None:
         self._title = title
@@ -57,7 +57,7 @@ class LiveScreen:
         self._waiting: Progress | None = None
 
     def update(self, view: LiveView) -> None:
-        """Draw, at most eight times a second."""
+        """Draw the view, at most eight times a second."""
         self._errors.update(view)
         now = time.monotonic()
         if now >= self._next:
@@ -65,7 +65,7 @@ class LiveScreen:
             self._live.update(self.render(view), refresh=True)
 
     def wait(self, what: str, share: float) -> None:
-        """A bar with the time left where the picture will be."""
+        """Show a progress bar with the time left in place of the screen."""
         if self._waiting is None:
             self._waiting = Progress(*_columns(), console=self._live.console)
             self._waiting.add_task(escape(what), total=1.0)
@@ -76,15 +76,15 @@ class LiveScreen:
             self._live.update(self._waiting.get_renderable(), refresh=True)
 
     def say(self, text: str) -> None:
-        """A line above the picture."""
+        """Print a line above the screen."""
         self._live.console.print(Text(text))
 
     def close(self) -> None:
-        """Leave the last picture where it stands."""
+        """Stop redrawing and leave the last screen visible."""
         self._live.stop()
 
     def render(self, view: LiveView) -> Group:
-        """The whole screen."""
+        """Return the complete screen."""
         return Group(
             Text(self._title, style="bold", no_wrap=True, overflow="ellipsis"),
             _progress(view),
@@ -100,7 +100,7 @@ class LiveScreen:
 
 
 class PlainScreen:
-    """A line every few seconds."""
+    """Plain output: one line every ``LINE_S``."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -108,7 +108,7 @@ class PlainScreen:
         self._next = 0.0
 
     def update(self, view: LiveView) -> None:
-        """A line, if the last one is long enough ago."""
+        """Print the state of the run if ``LINE_S`` has passed since the last line."""
         self._errors.update(view)
         now = time.monotonic()
         if now >= self._next:
@@ -116,36 +116,36 @@ class PlainScreen:
             self.say(line(view, self._errors))
 
     def wait(self, what: str, share: float) -> None:
-        """A line, if the last one is long enough ago."""
+        """Print the progress if ``LINE_S`` has passed since the last line."""
         now = time.monotonic()
         if now >= self._next:
             self._next = now + LINE_S
             self.say(f"{what}: {share:.0%}")
 
     def say(self, text: str) -> None:
-        """A line."""
+        """Print a line."""
         self._console.print(Text(text), soft_wrap=True)
 
     def close(self) -> None:
-        """Nothing to restore."""
+        """Do nothing: plain output has nothing to restore."""
 
 
 @contextmanager
 def run_progress_bar(start_ns: int, end_ns: int, console: Console | None = None) -> Iterator[Callable[[int], None]]:
-    """A bar on stderr for a run in lock step, told the vehicle time; nothing where there is no screen."""
+    """Show the progress of a lock-step run on stderr, if it is a terminal; call the result with the vehicle time."""
     console = console or Console(stderr=True)
     with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
         task = bars.add_task(f"t {_seconds(start_ns)} s", total=end_ns - start_ns)
 
-        def told(t_ns: int) -> None:
+        def progress(t_ns: int) -> None:
             bars.update(task, completed=t_ns - start_ns, description=f"t {_seconds(t_ns)} s")
 
-        yield told
+        yield progress
 
 
 @contextmanager
 def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr with the time left, told which share is done; nothing where there is no screen."""
+    """Show a bar with the time left on stderr, if it is a terminal; call the result with the share done, 0 .. 1."""
     console = console or Console(stderr=True)
     with Progress(*_columns(), console=console, transient=True, disable=_plain(console)) as bars:
         task = bars.add_task(escape(what), total=1.0)
@@ -154,20 +154,20 @@ def progress_bar(what: str, console: Console | None = None) -> Iterator[Callable
 
 @contextmanager
 def reading_progress(what: object) -> Iterator[None]:
-    """A bar on stderr with the time left while recordings are read, one after the other."""
+    """Show a bar with the time left on stderr while recordings are read, one after the other."""
     from services.recording.records import report_progress
 
-    with progress_bar(str(what)) as told, report_progress(told):
+    with progress_bar(str(what)) as progress, report_progress(progress):
         yield
 
 
 def _columns() -> tuple[ProgressColumn, ...]:
-    """Of a bar with the time left."""
+    """Return the columns of a progress bar with the time left."""
     return TextColumn("{task.description}"), BarColumn(40), TaskProgressColumn(), TimeRemainingColumn()
 
 
 def line(view: LiveView, errors: TrackingError) -> str:
-    """The moment in one line."""
+    """Format the state of the run in one line."""
     words = [f"t {_seconds(view.t_ns)} s of {_seconds(view.end_ns)}", view.phase]
     if view.truth is not None:
         words.append(f"depth {view.truth.position_m[2]:.1f} m")
@@ -187,7 +187,7 @@ def line(view: LiveView, errors: TrackingError) -> str:
 
 
 def bar(thrust_N: float, min_N: float, max_N: float, width: int = BAR) -> str:
-    """``|      ===+---          |``: from the middle to the thrust, left astern, right ahead."""
+    """Draw a thrust as a bar from the middle, to the left for astern and to the right for ahead: ``|   ===+     |``."""
     half = width // 2
     bound = max_N if thrust_N > 0 else -min_N
     filled = min(half, round(half * abs(thrust_N) / bound)) if bound > 0 else 0
@@ -197,7 +197,7 @@ def bar(thrust_N: float, min_N: float, max_N: float, width: int = BAR) -> str:
 
 
 def times(speed: float, asked: float) -> str:
-    """``10x``, or ``3.1 of 10x`` on a machine that cannot do more."""
+    """Format the speed of the clock: ``10x``, or ``3.1 of 10x`` if the machine cannot keep the requested speed."""
     return f"{asked:g}x" if speed == asked else f"{speed:.3g} of {asked:g}x"
 
 
@@ -255,7 +255,7 @@ def _processes(view: LiveView) -> Table:
     table = Table(box=None, pad_edge=False, header_style="dim", width=79)
     table.add_column("process")
     table.add_column("state", no_wrap=True, overflow="ellipsis", ratio=1)
-    for name in ("steps", "sent", "heard", "dropped", "rejected", "us/step"):
+    for name in ("steps", "sent", "received", "dropped", "rejected", "us/step"):
         table.add_column(name, justify="right")
     names = [*(n for n in ORDER if n in view.state or n in view.status)]
     names += sorted((view.state.keys() | view.status.keys()) - set(names))

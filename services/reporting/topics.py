@@ -1,4 +1,4 @@
-"""The topics table for people, the fields of one message, and the schemas."""
+"""Output of ``ltv-mpc topics``: the table of topics, the fields of one message, JSON Schemas."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from services.bus.topics import TOPICS, Topic
 
 
 def text(key: str | None, *, as_json: bool) -> str:
-    """All topics, or the fields of the one at ``key``. Raises ``ConfigError`` where there is none."""
+    """Format all topics, or the fields of the topic at ``key``. Raises ``ConfigError`` if there is no such topic."""
     if key is None:
         rows = [_row(topic) for topic in TOPICS]
         return json.dumps(rows, indent=2) + "\n" if as_json else _table(rows)
@@ -30,7 +30,7 @@ def text(key: str | None, *, as_json: bool) -> str:
 
 
 def schemas(key: str | None) -> str:
-    """The JSON Schema of what travels on ``key``, or of every topic by key. Raises ``ConfigError``."""
+    """Return the JSON Schema of the message on ``key``, or of every topic by key. Raises ``ConfigError``."""
     found = (
         {topic.key: schema(topic.message_type) for topic in TOPICS} if key is None else schema(_at(key).message_type)
     )
@@ -40,9 +40,7 @@ def schemas(key: str | None) -> str:
 def _at(key: str) -> Topic:
     found = next((topic for topic in TOPICS if topic.key == key), None)
     if found is None:
-        raise ConfigError(
-            f"topic {format_value(key)}", "", f"does not travel{suggestion(key, [t.key for t in TOPICS])}"
-        )
+        raise ConfigError(f"topic {format_value(key)}", "", f"is not a topic{suggestion(key, [t.key for t in TOPICS])}")
     return found
 
 
@@ -78,9 +76,9 @@ def _period(period_ns: int) -> str:
 
 
 def _fields(signal: type[Message]) -> list[tuple[str, ...]]:
-    """Name (with its unit), what it is as it travels, and whether it may be left out; the header's fields first."""
+    """List name, type on the bus, presence and unit of each field, the fields of the header first."""
     return [
-        (name, words(field.value), "" if field.required else "may be left out", unit(field))
+        (name, words(field.value), "" if field.required else "optional", unit(field))
         for name, field in message(signal).items()
     ]
 

@@ -1,7 +1,7 @@
-"""How far the vehicle is from its line, and from where it believes to be, while a run goes on.
+"""Tracking error and localisation error of a run in progress.
 
-Both are drifts since the start of the descent, as in summary.json: a satellite fix is metres off, and the line starts
-where the vehicle believed to be. Until then nothing is known of them.
+Both count from the start of the descent, as in summary.json: a satellite fix is metres off, and the reference starts
+at the estimated position. Before that start both are None.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from services.supervisor.screen import LiveView
 
 
 class TrackingError:
-    """Remembers the error at the start."""
+    """Horizontal errors since the start: ``true_error_m`` from the reference, ``localisation_m`` of the estimate."""
 
     def __init__(self) -> None:
         self._at_start: Pair | None = None
@@ -21,7 +21,7 @@ class TrackingError:
         self.localisation_m: float | None = None
 
     def update(self, view: LiveView) -> None:
-        """Look at this moment."""
+        """Update both errors from a view of the run."""
         if view.truth is None or view.estimate is None or view.estimate.t_ns < 0:  # a fix may still move it by metres
             return
         north, east = _difference(view.truth, view.estimate)
@@ -36,7 +36,7 @@ class TrackingError:
 
 
 def _difference(truth: Truth, estimate: Estimate) -> Pair:
-    """Estimate minus truth, the truth brought to the estimate's time: at 0.2 m/s a tenth of a second is 2 cm."""
+    """Return estimate minus truth (m), the truth moved to the time of the estimate: at 0.2 m/s, 0.1 s is 2 cm."""
     later_s = (truth.t_ns - estimate.t_ns) * 1e-9
     return (
         estimate.north_m - (truth.position_m[0] - later_s * truth.velocity_mps[0]),

@@ -40,12 +40,12 @@ vehicle.mass
 """
 """What a user's type checker is asked: two types that it must know, and one mistake that it must see."""
 
-NO_REPORT = "no report.html: plotly is not installed, the extra viz brings it"
+NO_REPORT = "no report.html: plotly is not installed: pip install plotly (extra viz)"
 
 WANTED = (
-    (("log", "export", "run", "--format", "parquet"), 2, "extra `parquet`"),
-    (("certs", "new", "certs"), 2, "extra `secure`"),
-    (("ros2",), 2, "extra `ros2`"),
+    (("log", "export", "run", "--format", "parquet"), 2, "extra parquet"),
+    (("certs", "new", "certs"), 2, "extra secure"),
+    (("ros2",), 2, "extra ros2"),
     (("campaign", "campaign.toml"), 2, "extra campaign"),
     (("report", "run"), 1, "extra viz"),
     (("dashboard",), 1, "extra viz"),

@@ -1,1 +1,1 @@
-"""Plots as PNG and SVG: by matplotlib, from the descriptions that page and report are drawn from."""
+"""Figures as PNG and SVG, drawn by matplotlib from the plot descriptions of the live page and the report."""

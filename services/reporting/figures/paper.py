@@ -1,6 +1,6 @@
-"""The paper's figures, one row each: which plots of which runs. Medagoda & Williams, OCEANS 2012.
+"""Table of the figures of the paper (Medagoda & Williams, OCEANS 2012): which plots of which runs.
 
-Panels stand below each other at the width of a column. All time axes begin at t = 0, where the descent begins.
+Panels are stacked at the width of a column. All time axes start at t = 0, the start of the descent.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from services.reporting.plots.description import Axis, Plot
 
 NONE, PAPER_SHORT, PAPER_LONG = "none", "paper-2.5s", "paper-5s"
 OURS_SHORT, OURS_LONG = "ours-2.5s", "ours-5s"
-"""Groups of one recorded run each."""
+"""Groups of runs with one recorded run each."""
 
 SYNTHETIC, MEASURED = "synthetic", "measured"
-"""Groups of profiles: table ``profile`` as a run's own."""
+"""Groups of current profiles, in table ``profile`` like those of a run."""
 
 STRUCTURE, TIMING = "structure", "timing"
-"""A group of one run each, with the tables of ``water.structure`` and of ``catalogue.LATENCY``."""
+"""Groups with one run each, which holds the tables of ``water.structure`` or of ``catalogue.LATENCY``."""
 
 THE_PAPER, OURS = "the paper's cost and delays", "this project's"
 
 DISTANCE = msgspec.structs.replace(catalogue.TRACKING, y=Axis(label="distance (m)", log=True))
-"""From 1 cm to 10 m: the same series on a logarithmic axis."""
+"""Tracking error on a logarithmic axis, from 1 cm to 10 m."""
 
-PROFILES = msgspec.structs.replace(catalogue.CURRENT, empty="no measured profiles here")
+PROFILES = msgspec.structs.replace(catalogue.CURRENT, empty="no measured profiles")
 
 
 class Panel(NamedTuple):
-    """One plot of the runs of these groups."""
+    """One plot of the runs in ``groups``."""
 
     title: str
     plot: Plot
@@ -45,7 +45,7 @@ class Panel(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """One file: its name, its height, its panels from the top."""
+    """One figure file: name, height, and panels from top to bottom."""
 
     name: str
     height_in: float
@@ -53,7 +53,7 @@ class Sheet(NamedTuple):
 
 
 def sheets(measured: Sequence[str]) -> tuple[Sheet, ...]:
-    """Every figure; ``measured`` are the names of the measured profiles."""
+    """Return every figure; ``measured`` are the names of the measured profiles."""
     return (
         Sheet(
             "fig03-currents",
@@ -79,12 +79,12 @@ def _both(plot: Plot, papers: tuple[str, ...], ours: tuple[str, ...]) -> tuple[P
     return Panel(THE_PAPER, plot, papers), Panel(OURS, plot, ours)
 
 
-def write(made: Sheet, runs: Mapping[str, Sequence[Run]], files: Sequence[Path]) -> None:
-    """Draw one figure and write it to every one of ``files``, PNG or SVG by suffix."""
+def write(content: Sheet, runs: Mapping[str, Sequence[Run]], files: Sequence[Path]) -> None:
+    """Draw one figure and write it to each of ``files``, as PNG or SVG by suffix."""
     with sheet.style():
-        picture = Figure(figsize=(sheet.COLUMN_IN, made.height_in), layout="constrained")
-        axes = picture.subplots(len(made.panels), 1, squeeze=False)[:, 0]
-        for place, panel in zip(axes, made.panels, strict=True):
+        figure = Figure(figsize=(sheet.COLUMN_IN, content.height_in), layout="constrained")
+        all_axes = figure.subplots(len(content.panels), 1, squeeze=False)[:, 0]
+        for axes, panel in zip(all_axes, content.panels, strict=True):
             shown = [renderer.from_zero(run) for group in panel.groups for run in runs[group]]
-            renderer.draw(place, panel.plot, shown, title=panel.title)
-        sheet.write(picture, files)
+            renderer.draw(axes, panel.plot, shown, title=panel.title)
+        sheet.write(figure, files)

@@ -1,4 +1,4 @@
-"""The README's picture: tracks from above of several runs; distance and thrusts of the last."""
+"""Figure of the README: horizontal tracks of several runs, tracking error and thrusts of the last one."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ WITH_SPREAD = msgspec.structs.replace(
         *catalogue.TRACKING.series,
     ),
 )
-"""Distance from the reference, with the spread of the estimate since t = 0."""
+"""Distance from the reference, with 2 sigma of the position error gained since t = 0."""
 
 
 def write(runs: Sequence[Run], out: Path) -> None:
-    """Draw the picture. ``runs``: from the one that is shown for comparison to the one that is shown whole."""
+    """Draw the figure. The tracks of all ``runs`` are compared; the last run is also shown in detail."""
     shown = [renderer.from_zero(run) for run in runs]
     last = shown[-1]
     with sheet.style(page=True):
         picture = Figure(figsize=(sheet.PAGE_IN, 4.6), layout="constrained")
         grid = picture.add_gridspec(2, 2, width_ratios=(1.0, 1.35))
         above = picture.add_subplot(grid[:, 0])
-        renderer.draw(above, catalogue.TRACK, shown, title="true track from above")
+        renderer.draw(above, catalogue.TRACK, shown, title="true horizontal track")
         distance = picture.add_subplot(grid[0, 1])
         renderer.draw(distance, WITH_SPREAD, [last], title=f"{last.name}: distance from the line")
         distance.set_ylim(bottom=0.0)

@@ -1,7 +1,7 @@
-"""Draws a described plot with matplotlib, as ``static/plots.js`` does with plotly. Knows nothing of any one of them.
+"""Matplotlib renderer of plot descriptions; ``static/plots.js`` does the same with plotly.
 
-One run: every series of the plot, levels, and events where x is vehicle time. Several: the series that are compared,
-a colour for each run and a dash for each series.
+One run: every series of the plot, its levels, and events if x is vehicle time. Several runs: only the series marked
+``compared``, with one colour for each run and one dash pattern for each series.
 """
 
 from __future__ import annotations
@@ -29,21 +29,21 @@ Dash: TypeAlias = tuple[float, Sequence[float]] | None
 
 LINES: dict[Style, Dash] = {Style.LINE: None, Style.DASHED: (0, (5, 2)), Style.DOTTED: (0, (1, 1.2))}
 COMPARED: tuple[Dash, ...] = (None, (0, (4, 1.5)), (0, (1, 1.2)))
-"""Of the first, second and third series of each run where several are laid over each other."""
+"""Dash patterns of the first, second and third compared series, if several runs are overlaid."""
 
 COLUMNS = 4
-"""Of a legend, at most."""
+"""Largest number of columns of a legend."""
 
 WIDTH = 1.1  # points
 BAND = 0.22  # opacity
 MARGIN, TIME_MARGIN, LOG_MARGIN = 0.05, 0.01, 0.15
-"""Of the span; of a logarithmic axis in decades."""
+"""Margins as a share of the axis span; on a logarithmic axis in decades."""
 
 TIME = "t_s"
 
 
 class Run(NamedTuple):
-    """What is drawn under one name: tables by name and column, the values of levels, what happened."""
+    """Data drawn under one name: tables by name and column, values of levels, event marks."""
 
     name: str
     tables: Mapping[str, Columns]
@@ -52,7 +52,7 @@ class Run(NamedTuple):
 
 
 def from_zero(run: Run) -> Run:
-    """What was from t = 0 on: of each table that has times, these rows."""
+    """Return the run without the rows and events before t = 0."""
     return run._replace(
         tables={name: _from_zero(columns) for name, columns in run.tables.items()},
         marks=[mark for mark in run.marks if mark.t_s >= 0.0],
@@ -68,7 +68,7 @@ def _from_zero(columns: Columns) -> Columns:
 
 
 def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = None) -> None:
-    """The plot with its labels, limits and legend. ``title``: another than the description's, "" for none."""
+    """Draw a plot with labels, limits and legend. ``title`` replaces the one of the description; "" for none."""
     drawn = _of_one(axes, plot, runs[0]) if len(runs) == 1 else _of_several(axes, plot, runs)
     axes.set(xlabel=plot.x.label, ylabel=plot.y.label)
     _head(axes, plot.title if title is None else title, drawn.legend)
@@ -82,7 +82,7 @@ def draw(axes: Axes, plot: Plot, runs: Sequence[Run], *, title: str | None = Non
 
 
 def _head(axes: Axes, title: str, legend: Sequence[Line2D | Patch]) -> None:
-    """Title and legend above the axes, where they cover no line."""
+    """Place title and legend above the axes, where they cover no line."""
     if not legend:
         axes.set_title(title, loc="left")
         return
@@ -99,7 +99,10 @@ def _head(axes: Axes, title: str, legend: Sequence[Line2D | Patch]) -> None:
 
 
 def _columns(axes: Axes, labels: Sequence[str]) -> int:
-    """As many as fit above the axes: a letter is about half as wide as high, a line and its gaps 3.6 times."""
+    """Return the number of legend columns that fit above the axes.
+
+    A letter is about 0.53 of the font size wide; a legend line with its gaps is 3.6 font sizes wide.
+    """
     points = axes.get_window_extent().transformed(axes.figure.dpi_scale_trans.inverted()).width * 72
     letter = FontProperties(size=mpl.rcParams["legend.fontsize"]).get_size_in_points()
     widest = letter * (3.6 + 0.53 * max(map(len, labels)))
@@ -107,7 +110,7 @@ def _columns(axes: Axes, labels: Sequence[str]) -> int:
 
 
 class _Drawn:
-    """What came onto the axes: all coordinates, and the lines of the legend."""
+    """Content of the axes: all coordinates that were drawn, and the legend entries."""
 
     def __init__(self) -> None:
         self.x: list[Array] = []
@@ -115,7 +118,7 @@ class _Drawn:
         self.legend: list[Line2D | Patch] = []
 
     def add(self, x: Array, y: Array) -> None:
-        """Coordinates."""
+        """Add the coordinates of a series."""
         self.x.append(x)
         self.y.append(y)
 
@@ -165,16 +168,16 @@ def _band(axes: Axes, run: Run, series: Series, drawn: _Drawn) -> Patch | None:
 
 
 def _levels(axes: Axes, plot: Plot, run: Run, drawn: _Drawn) -> None:
-    """Lines across; those of one label stand in the legend once."""
-    said = set()
+    """Draw the levels as horizontal lines; levels of the same label share one legend entry."""
+    labels = set()
     for level in plot.levels:
         value = run.values.get(level.value)
         if value is None:
             continue
         line = axes.axhline(value, color=level.colour, linestyle=LINES[Style.DOTTED], linewidth=WIDTH)
         drawn.y.append(np.array([value]))
-        if level.label not in said:
-            said.add(level.label)
+        if level.label not in labels:
+            labels.add(level.label)
             line.set_label(level.label)
             drawn.legend.append(line)
 
@@ -190,7 +193,7 @@ def _of_several(axes: Axes, plot: Plot, runs: Sequence[Run]) -> _Drawn:
             x, y = _column(run, series.table, series.x), _column(run, series.table, series.y)
             if not _known(x, y).any():
                 continue
-            if plot.equal:  # runs that began elsewhere can be compared once each begins at zero
+            if plot.equal:  # runs with different starting points are compared from a common origin
                 x, y = _from_its_start(x), _from_its_start(y)
             drawn.add(x, y)
             axes.plot(x, y, color=colour, linestyle=style, linewidth=WIDTH)
@@ -214,13 +217,13 @@ def _from_its_start(x: Array) -> Array:
 
 
 def _column(run: Run, table: str, name: str) -> Array:
-    """(K,); NaN where there is a gap; empty where the run does not have it."""
+    """Return a column (K,) with NaN for gaps; empty if the run does not have it."""
     cells: Iterable[float | None] = run.tables.get(table, {}).get(name, ())
     return np.array([math.nan if cell is None else cell for cell in cells], dtype=np.float64)
 
 
 def _known(*columns: Array) -> Array:
-    """In which rows all columns have a number."""
+    """Return the mask (K,) of the rows in which all columns are finite."""
     if len({len(column) for column in columns}) != 1:
         return np.zeros(0, dtype=bool)
     known: Array = np.all([np.isfinite(column) for column in columns], axis=0)
@@ -228,7 +231,7 @@ def _known(*columns: Array) -> Array:
 
 
 def _limit(axes: Axes, name: str, axis: Axis, shown: Array, margin: float) -> None:
-    """With a margin, and at least as long as the axis asks for."""
+    """Set the limits of an axis with a margin, at least ``min_span`` apart."""
     known = shown[np.isfinite(shown) & (shown > 0.0)] if axis.log else shown[np.isfinite(shown)]
     set_limits = axes.set_xlim if name == "x" else axes.set_ylim
     ticks = axes.xaxis if name == "x" else axes.yaxis
@@ -241,9 +244,9 @@ def _limit(axes: Axes, name: str, axis: Axis, shown: Array, margin: float) -> No
             set_limits(float(known.min()) * 10**-LOG_MARGIN, float(known.max()) * 10**LOG_MARGIN)
         return
     ticks.set_major_locator(MaxNLocator(6))
-    least, most = float(known.min()), float(known.max())
-    missing = max(0.0, (axis.min_span or 1e-6) - (most - least)) / 2
-    extra = missing + margin * (most - least + 2 * missing)
-    ends = least - extra, most + extra
-    # auto: where a metre is to be as long on both axes, the one with room to spare may show more
+    low, high = float(known.min()), float(known.max())
+    missing = max(0.0, (axis.min_span or 1e-6) - (high - low)) / 2
+    extra = missing + margin * (high - low + 2 * missing)
+    ends = low - extra, high + extra
+    # auto=True: with equal scales on both axes, the axis with more space may extend its limits
     set_limits(*(ends[::-1] if axis.downwards else ends), auto=True)

@@ -1,4 +1,4 @@
-"""A picture of one or more panels: size, letters, and the files it is written to."""
+"""Figure sheet of one or more panels: size, fonts and output files."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 COLUMN_IN = 3.4
-"""Width of a column of a two-column paper."""
+"""Width of a column of a two-column paper (in)."""
 
 PAGE_IN = 9.0
-"""Width of the README's picture."""
+"""Width of the figure in the README (in)."""
 
 DPI = 200
 
@@ -38,9 +38,9 @@ STYLE: Any = {
     "legend.handletextpad": 0.5,
     "legend.columnspacing": 1.2,
     "legend.labelspacing": 0.25,
-    "svg.hashsalt": "ltv-mpc",  # the same picture is the same file
+    "svg.hashsalt": "ltv-mpc",  # equal figures give equal files
 }
-"""For the width of a column; ``PAGE`` is what differs on a page."""
+"""Style for the width of a column; ``PAGE`` holds the differences for the width of a page."""
 
 PAGE: Any = {
     "font.size": 9.0,
@@ -54,7 +54,7 @@ PAGE: Any = {
 
 @contextmanager
 def style(*, page: bool = False) -> Iterator[None]:
-    """While a picture is made and written: letters and lines for a column, or for a page."""
+    """Set fonts and line widths for a column or a page while a figure is drawn and written."""
     with mpl.rc_context():
         mpl.rcParams.update(STYLE)
         if page:
@@ -63,8 +63,8 @@ def style(*, page: bool = False) -> Iterator[None]:
 
 
 def write(figure: Figure, files: Sequence[Path]) -> None:
-    """PNG or SVG by suffix, in the ``style`` that it was drawn in; folders are made."""
+    """Write a figure as PNG or SVG by suffix, within the ``style`` in which it was drawn. Creates folders."""
     for path in files:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=DPI, metadata={"Date": None} if path.suffix == ".svg" else None)
-        figure.set_layout_engine("none")  # it is laid out, and that is most of the work
+        figure.set_layout_engine("none")  # the layout, most of the work, is done once for all files

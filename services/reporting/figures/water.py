@@ -8,14 +8,14 @@ from services.reporting.plots import palette
 from services.reporting.plots.description import Axis, Plot, Series, Style
 
 SYNTHETIC = "synthetic"
-"""Table: ``lag_m``, ``low_m2ps2``, ``high_m2ps2`` of many seeds, and ``model_m2ps2`` of the model."""
+"""Table with ``lag_m``, ``low_m2ps2`` and ``high_m2ps2`` of many seeds, and ``model_m2ps2`` of the model."""
 
 LAG, MEAN_SQUARE = "lag_m", "square_m2ps2"
-"""Columns of each measured profile's table, which has the profile's name."""
+"""Columns of the table of each measured profile; the table has the name of the profile."""
 
 
 def structure(measured: Sequence[str]) -> Plot:
-    """The structure function D(h) = mean (c(z + h) - c(z))^2 of one axis, for these measured profiles."""
+    """Return the plot of the structure function D(h) = mean (c(z + h) - c(z))^2 of one axis."""
     return Plot(
         name="structure",
         title="Structure function",

@@ -1,1 +1,1 @@
-"""What is drawn of a run: each plot described once, and the numbers behind them, for page, report and figure alike."""
+"""Plot descriptions of a run and the tables behind them, shared by the live page, the report and the figures."""

@@ -1,4 +1,4 @@
-"""Every plot of a run. Page, report and figures show these and no others."""
+"""Catalogue of all plots of a run. Live page, report and figures show these and no others."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ TIME = Axis(label="time (s)")
 
 TRACK = Plot(
     name="track",
-    title="From above",
+    title="Horizontal track",
     x=Axis(label="east (m)", min_span=1.0),
     y=Axis(label="north (m)", min_span=1.0),
     over_time=False,
     equal=True,
     from_start=True,
-    note="The true track begins where the vehicle believed to be at t = 0: the error of the fix is taken off.",
+    note="The true track is shifted to start at the estimate at t = 0, so the error of the satellite fix is removed.",
     series=(
         Series(label="reference", table="reference", x="east_m", y="north_m", colour=palette.REFERENCE),
         Series(label="2 sigma", table="ellipse", x="east_m", y="north_m", colour=palette.ESTIMATE, style=Style.DOTTED),
@@ -45,7 +45,7 @@ ERRORS = Plot(
     title="Position error of the estimate",
     x=TIME,
     y=Axis(label="error (m)", min_span=0.1),
-    note="Since t = 0 where the truth is known; else two standard deviations of the position itself.",
+    note="Error gained since t = 0. Without a known truth: two standard deviations of the position.",
     series=(
         Series(
             label="2 sigma",
@@ -104,7 +104,7 @@ CURRENT = Plot(
     x=Axis(label="velocity (m/s)", min_span=0.1),
     y=Axis(label="depth (m)", downwards=True, min_span=1.0),
     over_time=False,
-    note="Bands are two standard deviations. The true current is known where the vehicle has been.",
+    note="Bands are two standard deviations. The true current is shown where the vehicle has been.",
     series=(
         Series(
             label="",
@@ -146,7 +146,7 @@ LATENCY = Plot(
     x=TIME,
     y=Axis(label="wall time (ms)", log=True),
     empty="not timed in lock step",
-    note="Of many cycles the slowest is kept.",
+    note="Each point is the slowest of several cycles.",
     series=(
         Series(label="deadline", table="latency", x="t_s", y="deadline_ms", colour=palette.LIMIT, style=Style.DOTTED),
         *(

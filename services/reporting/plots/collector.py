@@ -1,7 +1,7 @@
-"""From signals to the tables that plots are drawn from: of a recording, or of a bus while a run goes on.
+"""Collector of plot tables from the messages of a recording or of a running bus.
 
-Memory is bounded, however long a run is. Tables of ``HISTORY`` grow; those of ``NOW`` are of the moment: the newest
-plan's horizon, the ellipse, the profile.
+Memory is bounded for runs of any length. The tables of ``HISTORY`` grow and are decimated; those of
+``Collector.current_tables`` hold the newest state only: horizon of the newest plan, error ellipse, current profile.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from services.reporting.plots.table import Columns, Table, short
 from services.reporting.plots.truth import TrueTrack, principal
 
 ROWS = 1_500
-"""Of a table that is full; a screen is about as many pixels wide."""
+"""Row limit of a table; about the width of a screen in pixels."""
 
 HISTORY = {
     "track": ("t_s", "north_m", "east_m", "depth_m"),
@@ -37,7 +37,7 @@ HISTORY = {
 PEAKS = {"latency": "cycle_ms"}
 
 STAGES = (("read", "predict"), ("linearise",), ("build", "update"), ("solve",), ("publish",))
-"""Of a cycle, those that a plot shows as one in one tuple."""
+"""Stages of a cycle; those of one tuple are plotted as their sum."""
 
 ESTIMATES_NS = 100_000_000
 ELLIPSE = 48  # points
@@ -45,7 +45,10 @@ SIGMAS = 2.0
 
 
 class Collector:
-    """Fed with signals in the order of their publication. ``thrusters``: port and starboard, where they are known."""
+    """Builder of plot tables; takes messages in the order of their publication.
+
+    ``thrusters`` are port and starboard, whose limits are plotted; None if they are unknown.
+    """
 
     def __init__(self, thrusters: tuple[Thruster, Thruster] | None = None, *, rows: int = ROWS) -> None:
         self.tables = {name: Table(columns, limit=rows, peak=PEAKS.get(name, "")) for name, columns in HISTORY.items()}
@@ -59,8 +62,8 @@ class Collector:
         self._estimate: Estimate | None = None
         self._plan: Plan | None = None
         self.profile: CurrentProfile | None = None
-        """The current as it is believed to be: the newest estimate's that has one."""
-        self._targets: list[tuple[int, float, float]] = []  # t, north, east of the last two plans
+        """Estimated current, from the newest estimate that has one."""
+        self._targets: list[tuple[int, float, float]] = []  # t_ns, north, east of the last two plans
         self._waiting: list[tuple[Table, int, float, float]] = []  # positions that wait for the next target
         self._handlers: dict[type[Message], Callable[[Any], None]] = {
             Truth: self._add_truth,
@@ -73,23 +76,23 @@ class Collector:
 
     @property
     def estimate(self) -> Estimate | None:
-        """The newest."""
+        """Newest estimate."""
         return self._estimate
 
     @property
     def plan(self) -> Plan | None:
-        """The newest."""
+        """Newest plan."""
         return self._plan
 
     def add(self, signal: Message, epoch: int) -> None:
-        """``epoch``: of its source."""
+        """Add a message; ``epoch`` is the one of its sender."""
         handler = self._handlers.get(type(signal))
         if handler is not None:
             handler(signal)
         self.marks.add(signal, epoch)
 
     def current_tables(self) -> dict[str, Columns]:
-        """The tables of the moment."""
+        """Return the tables of the newest state."""
         return {
             **_of_plan(self._plan),
             "ellipse": self._ellipse(),
@@ -97,10 +100,10 @@ class Collector:
         }
 
     def all_tables(self) -> dict[str, Columns]:
-        """Every table, whole."""
+        """Return every table with all rows."""
         return {**{name: table.since(0) for name, table in self.tables.items()}, **self.current_tables()}
 
-    # --- one kind each -----------------------------------------------------------------------------------------------
+    # --- one message type each ---------------------------------------------------------------------------------------
 
     def _add_truth(self, truth: Truth) -> None:
         if self._true.add(truth):
@@ -138,7 +141,7 @@ class Collector:
         if plan.reference_m is None:
             return
         t_ns = int(plan.t_ns[0])
-        if not self._targets:  # nothing was to be held before
+        if not self._targets:  # there was no reference before
             self._waiting = [one for one in self._waiting if one[1] >= plan.cycle_t_ns]
         self.tables["reference"].add(t_ns / 1e9, *plan.reference_m, plan.reference_depth_m)
         last = self._targets[-1] if self._targets and plan.progress is not None else (t_ns, *plan.reference_m)
@@ -155,14 +158,14 @@ class Collector:
 
     def _add_timing(self, timing: CycleTiming) -> None:
         cycle_ms = (timing.compute_wall_ns or timing.compute_ns) / 1e6
-        if not cycle_ms:  # in lock step nothing takes time
+        if not cycle_ms:  # lock-step runs measure no time
             return
         plan = self._plan
         deadline_ms = None
         if plan is not None and plan.cycle_t_ns == timing.t_ns:
             deadline_ms = (int(plan.t_ns[0]) - plan.cycle_t_ns) / 1e6 / self._speed
         us = [sum(timing.stage_us.get(name, 0.0) for name in names) for names in STAGES]
-        # a logarithmic axis has no place for what took no time
+        # a logarithmic axis cannot show zero
         self.tables["latency"].add(
             timing.t_ns / 1e9, cycle_ms, *((one / 1e3) or None for one in us), deadline_ms or None
         )
@@ -173,18 +176,18 @@ class Collector:
     # --- the reference -----------------------------------------------------------------------------------------------
 
     def _wait_for_target(self, table: str, t_ns: int, north_m: float, east_m: float) -> None:
-        """Where the reference is at a time is known once a plan aims beyond it."""
+        """Queue a position until a plan with a later target tells where the reference was at that time."""
         self._waiting.append((self.tables[table], t_ns, north_m, east_m))
-        del self._waiting[:-1000]  # of a vehicle that nobody plans for
+        del self._waiting[:-1000]  # bounds the memory if no plans arrive
 
     def _from_target(self, t_ns: int, north_m: float, east_m: float) -> tuple[float, float]:
-        """From the reference, which is linear between two plans' targets."""
+        """Return the offset (m) from the reference, interpolated linearly between the targets of two plans."""
         (t0, north0, east0), (t1, north1, east1) = self._targets
         s = min(max((t_ns - t0) / (t1 - t0), 0.0), 1.0) if t1 > t0 else 1.0
         return north_m - north0 - s * (north1 - north0), east_m - east0 - s * (east1 - east0)
 
     def _ellipse(self) -> Columns:
-        """Around the estimate, two standard deviations away."""
+        """Return the 2-sigma ellipse of the estimated position."""
         estimate = self._estimate
         covariance = None if estimate is None else self._true.covariance(estimate)
         if estimate is None or covariance is None:
@@ -218,7 +221,7 @@ def _of_plan(plan: Plan | None) -> dict[str, Columns]:
 
 
 def _profile(profile: CurrentProfile | None) -> Columns:
-    """With its band; rows by depth."""
+    """Return the table of a current profile with its 2-sigma band, one row for each depth."""
     if profile is None:
         return {}
     columns: Columns = {"depth_m": [short(x) for x in profile.depth_m]}

@@ -1,7 +1,7 @@
-"""The description of a plot: which columns of which table are drawn, how, and in what units.
+"""Description of a plot: which columns of which table are drawn, in which style and unit.
 
-Nothing here knows a number of any run, nor who draws: ``static/plots.js`` on page and in report,
-``figures/renderer.py`` in pictures.
+A description holds no data of a run and is independent of the renderer: ``static/plots.js`` for the live page and the
+report, ``figures/renderer.py`` for figures.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import msgspec
 
 
 class Style(enum.StrEnum):
-    """How a series is drawn."""
+    """Drawing style of a series."""
 
     LINE = "line"
     DASHED = "dashed"
     DOTTED = "dotted"
-    CROSS = "cross"  # where something is now
+    CROSS = "cross"  # current position of something
     BAND = "band"  # filled between x and x_high, or y and y_high
 
 
 class Series(msgspec.Struct, frozen=True, kw_only=True):
-    """Columns ``x`` and ``y`` of a table. Of a band, ``x_high`` or ``y_high`` names its other edge."""
+    """Data series: columns ``x`` and ``y`` of a table. For a band, ``x_high`` or ``y_high`` is the other edge."""
 
     label: str
     table: str
@@ -32,11 +32,11 @@ class Series(msgspec.Struct, frozen=True, kw_only=True):
     style: Style = Style.LINE
     x_high: str = ""
     y_high: str = ""
-    compared: bool = False  # it is drawn for each run where several are laid over each other
+    compared: bool = False  # drawn for each run when several runs are overlaid
 
 
 class Level(msgspec.Struct, frozen=True, kw_only=True):
-    """A line across the plot at one of the run's values; not drawn where the run does not know it."""
+    """Horizontal line at a value of the run; not drawn if the run does not have the value."""
 
     label: str
     value: str
@@ -44,16 +44,16 @@ class Level(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Axis(msgspec.Struct, frozen=True, kw_only=True):
-    """One axis. ``label`` ends with the unit in parentheses."""
+    """Axis of a plot. ``label`` ends with the unit in parentheses."""
 
     label: str
-    downwards: bool = False  # the larger, the lower
+    downwards: bool = False  # larger values are lower, as for a depth
     log: bool = False
-    min_span: float | None = None  # shows at least so much, so that noise does not look like motion
+    min_span: float | None = None  # smallest range shown, so that noise does not look like motion
 
 
 class Plot(msgspec.Struct, frozen=True, kw_only=True):
-    """One plot. Where ``x`` is vehicle time, events stand in it as marks."""
+    """Plot of a run. If ``over_time``, x is vehicle time and events are drawn as marks."""
 
     name: str
     title: str
@@ -62,7 +62,7 @@ class Plot(msgspec.Struct, frozen=True, kw_only=True):
     series: tuple[Series, ...]
     levels: tuple[Level, ...] = ()
     over_time: bool = True
-    equal: bool = False  # a metre is as long on both axes
-    from_start: bool = False  # what was before t = 0 is not shown, once there is something after it
-    empty: str = "nothing yet"  # where there is nothing to draw
-    note: str = ""  # what a reader has to know to read it
+    equal: bool = False  # the same scale on both axes
+    from_start: bool = False  # data before t = 0 are hidden as soon as there are later ones
+    empty: str = "no data yet"  # text shown without data
+    note: str = ""  # explanation shown with the title

@@ -1,4 +1,4 @@
-"""What happened, as marks on the time axis: the run's own events, and every change that a reader would ask about."""
+"""Event marks on the time axis: the events of the run, and changes of authority, health, plan origin and filter."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from ltv_mpc.messages import (
 )
 
 MAX_MARKS = 200
-"""More marks than that are a hedge; they are counted."""
+"""Number of marks that are kept; a plot with more is unreadable. Later ones are only counted."""
 
 
 class Mark(msgspec.Struct, frozen=True, kw_only=True):
-    """One mark."""
+    """Event on the time axis: vehicle time, node and text."""
 
     t_s: float
     node: str
@@ -31,7 +31,7 @@ class Mark(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Marks:
-    """Fed with every signal; ``marks`` in the order of their hearing. ``more``: that there was no room for."""
+    """Collector of event marks, in the order of arrival; ``omitted`` counts those beyond ``MAX_MARKS``."""
 
     def __init__(self) -> None:
         self.marks: list[Mark] = []
@@ -45,7 +45,7 @@ class Marks:
         self._newest_ns = 0
 
     def add(self, signal: Message, epoch: int) -> None:
-        """``epoch``: of its source."""
+        """Add the marks that follow from a message; ``epoch`` is the one of its sender."""
         match signal:
             case RunEvent():
                 self._append(signal.t_ns, signal.node, signal.text)
@@ -61,19 +61,19 @@ class Marks:
             case NodeStatus():
                 if self._epochs.setdefault(signal.node, epoch) != epoch:
                     self._epochs[signal.node] = epoch
-                    # its first words may come before it knows the time
-                    self._append(max(signal.t_ns, self._newest_ns), signal.node, "started again")
+                    # its first status may be sent before it knows the vehicle time
+                    self._append(max(signal.t_ns, self._newest_ns), signal.node, "restarted")
 
     def _add_plan(self, plan: Plan) -> None:
         self._newest_ns = plan.cycle_t_ns
         if self._authority not in (None, plan.authority):
-            self._append(plan.cycle_t_ns, "controller", f"in charge: {plan.authority.value}")
+            self._append(plan.cycle_t_ns, "controller", f"command authority: {plan.authority.value}")
         self._authority = plan.authority
         if plan.health is not self._health:
             self._append(plan.cycle_t_ns, "controller", f"health {plan.health.value}")
             self._health = plan.health
         if plan.origin is not self._origin and self._origin is not None:
-            self._append(plan.cycle_t_ns, "controller", f"plans {plan.origin.value}{_because(plan.why)}")
+            self._append(plan.cycle_t_ns, "controller", f"plan origin {plan.origin.value}{_because(plan.why)}")
         self._origin = plan.origin
 
     def _add_acknowledgement(self, answer: Acknowledgement) -> None:

@@ -1,4 +1,4 @@
-"""Colours by what they mean: Okabe and Ito's, told apart by the colour-blind; all dark enough to be read on white."""
+"""Plot colours by meaning: the colour-blind safe palette of Okabe and Ito, dark enough for a white background."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LIMIT = "#767676"
 MARK = "#a0522d"
 
 STAGES = ("#56b4e9", "#009e73", "#b8860b", "#d55e00", "#cc5fa0")
-"""Of a cycle, in their order."""
+"""Colours of the stages of a cycle, in their order."""
 
 RUNS = ("#0072b2", "#d55e00", "#009e73", "#cc5fa0", "#b8860b", "#56b4e9", "#1b1b1b", "#767676")
-"""Of several runs in one plot; beyond the eighth they come again."""
+"""Colours of several runs in one plot; they repeat after the eighth."""

@@ -1,4 +1,4 @@
-"""What plots need of a run, from its recording: complete, or cut off."""
+"""Plot data of a recorded run, also from a recording that was cut off."""
 
 from __future__ import annotations
 
@@ -40,30 +40,30 @@ from services.reporting.plots.table import Columns
 
 RARE = frozenset((Plan, CycleTiming, Clock, RunEvent, LocalisationReport, NodeStatus, Command, Acknowledgement))
 OFTEN = {Truth: 200_000_000, Estimate: 200_000_000, Applied: 200_000_000}
-"""Of these, so much vehicle time (ns) lies between two that are decoded; of a long run more and more."""
+"""Vehicle time (ns) between two decoded messages of these types; it grows with the length of the run."""
 
 VEHICLE = "config/vehicle.toml"
 
 
 class PlotData(msgspec.Struct, frozen=True, kw_only=True):
-    """One run as it is drawn: tables by name and column, the values of its levels, what happened."""
+    """Plot data of one run: tables by name and column, values of levels, event marks."""
 
     tables: dict[str, Columns]
     values: dict[str, float]
     marks: tuple[Mark, ...]
     omitted_marks: int
-    cut: bool  # something of the recording is missing, as a rule its end
+    cut: bool  # the recording is incomplete, usually at its end
     metadata: dict[str, str]
 
 
 class _When(msgspec.Struct):
-    """As much of a message as is always decoded."""
+    """Time of a message: the only field that is decoded for each message."""
 
     t_ns: int
 
 
 class _Sieve:
-    """Lets one message through each ``period_ns`` of its own time, and doubles that whenever twice ``limit`` came."""
+    """Decimator: accepts one message in each ``period_ns``, which doubles to keep fewer than ``2 * limit`` rows."""
 
     def __init__(self, period_ns: int, limit: int) -> None:
         self._period_ns = period_ns
@@ -82,9 +82,9 @@ class _Sieve:
 
 
 def read(recording: Path, *, rows: int = ROWS) -> PlotData:
-    """One pass over the file and what restarted recorders left beside it, decoding what is drawn alone.
+    """Read the plot data in one pass over the recording and its segments, decoding only the plotted messages.
 
-    What is no such message is passed over, as its readers did. Raises ``ConfigError`` where it is no recording.
+    Invalid messages are skipped, as their readers did. Raises ``ConfigError`` if the file is not a recording.
     """
     parts = [Records(path) for path in segments(recording)]
     decode, when = msgspec.json.Decoder(dict[str, Any]).decode, msgspec.json.Decoder(_When).decode
@@ -102,7 +102,7 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
                 if kind in sieves and not sieves[kind].passes(when(record.data).t_ns):
                     continue
                 plain = decode(record.data)
-                if kind is Estimate:  # its profile is most of it, and of all profiles the last alone is drawn
+                if kind is Estimate:  # the profile is the largest part, and only the last one is drawn
                     newest, plain = plain, {**plain, "current": None}
                 signal, header = wire.from_map(kind, plain)
             except (wire.WireError, msgspec.DecodeError):
@@ -130,12 +130,12 @@ def read(recording: Path, *, rows: int = ROWS) -> PlotData:
 
 
 def thrusters(metadata: Mapping[str, str]) -> tuple[Thruster, Thruster] | None:
-    """Port and starboard of the vehicle that was recorded; None where the recording does not hold its file."""
+    """Return port and starboard thruster of the recorded vehicle; None if the recording does not hold its file."""
     text = metadata.get(VEHICLE)
     if text is None:
         return None
     try:
         vehicle = parse(tomllib.loads(text), Vehicle, source=VEHICLE)
-    except (tomllib.TOMLDecodeError, ConfigError):  # of another version: the plots go without limits
+    except (tomllib.TOMLDecodeError, ConfigError):  # written by another version: plots have no thrust limits
         return None
     return vehicle.thruster.port, vehicle.thruster.starboard

@@ -1,7 +1,8 @@
-"""Columns of numbers that grow without end and never get large.
+"""Table of bounded size for a data series of any length.
 
-A table keeps every ``stride``-th row. When it holds twice its ``limit``, every other row goes and the stride doubles.
-With ``peak`` it is not every n-th row that stays but, of each n, the one that is largest in that column: spikes stay.
+A table keeps every ``stride``-th row. When it holds twice its ``limit``, it drops every second row and doubles the
+stride. With ``peak``, it keeps of each ``stride`` rows the one with the largest value in that column, so that spikes
+remain visible.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ Cell: TypeAlias = float | None
 Columns: TypeAlias = dict[str, list[Cell]]
 
 DECIMALS = 4
-"""Of metres, seconds, newtons and milliseconds: more than a screen has pixels."""
+"""Decimals of metres, seconds, newtons and milliseconds: finer than the pixels of a screen."""
 
 
 class Table:
-    """``columns`` are the rows' names. ``generation`` grows when rows that were there before have gone."""
+    """Table of the named ``columns``. ``generation`` increases each time rows are dropped."""
 
     def __init__(self, columns: Sequence[str], *, limit: int, peak: str = "") -> None:
         self.columns = tuple(columns)
@@ -30,7 +31,7 @@ class Table:
         self._rows: list[Sequence[Cell]] = []
 
     def add(self, *row: Cell) -> None:
-        """One row, a cell for each column."""
+        """Add a row with a cell for each column."""
         self._bucket.append(row)
         if len(self._bucket) < self._stride:
             return
@@ -46,7 +47,7 @@ class Table:
         return len(self._rows)
 
     def since(self, row: int) -> Columns:
-        """By name, from this row on."""
+        """Return the columns by name, from row ``row`` to the end."""
         rows = self._rows[row:]
         return {name: [short(cells[i]) for cells in rows] for i, name in enumerate(self.columns)}
 
@@ -56,5 +57,5 @@ class Table:
 
 
 def short(value: Any) -> Cell:
-    """With few digits; None where it is no finite number."""
+    """Round a value to ``DECIMALS``; None if it is not finite."""
     return round(float(value), DECIMALS) if value is not None and math.isfinite(value) else None

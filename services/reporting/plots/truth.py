@@ -1,7 +1,7 @@
-"""Where the vehicle really is, as plots show it: from t = 0, moved to where it then believed to be.
+"""True track as plotted: from t = 0, shifted so that it starts at the estimate.
 
-With p(t) the truth and e(t) the estimate the error shown is (e(t) - e(0)) - (p(t) - p(0)), as in summary.json: a
-satellite fix is metres off, and everything after it is drift from there.
+With truth p(t) and estimate e(t), the plotted error is (e(t) - e(0)) - (p(t) - p(0)), as in summary.json: a satellite
+fix is metres off, and later errors are drift from there.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from ltv_mpc.messages import Array, Estimate, Pair, Truth
 
 PERIOD_NS = 100_000_000
-MAX_TRUTHS = 600  # truths that wait for their estimate: a minute of them
+MAX_TRUTHS = 600  # truths that wait for their estimate: one minute at 10 Hz
 
 
 class TrueTrack:
-    """Remembers the newest truths, and the error at the start."""
+    """Buffer of the newest true states, with the estimation error at the start."""
 
     def __init__(self) -> None:
         self.start_error: Pair | None = None  # estimate minus truth
@@ -27,11 +27,11 @@ class TrueTrack:
 
     @property
     def known(self) -> bool:
-        """Whether anybody says the truth."""
+        """True if a true state was received, as in a simulation."""
         return bool(self._truths)
 
     def add(self, truth: Truth) -> bool:
-        """Whether it is kept: ten a second are enough."""
+        """Add a true state and return True, or ignore it if the last one is less than ``PERIOD_NS`` old."""
         if self._truths and 0 <= truth.t_ns - self._truths[-1].t_ns < PERIOD_NS:
             return False
         if self._truths and truth.t_ns < self._truths[-1].t_ns:  # another run on the same keys
@@ -41,7 +41,7 @@ class TrueTrack:
         return True
 
     def begin(self, estimate: Estimate) -> list[Truth]:
-        """Start with this estimate, if its time has come and nothing was started: the truths from then on."""
+        """Store the start error at the first estimate with t >= 0; return the true states since then, else []."""
         if self.start_error is not None or not self._truths or estimate.t_ns < 0:
             return []
         self.start_error = self._difference(estimate)
@@ -49,22 +49,22 @@ class TrueTrack:
         return [truth for truth in self._truths if truth.t_ns >= estimate.t_ns]
 
     def position(self, truth: Truth) -> Pair | None:
-        """North, east (m) of a truth as it is shown; None before the start."""
+        """Return north, east (m) of a true state as plotted; None before the start."""
         if self.start_error is None:
             return None
         return truth.position_m[0] + self.start_error[0], truth.position_m[1] + self.start_error[1]
 
     def error(self, estimate: Estimate) -> Pair | None:
-        """North, east (m) of the estimate's drift since the start; None before it."""
+        """Return north, east (m) of the drift of the estimate since the start; None before it."""
         if self.start_error is None or not self._truths:
             return None
         north, east = self._difference(estimate)
         return north - self.start_error[0], east - self.start_error[1]
 
     def covariance(self, estimate: Estimate) -> Array | None:
-        """(2, 2) of the position (m^2); of its drift since the start where that is known.
+        """Return the position covariance (2, 2) (m^2); after the start that of the drift, P(t) - P(0).
 
-        What the fix at the start was off by is common to both ends: P(t) - P(0).
+        The error of the fix at the start is common to both times and cancels in the drift.
         """
         if estimate.covariance is None:
             return None
@@ -74,7 +74,7 @@ class TrueTrack:
         return position
 
     def _difference(self, estimate: Estimate) -> Pair:
-        """Estimate minus truth, of the truth that is nearest in time and moved to that of the estimate."""
+        """Return estimate minus truth (m), the nearest true state moved to the time of the estimate."""
         times = [truth.t_ns for truth in self._truths]
         i = bisect_left(times, estimate.t_ns)
         near = [self._truths[k] for k in (i - 1, i) if 0 <= k < len(times)]
@@ -87,6 +87,6 @@ class TrueTrack:
 
 
 def principal(covariance: Array) -> tuple[Array, Array]:
-    """Standard deviations (2,) along the principal axes, and these as columns (2, 2); none below zero."""
+    """Return standard deviations (2,) along the principal axes, clipped at 0, and the axes as columns (2, 2)."""
     values, axes = np.linalg.eigh(covariance)
     return np.sqrt(values.clip(0.0)), axes

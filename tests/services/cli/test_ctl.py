@@ -104,16 +104,16 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
     point = tmp_path / "there.toml"
     point.write_text('kind = "point"\nnorth_m = 2.5\neast_m = -1.0\n')
     watch = [
-        (("manual",), 1, "arm first", "disarmed"),
-        (("arm",), 0, "in charge: controller", "controller"),
+        (("manual",), 1, "send `arm` first", "disarmed"),
+        (("arm",), 0, "command authority: controller", "controller"),
         (("follow", str(point)), 0, "accepted", "controller"),
-        (("manual",), 0, "in charge: manual", "manual"),
-        (("release",), 0, "in charge: controller", "controller"),
+        (("manual",), 0, "command authority: manual", "manual"),
+        (("release",), 0, "command authority: controller", "controller"),
         (("hold",), 0, "accepted", "controller"),
-        (("stop",), 0, "in charge: stopped", "stopped"),
+        (("stop",), 0, "command authority: stopped", "stopped"),
         (("release",), 1, "no pilot", "stopped"),
-        (("arm",), 0, "in charge: controller", "controller"),
-        (("disarm",), 0, "in charge: disarmed", "disarmed"),
+        (("arm",), 0, "command authority: controller", "controller"),
+        (("disarm",), 0, "command authority: disarmed", "disarmed"),
     ]
     wanted = {"follow": (2.5, -1.0), "hold": pytest.approx((1.0, 0.0), abs=0.01)}
     for words, code, said, authority in watch:
@@ -129,7 +129,7 @@ def test_a_watch_of_commands_is_accepted_or_refused_as_the_plan_says(
 
 def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["ctl", "arm", "--connect", alone.endpoint, "--namespace", "nobody"]) == 1
-    assert "no controller answered within 3 s" in capsys.readouterr().err
+    assert "no reply from a controller within 3 s" in capsys.readouterr().err
     assert run(["ctl", "arm", "--connect", f"tcp/127.0.0.1:{loopback.free_port()}"]) == 1
     assert "no router within 3 s" in capsys.readouterr().err
 
@@ -139,7 +139,7 @@ def test_where_nobody_answers_it_says_so_and_exits_1(alone: Alone, capsys: pytes
     [
         ("go", 'argument ACTION: "go": must be one of arm, disarm'),
         ("arme", 'did you mean "arm"?'),
-        ("follow", "must be followed by a reference"),
+        ("follow", "needs a reference"),
         ("arm hover", "takes no file"),
         ("follow nowhere.toml", "reference nowhere.toml: no such file"),
         ("arm --connect 127.0.0.1:1", "must be PROTOCOL/ADDRESS"),

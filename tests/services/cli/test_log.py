@@ -36,7 +36,7 @@ def test_info_of_a_whole_run_is_exit_0_and_of_a_cut_one_exit_1(
     assert (found["messages"], found["whole"]) == (500, True)
     cut(folder)
     assert run(["log", "info", str(folder)]) == 1
-    assert "NOT WHOLE" in capsys.readouterr().out
+    assert "INCOMPLETE" in capsys.readouterr().out
 
 
 def test_recover_writes_beside_and_a_whole_run_needs_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -248,7 +248,7 @@ def test_another_run_on_the_same_keys_begins_with_an_empty_page(page: Served) ->
     ("arguments", "word"),
     [
         (["--host", "0.0.0.0"], "one address"),
-        (["--host", "a name"], "must be an address"),
+        (["--host", "a name"], "must be an IP address"),
         (["--host", "203.0.113.1"], "cannot listen there"),
         (["--port", "99999"], "--port"),
         (["--vehicle", "nothing"], "nothing"),

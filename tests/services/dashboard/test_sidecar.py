@@ -62,4 +62,4 @@ def test_without_the_extra_the_run_says_so_and_goes_on(tmp_path: Path, monkeypat
     monkeypatch.setattr(sidecar, "find_spec", lambda name: None if name == "uvicorn" else sys)
     page.start(BusOptions(connect=("tcp/127.0.0.1:1",)))
     page.stop()
-    assert said == ["no live page: uvicorn is not installed, the extra viz brings it"]
+    assert said == ["no live page: uvicorn is not installed: pip install uvicorn (extra viz)"]

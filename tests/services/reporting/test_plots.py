@@ -150,7 +150,7 @@ def test_events_and_changes_are_marks() -> None:
         (5.0, "plant", synthetic_run.EVENT.text),
         (1.0, "controller", "plans shifted: OSQP: iteration limit"),
         (3.0, "controller", "plans solved"),
-        (3.0, "plant", "started again"),
+        (3.0, "plant", "restarted"),
     ]
 
 

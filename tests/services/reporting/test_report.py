@@ -110,7 +110,7 @@ def test_without_plotly_a_run_says_in_one_line_that_it_wrote_none(
     out = tmp_path / "run"
     assert app.run(["sim", "--lockstep", "--duration-s", "0.5", "--surface-time-s", "1", "--out", str(out)]) == 0
     said = [line for line in capsys.readouterr().err.splitlines() if "report.html" in line]
-    assert said == ["no report.html: plotly is not installed, the extra viz brings it"]
+    assert said == ["no report.html: plotly is not installed: pip install plotly (extra viz)"]
     assert (out / "summary.json").exists()
     assert not (out / "report.html").exists()
 
