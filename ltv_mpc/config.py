@@ -71,7 +71,7 @@ def read_toml(path: Path, *, what: str) -> dict[str, Any]:
     except RecursionError:
         raise ConfigError(source, "", f"tables and lists inside one another: at most {MAX_NESTING} deep") from None
     except ValueError as error:
-        raise ConfigError(source, "", f"no valid TOML: {error}") from None
+        raise ConfigError(source, "", f"is not valid TOML: {error}") from None
 
 
 _CHAIN = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{MAX_NESTING}}}""")
@@ -121,17 +121,19 @@ def read_text(path: Path, *, what: str) -> str:
     if stat.S_ISDIR(status.st_mode):
         raise ConfigError(source, "", f"is a folder: give the {what} file itself")
     if not regular:
-        raise ConfigError(source, "", "is no regular file")
+        raise ConfigError(source, "", "is not a regular file")
     if status.st_size > MAX_FILE_BYTES:
         raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}; is it the right file?")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(source, "", f"no UTF-8 text (byte {error.start}): is it the right file?") from None
+        raise ConfigError(
+            source, "", f"is not UTF-8 text (byte {error.start}): check that it is the right file"
+        ) from None
     if not text.strip():
         raise ConfigError(source, "", "is empty")
     if "\0" in text:
-        raise ConfigError(source, "", "no text but binary data: is it the right file?")
+        raise ConfigError(source, "", "holds binary data, not text: check that it is the right file")
     return text
 
 
@@ -144,7 +146,7 @@ def missing_file_hint(path: Path) -> str:
         return f"no such file: there is no folder {folder}"
     if meant := difflib.get_close_matches(path.stem, beside, n=1):
         return f"no such file; did you mean {folder / meant[0]}{path.suffix}?"
-    return "no such file: give one that is there"
+    return "no such file: name an existing file"
 
 
 def is_path(name: str) -> bool:

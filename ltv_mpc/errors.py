@@ -43,7 +43,7 @@ def format_value(value: object) -> str:
         try:
             text = str(value)
         except ValueError:  # an integer with more digits than Python prints
-            text = "a number of thousands of digits"
+            text = "a number of more than 4300 digits"
     return text if len(text) <= MAX_VALUE_LENGTH else f"{text[: MAX_VALUE_LENGTH - 3]}..."
 
 

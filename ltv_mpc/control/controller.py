@@ -196,9 +196,9 @@ class Controller:
         elif idle:
             rest = True
         elif stops:
-            idle = "" if self._follower.target_m is not None else "the reference has not begun"
+            idle = "" if self._follower.target_m is not None else "the reference has not started yet"
         elif not (begun := self._follower.begin(estimate)):
-            idle = "the reference has not begun"
+            idle = "the reference has not started yet"
         if not (idle or self.config.lateral):
             idle = "lateral control is off"
         delay_ns = self._delay.expected_ns()
@@ -413,7 +413,7 @@ class Controller:
             part = line_search.line_search(numbers, lin.flat, target, commands, X, U)
             # A step that was taken has a finite cost, and that takes finite states and commands.
             if part == 0.0 and not (np.isfinite(X).all() and np.isfinite(U).all()):
-                return None, Solve(status=SolveStatus.NON_FINITE, why="the motion foreseen is not finite")
+                return None, Solve(status=SolveStatus.NON_FINITE, why="the predicted motion is not finite")
             if left > 1:
                 nominal_trajectory.relinearise(numbers, lin.flat, self.config.stages, X, U)
         return _Lateral(X, U, PlanOrigin.SOLVED, solve, ""), solve

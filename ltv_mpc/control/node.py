@@ -217,16 +217,21 @@ class ControllerNode:
         except ConfigError as error:
             return CommandResult(self.arbiter.authority, str(error))
         except (ValueError, RecursionError) as error:
-            return CommandResult(self.arbiter.authority, f"reference: no valid TOML: {error}")
+            return CommandResult(self.arbiter.authority, f"reference: is not valid TOML: {error}")
         if isinstance(reference, Timed) and reference.file:
-            return CommandResult(self.arbiter.authority, "reference: file: no file is read for a message: give rows")
+            return CommandResult(
+                self.arbiter.authority, "reference: file: a message cannot name a file: give rows instead"
+            )
         self._take(reference, toml)
         return self.arbiter.request(Action.FOLLOW)
 
     def _hold(self) -> CommandResult:
         estimate = self._estimate
         if estimate is None:
-            return CommandResult(self.arbiter.authority, "no estimate yet: nobody knows where here is")
+            return CommandResult(
+                self.arbiter.authority,
+                "no estimate received yet, so the current position is unknown: retry after the first estimate",
+            )
         depth_m = None if estimate.depth_m is None else min(max(estimate.depth_m, 0.0), MAX_HOLD_DEPTH_M)
         hold = Hold(depth_m=depth_m)
         self._take(hold, _written(hold))

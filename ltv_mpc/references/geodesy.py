@@ -61,7 +61,7 @@ def local(place: Place, origin: Origin | None) -> Pair:
     if metres[0] is not None and metres[1] is not None and degrees == (None, None):
         return metres[0], metres[1]
     if metres != (None, None) or degrees[0] is None or degrees[1] is None:
-        raise ValueError("a place is north_m and east_m, or latitude_deg and longitude_deg")
+        raise ValueError("a position needs north_m and east_m, or latitude_deg and longitude_deg")
     if origin is None:
         raise ValueError("latitude_deg and longitude_deg need an [origin] with latitude_deg and longitude_deg")
     north, east = tangent_plane(degrees[0], degrees[1], origin)

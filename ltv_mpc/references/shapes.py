@@ -106,7 +106,7 @@ class Line(Shape, frozen=True, kw_only=True, tag="line"):
         points = np.array([local(self.start, self.origin), local(self.end, self.origin)])
         depth = _depths_between(points, [self.start, self.end], self.depth_m)
         if np.hypot(*(points[1] - points[0])) < 1e-3:
-            raise ValueError("start and end are the same place")
+            raise ValueError("start and end are the same position")
         return round_corners(points, depth, self.corner_m)
 
 
@@ -135,7 +135,7 @@ class Waypoints(Shape, frozen=True, kw_only=True, tag="waypoints"):
         same = np.hypot(*np.diff(points, axis=0).T) < 1e-3
         if same.any():
             k = int(np.argmax(same)) % len(self.waypoints)
-            raise ValueError(f"waypoints[{k}] and the one after it are the same place")
+            raise ValueError(f"waypoints[{k}] and the one after it are the same position")
         return round_corners(points, _depths_between(points, places, self.depth_m), self.corner_m)
 
 

@@ -42,8 +42,8 @@ NEXT: Mapping[Action, Mapping[Authority, Authority]] = {
 REJECTED: Mapping[Action, str] = {
     Action.ARM: "a pilot has the thrusters: release returns them to the controller",
     Action.DISARM: "stopped: the thrusters stay at zero until arm",
-    Action.MANUAL: "not armed: arm first",
-    Action.RELEASE: "no pilot has the thrusters",
+    Action.MANUAL: "the controller is disarmed: send `arm` first",
+    Action.RELEASE: "no pilot commands the thrusters: nothing to release",
 }
 """Reason of a rejection, by action."""
 

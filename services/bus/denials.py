@@ -71,7 +71,7 @@ class Denials:
         elif match := DENIED.search(line):
             self._decided(thread, *match.groups())
         elif match := WITHOUT_ROLE.search(line):
-            self._count("connection: a certificate of no role")
+            self._count("connection: a certificate without a known role")
         elif (match := REFUSED_LINK.search(line)) and match[1] != SILENT:
             self._count(f"connection: {match[1]}")
 

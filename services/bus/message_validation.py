@@ -99,7 +99,7 @@ class MessageValidator:
         if skipped < 0:
             raise WireError(f"out of order: sequence {header.sequence} after {source.sequence}")
         if header.epoch in source.former:
-            raise WireError("former epoch: its source was started anew since")
+            raise WireError("former epoch: its source has restarted since")
         if skipped > (FRESH if anew else FURTHEST):
             claim, source.claim = source.claim, header
             if claim is None or claim.epoch != header.epoch or not 0 < header.sequence - claim.sequence <= AGREEING:

@@ -60,7 +60,7 @@ def fields(kind: type) -> dict[str, Field]:
     """The entries of a signal, or of a struct inside one, without a header."""
     info = struct.type_info(kind)
     if not isinstance(info, struct.StructType):
-        raise TypeError(f"{kind} is no message")
+        raise TypeError(f"{kind} is not a message")
     limits = bounds(kind)
     return {
         field.name: Field(_description(field.type) | _value(field.type), field.required, limits.get(field.name))
@@ -117,7 +117,7 @@ def _value(of: struct.Type) -> Schema:
             return {"anyOf": [_value(one) for one in types]}
         case struct.NoneType():
             return {"type": "null"}
-    raise NotImplementedError(f"{of} has no place in a message")
+    raise NotImplementedError(f"{of} is not a type that a message can hold")
 
 
 def _number_or_null(of: struct.Type) -> Schema:

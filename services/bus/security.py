@@ -41,11 +41,11 @@ def credentials(folder: Path, role: str) -> Credentials:
     try:
         context.load_verify_locations(files.authority)
     except (ssl.SSLError, OSError) as error:
-        raise ConfigError(f"{OPTION} {files.authority}", "", f"no certificate in PEM: {error}") from None
+        raise ConfigError(f"{OPTION} {files.authority}", "", f"is not a PEM certificate: {error}") from None
     try:
         context.load_cert_chain(files.certificate, files.key)
     except (ssl.SSLError, OSError) as error:
-        raise ConfigError(f"{OPTION} {files.certificate}", "", f"no pair with {files.key.name}: {error}") from None
+        raise ConfigError(f"{OPTION} {files.certificate}", "", f"does not match {files.key.name}: {error}") from None
     return files
 
 

@@ -153,7 +153,7 @@ def _refusal(options: BusOptions, error: zenoh.ZError) -> ConfigError:
         source, value = "$ZENOH_CONFIG", os.environ["ZENOH_CONFIG"]
     else:
         source, value = "bus options", " ".join((*options.connect, *options.listen, options.namespace))
-    return ConfigError(source, "", f"no configuration that Zenoh takes: {_words(error)}", value=value)
+    return ConfigError(source, "", f"Zenoh rejects the configuration: {_words(error)}", value=value)
 
 
 def _words(error: zenoh.ZError) -> str:
@@ -256,5 +256,5 @@ def waiting_for_router(options: BusOptions) -> str:
     """What a person reads while nobody answers."""
     where = ", ".join(options.connects_to) or "the configured endpoints"
     command = "`ltv-mpc router`" if options.certs is None else "`ltv-mpc router --certs`"
-    refused = "" if options.certs is None else "; one that refuses this certificate says so itself"
+    refused = "" if options.certs is None else "; a router that rejects this certificate reports it in its own log"
     return f"waiting for a router at {where}; {command} starts one at {options.usual_endpoint}{refused}"

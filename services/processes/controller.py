@@ -112,7 +112,7 @@ def announcement(bus: BusOptions, config: ControllerConfig) -> Iterator[str]:
     """The keys that it reads and writes, with rates; each number's unit is in its field's name."""
     look = f"{config.horizon_s:g} s in {config.stages} stages"
     yield f"looks {look} ahead, {1e9 / config.period_ns:.3g} times a second"
-    yield "SI units and radians, north-east-down; each number's unit is in its name; `ltv-mpc topics KEY` says more"
+    yield "SI units and radians, north-east-down; each field name ends with its unit; `ltv-mpc topics KEY` lists them"
     inputs = [kind for kind in ControllerNode.reads if BY_TYPE[kind].written_by != ControllerNode.name]
     outputs: list[type[Message]] = [*ControllerNode.writes, ControllerStatus]
     inputs, outputs = ([kind for kind in kinds if kind not in BEHIND_THE_SCENES] for kinds in (inputs, outputs))

@@ -32,7 +32,7 @@ class FailedQps:
             self._folder.mkdir(parents=True, exist_ok=True)
             failed.save(path)
         except OSError as error:
-            self._say(f"a QP was not solved, and cannot be kept in {self._folder}: {error.strerror}")
+            self._say(f"a QP was not solved and cannot be saved in {self._folder}: {error.strerror}")
             return
         self.kept += 1
-        self._say(f"a QP was not solved ({failed.solve.why}); kept: ltv-mpc qp show {path}")
+        self._say(f"a QP was not solved ({failed.solve.why}); saved: ltv-mpc qp show {path}")

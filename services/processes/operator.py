@@ -31,7 +31,7 @@ def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
         say(str(error))
         return FAILED
     if isinstance(answer, Acknowledgement) and answer.accepted:
-        sys.stdout.write(f"accepted; in charge: {answer.authority.value}\n")
+        sys.stdout.write(f"accepted; command authority: {answer.authority.value}\n")
         return DONE
     say(_why(answer))
     return FAILED
@@ -64,8 +64,8 @@ def send_command(session: Session, action: Action, reference_toml: str = "") -> 
 def _why(answer: Acknowledgement | RejectedFrame | None) -> str:
     match answer:
         case Acknowledgement():
-            return f"refused: {answer.why}; in charge: {answer.authority.value}"
+            return f"refused: {answer.why}; command authority: {answer.authority.value}"
         case RejectedFrame():
             return f"refused by {answer.node}: {answer.reason}"
         case None:
-            return f"no controller answered within {PATIENCE_S:.0f} s: does one run at this router, in this namespace?"
+            return f"no reply from a controller within {PATIENCE_S:.0f} s: is one running at this router and namespace?"

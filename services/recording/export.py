@@ -330,7 +330,7 @@ def _csv(path: Path, key: str, columns: list[Column]) -> Sink:
 def need_pyarrow() -> None:
     """Raises ``ConfigError`` where Parquet cannot be written."""
     if find_spec("pyarrow") is None:
-        problem = "needs the package pyarrow, the extra `parquet`: pip install pyarrow; or --format csv"
+        problem = "needs the package pyarrow: pip install pyarrow (extra parquet), or use --format csv"
         raise ConfigError("option --format", "", problem, value="parquet")
 
 

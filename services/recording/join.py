@@ -36,4 +36,4 @@ def segments_of(recording: Path) -> Iterator[str]:
         return
     for part in parts[1:]:
         part.unlink()
-    yield f"{len(parts)} segments of the recording joined, {made.messages} messages; {made.lost_bytes} bytes were torn"
+    yield f"{len(parts)} segments of the recording joined, {made.messages} messages; {made.lost_bytes} bytes lost"

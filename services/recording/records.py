@@ -143,7 +143,7 @@ class Records:
         rest = file.read()
         self.finished = rest.startswith(MAGIC)
         if rest != MAGIC:
-            self._lose(self.size - len(rest), len(rest), "not the end of an MCAP file")
+            self._lose(self.size - len(rest), len(rest), "the end of the MCAP file is missing")
 
     def _lose(self, offset: int, length: int, why: str) -> None:
         self.losses.append(Loss(offset, length, why))
@@ -184,7 +184,7 @@ def _chunk(chunk: Chunk) -> Iterator[Record]:
         opcode, length = _HEAD.unpack_from(data, start)
         start += _HEAD.size + length
         if start > len(data) or opcode == Opcode.CHUNK:
-            raise ValueError("a record that cannot be in a chunk")
+            raise ValueError("a record type that a chunk cannot hold")
         if opcode == MESSAGE:
             yield _message(data, start - length, start)
         else:
@@ -205,7 +205,7 @@ def _decompressed(chunk: Chunk) -> bytes:
             raise ValueError("its zstd frame claims too many bytes")
         return zstandard.decompress(chunk.data, chunk.uncompressed_size)
     if chunk.compression:
-        raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not read here")
+        raise ValueError(f"compressed by {chunk.compression[:20]!r}, which is not supported")
     return chunk.data
 
 

@@ -78,12 +78,12 @@ def recover(parts: Sequence[Path], out: Path) -> Recovery:
     try:
         file = out.open("xb")
     except FileExistsError:
-        raise ConfigError(f"recovery {out}", "", "exists already: name another with --out") from None
+        raise ConfigError(f"recovery {out}", "", "exists: name another with --out") from None
     try:
         with file:
             made = _Copy(file).of(parts, out)
         if not made.messages:
-            raise ConfigError(f"recording {parts[0]}", "", "not one whole message in it: nothing can be recovered")
+            raise ConfigError(f"recording {parts[0]}", "", "holds no complete message: nothing can be recovered")
     except BaseException:
         out.unlink()
         raise

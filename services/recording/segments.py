@@ -117,7 +117,7 @@ class SegmentWriter:
             self._writer = self._open()
         except OSError:
             return None
-        self._news.append(f"recording goes on in {self._writer.path.name}")
+        self._news.append(f"recording continues in {self._writer.path.name}")
         return self._writer
 
     def _settle(self, writer: RunWriter) -> None:
@@ -130,5 +130,5 @@ class SegmentWriter:
         self._writer = None
         self._retry_s = time.monotonic() + RETRY_S
         self._refused += self._unsafe
-        self._news.append(f"not recording: {error.strerror}; {len(self._unsafe)} messages not kept so far")
+        self._news.append(f"not recording: {error.strerror}; {len(self._unsafe)} messages not recorded so far")
         self._unsafe.clear()

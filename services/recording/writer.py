@@ -75,7 +75,7 @@ class RunWriter:
             data = msgspec.json.encode(message)
             crc = wire.crc(wire.pack(message)) if crc is None else crc
         except (TypeError, ValueError, RecursionError) as error:
-            raise wire.WireError(f"no plain map: {error}") from None
+            raise wire.WireError(f"not a plain map: {error}") from None
         channel = self._channels.get(key)
         if channel is None:
             channel = self._register(key, kind)

@@ -169,7 +169,7 @@ class Comparison:
             t_ns=output.t_ns,
             key=key,
             sequence=sequence,
-            what=what or ("" if fields else "the same values, otherwise spelled: the CRC-32 of the frame differs"),
+            what=what or ("" if fields else "equal values in another encoding: the CRC-32 of the frame differs"),
             fields=tuple(fields[:MAX_FIELDS]),
             more_fields=max(0, len(fields) - MAX_FIELDS),
         )

@@ -119,7 +119,7 @@ class Epoch:
         try:
             arrivals = list(map(arrival, inbox, record.inbox))
         except WireError as error:
-            self._stop(f"this version knows no such message: {error}", record.t_ns)
+            self._stop(f"this version does not know the message: {error}", record.t_ns)
             return
         for entry in record.inbox:
             self._frames.discard_through(entry)

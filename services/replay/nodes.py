@@ -38,7 +38,9 @@ SETTINGS: Mapping[str, type[msgspec.Struct]] = {
 def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
     """What the run was made of. ``metadata`` are the recording's. Raises ``ConfigError``."""
     if SCENARIO not in metadata:
-        raise ConfigError(source, "", f"does not hold the run's settings ({SCENARIO}): no recording of this program")
+        raise ConfigError(
+            source, "", f"does not hold the run's settings ({SCENARIO}): it is not a recording of this program"
+        )
     with tempfile.TemporaryDirectory() as place:
         for name, text in metadata.items():
             path = Path(place, name)
@@ -48,7 +50,7 @@ def run_config_of(metadata: Mapping[str, str], *, source: str) -> RunConfig:
         try:
             return resolve(str(Path(place, SCENARIO)))
         except ConfigError as error:
-            problem = f"its settings are refused: {error.source.replace(f'{place}/', '')}"
+            problem = f"its settings are rejected: {error.source.replace(f'{place}/', '')}"
             raise ConfigError(source, error.field, f"{problem}: {error.problem}", value=error.value) from None
 
 
@@ -74,7 +76,7 @@ def node_of(path: Path) -> str:
     fits = [name for name, count in shared.items() if count == max(shared.values())]
     if len(fits) > 1:
         files = " or ".join(f"RUN/config/{name}.toml" for name in SETTINGS)
-        raise ConfigError(f"--with {path}", "", f"must be a file like {files}: none of its keys tells which of them")
+        raise ConfigError(f"--with {path}", "", f"must be a file like {files}: its keys fit none of them")
     return fits[0]
 
 
@@ -93,7 +95,7 @@ def replaced(run_config: RunConfig, path: Path) -> tuple[str, RunConfig, tuple[C
         changed = msgspec.structs.replace(scenario, estimator=estimator)
         other = dataclasses.replace(run_config, scenario=changed, prior=load_prior(estimator))
     if name not in names(other):
-        raise ConfigError(f"--with {path}", "", f"the run has no {name}: its state was given away")
+        raise ConfigError(f"--with {path}", "", f"the run has no {name}: it ran with run.perfect_state")
     return name, other, _changes(settings_of(run_config, name), settings_of(other, name))
 
 

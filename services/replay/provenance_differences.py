@@ -11,7 +11,7 @@ from services.replay.verdict import Elsewhere
 from services.run.provenance import provenance_table
 from services.run.run_config import ORIGIN
 
-ABSENT = "not said"
+ABSENT = "not recorded"
 
 
 def elsewhere(made: Mapping[str, str] | None) -> tuple[Elsewhere, ...]:

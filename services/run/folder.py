@@ -96,7 +96,7 @@ def find(text: str) -> Path:
     source = f"RUN {text}"
     path = _newest() if text == LATEST else Path(text)
     if path is None:
-        raise ConfigError(source, "", f"no run below {ROOT.absolute()}: name its folder")
+        raise ConfigError(source, "", f"no run below {ROOT.absolute()}: name the folder of a run")
     try:
         if path.is_dir():
             path = path / RECORDING
@@ -158,7 +158,7 @@ def open_folder(path: Path, *, force: bool) -> Path:
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()) and not force:
-            problem = "a folder that is not empty: name another, or add --force"
+            problem = "is not empty: name another folder, or add --force"
             raise ConfigError("option --out", "", problem, value=str(path))
     except OSError as error:
         raise _refusal(path, error) from None
@@ -177,6 +177,4 @@ def _given(path: Path, *, force: bool) -> Path:
 
 
 def _refusal(path: Path, error: OSError) -> ConfigError:
-    return ConfigError(
-        "option --out", "", f"a folder that can be written is needed ({error.strerror})", value=str(path)
-    )
+    return ConfigError("option --out", "", f"cannot be written ({error.strerror})", value=str(path))

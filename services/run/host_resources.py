@@ -24,5 +24,7 @@ def check_disk_space(folder: Path, duration_s: float) -> None:
     needed = round(duration_s * BYTES_PER_VEHICLE_S)
     free = shutil.disk_usage(there).free
     if free < needed:
-        problem = f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed: free some, or name another --out"
+        problem = (
+            f"{free / 1e6:.0f} MB free, {needed / 1e6:.0f} MB may be needed: free disk space, or choose another --out"
+        )
         raise OSError(errno.ENOSPC, problem, str(folder))

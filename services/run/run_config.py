@@ -139,6 +139,6 @@ def _notes(scenario: Scenario, prior: WaterPrior | None) -> tuple[str, ...]:
         first, last = float(prior.depth_m[0]), float(prior.depth_m[-1])
         name = Path(scenario.estimator.water_prior).name
         known = f"sd {1e3 * prior.sd_mps.min():.1f} to {1e3 * prior.sd_mps.max():.1f} mm/s"
-        use = ", not read: the state is given away" if scenario.run.perfect_state else ""
+        use = ", not used: run.perfect_state is set" if scenario.run.perfect_state else ""
         notes.append(f"water prior {name}: {first:g} to {last:g} m, {known}{use}")
     return tuple(notes)

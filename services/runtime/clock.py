@@ -108,10 +108,10 @@ class VehicleClock:
         if message.host_boot_id != boot_id():
             raise ClockError(
                 f"the clock is kept on another host (boot {message.host_boot_id[:8]}, here {boot_id()[:8]}): "
-                "all processes of a run have to be on one host for now"
+                "all processes of a run must be on one host"
             )
         if self._lines and message.clock_epoch != self._epoch:
-            raise ClockError("another plant has started a clock of its own: start this process again to follow it")
+            raise ClockError("another plant has started a clock of its own: restart this process to follow it")
         if message.clock_sequence <= self._sequence:
             return False
         if not self._lines and self._speed not in (None, fraction_of(message.requested_speed)):

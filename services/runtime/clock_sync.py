@@ -188,7 +188,7 @@ class ClockSync:
             self._first_us = m_us
         clock_steps = self.clock_steps
         if not self._theirs.add_stamp(signal.t_ns, m_us):
-            return "t_ns contradicts the clock that all before it were stamped by"
+            return "t_ns contradicts the clock of all earlier stamps"
         if self.active and self.clock_steps > clock_steps:
             self._clock.reset()
         if isinstance(signal, Applied) and signal.plan_epoch == self._epoch and signal.plan_sequence in self._sent_us:

@@ -59,7 +59,7 @@ class ControllerStatusReporter:
         estimate, node = self._estimate, self._node
         refused = Counter(validator.rejected_by_reason)
         if node.arbiter.manual_rejected:
-            refused["manual outside the box"] = node.arbiter.manual_rejected
+            refused["manual: thrust outside the limits"] = node.arbiter.manual_rejected
         refused.update({f"estimate: {why}": count for why, count in node.controller.estimate_gate.rejected.items()})
         status = ControllerStatus(
             t_ns=t_ns,

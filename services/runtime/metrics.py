@@ -87,9 +87,9 @@ def _metrics(s: ControllerStatus) -> Iterator[Metric]:
     cycle = {"0.5": s.cycle_median_us, "0.99": s.cycle_p99_us}
     quantiles = {share: None if us is None else us / 1e6 for share, us in cycle.items()}
     yield _gauge("cycle_seconds", "Wall time of a cycle over the last 10 s.", "quantile", quantiles)
-    yield CounterMetricFamily("ltv_mpc_received", "Messages let in.", s.received)
-    yield CounterMetricFamily("ltv_mpc_dropped", "Messages sent that never came.", s.dropped)
-    rejected = CounterMetricFamily("ltv_mpc_rejected", "Messages refused, by reason.", labels=("reason",))
+    yield CounterMetricFamily("ltv_mpc_received", "Messages accepted.", s.received)
+    yield CounterMetricFamily("ltv_mpc_dropped", "Messages lost on the way.", s.dropped)
+    rejected = CounterMetricFamily("ltv_mpc_rejected", "Messages rejected, by reason.", labels=("reason",))
     for reason, count in s.rejected.items():
         rejected.add_metric((reason,), count)
     yield rejected

@@ -141,9 +141,9 @@ class NodeStatusReporter:
         if newest.state is ClockState.WAITING:
             return "the start"
         if newest.state is ClockState.PAUSED:
-            return "the clock, which stands still"
+            return "the clock, which is paused"
         if self._clock_heard_us is not None and now_us - self._clock_heard_us > SILENCE_US:
-            return "the clock, which has fallen silent"
+            return "the clock, whose messages have stopped"
         if self._missing is not None:
             return self._missing()
         return ", ".join(BY_TYPE[kind].key for kind in self._never_heard)

@@ -296,7 +296,7 @@ class Runner:
             return
         kind = type(signal)
         if frame.topic is not None and frame.topic.written_by == OPERATOR and self._clock.newest is None:
-            reason = "no time yet: what is asked for now must not be done later"
+            reason = "no estimate received yet, so there is no vehicle time: retry when the status shows estimates"
         else:
             reason = self._of_another_time(signal, frame.received_monotonic_us)
         if reason:
@@ -335,12 +335,16 @@ class Runner:
         if sync is None:
             return ""
         if isinstance(signal, Clock):
-            return "a clock, and the time is taken from the estimates since before it" if sync.active else ""
+            return (
+                "vehicle time already follows the estimates: restart this process to use the clock"
+                if sync.active
+                else ""
+            )
         clock_steps, begun = sync.clock_steps, sync.active
         reason = sync.check_stamp(signal, received_us)
         if sync.clock_steps > clock_steps:
             self._schedule.reset()
-            self._say("the other side has set its clock")
+            self._say("the stamps of the other side jumped: its clock was set")
         if sync.active and (not begun or sync.clock_steps > clock_steps):
             self._begin()
         return reason

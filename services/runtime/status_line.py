@@ -60,13 +60,13 @@ def text(status: ControllerStatus, estimates_on: str) -> str:
     else:
         parts.append(f"estimate {status.estimate_age_ns / 1e9:.2f} s old")
         if status.applied_age_ns is None:
-            parts.append("no applied: plans are taken as followed")
+            parts.append("no `applied` messages: plans count as followed")
     if status.cycle_median_us is not None and status.cycle_p99_us is not None:
         parts.append(f"cycle {status.cycle_median_us / 1e3:.1f} ms (p99 {status.cycle_p99_us / 1e3:.1f})")
     if status.error_m is not None:
         parts.append(f"error {status.error_m:.2f} m")
     if status.progress is not None:
-        parts.append(f"{100 * status.progress:.0f} % of the way")
+        parts.append(f"{100 * status.progress:.0f} % of the path")
     if status.clock is not ClockMode.SHARED:
         error = "" if status.clock_error_ns is None else f", within {status.clock_error_ns / 1e6:.1f} ms"
         parts.append(f"clock {status.clock.value}{error}")

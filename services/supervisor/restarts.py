@@ -67,8 +67,6 @@ def judge(
     if not restartable or not had_worked:
         return RestartRefusal(f"{fault.node} {fault.how}", in_order=False)
     if not budget.spend(fault.seen_s):
-        text = (
-            f"{fault.node} {fault.how}, and {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s are the most: a safe stop"
-        )
+        text = f"{fault.node} {fault.how}, and {MAX_RESTARTS} restarts within {WINDOW_S:.0f} s are the limit: stopping"
         return RestartRefusal(text, in_order=True)
     return None

@@ -158,7 +158,9 @@ class Supervisor:
                 return Outcome(completed=False, exit_code=FAILED, why=failure.why, last_lines=failure.last_lines)
             except Stopped:
                 code = INTERRUPTED if self._request.interrupted else FAILED
-                return Outcome(completed=False, exit_code=code, why="stopped; what was recorded until then is kept")
+                return Outcome(
+                    completed=False, exit_code=code, why="stopped early; the messages recorded so far are kept"
+                )
             finally:
                 self._crew.close()
                 killed = shutdown.stop(self._crew.children, in_order=in_order, close_session=sessions.close)
@@ -172,7 +174,7 @@ class Supervisor:
         for name, child in self._crew.children.items():
             code = child.exit_code()
             if name in self._recovering:
-                why = f"{name} {self._recovering[name].fault.how}, and was not back at the run's end; its last lines:"
+                why = f"{name} {self._recovering[name].fault.how}, and had not recovered by the end; its last lines:"
                 return Outcome(completed=False, exit_code=FAILED, why=why, last_lines=child.last_lines())
             if name in killed or code != DONE:
                 how = "did not stop and was killed" if code is None or name in killed else describe_exit(code)
@@ -229,11 +231,11 @@ class Supervisor:
         watch = self._listen(session, rows)
         for row in (row for row in rows if row.needs):
             for name in row.needs:
-                self._await(lambda name=name: watch.newest(NodeStatus, name) is not None, name, "never got ready")  # type: ignore[misc]
+                self._await(lambda name=name: watch.newest(NodeStatus, name) is not None, name, "not ready")  # type: ignore[misc]
             self._crew.start(row, configs[row.name])
         for row in rows:
             if row.name != "router":
-                self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "never got ready")  # type: ignore[misc]
+                self._await(lambda row=row: watch.newest(NodeStatus, row.name) is not None, row.name, "not ready")  # type: ignore[misc]
         self._working = True
 
     def _listen(self, session: Session, rows: Sequence[process_table.ProcessRow]) -> BusMonitor:
@@ -292,7 +294,7 @@ class Supervisor:
             if self._plant_is_done() or not child.heartbeat.hung(now_s, child.starved_s) or child.waits_for_the_disk():
                 return None
             child.kill()
-            return ProcessFailure(name, f"hung: no pulse for {now_s - alive_s:.2f} s", alive_s, now_s)
+            return ProcessFailure(name, f"hung: no heartbeat for {now_s - alive_s:.2f} s", alive_s, now_s)
         if (name == "plant" and code == DONE) or self._plant_is_done():
             return None
         return ProcessFailure(name, describe_exit(code), alive_s, now_s)
@@ -311,7 +313,7 @@ class Supervisor:
         self._recovering[name] = Recovery(
             fault._replace(alive_s=began_s), before=0 if before is None else before.epoch, begun_s=time.monotonic()
         )
-        self._tell("fault", f"{name} {fault.how}; seen {fault.seen_s - fault.alive_s:.2f} s after its last pulse")
+        self._tell("fault", f"{name} {fault.how}; seen {fault.seen_s - fault.alive_s:.2f} s after its last heartbeat")
 
     def _look_after_recoveries(self, watch: BusMonitor, now_s: float) -> None:
         for name, recovery in tuple(self._recovering.items()):
@@ -321,11 +323,11 @@ class Supervisor:
                 fault = recovery.fault
                 took_s = sign.arrived_s - fault.alive_s
                 self._say_from_s = now_s + RECONNECTED_S if name in LISTENING else self._say_from_s
-                self._tell("restart", f"{name} {fault.how}; back {took_s:.2f} s after its last pulse")
+                self._tell("restart", f"{name} {fault.how}; back {took_s:.2f} s after its last heartbeat")
             elif now_s - recovery.begun_s > BACK_S:
                 self._crew.children[name].kill()
                 self._mend(
-                    ProcessFailure(name, f"did not come back within {BACK_S:.0f} s", recovery.fault.alive_s, now_s)
+                    ProcessFailure(name, f"did not recover within {BACK_S:.0f} s", recovery.fault.alive_s, now_s)
                 )
         if self._unsaid and now_s >= self._say_from_s and not self._recovering.keys() & LISTENING:
             for event in self._unsaid:

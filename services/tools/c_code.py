@@ -89,10 +89,12 @@ def solved(vehicle: Vehicle, config: ControllerConfig) -> tuple[OsqpSolver, Arra
     controller = Controller(vehicle, Point(north_m=0.0, east_m=0.0), first)
     solver = controller._solver
     if not isinstance(solver, OsqpSolver):
-        problem = "must be osqp: the code is OSQP's"
+        problem = "must be osqp: OSQP generates the code"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
     if solver.form.limited:
-        raise ConfigError("controller settings", "limits", "must be empty: the code's layout knows thrusters alone")
+        raise ConfigError(
+            "controller settings", "limits", "must be empty: the generated code supports thruster limits only"
+        )
     controller.plan(Estimate.at_rest(north_m=0.1))
     # A cycle later, not where that plan led: the solution is not where it was linearised.
     controller.plan(msgspec.structs.replace(Estimate.at_rest(north_m=-0.2, east_m=0.1, heading_rad=0.3), t_ns=STAGE_NS))

@@ -87,7 +87,7 @@ def examine() -> list[Finding]:
         except Exception as error:  # whatever it is: the other checks go on
             text = " ".join(str(error).split()) or type(error).__name__
             name = check.__name__.replace("_", " ")
-            found.append(problem(name, f"cannot be looked at: {text}", "make clean && make setup"))
+            found.append(problem(name, f"cannot be checked: {text}", "make clean && make setup"))
     return found
 
 
@@ -160,8 +160,8 @@ def names() -> Finding:
     elsewhere = {name: folder for name in OURS if (folder := folder_of(name)) != ROOT}
     if elsewhere:
         said = "; ".join(f"{name} is taken from {folder or 'nowhere'}" for name, folder in elsewhere.items())
-        return problem("names", said, f"rename that folder, or start elsewhere; pip install -e {ROOT}")
-    return ok("names", f"{', '.join(OURS)} are this project's alone")
+        return problem("names", said, f"rename that folder or start in another one, then pip install -e {ROOT}")
+    return ok("names", f"{', '.join(OURS)} are imported from this project")
 
 
 # --- the machine ----------------------------------------------------------------------------------------------------
@@ -174,7 +174,9 @@ def cores() -> Finding:
     if count < FEWEST_CORES:
         return warning("cores", said, "a run at real time (--speed 1) or --lockstep needs less")
     if busy > count:
-        return warning("cores", said, "more wants to run than can: times come out long; end what is not needed")
+        return warning(
+            "cores", said, "load is above the number of cores, so measured times are too long: end other programs"
+        )
     return ok("cores", said)
 
 
@@ -185,7 +187,7 @@ def clock() -> Finding:
     if resolution_s > COARSEST_CLOCK_S:
         return problem("clock", said, "another clock source: /sys/devices/system/clocksource/clocksource0")
     if late_s > WORST_SLEEP_S:
-        return warning("clock", said, "steps come every 10 ms: end what is not needed, or run at a lower --speed")
+        return warning("clock", said, "steps come every 10 ms: end other programs, or run at a lower --speed")
     return ok("clock", said)
 
 
@@ -206,9 +208,9 @@ def space() -> Finding:
     if not writable(here):
         return warning("space", f"{here} cannot be written", "start in another folder, or give each run an --out DIR")
     if free < TOO_LITTLE_SPACE:
-        return problem("space", said, "free some, or start in a folder on another disk")
+        return problem("space", said, "free disk space, or start in a folder on another disk")
     if free < LITTLE_SPACE:
-        return warning("space", said, "a recorded descent has 15 MB: remove old folders below runs/")
+        return warning("space", said, "a recorded descent takes 15 MB: remove old folders below runs/")
     return ok("space", said)
 
 
@@ -217,7 +219,7 @@ def temporary() -> Finding:
     try:
         folder = Path(tempfile.gettempdir())
     except FileNotFoundError:
-        return problem("temporary files", "no folder can be written", "set TMPDIR to one that can")
+        return problem("temporary files", "no writable folder", "set TMPDIR to a writable folder")
     return ok("temporary files", str(folder))
 
 
@@ -228,8 +230,8 @@ def loopback() -> Finding:
     except OSError as error:
         mend = "bring the loopback interface up (ip link set lo up), or allow it in the firewall or sandbox"
         return problem("loopback", f"127.0.0.1 cannot be used: {error.strerror or error}", mend)
-    router = "somebody listens" if router_answers() else "nobody listens"
-    return ok("loopback", f"{echoed} bytes there and back; {router} at 127.0.0.1:7447, the usual router's place")
+    router = "a router listens" if router_answers() else "no router listens"
+    return ok("loopback", f"{echoed} bytes there and back; {router} at 127.0.0.1:7447, the default router address")
 
 
 # --- what a run computes with ---------------------------------------------------------------------------------------
@@ -253,10 +255,14 @@ def compiled() -> Finding:
     from services.supervisor.jit_cache import is_warm
 
     if not CACHE_IS_PERSISTENT:
-        mend = "make ~/.cache writable, or set XDG_CACHE_HOME to a folder that is: each run compiles anew until then"
-        return warning("compiled code", f"no folder can keep it; for now {CACHE}", mend)
+        mend = "make ~/.cache writable, or set XDG_CACHE_HOME to a folder that is: until then each run compiles again"
+        return warning("compiled code", f"no writable cache folder; temporary folder {CACHE}", mend)
     if not is_warm():
-        return warning("compiled code", f"not there yet: {CACHE}", "the first run compiles it, a minute; or make setup")
+        return warning(
+            "compiled code",
+            f"not compiled yet: {CACHE}",
+            "the first run compiles for about a minute, or run make setup",
+        )
     return ok("compiled code", f"ready in {CACHE}")
 
 

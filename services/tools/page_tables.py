@@ -37,7 +37,7 @@ def between(page: str, name: str) -> str:
     _, begin, rest = page.partition(BEGIN.format(name=name) + "\n")
     text, end, _ = rest.partition(END)
     if not begin or not end:
-        raise ConfigError("page", BEGIN.format(name=name), f"must stand in it once, and {END} below it")
+        raise ConfigError("page", BEGIN.format(name=name), f"must appear once, with {END} below it")
     return text
 
 

@@ -87,7 +87,7 @@ def consistency(squares: npt.ArrayLike, dof: npt.ArrayLike, probability: float =
     total, degrees = np.sum(squares, axis=0), np.sum(dof, axis=0)
     some = degrees > 0
     if not some.any():
-        raise ValueError("no instant has a degree of freedom")
+        raise ValueError("no sample has a degree of freedom")
     low, high = band(degrees[some], probability)
     return Consistency(total[some], degrees[some], low, high)
 

@@ -79,7 +79,7 @@ def test_a_mistake_in_a_vehicle_is_found_at_its_place(before: str, after: str, s
         ('kind = "hold"\ndepth_m = -1', "reference r.toml: depth_m = -1: must be >= 0 and <= 11000"),
         (
             'kind = "point"\nnorth_m = 1',
-            "reference r.toml: a place is north_m and east_m, or latitude_deg and longitude_deg",
+            "reference r.toml: a position needs north_m and east_m, or latitude_deg and longitude_deg",
         ),
         ('kind = "hold"\nnorth_m = 1', 'reference r.toml: unknown key "north_m"; known: kind, start_s,'),
     ],
@@ -102,14 +102,14 @@ def test_a_list_of_the_wrong_length_is_refused() -> None:
     [
         (b"", "is empty"),
         (b"  \n\n", "is empty"),
-        (bytes(range(256)), "no UTF-8 text (byte 128)"),
-        (b"a = 1\0", "no text but binary data"),
-        (b"a = ", "no valid TOML"),
-        (b"a = 1\na = 2", "no valid TOML"),
+        (bytes(range(256)), "is not UTF-8 text (byte 128)"),
+        (b"a = 1\0", "binary data, not text"),
+        (b"a = ", "not valid TOML"),
+        (b"a = 1\na = 2", "not valid TOML"),
         (b"a = " + b"[" * 100_000, "deep"),
         (b"a" + b".a" * 5000 + b" = 1", "deep"),
-        (b"a = " + b"9" * 5000, "no valid TOML"),
-        (b"#" * (config.MAX_FILE_BYTES + 1), f"at most {config.MAX_FILE_BYTES}; is it the right file?"),
+        (b"a = " + b"9" * 5000, "not valid TOML"),
+        (b"#" * (config.MAX_FILE_BYTES + 1), f"at most {config.MAX_FILE_BYTES}; check that it is the right file"),
     ],
 )
 def test_a_file_that_is_no_settings_file_is_refused(tmp_path: Path, content: bytes, says: str) -> None:
@@ -138,8 +138,8 @@ def test_what_is_no_regular_file_is_refused_without_reading_it(tmp_path: Path) -
     os.mkfifo(pipe)
     for name, says in (
         (str(tmp_path) + "/", "is a folder"),
-        (str(pipe), "is no regular file"),
-        ("/dev/zero", "is no regular file"),
+        (str(pipe), "is not a regular file"),
+        ("/dev/zero", "is not a regular file"),
         (str(tmp_path / "absent.toml"), "no such file"),
         ("a\0b.toml", "cannot be read"),
         ("x" * 5000 + ".toml", "cannot be read"),
@@ -227,7 +227,7 @@ def test_a_missing_file_error_names_the_similar_file_or_the_missing_folder(tmp_p
     (tmp_path / "other.toml").write_text("x = 1\n")
     for name, said in (
         ("hul.toml", f"no such file; did you mean {tmp_path / 'hull.toml'}?"),
-        ("something_else.toml", "no such file: give one that is there"),
+        ("something_else.toml", "no such file: name an existing file"),
         ("nowhere/hull.toml", f"no such file: there is no folder {tmp_path / 'nowhere'}"),
     ):
         assert missing_file_hint(tmp_path / name) == said

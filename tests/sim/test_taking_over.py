@@ -167,7 +167,7 @@ def test_a_reference_message_is_followed_and_an_invalid_one_rejected_with_reason
     assert "north_m" in answers[2].why
     assert "1e+06" in answers[2].why or "1000000" in answers[2].why
     assert "TOML" in answers[3].why
-    assert "no file is read" in answers[4].why
+    assert "cannot name a file" in answers[4].why
     assert seen.plans[-1].reference_m == (3.0, -2.0)
     check_no_jump(seen)
 

@@ -51,13 +51,13 @@ class FailedQp:
         try:
             parts = _parts(path)
         except FileNotFoundError:
-            raise ConfigError(f"{FILE} {path}", "", "there is none") from None
+            raise ConfigError(f"{FILE} {path}", "", "no such file") from None
         except UNREADABLE as error:
             raise ConfigError(f"{FILE} {path}", "", f"cannot be read: {str(error)[:200]}") from None
         try:
             return cls._of(parts)
         except (LookupError, ValueError, TypeError, ArithmeticError) as error:
-            problem = f"is no QP that this program saved: {str(error)[:200]}"
+            problem = f"is not a QP saved by this program: {str(error)[:200]}"
             raise ConfigError(f"{FILE} {path}", "", problem) from None
 
     @classmethod

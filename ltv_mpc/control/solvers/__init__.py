@@ -24,12 +24,12 @@ def make(vehicle: Vehicle, config: ControllerConfig) -> Solver:
         return OsqpSolver(config, limits)
     if config.solver == RICCATI:
         if limits.limited:
-            problem = "cannot do limits of the motion; osqp and every solver of qpsolvers can"
+            problem = "does not support motion limits: use osqp or a solver of qpsolvers"
             raise ConfigError("controller settings", "solver", problem, value=config.solver)
         return RiccatiSolver(config, limits)
     known = (RICCATI, *known_solvers())
     if config.solver not in known:
-        problem = f"not installed or not known; installed: {', '.join(known)}"
+        problem = f"is not installed or not known; installed: {', '.join(known)}"
         raise ConfigError("controller settings", "solver", problem, value=config.solver)
     return QpsolversBackend(config, limits)
 

@@ -273,7 +273,7 @@ def _exact(values: Array, length: int) -> Array:
 def _accepted(error: int) -> None:
     """OSQP's own verdict on what it was given."""
     if error:
-        raise ValueError(f"OSQP refused the data (error {error})")
+        raise ValueError(f"OSQP rejected the data (error {error})")
 
 
 def _status(value: int) -> SolveStatus:

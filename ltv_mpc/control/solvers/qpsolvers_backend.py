@@ -66,7 +66,7 @@ def solve_qp(qp: QP, solver: str = "osqp") -> Solution:
         raise ConfigError(
             "option solver",
             "",
-            f"not installed or not known; installed: {', '.join(sorted(known_solvers()))}",
+            f"is not installed or not known; installed: {', '.join(sorted(known_solvers()))}",
             value=solver,
         )
     equal = qp.l == qp.u

@@ -106,7 +106,7 @@ class RiccatiSolver:
             self.reset_warm_start()
             finite = np.isfinite(lin.flat).all() and np.isfinite(self._target).all()
             why = (
-                "the cost does not say what the commands should be"
+                "the cost is singular: it does not determine the commands"
                 if finite
                 else describe_non_finite(lin, self._target)
             )
@@ -114,7 +114,7 @@ class RiccatiSolver:
             return SolverResult(lin.U.copy(), Solve(status=status, iterations=sweeps, why=why))
         self._shift = 0.0
         solved = outcome == CONVERGED
-        why = "" if solved else f"the active limits were not found in {sweeps} sweeps"
+        why = "" if solved else f"active set not found within {sweeps} Riccati sweeps"
         status = SolveStatus.SOLVED if solved else SolveStatus.ITERATION_LIMIT
         return SolverResult(commands, Solve(status=status, iterations=sweeps, primal_residual=beyond, why=why))
 

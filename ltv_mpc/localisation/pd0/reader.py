@@ -68,7 +68,7 @@ def read(path: str | Path) -> Recording:
     try:
         status = Path(path).stat()
         if not stat.S_ISREG(status.st_mode):
-            raise ConfigError(source, "", "is no regular file")
+            raise ConfigError(source, "", "is not a regular file")
         if status.st_size > MAX_FILE_BYTES:
             raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}")
         data = Path(path).read_bytes()
@@ -121,7 +121,7 @@ def parse(data: bytes, *, source: str) -> Recording:
         lose(end, len(data))
     if not ensembles:
         first = losses[0] if losses else Loss(0, 0, "the file is empty")
-        raise ConfigError(source, f"byte {first.offset}", f"not one valid ensemble: {first.why}")
+        raise ConfigError(source, f"byte {first.offset}", f"no valid ensemble: {first.why}")
     return Recording(source, len(data), tuple(ensembles), tuple(losses), places, lost)
 
 

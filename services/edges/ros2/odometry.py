@@ -88,7 +88,7 @@ def _matrix(name: str, covariance: Any) -> Array:
 def _bounded(name: str, values: Array) -> Array:
     """Numbers that can be reckoned with; what a vehicle can have is for the door to say."""
     if not np.abs(values).max() <= LARGEST:  # not so for NaN either
-        raise OdometryError(f"{name}: a value that is no number, or beyond {LARGEST:g}")
+        raise OdometryError(f"{name}: a value is not a number, or larger than {LARGEST:g}")
     return values
 
 

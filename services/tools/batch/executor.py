@@ -195,7 +195,7 @@ class _Cluster:
         try:
             from distributed import Client
         except ImportError:
-            problem = "needs distributed: install the extra campaign"
+            problem = "needs the package distributed: pip install distributed (extra campaign)"
             raise ConfigError("option --cluster", "", problem, value=address) from None
         try:
             self._client = Client(address, timeout=f"{CLUSTER_PATIENCE_S:g}s", set_as_default=False)

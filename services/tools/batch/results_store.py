@@ -60,12 +60,12 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
     try:
         file = path.open("a+b")
     except OSError as error:
-        raise _refusal(folder, f"a folder that can be written is needed ({error.strerror})") from None
+        raise _refusal(folder, f"cannot be written ({error.strerror})") from None
     with file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise _refusal(folder, "another process is at this campaign") from None
+            raise _refusal(folder, "another process runs this campaign") from None
         if force:
             file.truncate(0)
         file.seek(0)
@@ -80,7 +80,7 @@ def open_store(folder: Path, settings: Mapping[str, Any], *, force: bool = False
             file.flush()
         there, results = read(path)
         if differences := _differences(_flat(there), _flat(here)):
-            problem = f"holds another campaign, or one of another version ({'; '.join(differences)})"
+            problem = f"holds another campaign or one of another version ({'; '.join(differences)})"
             raise _refusal(folder, f"{problem}: name another folder, or add --force")
         yield ResultsStore(path, file, {key for key, _ in results})
 
@@ -120,7 +120,7 @@ def _line(value: object) -> bytes:
 def _to_list(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise NotImplementedError(f"a {type(value).__name__} is no result")
+    raise NotImplementedError(f"a {type(value).__name__} is not a result")
 
 
 def _to_array(kind: Any, value: Any) -> Any:

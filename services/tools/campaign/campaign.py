@@ -135,4 +135,4 @@ def reopened(folder: Path) -> tuple[PreparedCampaign, Iterator[Row]]:
     try:
         return msgspec.convert(settings, PreparedCampaign), (row for _, row in results)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"results {folder}", "", f"is no campaign: {error}") from None
+        raise ConfigError(f"results {folder}", "", f"is not a campaign: {error}") from None

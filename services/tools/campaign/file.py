@@ -171,7 +171,7 @@ def _check(campaign: Campaign, source: str) -> None:
             where = "set" if other is campaign.settings else "vary"
             raise ConfigError(source, f"[{table}] {key}", f"stands in [{where}] too: leave one out")
     if not campaign.varied:
-        raise ConfigError(source, "[vary]", "must name at least one key: nothing varies")
+        raise ConfigError(source, "[vary]", "must name at least one key to vary")
     for key, over in campaign.vary.items():
         _check_values(over, campaign.design.kind, f"[vary] {key}", source)
     for key, values in campaign.cross.items():

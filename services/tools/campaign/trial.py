@@ -72,7 +72,9 @@ def run(base: Base, version: str, trial: Trial) -> Row:
         raise RuntimeError(f"this worker has version {ours}, the campaign {version}")
     if not services.ONE_BLAS_THREAD:
         names = "OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1"
-        raise RuntimeError(f"this worker's BLAS may have several threads, other bits: start it with {names}")
+        raise RuntimeError(
+            f"BLAS of this worker may use several threads, which changes the last bits: start it with {names}"
+        )
     started = time.perf_counter()
     try:
         result = flat(lockstep_run.run(run_config(base, trial.settings, trial.factors, trial.seed)))
@@ -104,7 +106,7 @@ def run_config(base: Base, settings: Mapping[str, Value], factors: Mapping[str, 
     for key, factor in factors.items():
         value = keys.value_of(plain, key)
         if value is None:
-            raise ConfigError("campaign", key, "has no value in the base that could be scaled")
+            raise ConfigError("campaign", key, "has no base value to scale")
         scaled[key] = float(value) * factor
     return _with_settings(base, scaled, seed)
 

@@ -54,7 +54,7 @@ def pid_of(node: str, parent: int) -> int:
     for pid, name in children(parent):
         if name == f"ltv-{node}":
             return pid
-    raise NotFound(f"no process of {node} is at work")
+    raise NotFound(f"no process of {node} is running")
 
 
 def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
@@ -69,7 +69,7 @@ def attack(fault: Fault, pid: int, *, lasts: Callable[[], bool]) -> None:
         case "disk_full":
             _full(pid)
         case _:
-            raise ValueError(f"{fault.kind} is nothing that is done to a process")
+            raise ValueError(f"{fault.kind} is not a fault of a process")
 
 
 def _slow(pid: int, share: float, lasts: Callable[[], bool]) -> None:

@@ -99,7 +99,7 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> FaultCount
         raise ConfigError("option --where", "", "must be lockstep, processes or both", value=where)
     kinds = [kind for kind in KINDS if kind.name in wanted and kind.place in places[where]]
     if not kinds:
-        raise ConfigError("option --where", "", f"no class of {', '.join(wanted)} is injected there", value=where)
+        raise ConfigError("option --where", "", f"no fault class of {', '.join(wanted)} exists there", value=where)
     here = tuple(kind for kind in kinds if kind.place is Place.LOCKSTEP)
     there = tuple(kind for kind in kinds if kind.place is Place.PROCESSES)
     in_processes = 0 if not there else n if not here else min(n, max(round(n * SHARE_IN_PROCESSES), len(there)))

@@ -104,9 +104,9 @@ def _back(read: Recorded, one: Injected) -> Reaction | None:
     if one.fault.kind not in ENDING:
         return None
     if (at_us := _again(read, one)) is None:
-        return Reaction(None, "never back")
+        return Reaction(None, "did not recover")
     seconds = (at_us - one.at_us) * 1e-6
-    return Reaction(seconds, f"back after {seconds:.2f} s" if seconds > BACK_S else "")
+    return Reaction(seconds, f"recovered after {seconds:.2f} s" if seconds > BACK_S else "")
 
 
 def _again(read: Recorded, one: Injected) -> int | None:

@@ -193,7 +193,7 @@ def _silence_flagged(case: Case) -> Reaction:
 def _refused_at_the_door(case: Case) -> Reaction:
     """Check that every harmed frame is rejected and counted on arrival."""
     missing = uncounted(case)
-    return Reaction(0.0 if case.harmed else None, f"{missing} of {case.harmed} frames not refused" if missing else "")
+    return Reaction(0.0 if case.harmed else None, f"{missing} of {case.harmed} frames not rejected" if missing else "")
 
 
 def _another_origin(case: Case) -> Reaction:
@@ -203,7 +203,7 @@ def _another_origin(case: Case) -> Reaction:
     plans = [plan for plan in case.of.log.plans if plan.cycle_ns >= case.start_ns]
     during = [plan for plan in plans if plan.cycle_ns < case.end_ns]
     if any(plan.origin is PlanOrigin.SOLVED for plan in during):
-        return Reaction(None, "a plan of a solver in trouble says that it is solved")
+        return Reaction(None, "a plan is marked solved although the solver failed")
     after = [plan for plan in plans if plan.cycle_ns >= case.end_ns][1:2]
     if any(plan.origin is not PlanOrigin.SOLVED for plan in after):
         return Reaction(0.0, "not solved in the second cycle after the trouble")
@@ -229,7 +229,7 @@ def _not_followed(case: Case) -> Reaction:
     before = [count for t, *_, count, _ in case.of.log.applied if t < case.start_ns]
     refused += [t for t, *_, count, _ in during if count > before[-1]]
     if not refused:
-        return Reaction(None, "nobody says that a second commander was refused")
+        return Reaction(None, "no status reports the rejected second commander")
     return Reaction(max(0.0, (min(refused) - case.start_ns) * 1e-9))
 
 

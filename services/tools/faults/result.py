@@ -100,8 +100,10 @@ def problems(seen: FaultOutcome) -> list[str]:
     """List the requirements that were violated for this fault."""
     found = [seen.uncontrolled and f"ended: {seen.uncontrolled}", seen.late]
     found.append(f"{seen.bad_thrusts} bad thrusts" if seen.bad_thrusts else "")
-    found.append(f"{seen.uncounted} messages that nobody counted" if seen.uncounted else "")
-    found.append(f"tracking error {seen.ratio:.1f} times that without it" if _not_recovered(seen) else "")
+    found.append(f"{seen.uncounted} uncounted messages" if seen.uncounted else "")
+    found.append(
+        f"tracking error {seen.ratio:.1f} times that of the run without the fault" if _not_recovered(seen) else ""
+    )
     found.append(f"true error moved by {seen.grown_m:.1f} m, bound {seen.bound_m:g} m" if _beyond_bound(seen) else "")
     found.append(f"outside 3 sigma for {seen.outside_s:.0f} s, unflagged" if seen.outside_s > UNFLAGGED_S else "")
     return [text for text in found if text]

@@ -76,7 +76,7 @@ def problem(asked: Injection) -> tuple[str, str] | None:
     # NaN in an array with gaps is a missing value.
     harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
     if asked.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
-        return "key", "has no number that could be none"
+        return "key", "has no field that can be NaN"
     return None
 
 

@@ -35,9 +35,9 @@ def table(of: Campaign) -> str:
         fault = seen.fault
         where = f"{fault.kind} {fault.target}, {seen.place}, seed {seen.run_seed}"
         when = f"{fault.start_s:.1f} to {fault.end_s:.1f} s, size {fault.size:.3g}"
-        lines.append(f"not kept: {where}, {when}: {'; '.join(problems(seen))}")
+        lines.append(f"requirement failed: {where}, {when}: {'; '.join(problems(seen))}")
     if len(of.violations) > MOST_SHOWN:
-        lines.append(f"not kept: {len(of.violations) - MOST_SHOWN} more")
+        lines.append(f"requirement failed: {len(of.violations) - MOST_SHOWN} more")
     return "\n".join(lines)
 
 

@@ -9,7 +9,7 @@ from sim.evaluation.summary import Quantiles
 
 HEADINGS = (
     "vehicles", "plans/s", "missed", "latency ms", "cycle ms", "off m", "core each", "controllers", "plants", "router",
-    "gave way",
+    "first limit",
 )  # fmt: skip
 
 LEGEND = """missed     estimates without a plan of their own in time

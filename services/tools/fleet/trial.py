@@ -151,7 +151,7 @@ class _Child:
         except EOFError:
             self.process.join(5.0)
             raise TrialFailed(f"{self._name} has ended with exit code {self.process.exitcode}") from None
-        raise TrialFailed(f"{self._name} has said nothing for {timeout_s:.0f} s")
+        raise TrialFailed(f"{self._name} has not answered for {timeout_s:.0f} s")
 
     def cpu_s(self) -> float:
         """Return the processor time so far (s)."""

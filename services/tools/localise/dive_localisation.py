@@ -107,7 +107,7 @@ def write(outcome: Outcome, folder: Path) -> str:
     try:
         from services.tools.localise import plot
     except ImportError:
-        return "no picture: matplotlib is not installed (extra viz)"
+        return "no plot: matplotlib is not installed: pip install matplotlib (extra viz)"
     plot.draw(outcome, folder / "localise.png")
     return ""
 
@@ -119,7 +119,7 @@ def _first(ensembles: Sequence[Ensemble], start_depth_m: float | None, source: s
         if ensemble.depth_m >= start_depth_m:
             return k
     deepest = max(e.depth_m for e in ensembles)
-    problem = f"no ensemble of {source} is as deep: the deepest is at {deepest:.1f} m"
+    problem = f"no ensemble of {source} is that deep: the deepest is at {deepest:.1f} m"
     raise ConfigError("option --start-depth-m", "", problem, value=start_depth_m)
 
 
@@ -197,7 +197,7 @@ def _study(
 def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: str) -> list[str]:
     notes = [why] if why else []
     if track.fixes == 0:
-        notes.append("no fix by bottom track: the velocity at the start is unknown, and so is the track")
+        notes.append("no fix by bottom track: the initial velocity, and so the track, is unknown")
     if not any(np.isfinite(e.bottom_mps[:2]).all() for e in dive):
         notes.append("no bottom track in the dive: nothing to compare the track with")
     if settings.heading_alignment_rad or settings.heading_bias_rad:
@@ -205,7 +205,7 @@ def _notes(settings: Settings, dive: Sequence[BeamEnsemble], track: Track, why: 
             "heading alignment or bias (EA, EB) is set: not applied, north is the north of the file's headings"
         )
     if track.cells_used == 0:
-        notes.append("not one cell of water could be used: the track is that of the fixes alone")
+        notes.append("no water cell could be used: the track follows the fixes only")
     return notes
 
 

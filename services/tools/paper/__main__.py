@@ -110,7 +110,7 @@ def make(options: Options) -> tables.Figures:
     """Make runs, figures and figures.json. Raises ``ConfigError``."""
     profiles, missing = water.measured(options.measured)
     for path in missing:
-        typer.echo(f"Fig 3 goes without {path}: no such file", err=True)
+        typer.echo(f"Fig 3 is drawn without {path}: no such file", err=True)
     with _steps("descents", descents.count(options.seeds)) as step:
         recorded = descents.recorded(
             options.runs, options.duration_s, options.surface_s, workers=options.workers, progress=step

@@ -20,7 +20,7 @@ def text(profile: Profile) -> str:
             "",
             *_stages(profile.rows),
             "",
-            f"cycles at each horizon: {kinds}; solvers interleaved, their order drawn anew each cycle",
+            f"cycles at each horizon: {kinds}; solvers interleaved, in a new random order each cycle",
             "off: of the first free thrust from the exact solution of the same QP; of PIQP: whole cycle over that of"
             " PIQP native, by its own interface",
             machine.line(profile.machine),

@@ -93,7 +93,9 @@ def bound(
     model = ErrorModel(suite, config, known)
     events = schedule(suite, [*at_s, 0.0], surface_time_s, without)
     if min(at_s) < events[0].t_s - TOGETHER_S:
-        raise ValueError(f"nothing is known before the first satellite fix at {events[0].t_s:g} s: {min(at_s):g} s")
+        raise ValueError(
+            f"the bound is undefined before the first satellite fix at {events[0].t_s:g} s: {min(at_s):g} s"
+        )
     information = _Information(model, config.current_change_mps_per_rts)
     wanted = sorted(at_s)
     cores, drifts = [], []

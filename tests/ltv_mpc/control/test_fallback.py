@@ -369,7 +369,7 @@ def test_the_caller_s_own_inputs_can_make_it_worse_but_not_better():
 
 def test_a_reference_does_not_begin_on_an_old_estimate_or_move_while_held():
     waiting = Controller(SURFACES, references.Hold(depth_m=10.0))
-    assert waiting.plan(moving(), t_ns=2 * S).why == "the reference has not begun"
+    assert waiting.plan(moving(), t_ns=2 * S).why == "the reference has not started yet"
     controller = Controller(SURFACES, references.load("line"))
     estimate, _ = fly(controller, moving(), 20)
     before = controller.follower.save().tau_s

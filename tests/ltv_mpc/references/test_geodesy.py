@@ -62,13 +62,13 @@ def test_at_10_km_the_plane_is_millimetres_short_of_the_ellipsoid(bearing):
 @pytest.mark.parametrize(
     ("place", "origin", "says"),
     [
-        (Place(north_m=1.0), None, "a place is north_m and east_m, or latitude_deg and longitude_deg"),
+        (Place(north_m=1.0), None, "a position needs north_m and east_m, or latitude_deg and longitude_deg"),
         (
             Place(north_m=1.0, east_m=2.0, latitude_deg=3.0, longitude_deg=4.0),
             None,
-            "a place is north_m and east_m, or",
+            "a position needs north_m and east_m, or",
         ),
-        (Place(latitude_deg=3.0), Origin(latitude_deg=3.0, longitude_deg=4.0), "a place is north_m and east_m, or"),
+        (Place(latitude_deg=3.0), Origin(latitude_deg=3.0, longitude_deg=4.0), "position needs north_m and east_m, or"),
         (Place(latitude_deg=3.0, longitude_deg=4.0), None, r"need an \[origin\]"),
         (Place(latitude_deg=3.6, longitude_deg=4.0), Origin(latitude_deg=3.0, longitude_deg=4.0), "farther than 50 km"),
         (Place(latitude_deg=-3.0, longitude_deg=-176.0), Origin(latitude_deg=3.0, longitude_deg=4.0), "farther than"),

@@ -49,7 +49,7 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
     ("text", "says"),
     [
         ("kind = 'line'\nspeed_mps = 1", 'key "start" is missing: must be a table with north_m,'),
-        ("kind = 'point'\nnorth_m = 1", "a place is north_m and east_m, or latitude_deg and longitude_deg"),
+        ("kind = 'point'\nnorth_m = 1", "a position needs north_m and east_m, or latitude_deg and longitude_deg"),
         ("kind = 'point'\nlatitude_deg = 1\nlongitude_deg = 2", "need an [origin]"),
         ("kind = 'point'\nlatitude_deg = 99\nlongitude_deg = 2", "latitude_deg = 99: must be >= -89 and <= 89"),
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}]", "waypoints = "),

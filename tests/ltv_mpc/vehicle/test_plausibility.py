@@ -77,7 +77,7 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
         (
             SWAY,
             "quadratic_damping_kgpm = 0.0\n",
-            "[sway] both dampings are 0: a drift sideways lasts",
+            "[sway] both dampings are 0: a sideways drift never ends",
         ),
         (
             "max_rps = 7.2",

@@ -74,7 +74,7 @@ def test_a_look_at_the_port_is_no_attempt_and_a_certificate_of_no_role_is_one() 
     denials.read(
         log("a0b5 did not match any configured ACL subject. Default permission `Deny` will be applied on all messages")
     )
-    assert denials.kinds == {"connection: a certificate of no role": 1}
+    assert denials.kinds == {"connection: a certificate without a known role": 1}
 
 
 def test_lines_may_be_cut_anywhere() -> None:

@@ -81,13 +81,13 @@ def test_a_missing_open_or_foreign_key_is_refused_by_name(folder: Path, tmp_path
     with pytest.raises(ConfigError, match=r"plant\.key: others may read this key: chmod 600"):
         credentials(copy, "plant")
     shutil.copy(copy / "sensors.key", copy / "plant.key")
-    with pytest.raises(ConfigError, match=r"plant\.pem: no pair with plant\.key"):
+    with pytest.raises(ConfigError, match=r"plant\.pem: does not match plant\.key"):
         credentials(copy, "plant")
     (copy / "plant.key").unlink()
     with pytest.raises(ConfigError, match=r"plant\.key: no such file; `ltv-mpc certs new"):
         credentials(copy, "plant")
     (copy / "ca.pem").write_text("nothing")
-    with pytest.raises(ConfigError, match=r"ca\.pem: no certificate in PEM"):
+    with pytest.raises(ConfigError, match=r"ca\.pem: is not a PEM certificate"):
         credentials(copy, "sensors")
 
 

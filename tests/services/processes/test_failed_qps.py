@@ -41,7 +41,7 @@ def test_each_failure_is_kept_once_and_a_person_is_told_how_to_see_it(failure, t
     (path,) = (tmp_path / "failed").iterdir()
     assert path.name == "qp-2.npz"
     assert said == [
-        f"a QP was not solved (slew of port in stage 2 violated by 3 N); kept: ltv-mpc qp show {path}",
+        f"a QP was not solved (slew of port in stage 2 violated by 3 N); saved: ltv-mpc qp show {path}",
     ]
     np.testing.assert_array_equal(FailedQp.load(path).qp.q, controller.failed.qp.q)
 
@@ -60,7 +60,7 @@ def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(failure, tmp_p
     (tmp_path / "file").write_text("in the way")
     said = []
     shown(FailedQps(SimpleNamespace(failed=failure()), tmp_path / "file", said.append), 1)
-    assert "cannot be kept" in said[0]
+    assert "cannot be saved" in said[0]
 
 
 def test_qp_show_solves_it_again_and_says_what_holds_it_back(failure, tmp_path, capsys):
@@ -82,4 +82,4 @@ def test_qp_show_solves_it_again_and_says_what_holds_it_back(failure, tmp_path, 
 
 def test_a_file_that_is_none_is_refused(tmp_path, capsys):
     assert run(["qp", "show", str(tmp_path / "none.npz")]) == 2
-    assert "there is none" in capsys.readouterr().err
+    assert "no such file" in capsys.readouterr().err

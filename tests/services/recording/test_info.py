@@ -74,7 +74,7 @@ def test_the_figures_of_a_recording_in_two_segments(recording: Path) -> None:
 def test_a_person_reads_the_gaps_the_cut_and_what_to_do(recording: Path) -> None:
     words = log_text.text(info.read(segments(recording)))
     assert "sensor/depth, epoch 7: 3 of 20; sequence 5 to 6, 9" in words
-    assert "NOT WHOLE" in words
+    assert "INCOMPLETE" in words
     assert "ltv-mpc log recover RUN" in words
     assert "plant: slowed: by 0.4 s" in words
 

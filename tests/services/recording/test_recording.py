@@ -201,7 +201,7 @@ def test_a_writer_with_a_period_flushes_by_itself_also_while_nothing_arrives(pat
 def test_a_map_that_json_cannot_hold_is_refused_and_leaves_the_file_as_it_was(path: Path) -> None:
     with RunWriter(path, start_ns=0, metadata={}) as writer:
         writer.write("sensors", depth(0), header(0), 0)
-        with pytest.raises(wire.WireError, match="no plain map"):
+        with pytest.raises(wire.WireError, match="not a plain map"):
             writer.write_plain("sensor/depth", PressureDepth, {"sequence": 1, "depth_m": object()}, 0)
         writer.write("sensors", depth(2), header(2), 0)
         assert writer.messages == 2

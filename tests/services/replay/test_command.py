@@ -60,7 +60,7 @@ def test_with_other_settings_it_says_what_would_have_changed(
     ("words", "wrong"),
     [
         (["nowhere"], "RUN nowhere: no such folder or file"),
-        (["{run}", "--with", "{run}/scenario.toml"], "none of its keys tells which of them"),
+        (["{run}", "--with", "{run}/scenario.toml"], "its keys fit none of them"),
         (["{run}", "--node", "pilot"], "must be one of plant, sensors, estimator, controller"),
     ],
 )

@@ -97,7 +97,7 @@ def test_the_same_values_in_another_spelling_are_another_frame(recording: Path, 
     difference = replayed(out, only="controller").first_difference
     assert difference is not None
     assert (difference.key, difference.sequence, difference.fields) == ("plan", 0, ())
-    assert "otherwise spelled" in difference.what
+    assert "another encoding" in difference.what
 
 
 @pytest.mark.parametrize(

@@ -74,11 +74,11 @@ def test_another_filter_setting_gives_other_estimates(locked_run: RunFolder, tmp
 @pytest.mark.parametrize(
     ("text", "wrong"),
     [
-        ('title = "x"\n[controller]\nhorizon_s = 5.0\n', "none of its keys tells which of them"),
-        ("horizon_s = 5.0\ncell_m = 1.0\n", "none of its keys tells which of them"),
+        ('title = "x"\n[controller]\nhorizon_s = 5.0\n', "its keys fit none of them"),
+        ("horizon_s = 5.0\ncell_m = 1.0\n", "its keys fit none of them"),
         ("horizon_s = 5.0\nperiods_s = 0.3\n", 'unknown key "periods_s"; did you mean "period_s"?'),
         ("horizon_s = 5000.0\n", "horizon_s = 5000.0: must be >= 0.3 and <= 120"),
-        ("# nothing\n", "none of its keys tells which of them"),
+        ("# nothing\n", "its keys fit none of them"),
     ],
 )
 def test_a_file_that_is_not_one_of_the_two_is_refused(

@@ -91,7 +91,7 @@ def test_its_figures_are_those_of_the_last_ten_seconds_and_of_the_newest_inputs(
     assert status.error_m == 5.0
     assert status.health == "nominal"
     assert (status.clock, status.clock_error_ns) == ("one-way", None)
-    assert status.rejected == {"manual outside the box": 1}
+    assert status.rejected == {"manual: thrust outside the limits": 1}
     assert report.due_us == 12 * S + 1
     assert shown == [first, status]
 
@@ -138,7 +138,7 @@ def test_in_a_pipe_there_is_a_plain_line_each_ten_seconds() -> None:
 def test_without_reports_it_says_that_its_plans_are_taken_as_followed() -> None:
     out = io.StringIO()
     StatusLine("controller", "estimate", out).show(msgspec.structs.replace(STATUS, applied_age_ns=None), 0)
-    assert "no applied: plans are taken as followed" in out.getvalue()
+    assert "no `applied` messages: plans count as followed" in out.getvalue()
 
 
 @pytest.fixture

@@ -170,8 +170,8 @@ def test_a_disk_that_is_full_for_a_while_costs_messages_that_are_counted_and_sai
     assert 3 not in kept
     assert 8 - len(kept) <= refused[0]  # and words of its own, where any were not flushed yet
     events = [message.plain["text"] for message in after if message.kind is RunEvent]
-    assert events[0] == f"not recording: {os.strerror(errno.ENOSPC)}; {refused[0]} messages not kept so far"
-    assert events[1] == "recording goes on in run.2.mcap"
+    assert events[0] == f"not recording: {os.strerror(errno.ENOSPC)}; {refused[0]} messages not recorded so far"
+    assert events[1] == "recording continues in run.2.mcap"
     assert events[2].startswith("lost: ")
     status = [message.plain for message in after if message.key == "status/recorder"]
     assert status[-1]["dropped"] == refused[0]

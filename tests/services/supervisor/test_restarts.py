@@ -49,7 +49,7 @@ def test_without_a_restart_left_the_run_ends_in_order_and_says_why() -> None:
     assert refusal is not None
     assert refusal.in_order
     assert "estimator was ended by SIGKILL" in refusal.why
-    assert "a safe stop" in refusal.why
+    assert "stopping safely" in refusal.why
 
 
 def test_it_is_back_with_the_first_message_of_another_epoch() -> None:

@@ -55,5 +55,5 @@ def test_another_solver_is_refused_by_name(tmp_path: Path, capsys: pytest.Captur
     settings = tmp_path / "controller.toml"
     settings.write_text('solver = "riccati"\n')
     assert run(["qp", "export-c", str(tmp_path / "c"), "--settings", str(settings)]) == 2
-    assert "must be osqp: the code" in capsys.readouterr().err
+    assert "must be osqp: OSQP" in capsys.readouterr().err
     assert not (tmp_path / "c").exists()

@@ -156,7 +156,7 @@ CASES: dict[str, tuple[Callable[[], Finding], Break, Level, tuple[str, ...]]] = 
         doctor.loopback,
         lambda broken: broken("router_answers", lambda: True),
         Level.OK,
-        ("somebody listens",),
+        ("a router listens",),
     ),
     "a wrong solver": (
         doctor.solver,
@@ -219,7 +219,7 @@ def test_a_problem_is_exit_1_and_a_check_that_fails_is_one(
     broken("CHECKS", (falls_over, lambda: doctor.ok("next", "fine")))
     assert run(["doctor"]) == 1
     out = capsys.readouterr().out
-    assert "falls over      cannot be looked at: so it is" in out
+    assert "falls over      cannot be checked: so it is" in out
     assert "fine" in out
 
 

@@ -63,7 +63,7 @@ def test_runs_of_different_dimension_are_banded_by_what_they_have_together():
     np.testing.assert_array_equal(result.dof, np.delete(dof.sum(axis=0), 7))
     assert 0.93 < result.in_band < 0.97
     assert abs(result.per_dof - 1) < 0.02
-    with pytest.raises(ValueError, match="no instant"):
+    with pytest.raises(ValueError, match="no sample"):
         consistency(np.zeros((2, 3)), np.zeros((2, 3)))
 
 

@@ -231,8 +231,8 @@ def test_a_covariance_of_zeros_is_one_that_nobody_knows() -> None:
         ({"quaternion": (math.nan, 0.0, 0.0, 1.0)}, "length nan"),
         ({"frame": "odom_ned"}, "frame odom_ned"),
         ({"child": "base_link_frd"}, "frame base_link_frd"),
-        ({"angular": (1e300, 0.0, 0.0)}, "angular: a value that is no number"),
-        ({"pose_covariance": np.full((6, 6), math.nan)}, "pose.covariance: a value that is no number"),
+        ({"angular": (1e300, 0.0, 0.0)}, "angular: a value is not a number"),
+        ({"pose_covariance": np.full((6, 6), math.nan)}, "pose.covariance: a value is not a number"),
     ],
 )
 def test_what_is_no_attitude_another_frame_or_no_number_is_refused(fields: dict[str, Any], reason: str) -> None:
@@ -290,8 +290,8 @@ def test_a_plan_is_played_by_the_time_of_the_odometry_and_not_beyond_its_end() -
     [
         ("ros2 --thrusts /a,/b", "must be three topics"),
         ("ros2 --thrusts /a,/b,/b", "must be three topics"),
-        ("ros2 --odometry odom", "must be a topic's full name"),
-        ("ros2 --odometry /odom/**", "must be a topic's full name"),
+        ("ros2 --odometry odom", "must be the full name of a topic"),
+        ("ros2 --odometry /odom/**", "must be the full name of a topic"),
         ("ros2 --ros-namespace a//b", "must be names joined by /"),
     ],
 )

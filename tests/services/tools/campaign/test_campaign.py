@@ -131,7 +131,7 @@ def test_killed_and_then_interrupted_it_gives_the_rows_of_one_that_was_not(tmp_p
     second.send_signal(signal.SIGINT)
     assert second.wait(PATIENCE_S) == 130, (tmp_path / "second.log").read_text()
     said = (tmp_path / "second.log").read_text()
-    assert "of 40 runs left: the same command with --out" in said
+    assert "of 40 runs left: continue with the same command and --out" in said
     assert "Traceback" not in said
     interrupted = lines(out)
     whole_lines = [line for line in killed if line.endswith("\n")]

@@ -177,5 +177,5 @@ def test_what_is_wrong_with_crossed_lists_and_factors_is_said(tmp_path: Path, ol
 def test_a_factor_of_what_the_base_has_not_is_refused(tmp_path: Path) -> None:
     text = CROSSED.replace("vehicle.dry_mass_kg", "vehicle.thruster.vertical.max_N")
     path = written(tmp_path, text.replace("[cross]", "[set]\nvehicle = 'surface'\n[cross]"))
-    with pytest.raises(ConfigError, match=r"\[vary\] size: .*vehicle.thruster.vertical.max_N: has no value"):
+    with pytest.raises(ConfigError, match=r"\[vary\] size: .*vehicle.thruster.vertical.max_N: has no base value"):
         plan(load(path), str(path))

@@ -82,7 +82,7 @@ def test_a_quick_one_leaves_processes_themselves_alone_unless_they_are_asked_for
     [
         ("sensor_of", "both", "must be of sensor_off, sensor_stuck"),
         ("", "ship", "must be lockstep, processes or both"),
-        ("thruster_loss", "processes", "no class of thruster_loss is injected there"),
+        ("thruster_loss", "processes", "no fault class of thruster_loss exists there"),
     ],
 )
 def test_what_is_not_there_is_refused_by_name(classes, where, said):

@@ -97,7 +97,7 @@ def test_a_schedule_is_read_from_a_file_and_from_words(tmp_path):
         ("loss,plan,3", "must be HARM,KEY,START_S,END_S"),
         ("lost,plan,3,4", "harm"),
         ("loss,plane,3,4", "key: must be a key of `ltv-mpc topics`"),
-        ("not_a_number,command,3,4", "key: has no number that could be none"),
+        ("not_a_number,command,3,4", "key: has no field that can be NaN"),
         ("loss,plan,4,4", "end_s: must be > start_s = 4"),
         ("loss,plan,3,4,1.5", "size: must be > 0 and <= 1"),
         ("delay,plan,3,4,100", "size: must be > 0 and <= 60"),

@@ -131,7 +131,7 @@ def test_every_frame_that_is_none_must_be_refused():
     assert seen(of, fault("not_a_number"), harmed=4).late == ""
     one = seen(of, fault("not_a_number"), harmed=5)
     assert one.uncounted == 1
-    assert "1 of 5 frames not refused" in one.late
+    assert "1 of 5 frames not rejected" in one.late
 
 
 def test_every_lost_message_must_be_counted_as_lost():
@@ -141,7 +141,7 @@ def test_every_lost_message_must_be_counted_as_lost():
 
 def test_a_plan_of_a_solver_in_trouble_must_not_call_itself_solved():
     what = fault("solver_failure", "lies")
-    assert "says that it is solved" in seen(log(), what).late
+    assert "is marked solved" in seen(log(), what).late
     shifted = change_plans(log(), START_S, END_S, origin=PlanOrigin.SHIFTED)
     assert seen(shifted, what).late == ""
     too_long = change_plans(log(), START_S, END_S + 1.0, origin=PlanOrigin.SHIFTED)
@@ -288,7 +288,7 @@ def test_the_table_adds_up_what_was_seen_and_names_what_was_not_kept():
     assert result.kept(campaign(good))
     text = table_text.table(of)
     assert "0 uncontrolled exits, 0 bad thrusts, 2 uncounted losses, 1 late reactions" in text
-    assert "not kept: message_loss estimate, lockstep, seed 1, 30.0 to 40.0 s" in text
+    assert "requirement failed: message_loss estimate, lockstep, seed 1, 30.0 to 40.0 s" in text
 
 
 def test_an_error_that_cannot_be_measured_afterwards_is_no_recovery():

@@ -84,7 +84,7 @@ class Instant(campaign.RunMaker):
         return OfProcesses(run, folder, (), (), "")
 
     def judged_processes(self, ended, _vehicle, _baseline):
-        late = "never back" if ended.folder.name == "node-001" else ""
+        late = "did not recover" if ended.folder.name == "node-001" else ""
         return [seen(fault, late=late) for fault in ended.run.faults]
 
     def undisturbed_processes(self, _recording, _vehicle):

@@ -126,7 +126,7 @@ def test_without_matplotlib_one_line_says_so_and_the_rest_is_there(
     monkeypatch.delattr(services.tools.localise, "plot", raising=False)
     out = tmp_path / "out"
     assert command(written_to(tmp_path, small()), out=out) == 0
-    assert capsys.readouterr().err == "no picture: matplotlib is not installed (extra viz)\n"
+    assert capsys.readouterr().err == "no plot: matplotlib is not installed: pip install matplotlib (extra viz)\n"
     assert sorted(path.name for path in out.iterdir()) == ["currents.csv", "localise.json", "track.csv"]
 
 
@@ -179,7 +179,7 @@ def test_damage_is_said_with_its_place(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_what_is_no_dive_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="not one valid ensemble"):
+    with pytest.raises(ConfigError, match="no valid ensemble"):
         localise(written_to(tmp_path, b"no dive at all"))
     with pytest.raises(ConfigError, match="no such file"):
         localise(tmp_path / "missing.PD0")

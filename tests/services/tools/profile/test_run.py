@@ -219,7 +219,7 @@ def test_limits_of_the_motion_are_part_of_the_problem_for_all() -> None:
     slow = episode._replace(config=msgspec.structs.replace(episode.config, limits=limits, tolerance=1e-7))
     ours, theirs = measured([slow], OSQP, PIQP)
     assert max(np.median(ours.thrust_error_N), np.median(theirs.thrust_error_N)) < 1e-3
-    with pytest.raises(ConfigError, match="cannot do limits of the motion"):
+    with pytest.raises(ConfigError, match="does not support motion limits"):
         profile.parse_solvers("osqp,riccati", slow)
 
 
