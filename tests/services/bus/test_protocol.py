@@ -81,7 +81,7 @@ def test_topics_prints_the_schema_of_one_topic_and_of_all(capsys: pytest.Capture
         ("topics --schema --write x", "option --write: cannot act together with"),
         ("topics --json --write x", "option --write: cannot act together with"),
         ("topics --json --schema", "option --schema: is JSON already"),
-        ("topics plann --schema", 'topic "plann": does not travel; did you mean "plan"?'),
+        ("topics plann --schema", 'topic "plann": is not a topic; did you mean "plan"?'),
     ],
 )
 def test_options_that_cannot_act_together_are_refused(line: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:

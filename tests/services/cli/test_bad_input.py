@@ -136,7 +136,7 @@ CASES = [
     ("doctor --bogus", "ltv-mpc doctor: No such option: --bogus; `ltv-mpc doctor --help` lists the options"),
     ("sim --seed", "requires an argument"),
     ("sim descent hover", "unexpected extra argument"),
-    ("topics plann", 'topic "plann": does not travel; did you mean "plan"?'),
+    ("topics plann", 'topic "plann": is not a topic; did you mean "plan"?'),
     ("profile --horizons 5,x", 'option --horizons: "x": must be numbers of stages of 0.3 s'),
     ("profile --horizons 5,,", "option --horizons"),
     ("profile --cycles 0", "--cycles"),
