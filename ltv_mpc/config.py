@@ -123,7 +123,7 @@ def read_text(path: Path, *, what: str) -> str:
     if not regular:
         raise ConfigError(source, "", "is not a regular file")
     if status.st_size > MAX_FILE_BYTES:
-        raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}; check that it is the right file")
+        raise ConfigError(source, "", f"has {status.st_size} bytes: at most {MAX_FILE_BYTES}; check the file name")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -109,7 +109,7 @@ def test_a_list_of_the_wrong_length_is_refused() -> None:
         (b"a = " + b"[" * 100_000, "deep"),
         (b"a" + b".a" * 5000 + b" = 1", "deep"),
         (b"a = " + b"9" * 5000, "not valid TOML"),
-        (b"#" * (config.MAX_FILE_BYTES + 1), f"at most {config.MAX_FILE_BYTES}; check that it is the right file"),
+        (b"#" * (config.MAX_FILE_BYTES + 1), f"at most {config.MAX_FILE_BYTES}; check the file name"),
     ],
 )
 def test_a_file_that_is_no_settings_file_is_refused(tmp_path: Path, content: bytes, says: str) -> None:

@@ -53,8 +53,8 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
         ("kind = 'point'\nlatitude_deg = 1\nlongitude_deg = 2", "need an [origin]"),
         ("kind = 'point'\nlatitude_deg = 99\nlongitude_deg = 2", "latitude_deg = 99: must be >= -89 and <= 89"),
         (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}]", "waypoints = "),
-        (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1}}]", "waypoints[1]: a place is north_m and"),
-        (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1, east_m = 1}}]", "are the same place"),
+        (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1}}]", "waypoints[1]: a position needs"),
+        (f"{FIRST}waypoints = [{{north_m = 1, east_m = 1}}, {{north_m = 1, east_m = 1}}]", "are the same position"),
         (f"{FIRST}waypoints = [{{north_m = 1, est_m = 1}}, {{}}]", 'unknown key "est_m" in [waypoints.0]; did'),
         (f"{FIRST}laps = 2\nwaypoints = [{{north_m=1, east_m=1}}, {{north_m=2, east_m=1}}]", "needs closed = true"),
         (
