@@ -293,7 +293,7 @@ def test_other_bytes_before_between_and_behind_are_passed_over_and_counted() -> 
     ],
 )
 def test_without_one_ensemble_a_file_is_refused_with_the_offset(data: bytes, where: str, why: str) -> None:
-    with pytest.raises(ConfigError, match="not one valid ensemble") as error:
+    with pytest.raises(ConfigError, match="no valid ensemble") as error:
         parse(data)
     assert error.value.field == where
     assert why in str(error.value)

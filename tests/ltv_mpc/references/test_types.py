@@ -80,7 +80,7 @@ FIRST = "kind = 'waypoints'\nspeed_mps = 1\n"
             "start = {north_m=0, east_m=0}",
             "width_m / spacing_m must be <= ",
         ),
-        ("kind = 'timed'", "give either file, a CSV, or rows"),
+        ("kind = 'timed'", "give either file"),
         ("kind = 'timed'\nrows = [[0, 0, 0]]", "rows: at least 2"),
         ("kind = 'timed'\nrows = [[0, 0, 0], [1, 1, 1, 1]]", "all with the same number of columns"),
         ("kind = 'timed'\nrows = [[0, 0, 0], [0, 1, 1]]", "rows[1] t_s = 0: must be later than the row before it, 0 s"),
