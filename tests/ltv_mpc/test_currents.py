@@ -121,7 +121,7 @@ HEADER = "depth_m,v_north_mps,u_east_mps\n"
         (HEADER + "0,0,0\n10,0,0\n10,0,0\n", ["line 4", "depth_m", "10"]),
         ("depth_m,v_north_mps\n0,0\n", ["line 1", "u_east_mps"]),
         ("0,0.1,0.2\n1,0.1,0.2\n", ["line 1", "depth_m"]),
-        ("depth_m,depth_m,v_north_mps,u_east_mps\n0,0,0,0\n", ["line 1", "depth_m", "twice"]),
+        ("depth_m,depth_m,v_north_mps,u_east_mps\n0,0,0,0\n", ["line 1", "depth_m", "more than once"]),
         (HEADER + "0,fast,0\n", ["line 2", "v_north_mps", "fast", "number"]),
         (HEADER + "0,1_0,0\n", ["line 2", "v_north_mps", "1_0", "number"]),
         (HEADER + "0,,0\n", ["line 2", "v_north_mps", "number"]),
