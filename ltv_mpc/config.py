@@ -141,10 +141,10 @@ def missing_file_hint(path: Path) -> str:
     """Describe a missing file: the similar name in its folder, or the missing folder."""
     folder = path.parent
     try:
-        beside = [one.stem for one in folder.iterdir() if one.suffix == path.suffix]
+        names = [one.stem for one in folder.iterdir() if one.suffix == path.suffix]
     except OSError:
         return f"no such file: there is no folder {folder}"
-    if meant := difflib.get_close_matches(path.stem, beside, n=1):
+    if meant := difflib.get_close_matches(path.stem, names, n=1):
         return f"no such file; did you mean {folder / meant[0]}{path.suffix}?"
     return "no such file: name an existing file"
 
@@ -279,13 +279,13 @@ def _explained(message: str, table: Mapping[str, Any], kind: Any, source: str) -
         return ConfigError(source, "", f"unknown key {format_value(unknown[1])}{where}{near}")
     if missing := _MISSING.fullmatch(problem):
         inner = settings_schema.type_at(kind, table, (*path, missing[1]))
-        wants = settings_schema.tag_values(within) or settings_schema.expected(inner)
-        return ConfigError(source, "", f"key {format_value(missing[1])}{where} is missing: must be {wants}")
+        valid = settings_schema.tag_values(within) or settings_schema.expected(inner)
+        return ConfigError(source, "", f"key {format_value(missing[1])}{where} is missing: must be {valid}")
     value = settings_schema.value_at(table, path)
     if problem.startswith(_OF_VALUE):
         outer = settings_schema.type_at(kind, table, path[:-1]) if path else None
-        wants = settings_schema.tag_values(outer) or settings_schema.expected(within, value)
-        return ConfigError(source, toml_key(path), f"must be {wants}", value=value)
+        valid = settings_schema.tag_values(outer) or settings_schema.expected(within, value)
+        return ConfigError(source, toml_key(path), f"must be {valid}", value=value)
     return ConfigError(source, toml_key(path), problem, value=None if isinstance(value, dict) else value)
 
 

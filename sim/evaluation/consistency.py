@@ -160,13 +160,13 @@ def drawn(truth: TrueState, suite: SensorConfig) -> dict[str, tuple[float, int]]
     keeps its draw.
     """
     imu, adcp = suite.imu, suite.adcp
-    askew = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
+    mounting_error = rotation_log(np.ascontiguousarray(truth.mounting @ rotation(*adcp.mounting_rad).T))
     biases = {
         "gyro_bias": [(truth.gyro_bias_radps, imu.gyro_bias_sd_radps)],
         "accelerometer_bias": [(truth.accelerometer_bias_mps2, imu.accelerometer_bias_sd_mps2)],
         "adcp_bias": [(truth.beam_bias_mps, adcp.beam_bias_sd_mps), (truth.near_bias_mps, adcp.near_bias_sd_mps)],
         "compass_bias": [(np.array([truth.compass_bias_rad]), suite.compass.bias_sd_rad)],
-        "mounting": [(askew, adcp.mounting_known_to_rad)],
+        "mounting": [(mounting_error, adcp.mounting_known_to_rad)],
     }
     result = {}
     for name, parts in biases.items():

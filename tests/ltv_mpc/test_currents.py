@@ -154,7 +154,7 @@ def test_a_file_that_is_not_there_and_a_folder_are_refused(tmp_path):
     for path, words in (
         (tmp_path / "none.csv", "no such file"),
         (tmp_path, "is a folder"),
-        ("/dev/zero", "no regular file"),
+        ("/dev/zero", "not a regular file"),
     ):
         with pytest.raises(ConfigError, match=words):
             read_profile(path)

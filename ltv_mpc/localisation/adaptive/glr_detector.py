@@ -145,10 +145,10 @@ class GlrDetector:
         signatures = belief.signatures
         if not signatures.score.size:
             return None
-        first, last, twice, evidence, nu, covariance = _evaluate(
+        first, last, statistic, evidence, nu, covariance = _evaluate(
             signatures.score, signatures.information, self._start_ns
         )
-        if not twice.max(initial=0.0) > limit:
+        if not statistic.max(initial=0.0) > limit:
             return None
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
@@ -163,7 +163,7 @@ class GlrDetector:
         roots += [math.sqrt(share[k]) * (move - error)[:, None] for k, move in zip(some, moves, strict=True)]
         roots.append(_SHAPE_ERROR * error[:, None])
         old = share[self._start_ns[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
-        return OnsetDetection(float(twice.max()), bool(old), error, np.concatenate(roots, axis=1))
+        return OnsetDetection(float(statistic.max()), bool(old), error, np.concatenate(roots, axis=1))
 
 
 @jit
@@ -189,7 +189,7 @@ def _evaluate(
     n = len(start_ns)
     count_max = n * (n + 1) // 2
     first, last = np.empty(count_max, dtype=np.int64), np.empty(count_max, dtype=np.int64)
-    twice, evidence, nu, covariance = (
+    statistic, evidence, nu, covariance = (
         np.empty(count_max),
         np.empty(count_max),
         np.empty((count_max, 2)),
@@ -220,8 +220,8 @@ def _evaluate(
             nu[count, 1] = (J00 * d1 - J01 * d0) / det
             covariance[count, 0, 0], covariance[count, 1, 1] = J11 / det, J00 / det
             covariance[count, 0, 1] = covariance[count, 1, 0] = -J01 / det
-            twice[count] = nu[count, 0] * d0 + nu[count, 1] * d1
-            evidence[count] = 0.5 * twice[count] - 0.5 * math.log(det / (prior * prior))
+            statistic[count] = nu[count, 0] * d0 + nu[count, 1] * d1
+            evidence[count] = 0.5 * statistic[count] - 0.5 * math.log(det / (prior * prior))
             first[count], last[count] = a, 2 * k if k >= 0 else -1
             count += 1
-    return first[:count], last[:count], twice[:count], evidence[:count], nu[:count], covariance[:count]
+    return first[:count], last[:count], statistic[:count], evidence[:count], nu[:count], covariance[:count]

@@ -162,12 +162,12 @@ def _records(frame: memoryview) -> dict[int, memoryview]:
     return found
 
 
-def _needed(records: dict[int, memoryview], identity: int, least: int, name: str) -> memoryview:
+def _needed(records: dict[int, memoryview], identity: int, min_bytes: int, name: str) -> memoryview:
     record = records.get(identity)
     if record is None:
         raise DamagedEnsemble(f"no {name}")
-    if len(record) < least:
-        raise DamagedEnsemble(f"{name} cut off after {len(record)} of {least} bytes")
+    if len(record) < min_bytes:
+        raise DamagedEnsemble(f"{name} cut off after {len(record)} of {min_bytes} bytes")
     return record
 
 

@@ -84,7 +84,7 @@ def evaluate_track(
     fixes : number of first ensembles whose bottom track the filter received.
     """
     true = ground.displacement(start, end)
-    held = constant_velocity(ensembles[start : start + fixes])
+    constant = constant_velocity(ensembles[start : start + fixes])
     if true is None:
         return None
     duration = float(ground.t_s[end] - ground.t_s[start])
@@ -98,7 +98,7 @@ def evaluate_track(
         error_m=float(np.hypot(*error)),
         sigma_m=float(np.sqrt(np.linalg.eigvalsh(P)[-1])),
         inside_3_sigma=bool(error @ np.linalg.solve(P, error) <= 9.0),
-        constant_velocity_error_m=None if held is None else float(np.hypot(*(held * duration - true))),
+        constant_velocity_error_m=None if constant is None else float(np.hypot(*(constant * duration - true))),
     )
 
 

@@ -83,8 +83,8 @@ def localise(
         notes=tuple(_notes(settings, dive, track, why)),
         parameters=parameters,
     )
-    held = study.constant_velocity(dive[:fixes])
-    return Outcome(result, dive, track, _truth(ground), held)
+    constant = study.constant_velocity(dive[:fixes])
+    return Outcome(result, dive, track, _truth(ground), constant)
 
 
 def dive_end(ensembles: Sequence[Ensemble], first: int, longest_gap_s: float) -> tuple[int, str]:
@@ -183,12 +183,12 @@ def _study(
         return None
     median = float(np.median([row.error_m for row in rows]))
     errors = [x for row in rows if (x := row.constant_velocity_error_m) is not None]
-    held = float(np.median(errors)) if errors else None
+    constant = float(np.median(errors)) if errors else None
     return StudyRow(
         starts=len(rows),
         median_error_m=median,
-        median_constant_velocity_error_m=held,
-        ratio=median / held if held else None,
+        median_constant_velocity_error_m=constant,
+        ratio=median / constant if constant else None,
         inside_3_sigma=sum(row.inside_3_sigma for row in rows) / len(rows),
         each=tuple(rows),
     )

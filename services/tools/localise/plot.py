@@ -15,7 +15,7 @@ from ltv_mpc.messages import Array
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-ESTIMATE, HELD, EAST = "#0072B2", "#E69F00", "#D55E00"
+ESTIMATE, CONSTANT, EAST = "#0072B2", "#E69F00", "#D55E00"
 """Colours of Okabe and Ito, distinct for colour-blind readers and in grey; bottom track is black."""
 
 
@@ -48,12 +48,12 @@ def draw(data: PlotData, out: Path) -> None:
 
 
 def _above(panel: Axes, data: PlotData) -> None:
-    track, truth, held = data.track, data.truth_m, data.constant_velocity_mps
+    track, truth, constant = data.track, data.truth_m, data.constant_velocity_mps
     panel.plot(truth[:, 1], truth[:, 0], color="black", linewidth=1.1, label="bottom track")
     panel.plot(track.position_m[:, 1], track.position_m[:, 0], color=ESTIMATE, linewidth=1.4, label="filter")
-    if held is not None:
-        path = held * track.t_s[:, None]
-        panel.plot(path[:, 1], path[:, 0], color=HELD, linewidth=1.0, linestyle="--", label="constant velocity")
+    if constant is not None:
+        path = constant * track.t_s[:, None]
+        panel.plot(path[:, 1], path[:, 0], color=CONSTANT, linewidth=1.0, linestyle="--", label="constant velocity")
     # {p + 3 L [cos a, sin a]} with P = L L^T
     spread, axes = np.linalg.eigh(track.position_covariance[-1])
     angle = np.linspace(0, 2 * np.pi, 90)
@@ -74,8 +74,8 @@ def _error(panel: Axes, data: PlotData) -> None:
     error = np.hypot(*(track.position_m - data.truth_m).T)
     panel.plot(track.t_s, error, color=ESTIMATE, linewidth=1.3, label="filter from bottom track")
     if data.constant_velocity_mps is not None:
-        held = np.hypot(*(data.constant_velocity_mps * track.t_s[:, None] - data.truth_m).T)
-        panel.plot(track.t_s, held, color=HELD, linewidth=1.0, linestyle="--", label="constant velocity")
+        constant = np.hypot(*(data.constant_velocity_mps * track.t_s[:, None] - data.truth_m).T)
+        panel.plot(track.t_s, constant, color=CONSTANT, linewidth=1.0, linestyle="--", label="constant velocity")
     panel.set(xlabel="time (s)", ylabel="distance (m)", title="position error against bottom track")
     panel.set_ylim(bottom=0)
     panel.legend(frameon=False, loc="upper left")

@@ -176,7 +176,9 @@ class _Information:
         if gone.any():
             left = self._present & ~gone
             i, j = np.flatnonzero(left), np.flatnonzero(gone)
-            self._J[np.ix_(i, i)] = _without(self._J[np.ix_(i, i)], self._J[np.ix_(j, i)], self._J[np.ix_(j, j)])
+            self._J[np.ix_(i, i)] = _schur_complement(
+                self._J[np.ix_(i, i)], self._J[np.ix_(j, i)], self._J[np.ix_(j, j)]
+            )
             self._present = left
         self._J[states] = 0.0
         self._J[:, states] = 0.0
@@ -216,7 +218,7 @@ class _Information:
         cross = np.hstack([-back.T[~kept], old[np.ix_(~kept, kept)], self._J[np.ix_(x[~kept], s)]])
         order = np.concatenate([x, clone, s])
         self._J = np.zeros((n, n))
-        self._J[np.ix_(order, order)] = _without(after, cross, old[np.ix_(~kept, ~kept)])
+        self._J[np.ix_(order, order)] = _schur_complement(after, cross, old[np.ix_(~kept, ~kept)])
 
     def covariance(self, states: slice) -> Array:
         """Return the bound on the covariance of states; 0 for states that do not exist."""
@@ -238,7 +240,7 @@ class _Information:
         return 0.5 * (C + C.T)
 
 
-def _without(A: Array, B: Array, C: Array) -> Array:
+def _schur_complement(A: Array, B: Array, C: Array) -> Array:
     """Return the Schur complement A - B^T C^-1 B."""
     L = np.linalg.cholesky(C)
     W = solve_triangular(L, B, lower=True)

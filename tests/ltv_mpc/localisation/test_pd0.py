@@ -385,7 +385,7 @@ def test_losses_without_end_are_counted_and_not_all_kept(monkeypatch: pytest.Mon
 
 def test_files_that_cannot_be_read_are_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "dive.PD0"
-    for given_path, why in ((path, "no such file"), (tmp_path, "no regular file")):
+    for given_path, why in ((path, "no such file"), (tmp_path, "not a regular file")):
         with pytest.raises(ConfigError, match=why) as error:
             reader.read(given_path)
         assert str(given_path) in str(error.value)
