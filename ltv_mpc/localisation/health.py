@@ -91,7 +91,7 @@ class HealthMonitor:
         if window is None:
             return
         self.broken = self.broken or not innovations.definite
-        passed, squares, pairs = _statistics(innovations.residual, innovations.S, innovations.accepted)
+        passed, squares, pairs = innovation_statistics(innovations.residual, innovations.S, innovations.accepted)
         window.append(_Record(innovations.t_ns, len(innovations.residual), passed, squares, pairs))
         t_ns = innovations.t_ns
         self._last_ns[innovations.sensor] = max(t_ns, self._last_ns.get(innovations.sensor, t_ns))
@@ -158,8 +158,15 @@ class HealthMonitor:
 
 
 @jit
-def _statistics(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
-    """Return how many rows of a message passed, the sum of their x, and the sum of rho_ij^2 over their pairs."""
+def innovation_statistics(residual: Array, S: Array, accepted: npt.NDArray[np.bool_]) -> tuple[int, float, float]:
+    """Return how many rows of a message passed, the sum of their x, and the sum of rho_ij^2 over their pairs.
+
+    Parameters
+    ----------
+    residual : (m,) innovations.
+    S : (m, m) their covariance.
+    accepted : (m,) which of them passed the gate.
+    """
     weight = np.zeros(len(residual))
     for i in range(len(residual)):
         if accepted[i]:

@@ -11,6 +11,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.docs.pages import ROOT, blocks
 
 PAGE = "docs/add-sensor.md"
@@ -78,6 +80,7 @@ def apply(text: str, folder: Path) -> None:
     path.write_text(old.replace(place, "\n".join(new) + "\n"), encoding="utf-8")
 
 
+@pytest.mark.timeout(900)  # compiled code may have to be built first
 def test_the_sensor_of_the_page_is_used_and_does_not_worsen_the_estimate(tmp_path: Path) -> None:
     for block in blocks(PAGE):
         apply(block.text, tmp_path)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from ltv_mpc.localisation.filter.error_state_filter import Innovations
-from ltv_mpc.localisation.health import FALSE_ALARM, HealthMonitor, _judged, band, filter_status
+from ltv_mpc.localisation.health import FALSE_ALARM, HealthMonitor, band, filter_status, innovation_statistics
 from ltv_mpc.localisation.sensor_config import SensorConfig
 from ltv_mpc.messages import FilterStatus, SensorReport, SensorStatus
 
@@ -170,10 +170,10 @@ def test_rows_count_as_often_as_they_are_independent():
     root = rng.standard_normal((12, 3))
     S = root @ root.T + np.diag(rng.uniform(0.1, 9.0, 12))
     residual, accepted = rng.standard_normal(12), np.arange(12) != 5
-    passed, squares, pairs = _judged(residual, S, accepted)
+    passed, squares, pairs = innovation_statistics(residual, S, accepted)
     variance = np.diag(S)[accepted]
     assert passed == 11
     assert squares == pytest.approx(np.sum(residual[accepted] ** 2 / variance))
     assert pairs == pytest.approx(np.sum(S[np.ix_(accepted, accepted)] ** 2 / np.outer(variance, variance)))
     S[5, :] = S[:, 5] = np.nan
-    assert _judged(residual, S, accepted) == (passed, squares, pairs)
+    assert innovation_statistics(residual, S, accepted) == (passed, squares, pairs)
