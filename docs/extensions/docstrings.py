@@ -59,11 +59,28 @@ def text(lines: Iterable[str]) -> list[str]:
     """A docstring's lines as reStructuredText: paragraphs as they are read, what is indented word for word."""
     made: list[str] = []
     for paragraph in re.split(r"\n\s*\n", textwrap.dedent("\n".join(lines)).strip("\n")):
-        if paragraph.startswith(" "):
+        if re.match(r"\w+\n-{3,}\n", paragraph):
+            made += section(paragraph)
+        elif paragraph.startswith(" "):
             made += ["::", "", *textwrap.indent(textwrap.dedent(paragraph), "   ").splitlines(), ""]
         else:
             made += [*escaped(paragraph).splitlines(), ""]
     return made
+
+
+def section(paragraph: str) -> list[str]:
+    """Return a numpydoc section (Parameters, Returns, Raises) as its title and a list.
+
+    An entry is ``name : description`` on one line, or a name with an indented description; further lines are indented.
+    """
+    title, _, *lines = paragraph.splitlines()
+    made = [f"**{title}**", ""]
+    for entry in re.split(r"\n(?! )", "\n".join(lines)):
+        first, _, further = entry.partition("\n")
+        name, _, description = first.partition(" : ")
+        description = f"{description} {further}"
+        made.append(f"* {literal(name.strip())}: {escaped(' '.join(description.split()))}")
+    return [*made, ""]
 
 
 def escaped(words: str) -> str:
