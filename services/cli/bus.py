@@ -47,8 +47,7 @@ def _block(
         ),
     ] = None,
     mode: Annotated[
-        str | None,
-        typer.Option("--mode", "-m", metavar="MODE", help="Zenoh mode: client, peer or router.", rich_help_panel=PANEL),
+        str | None, typer.Option("--mode", "-m", metavar="MODE", help="client, peer or router.", rich_help_panel=PANEL)
     ] = None,
     config: Annotated[
         Path | None,

@@ -29,12 +29,10 @@ def fleet(
         float, typer.Option("--warm-up-s", metavar="S", help="Time before it that is not measured.", min=0, max=600)
     ] = 5.0,
     processes: Annotated[
-        int,
-        typer.Option("--processes", metavar="P", help="Number of controller processes.", min=1, max=64),
+        int, typer.Option("--processes", metavar="P", help="Number of controller processes.", min=1, max=64)
     ] = 1,
     horizon_s: Annotated[
-        float,
-        typer.Option("--horizon-s", metavar="H", help="Horizon of each controller.", min=0.3, max=120),
+        float, typer.Option("--horizon-s", metavar="H", help="Horizon of each controller.", min=0.3, max=120)
     ] = 5.0,
     vehicle: VehicleFile = "paper",
     as_json: Json = False,

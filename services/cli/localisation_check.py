@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from services.cli.options import Force, Json, SensorsFile, short
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from services.tools.localisation_check.check import Result
+    from services.tools.localisation_check.probe import Record
 
 
 def localisation_check(
@@ -68,13 +74,19 @@ def localisation_check(
         typer.echo(f"outside its limit: {problem}", err=as_json)
     if out is not None:
         (out / "localisation-check.json").write_text(plain + "\n", encoding="utf-8")
-        try:
-            from services.tools.localisation_check import plot
-        except ImportError:
-            typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
-        else:
-            nees = check.over_runs([record.nees for record in records])
-            title = f"{result.runs} runs, sensors {result.sensors}, {result.surface_time_s:g} s afloat"
-            plot.draw(nees, title, out / "localisation-check.png")
+        _write_plot(records, result, out / "localisation-check.png")
         typer.echo(str(out), err=as_json)
     return 1 if problems else 0
+
+
+def _write_plot(records: Sequence[Record], result: Result, file: Path) -> None:
+    from services.tools.localisation_check import check
+
+    try:
+        from services.tools.localisation_check import plot
+    except ImportError:
+        typer.echo("no plot: matplotlib is not installed: pip install matplotlib (extra viz)", err=True)
+        return
+    nees = check.over_runs([record.nees for record in records])
+    title = f"{result.runs} runs, sensors {result.sensors}, {result.surface_time_s:g} s at the surface"
+    plot.draw(nees, title, file)

@@ -176,7 +176,7 @@ class Collector:
     # --- the reference -----------------------------------------------------------------------------------------------
 
     def _wait_for_target(self, table: str, t_ns: int, north_m: float, east_m: float) -> None:
-        """Queue a position until a plan with a later target tells where the reference was at that time."""
+        """Queue a position until a plan with a later target gives the reference at that time."""
         self._waiting.append((self.tables[table], t_ns, north_m, east_m))
         del self._waiting[:-1000]  # bounds the memory if no plans arrive
 
