@@ -337,7 +337,7 @@ class Controller:
         doubt = self.estimate_gate.check(newest)
         believed = self.estimate_gate.accepted
         if believed is None:
-            return f"no estimate can be believed: {doubt}", msgspec.structs.replace(Estimate.at_rest(), t_ns=now)
+            return f"no valid estimate: {doubt}", msgspec.structs.replace(Estimate.at_rest(), t_ns=now)
         if believed is not before:
             self._period.add(believed.t_ns)
         return "", believed

@@ -103,7 +103,9 @@ class MessageValidator:
         if skipped > (FRESH if anew else FURTHEST):
             claim, source.claim = source.claim, header
             if claim is None or claim.epoch != header.epoch or not 0 < header.sequence - claim.sequence <= AGREEING:
-                raise WireError(f"far ahead: sequence {header.sequence} of epoch {header.epoch}, to be said twice")
+                raise WireError(
+                    f"implausibly far ahead: sequence {header.sequence} of epoch {header.epoch}; accepted if repeated"
+                )
             skipped -= 1  # the first that said so was refused, and is counted there
         if anew:
             source.former[source.epoch] = None

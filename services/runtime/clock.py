@@ -111,7 +111,7 @@ class VehicleClock:
                 "all processes of a run must be on one host"
             )
         if self._lines and message.clock_epoch != self._epoch:
-            raise ClockError("another plant has started a clock of its own: restart this process to follow it")
+            raise ClockError("another plant has started its own clock: restart this process to follow it")
         if message.clock_sequence <= self._sequence:
             return False
         if not self._lines and self._speed not in (None, fraction_of(message.requested_speed)):

@@ -88,10 +88,10 @@ class ClockMaster:
             said.append("paused")
         elif not command.paused and self._source.message.state is ClockState.PAUSED:
             self._change(self._source.run(now_us), now_us)
-            said.append("goes on")
+            said.append("resumed")
         self._rate.restart_window()
         if said:
-            text = f"clock {', '.join(said)}, as asked"
+            text = f"clock {', '.join(said)}, as requested"
             self._publish(RunEvent(t_ns=self._clock.read(now_us) or 0, node=node, kind="clock", text=text))
 
     def run_due(self, now_us: int) -> None:

@@ -54,7 +54,7 @@ class NodeStatusReporter:
         ``missing``: the node's own word for what it needs and has not; without one, whatever it never heard of.
         """
         self._node = node
-        self._no_time = "an estimate, or a clock" if foreign else "the clock, which `ltv-mpc plant` keeps"
+        self._no_time = "an estimate, or a clock" if foreign else "the clock of `ltv-mpc plant`"
         self._outbox = outbox
         self._counts = counts
         self._mailbox = mailbox

@@ -313,7 +313,9 @@ class Supervisor:
         self._recovering[name] = Recovery(
             fault._replace(alive_s=began_s), before=0 if before is None else before.epoch, begun_s=time.monotonic()
         )
-        self._tell("fault", f"{name} {fault.how}; seen {fault.seen_s - fault.alive_s:.2f} s after its last heartbeat")
+        self._tell(
+            "fault", f"{name} {fault.how}; detected {fault.seen_s - fault.alive_s:.2f} s after its last heartbeat"
+        )
 
     def _look_after_recoveries(self, watch: BusMonitor, now_s: float) -> None:
         for name, recovery in tuple(self._recovering.items()):
@@ -323,7 +325,7 @@ class Supervisor:
                 fault = recovery.fault
                 took_s = sign.arrived_s - fault.alive_s
                 self._say_from_s = now_s + RECONNECTED_S if name in LISTENING else self._say_from_s
-                self._tell("restart", f"{name} {fault.how}; back {took_s:.2f} s after its last heartbeat")
+                self._tell("restart", f"{name} {fault.how}; recovered {took_s:.2f} s after its last heartbeat")
             elif now_s - recovery.begun_s > BACK_S:
                 self._crew.children[name].kill()
                 self._mend(

@@ -138,7 +138,7 @@ class OsqpSolver:
         self._arrays: SolveArrays = unpack_arrays(self._flat, form.stages, len(form.limited))
         self._arrays.A[:] = form.template()
         self._shift = math.nan
-        self._finite, self._why = False, "nothing was built"
+        self._finite, self._why = False, "build() must be called before solve()"
         self._lin: Linearisation | None = None
         self._workspace: Workspace | None = None
 

@@ -52,8 +52,8 @@ class QpsolversBackend:
 
     def solve(self) -> SolverResult:
         """As in ``Solver``."""
-        assert self._lin is not None, "nothing was built"
-        assert self._qp is not None, "nothing was built"
+        assert self._lin is not None, "build() must be called before solve()"
+        assert self._qp is not None, "build() must be called before solve()"
         solution = solve_qp(self._qp, self._name)
         return SolverResult(self._form.commands(self._lin, solution.x), solution.solve)
 

@@ -97,7 +97,7 @@ class RiccatiSolver:
     def solve(self) -> SolverResult:
         """As in ``Solver``."""
         lin = self._lin
-        assert lin is not None, "nothing was built"
+        assert lin is not None, "build() must be called before solve()"
         commands = np.empty_like(lin.U)
         outcome, sweeps, beyond = solve_packed(
             self._numbers, lin.flat, self._target, self._shift, self._most, self._duals, commands

@@ -198,7 +198,7 @@ def _check_factor(campaign: Campaign, name: str, powers: Mapping[str, float], so
         raise ConfigError(source, where, "is a field's own name: a factor needs another")
     over = campaign.varied.get(name)
     if over is None:
-        raise ConfigError(source, where, f"says what {name} scales, and {name} stands neither in [vary] nor in [cross]")
+        raise ConfigError(source, where, f"scales {name}, which is neither in [vary] nor in [cross]")
     for value in (over.low, over.high) if isinstance(over, Range) else over:
         if isinstance(value, bool | str) or value <= 0:
             raise ConfigError(source, f"[vary] {name}", "a factor must be > 0", value=value)

@@ -184,9 +184,9 @@ def _silence_flagged(case: Case) -> Reaction:
         return Reaction(None)
     said = next((r for r in case.of.log.reports if threshold_ns < r.t_ns <= until_ns and name in r.wrong), None)
     if said is None:
-        return Reaction(None, f"silent for {fault.end_s - fault.start_s:.1f} s, and no report says so")
+        return Reaction(None, f"silent for {fault.end_s - fault.start_s:.1f} s, not reported")
     seconds = (said.t_ns - threshold_ns) * 1e-9
-    late = f"said {seconds:.1f} s after its threshold" if said.t_ns > due[0].t_ns else ""
+    late = f"reported {seconds:.1f} s after its threshold" if said.t_ns > due[0].t_ns else ""
     return Reaction(seconds, late)
 
 

@@ -194,7 +194,7 @@ def table(of: Result) -> str:
         f"drift     {of.drift_rms_m:.3f} m an axis, bound {of.bound_rms_m:.3f} m, ratio {of.ratio:.2f} "
         f"(at the bound: {low:.2f} to {high:.2f})",
         f"vehicle   {of.true_error_m:.3f} m from the line, mean over time and runs",
-        f"velocity  {1e3 * of.velocity_error_rms_mps:.2f} mm/s at submergence, the filter says "
+        f"velocity  {1e3 * of.velocity_error_rms_mps:.2f} mm/s at submergence, sigma of the filter "
         f"{1e3 * of.velocity_reported_rms_mps:.2f}, bound {1e3 * of.velocity_bound_rms_mps:.2f}; "
         f"drift = {of.slope_s:.0f} s x velocity error, R2 {of.r2:.2f}",
         f"{'':<24} {'in 95 % band':>12} {'per dof':>8} {'+-':>6} {'drawn':>8}",

@@ -293,7 +293,7 @@ def test_who_has_never_said_anything_sound_is_not_driven_on():
     plan = Controller(SURFACES, POINT).plan(msgspec.structs.replace(moving(), north_m=math.nan))
     check(plan)
     assert (plan.origin, plan.health) == (ZERO, Health.FAILSAFE)
-    assert plan.why == "no estimate can be believed: a number is not finite"
+    assert plan.why == "no valid estimate: a number is not finite"
     np.testing.assert_allclose(plan.thrust_N[-1], [0.0, 0.0, -12.5])
 
 

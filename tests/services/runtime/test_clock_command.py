@@ -54,7 +54,9 @@ def test_what_changes_nothing_is_not_announced_and_each_change_is_an_event() -> 
     assert len(kept.said) == count
     kept.asked(2000 * MS, paused=True, speed=4.0)
     kept.asked(3000 * MS, paused=True, speed=4.0)
-    assert [one.text for one in kept.said if isinstance(one, RunEvent)] == ["clock at 4 x real time, paused, as asked"]
+    assert [one.text for one in kept.said if isinstance(one, RunEvent)] == [
+        "clock at 4 x real time, paused, as requested"
+    ]
 
 
 def test_who_waits_for_the_start_keeps_waiting_and_an_end_is_an_end() -> None:

@@ -112,7 +112,7 @@ def test_actuators_that_miss_two_plans_must_say_so():
 
 def test_a_silent_instrument_must_be_reported():
     what = fault("sensor_off", "adcp")
-    assert "no report says so" in seen(log(), what).late
+    assert "not reported" in seen(log(), what).late
     of = log()
     of.reports = [
         r._replace(wrong={"adcp": SensorStatus.SILENT}) if 32 * S <= r.t_ns < 40 * S else r for r in of.reports
