@@ -110,27 +110,27 @@ class Estimator:
         -------
         The messages that each step publishes.
         """
-        if len(due) == 1:  # as in a process, where looking for several costs more than it saves
+        if len(due) == 1:  # as in a process: a search for batches would cost more than it saves
             return [self._step(due[0][1])]
-        signals: list[list[Message]] = []
-        while (first := len(signals)) < len(due):
-            signals += self._integrate(due, first) or [self._step(due[first][1])]
-        return signals
+        outputs: list[list[Message]] = []
+        while (first := len(outputs)) < len(due):
+            outputs += self._integrate(due, first) or [self._step(due[first][1])]
+        return outputs
 
     def _step(self, inbox: Inbox) -> list[Message]:
         """Use every message of the inbox in its order."""
         out = self._out = []
-        for arrival in inbox:
-            signal: Any = arrival.message
-            sensor = BY_MESSAGE.get(type(signal))  # a tenth of the time of isinstance() of nine types
+        for received in inbox:
+            message: Any = received.message
+            sensor = BY_MESSAGE.get(type(message))  # a tenth of the time of isinstance() of nine types
             if sensor is not None:
-                why = self._screening.rejection(signal.t_ns, signal, arrival.received_t_ns)
+                why = self._screening.rejection(message.t_ns, message, received.received_t_ns)
                 if why is None:
-                    self._take(signal)
+                    self._take(message)
                 else:
                     self._account[f"{sensor.name}.{why}"] += 1
-            elif isinstance(signal, EstimatorState):
-                self._restore(signal)
+            elif isinstance(message, EstimatorState):
+                self._restore(message)
         return out
 
     def _integrate(self, due: Sequence[Due], first: int) -> list[list[Message]]:

@@ -101,9 +101,9 @@ class Sensors:
 
         If the inertial unit measures at every truth, its samples are computed at once.
         """
-        if len(due) == 1:  # as in a process, where looking for several costs more than it saves
+        if len(due) == 1:  # as in a process: a search for batches would cost more than it saves
             return [self._step(due[0][1])]
-        truths = [arrival.message for _, inbox in due for arrival in inbox if isinstance(arrival.message, Truth)]
+        truths = [received.message for _, inbox in due for received in inbox if isinstance(received.message, Truth)]
         imu = self._mounted[0].sensor if self._mounted else None
         if not (isinstance(imu, InertialUnit) and len(truths) == len(due) and self._is_measured_at(truths, imu)):
             return [self._step(inbox) for _, inbox in due]
@@ -128,9 +128,9 @@ class Sensors:
 
     def _step(self, inbox: Inbox) -> list[Message]:
         messages: list[Message] = []
-        for arrival in inbox:
-            if isinstance(arrival.message, Truth) and (self._last is None or arrival.message.t_ns > self._last.t_ns):
-                messages += self._measure(arrival.message)
+        for received in inbox:
+            if isinstance(received.message, Truth) and (self._last is None or received.message.t_ns > self._last.t_ns):
+                messages += self._measure(received.message)
         return messages
 
     def _is_measured_at(self, truths: Sequence[Truth], imu: InertialUnit) -> bool:
