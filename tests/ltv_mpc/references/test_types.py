@@ -135,7 +135,7 @@ def test_a_feasible_track_keeps_its_times_and_another_is_stretched_and_reported(
     late = 10.0 / (0.5 * 0.8**0.5) - 10.0  # 10 m in 10 s, at 0.447 m/s
     assert fast.schedule(PAPER).table[0, -1] == pytest.approx(60.0 + late, abs=0.05)
     (note,) = fast.notes(PAPER)
-    assert f"the last is reached {late:.1f} s late" in note
+    assert f"the last row is reached {late:.1f} s late" in note
 
 
 def test_notes_name_what_is_not_feasible_and_nothing_else():
