@@ -1,4 +1,4 @@
-"""What fixes below the surface are worth: 30 min of hovering at 20 m, without them and with each.
+"""Benefit of position fixes below the surface: 30 min of hovering at 20 m, without them and with each.
 
     .venv/bin/python -m benchmarks.aiding [--seed N] [--duration-s T] [--out FILE.png]
 
@@ -31,7 +31,7 @@ BOTTOM_M = 35.0
 
 
 class Drift(NamedTuple):
-    """Of one run, each second."""
+    """Position error of one run, each second."""
 
     t_s: Array
     error_m: Array  # horizontal, absolute
@@ -59,7 +59,7 @@ def hover(job: Job) -> Drift:
     """One run."""
     run_config, log = job.run_config(), _Log()
     lockstep = LockStep(
-        make_nodes(run_config), start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observe=log
+        make_nodes(run_config), start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observer=log
     )
     lockstep.advance(run_config.scenario.end_ns)
     return Drift(*np.array(log.rows).T)

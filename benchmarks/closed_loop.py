@@ -49,7 +49,7 @@ NAMES = ("1", "2", "3", OPTIMUM)
 
 
 class Converged:
-    """The settings' solver, and IPOPT from where it ended."""
+    """Solver of the settings, followed by IPOPT from its solution."""
 
     def __init__(self, inner: Solver, optimum: Optimum) -> None:
         self._inner, self._optimum = inner, optimum
@@ -61,12 +61,12 @@ class Converged:
         return getattr(self._inner, name)
 
     def build(self, lin: Linearisation, target: Array) -> None:
-        """As the inner one."""
+        """Build the QP of the inner solver."""
         self._lin, self._target = lin, target
         self._inner.build(lin, target)
 
     def solve(self) -> SolverResult:
-        """IPOPT's commands where it converges to no more than the QP's cost, else the QP's."""
+        """Return IPOPT's commands if it converges to at most the QP's cost, else the QP's."""
         answer, lin, optimum = self._inner.solve(), self._lin, self._optimum
         self.cycles += 1
         X0, C, target = lin.X[0], lin.C, self._target
@@ -79,7 +79,7 @@ class Converged:
 
 
 def cost(of: RunConfig, flown: Outcome) -> float:
-    """J of a flight."""
+    """Return the cost J of a flight."""
     weights = resolve_weights(of.scenario.controller, of.vehicle).weights
     scale = HorizonLimits.from_vehicle(of.vehicle, of.scenario.controller.period_s).scale
     every = of.scenario.controller.period_ns // STEP_NS
@@ -90,7 +90,7 @@ def cost(of: RunConfig, flown: Outcome) -> float:
 
 
 class Flight(NamedTuple):
-    """One descent: the cost, the mean distance (m), the mean |F| (N), the share of cycles in which IPOPT converged."""
+    """Result of one descent: cost, mean distance (m), mean |F| (N), share of cycles in which IPOPT converged."""
 
     cost: float
     mean_m: float
@@ -99,7 +99,7 @@ class Flight(NamedTuple):
 
 
 def fly(of: RunConfig, optimum: Optimum | None) -> Flight:
-    """With IPOPT after the QP, if there is one."""
+    """Fly one descent, with IPOPT after the QP if there is one."""
     controller = Controller(of.vehicle, of.reference, of.scenario.controller)
     made: list[Converged] = []
     if optimum is not None:
@@ -116,7 +116,7 @@ def fly(of: RunConfig, optimum: Optimum | None) -> Flight:
 
 
 def ratio(pairs: Array) -> tuple[float, float, float]:
-    """Sum of ours over sum of the optimum's (K, 2), and its 95 % interval."""
+    """Return the sum of ours over the sum of the optimum's (K, 2), and its 95 % interval."""
     drawn = np.random.default_rng(0).integers(0, len(pairs), (RESAMPLES, len(pairs)))
     sums = pairs[drawn].sum(axis=1)
     low, high = np.quantile(sums[:, 0] / sums[:, 1], [0.025, 0.975])
@@ -124,7 +124,7 @@ def ratio(pairs: Array) -> tuple[float, float, float]:
 
 
 class Job(NamedTuple):
-    """The flight of one seed with one of ``NAMES``."""
+    """Flight of one seed with one of ``NAMES``."""
 
     seed: int
     name: str
@@ -172,7 +172,7 @@ def _key(job: Job) -> str:
 
 
 def table(kept: dict[int, dict[str, Any]]) -> str:
-    """Ratios to the optimum, paired by seed."""
+    """Return the table of ratios to the optimum, paired by seed."""
     columns = "ratio of summed costs (95 %) | by seed: least, quartiles, most | distance (m) | abs F (N)"
     lines = [f"| mean of {len(kept)} seeds | {columns} |", "|---|---|---|---|---|"]
     for name in NAMES:

@@ -1,4 +1,4 @@
-"""What the live page costs the controller: cycles with it and three readers of its stream, against cycles without.
+"""Cost of the live page for the controller: cycle times with the page and three readers, and without.
 
     .venv/bin/python -m benchmarks.dashboard_cost [--pairs N] [--duration-s T] [--speed X]
 
@@ -68,13 +68,13 @@ def cycles_ms(out: Path, *, page: bool, duration_s: float, speed: float) -> tupl
 
 
 def change_percent(with_page: list[Array], without: list[Array], percentile: int) -> float:
-    """Of this percentile, pooled."""
+    """Return the change of this percentile of the pooled cycle times (%)."""
     a, b = (np.percentile(np.concatenate(runs), percentile) for runs in (with_page, without))
     return float(100 * (a / b - 1))
 
 
 def interval(with_page: list[Array], without: list[Array], percentile: int) -> tuple[float, float]:
-    """95 %, by pairs."""
+    """Return the 95 % interval of the change, by pairs of runs."""
     rng = np.random.default_rng(0)
     pairs = len(without)
     drawn = []

@@ -1,4 +1,4 @@
-"""The README's table of errors: the paper's descent, many seeds, every setting from the same currents.
+"""Table of errors of the README: the paper's descent, many seeds, every setting with the same currents.
 
     .venv/bin/python -m benchmarks.descents [--seeds N] [--out FILE.json]
 
@@ -92,7 +92,7 @@ def main() -> None:
 
 
 def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[tuple[int, Summary]]:
-    """All results in the order of the jobs, the bar moving as they come."""
+    """Return all results in the order of the jobs, and advance the progress bar as they arrive."""
     results = []
     for result in each(Job.summary, jobs):
         results.append(result)

@@ -105,7 +105,7 @@ class Collector:
         self._rows[role].append((t_ns, np.concatenate([[t_ns * 1e-9], *flat])))
 
     def values(self) -> Values:
-        """Everything that was kept, by role, in the order of time."""
+        """Return the kept values by role, in the order of time."""
         ordered = {role: sorted(rows, key=lambda row: row[0]) for role, rows in self._rows.items()}
         return {
             role: np.concatenate([row for _, row in rows]) if rows else np.empty(0) for role, rows in ordered.items()
@@ -154,9 +154,9 @@ def lockstep(of: RunConfig, nodes: list[Node]) -> Values:
         nodes,
         start_ns=of.scenario.start_ns,
         compute_delay_ns=delay_ns,
-        observe=collector,
+        observer=collector,
         latest=lockstep_run.LATEST,
-        refused=lockstep_run.rejected_message,
+        make_rejection=lockstep_run.rejected_message,
     ).advance(of.scenario.end_ns)
     return collector.values()
 

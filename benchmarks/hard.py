@@ -27,14 +27,14 @@ REVERSING_MPS, REVERSES_AT_M = 0.15, 8.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """How a seed becomes a situation; the part that each thruster delivers."""
+    """Scenario: the run configuration of a seed, and the share of thrust that each thruster delivers."""
 
     run_config: Callable[[tuple[str, ...], int], RunConfig]
     share: Array = field(default_factory=lambda: np.ones(3))
 
 
 def line(rate_mps: float = 0.2) -> Point:
-    """Down on the vertical line through the origin."""
+    """Return the reference down the vertical line through the origin."""
     return Point(north_m=0.0, east_m=0.0, depth_m=40.0, descent_rate_mps=rate_mps, start_s=0.0)
 
 
@@ -56,14 +56,14 @@ def turned(settings: tuple[str, ...], seed: int) -> RunConfig:
 
 
 def far_off(settings: tuple[str, ...], seed: int) -> RunConfig:
-    """5 m, the heading another one each seed."""
+    """Return a descent that starts 5 m off, with another heading for each seed."""
     heading = f"plant.heading_rad={(seed % 8) * 0.7 - 2.8:.1f}"
     start = heading, "plant.north_m=3.0", "plant.east_m=-4.0", "run.duration_s=60.0"
     return replace(descent((*settings, *start), seed), reference=line())
 
 
 def reversing(settings: tuple[str, ...], seed: int) -> RunConfig:
-    """Northward above, southward below, on top of the seed's profile."""
+    """Return a descent through a current that reverses from north to south, added to the seed's profile."""
     s = short(settings, seed)
     depth = s.water.depth_m
     north = np.where(depth <= REVERSES_AT_M, REVERSING_MPS, -REVERSING_MPS)
@@ -72,13 +72,13 @@ def reversing(settings: tuple[str, ...], seed: int) -> RunConfig:
 
 
 def front(settings: tuple[str, ...], seed: int) -> RunConfig:
-    """25 cm/s more within 5 s, at all depths."""
+    """Return a descent through a front: 25 cm/s within 5 s, at all depths."""
     of_water = "water.feature.kind=front", "water.feature.step_mps=0.25"
     return short((*settings, *of_water, "water.feature.at_s=50.0", "water.feature.width_s=5.0"), seed)
 
 
 def slow(settings: tuple[str, ...], seed: int) -> RunConfig:
-    """0.12 m/s."""
+    """Return a descent at 0.12 m/s."""
     return replace(descent(settings, seed), reference=line(0.12))
 
 

@@ -31,6 +31,7 @@ from ltv_mpc.vehicle.shooting_fit import Motion, theta_scale
 from sim import motion
 from sim.plant import apply_mismatch, level_to_ned
 from sim.scenario import Mismatch
+from sim.water.column import WaterSample
 
 STEP_NS = 10_000_000
 CYCLE_NS, ESTIMATE_NS = 300_000_000, 100_000_000
@@ -40,7 +41,7 @@ FASTEST_MPS = 0.1
 
 
 class _Boat:
-    """The true vehicle in a steady current, and its estimates."""
+    """True vehicle in a steady current, and its estimates."""
 
     def __init__(
         self, vehicle: Vehicle, mismatch: Mismatch, current: Array, actuators: str, rng: np.random.Generator
@@ -50,17 +51,16 @@ class _Boat:
         self._model = actuators == "model"
         self._current, self._rng = current, rng
         self._state, self._revolutions, self._thrust = np.zeros(8), np.zeros(3), np.zeros(3)
-        self._depths, self._water = np.array([0.0, 50.0]), np.tile(current, (2, 1))
+        profile = np.tile(current, (2, 1))
+        self._water = WaterSample(np.array([0.0, 50.0]), profile, profile, 0.0)
 
     def go(self, u0: Array, u1: Array) -> None:
-        """One step under commands from ``u0`` to ``u1`` (3,)."""
+        """Take one step under commands from ``u0`` to ``u1`` (3,)."""
         if self._model:
             self._follow(u0[:2], u1[:2])
             return
-        motion.step(
-            self._body, self._state, self._revolutions, self._thrust, u0, u1, False, STEP_NS * 1e-9,
-            self._depths, self._water, self._water, 0.0,
-        )  # fmt: skip
+        vehicle = motion.MotionState(self._state, self._revolutions, self._thrust)
+        motion.step(self._body, vehicle, u0, u1, False, STEP_NS * 1e-9, self._water)
 
     def _follow(self, u0: Array, u1: Array) -> None:
         """Integrate one step with the thruster lag of the controller's model."""
@@ -75,7 +75,7 @@ class _Boat:
         return self._thrust[:2] + SD_N * self._rng.standard_normal(2)
 
     def estimate(self, t_ns: int) -> Estimate:
-        """With its errors."""
+        """Return the true state as an estimate with errors."""
         n, e, u, v, psi, r, _, _ = self._state.tolist()
         north, east = level_to_ned(u, v, psi) + self._current
         draws = self._rng.standard_normal(4)
@@ -153,7 +153,7 @@ def truth(vehicle: Vehicle, mismatch: Mismatch, known: str, known_yaw: str) -> d
 
 
 def held(found: Identified, true: dict[str, float], unit: dict[str, float]) -> dict[str, tuple[bool, float, bool]]:
-    """By name: whether the interval holds the truth, its half width over ``unit``, whether it is said to be told."""
+    """Return by name if the interval holds the truth, its half width over ``unit``, and whether it is reported."""
     return {
         one.name: (
             one.low <= true[one.name] <= one.high,

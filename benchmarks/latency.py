@@ -1,4 +1,4 @@
-"""How long messages are under way, beside a bare Zenoh ping on the same router in the same run.
+"""Latency of messages, beside a bare Zenoh ping on the same router in the same run.
 
     .venv/bin/python -m benchmarks.latency [--messages N]
 
@@ -69,7 +69,7 @@ def awaited(box: Mailbox, key: str, within_s: float, plans: list[float]) -> Fram
 
 
 def row(name: str, times_us: list[float]) -> str:
-    """Of a table."""
+    """Return one row of a table."""
     if not times_us:
         return f"| {name} | - | - | 0 |"
     median, high = np.percentile(times_us, [50, 99])

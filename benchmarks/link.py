@@ -1,4 +1,4 @@
-"""The controller behind a long link with real loss: ``python -m benchmarks.link``, or ``make link``.
+"""Closed loop over a long link with real loss: ``python -m benchmarks.link``, or ``make link``.
 
 Two network namespaces are two hosts: plant, sensors, estimator and router in one, the controller in the other. Between
 them are two TUN devices and this program, which carries every IP packet from one to the other after delay +- jitter, in
@@ -99,7 +99,7 @@ def tun(name: str) -> int:
 
 
 def ip(*words: str) -> None:
-    """``ip`` with these arguments."""
+    """Run ``ip`` with these arguments."""
     subprocess.run(["ip", *words], check=True)
 
 

@@ -1,4 +1,4 @@
-"""What localisation costs against the number of water cells: seconds of processor time per second of vehicle time.
+"""Cost of localisation against the number of water cells: processor seconds per second of vehicle time.
 
     .venv/bin/python -m benchmarks.localisation [--json] [--out FILE.png] [--repeats N] [--sensors NAME]
 
@@ -47,7 +47,7 @@ LIMITS = {70: 0.005, 500: 0.10}
 
 
 class Curve(NamedTuple):
-    """What is measured of which setting, and how it is drawn: Okabe and Ito's colours, and marks, tell them apart."""
+    """Curve of the figure: what is measured, with which setting, and its colour (Okabe and Ito) and marker."""
 
     name: str
     node: bool  # the whole, not the filter alone
@@ -66,7 +66,7 @@ CURVES = (
 
 
 class Cost(NamedTuple):
-    """Of one curve at one number of cells. Shares of a core."""
+    """Cost at one point of a curve, as shares of a core."""
 
     curve: str
     cells: int
@@ -76,14 +76,14 @@ class Cost(NamedTuple):
 
 
 class Descent(NamedTuple):
-    """The sensors, and what an estimator was handed of them."""
+    """Sensors of a descent, and the messages that its estimator received."""
 
     suite: SensorConfig
     steps: list[Due]
 
     @classmethod
     def simulated(cls, sensors: str) -> Descent:
-        """In lock step, once. Raises ``ConfigError``."""
+        """Run the descent once in lock step. Raises ``ConfigError``."""
         run_config = Job("descent", (f'sensors="{sensors}"', f"run.duration_s={DESCENT_S}")).run_config()
         scenario, steps = run_config.scenario, list[Due]()
 
@@ -92,7 +92,7 @@ class Descent(NamedTuple):
                 steps.append((step.t_ns, step.inbox))
 
         nodes = make_nodes(run_config)
-        LockStep(nodes, start_ns=scenario.start_ns, stepped=stepped, latest=lockstep_run.LATEST).advance(
+        LockStep(nodes, start_ns=scenario.start_ns, on_step=stepped, latest=lockstep_run.LATEST).advance(
             scenario.end_ns
         )
         return cls(run_config.suite, steps)

@@ -1,4 +1,4 @@
-"""How many times real time lock step goes on one core, and where its time goes.
+"""Speed of lock step on one core relative to real time, and the share of each node.
 
     .venv/bin/python -m benchmarks.lockstep [--duration-s T] [--runs N] [--json]
 
@@ -51,7 +51,7 @@ def run(of: RunConfig, folder: str | None = None) -> float:
 
 
 def shares(of: RunConfig) -> dict[str, float]:
-    """Of the time that one run takes, each node's; the rest is validation's and lock step's own."""
+    """Return the share of each node in the time of one run; the rest is validation and lock step itself."""
     spent: Counter[str] = Counter()
 
     class Timed:
@@ -69,7 +69,7 @@ def shares(of: RunConfig) -> dict[str, float]:
 
     nodes = [Timed(node) for node in make_nodes(of, unread=False)]
     lockstep = LockStep(
-        nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, refused=lockstep_run.rejected_message
+        nodes, start_ns=of.scenario.start_ns, latest=lockstep_run.LATEST, make_rejection=lockstep_run.rejected_message
     )
     started = time.perf_counter()
     lockstep.advance(of.scenario.end_ns)
@@ -79,7 +79,7 @@ def shares(of: RunConfig) -> dict[str, float]:
 
 
 def main() -> None:
-    """All of it, interleaved, so that a slow minute of the machine is everybody's."""
+    """Run all cases interleaved, so that a slow minute of the machine affects all of them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--duration-s", type=float, default=100.0)
     parser.add_argument("--runs", type=int, default=5)

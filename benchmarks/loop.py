@@ -51,7 +51,7 @@ class Outcome:
         target_m: Pair,
         origins: dict[str, int] | None = None,
     ) -> Outcome:
-        """Of positions (M, 2) and commands (M, 2), piece by piece."""
+        """Return the outcome of positions (M, 2) and commands (M, 2), given in pieces."""
         off, F = np.concatenate(tracks) - np.array(target_m), np.concatenate(commands)
         low, high = (np.array([getattr(t, side) for t in vehicle.thrusters[:2]]) for side in SIDES)
         at_box = ((low + 1e-6 >= F) | (high - 1e-6 <= F)).any(axis=1)
@@ -119,7 +119,7 @@ class Loop:
 
 
 class TrueVehicle:
-    """The true vehicle: the plant's motion, without its node and its gate."""
+    """True vehicle: the motion of the plant, without its node and its gate."""
 
     def __init__(self, run_config: RunConfig, share: Array) -> None:
         start, vehicle = run_config.scenario.plant, run_config.vehicle
@@ -131,20 +131,10 @@ class TrueVehicle:
         self._body = motion.pack(vehicle, apply_mismatch(vehicle.coefficients(), start.mismatch), start.mismatch.thrust)
 
     def go(self, t_ns: Times, u: Array) -> Array:
-        """On under commands u (M+1, 3) at t_ns (M+1,); positions (M, 2) after each step."""
-        earlier, later, share = self._water.between(int(t_ns[0] + t_ns[-1]) // 2)
-        return motion.simulate(
-            self._body,
-            self.state,
-            self._revolutions,
-            self.thrust,
-            t_ns * 1e-9,
-            u * self._share,
-            self._water.depth_m,
-            earlier,
-            later,
-            share,
-        )
+        """Simulate under commands u (M+1, 3) at t_ns (M+1,); return the positions (M, 2) after each step."""
+        vehicle = motion.MotionState(self.state, self._revolutions, self.thrust)
+        water = self._water.sample(int(t_ns[0] + t_ns[-1]) // 2)
+        return motion.simulate(self._body, vehicle, t_ns * 1e-9, u * self._share, water)
 
 
 def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], delay_ns: int) -> Applied:
@@ -166,7 +156,7 @@ def _applied(t_ns: int, thrust: Array, command: Array, plans: Sequence[Plan], de
 
 
 def told_depths(of: RunConfig) -> Array:
-    """Depths (m) of the profile that an estimate has."""
+    """Return the depths (m) of an estimate's profile."""
     estimator = of.scenario.estimator
     return estimator.cell_m * np.arange(round(estimator.deepest_m / estimator.cell_m) + 1, dtype=np.float64)
 

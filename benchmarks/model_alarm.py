@@ -68,7 +68,7 @@ class Breaker:
     writes: tuple[type[Message], ...] = (Disturbance,)
 
     def __init__(self, first: int) -> None:
-        """With which of ``SHARES`` it begins."""
+        """Take the index of the first of ``SHARES``."""
         self.losses: list[tuple[int, str]] = []
         self._first = first
 
@@ -86,7 +86,7 @@ class Breaker:
 
 
 class Watcher:
-    """What the figures are made of."""
+    """Observer that collects alarms and true motion for the figures."""
 
     def __init__(self) -> None:
         self.alarms: list[int] = []
@@ -97,7 +97,7 @@ class Watcher:
         self._reports: list[tuple[int, Triple]] = []
 
     def published(self, _node: str, message: ReceivedMessage) -> None:
-        """One message."""
+        """Handle one message."""
         match message.message:
             case ModelCheck() as check:
                 if check.alarm and not self._alarm:
@@ -131,7 +131,7 @@ def fly(settings: tuple[str, ...], breaker: Breaker | None) -> Watcher:
     if breaker is not None:
         table.insert(1, breaker)
     watcher = Watcher()
-    lockstep = LockStep(table, start_ns=here.scenario.start_ns, observe=watcher, latest=LATEST)
+    lockstep = LockStep(table, start_ns=here.scenario.start_ns, observer=watcher, latest=LATEST)
     lockstep.advance(here.scenario.end_ns)
     return watcher
 
@@ -162,7 +162,7 @@ def settings_of(seed: int, of: Kept, *, known: bool) -> tuple[str, ...]:
 
 
 def mismatch(seed: int) -> tuple[str, ...]:
-    """At the edge, or drawn."""
+    """Return a mismatch at the edge of the bounds (odd seeds) or a random one."""
     if seed % 2:
         return EDGE
     drawn = np.random.default_rng(seed).uniform(0.9, 1.1, 3)
@@ -196,7 +196,7 @@ def said(losses: list[Loss]) -> Iterator[str]:
 
 
 class Kept(msgspec.Struct, kw_only=True):
-    """What has been found so far: FILE.json."""
+    """Results so far, as stored in FILE.json."""
 
     duration_s: float
     first_seed: int

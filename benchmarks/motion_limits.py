@@ -1,4 +1,4 @@
-"""What soft limits of the motion cost, and how well they are kept.
+"""Cost of soft motion limits, and how well they are kept.
 
     .venv/bin/python -m benchmarks.motion_limits [--seeds N] [--workers N]
 
@@ -40,7 +40,7 @@ class Job(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """What came of it, cycle by cycle but for the first two."""
+    """Result of a flight, cycle by cycle without the first two."""
 
     mean_m: float
     mean_abs_N: float

@@ -56,7 +56,7 @@ class Watched(Controller):
 
 
 class Optimum:
-    """The nonlinear problem of N stages: multiple shooting, IPOPT."""
+    """Nonlinear problem of N stages, by multiple shooting and IPOPT."""
 
     def __init__(self, vehicle: Vehicle, config: ControllerConfig) -> None:
         self._p, self._weights = vehicle.coefficients(), resolve_weights(config, vehicle).weights
@@ -93,7 +93,7 @@ class Optimum:
         self._solve = ca.nlpsol("optimum", "ipopt", problem, options)
 
     def cost(self, X0: Array, U: Array, C: Array, target: Array) -> float:
-        """Of commands U (N+1, 2) along the exact flow."""
+        """Return the cost of commands U (N+1, 2) along the exact flow."""
         return cost(self.roll(X0, U, C), U, C, target, unpack_objective(self._packed))
 
     def roll(self, X0: Array, U: Array, C: Array) -> Array:
@@ -101,7 +101,7 @@ class Optimum:
         return roll_out(X0, U, C, self._h, self._p)
 
     def solve(self, X: Array, U: Array, C: Array, target: Array) -> tuple[Array, bool]:
-        """Commands (N+1, 2) from a first guess X (N+1, 8), U (N+1, 2); whether IPOPT converged."""
+        """Return commands (N+1, 2) from a guess X (N+1, 8), U (N+1, 2), and whether IPOPT converged."""
         N, limits = self._N, self._limits
         low, high = limits.box(U[0], self._knots)
         free, change = np.full(N * STATES, np.inf), np.outer(self._g, limits.change).ravel()

@@ -1,4 +1,4 @@
-"""How well each shipped path is followed, in still water and in a current.
+"""Tracking error on each shipped path, in still water and in a current.
 
     .venv/bin/python -m benchmarks.paths [NAME ...] [--vehicle NAME|FILE] [--current MPS] [--horizon-s S]
 
@@ -27,7 +27,7 @@ LONGEST_S = 3600.0
 
 
 class Outcome(NamedTuple):
-    """Of one path: distances (m), time from the first point to the last (s), share of cycles that were solved."""
+    """Result of one path: distances (m), time from first to last point (s), share of cycles that were solved."""
 
     off_mean: float
     off_max: float

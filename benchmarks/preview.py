@@ -1,4 +1,4 @@
-"""What the current's preview is worth: the error with the profile below the vehicle known, and without it.
+"""Benefit of the current preview: the error with the profile below the vehicle known, and without it.
 
     .venv/bin/python -m benchmarks.preview [--seeds N] [--workers N] [--out FILE.json]
 

@@ -76,12 +76,12 @@ class Missed(NamedTuple):
 
     @property
     def all(self) -> int:
-        """Of whatever kind."""
+        """Number of cycles missed for any reason."""
         return self.not_solved + self.late + self.missing
 
 
 def look(pid: int, at_s: float) -> Look | None:
-    """None where it has just ended."""
+    """Return a sample of a process, or None if it has just ended."""
     folder = Path("/proc", str(pid))
     try:
         rollup = (folder / "smaps_rollup").read_text(encoding="utf-8")
@@ -92,7 +92,7 @@ def look(pid: int, at_s: float) -> Look | None:
 
 
 def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) -> dict[str, list[Look]]:
-    """All looks by process, a process that was started anew being another."""
+    """Return all samples by process; a restarted process counts as another one."""
     looks: dict[int, list[Look]] = {}
     names: dict[int, str] = {}
     began = time.monotonic()
@@ -109,7 +109,7 @@ def watch(supervisor: subprocess.Popen[bytes], wall_s: float, every_s: float) ->
 
 
 def grown(process: str, looks: Sequence[Look], wall_s: float) -> Grown:
-    """By quarters of the run."""
+    """Return the growth of a process by quarters of the run."""
     quarters = [[one for one in looks if int(QUARTERS * one.at_s / wall_s) == k] for k in range(QUARTERS)]
     memory = [float(np.median([one.memory_mb for one in of])) if of else float("nan") for of in quarters]
     handles = [max((one.handles for one in of), default=0) for of in quarters]
@@ -124,7 +124,7 @@ def grown(process: str, looks: Sequence[Look], wall_s: float) -> Grown:
 
 
 def missed(recording: Path) -> list[Missed]:
-    """By quarters of what is recorded."""
+    """Return the missed cycles by quarters of the recording."""
     rows: list[tuple[int, int, int, int]] = []  # time, not solved, late, missing in all
     losses, late_before, lost_before = LossAccounting(), 0, 0
     for message in Recording(recording):
@@ -151,12 +151,12 @@ def _of_quarter(rows: Iterable[tuple[int, int, int, int]]) -> Missed:
 
 
 def steady(quarters: Sequence[Missed]) -> bool:
-    """Whether the last quarter was no worse than those before."""
+    """Return True if the last quarter was no worse than those before."""
     return bool(quarters) and quarters[-1].all <= max(FEW, 2 * max(quarter.all for quarter in quarters[1:-1]))
 
 
 def main() -> int:
-    """Run it, and say what grew."""
+    """Run the soak test and report what grew."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--minutes", type=float, default=60.0, help="of wall time")
     parser.add_argument("--speed", type=float, default=10.0)

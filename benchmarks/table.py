@@ -18,7 +18,7 @@ from services.tools.batch.executor import each
 
 
 class Figures(NamedTuple):
-    """Of one run."""
+    """Figures of one run."""
 
     mean_m: float
     late_m: float  # mean of the second half

@@ -1,4 +1,4 @@
-"""The tail of a cycle on a machine that is busy with other things: 10 Hz for ten minutes, each core kept busy besides.
+"""Tail of the cycle time on a busy machine: 10 Hz for ten minutes, with load on every core.
 
     .venv/bin/python -m benchmarks.tail [--minutes 10] [--rate-hz 10] [--busy N] [--min-delay-s 0.08]
                                       [--out DIR] [--json]

@@ -1,4 +1,4 @@
-"""What the disturbance state is worth where nobody tells the controller of the current.
+"""Benefit of the disturbance state if the controller does not know the current.
 
     .venv/bin/python -m benchmarks.unknown_current [--seeds N] [--only TEXT] [--workers N] [--out FILE.json]
 
@@ -30,17 +30,17 @@ STATE, NO_STATE = "controller.disturbance.sd_mps=0.1", "controller.disturbance.s
 
 
 def nothing(estimate: Estimate) -> Estimate:
-    """Without any current."""
+    """Return the estimate without a current."""
     return msgspec.structs.replace(estimate, current=None)
 
 
 def everything(estimate: Estimate) -> Estimate:
-    """As it is."""
+    """Return the estimate unchanged."""
     return estimate
 
 
 def constant(depth_m: np.ndarray, seed: int) -> WaterColumn:
-    """4 cm/s at all depths."""
+    """Return a current of 4 cm/s at all depths."""
     towards = np.array([np.cos(TURN_RAD * seed), np.sin(TURN_RAD * seed)])
     return WaterColumn(depth_m, np.full((len(depth_m), 2), SPEED_MPS) * towards)
 

@@ -44,7 +44,7 @@ DEEP_M = np.array([0.0, 50.0])
 
 
 class Held(NamedTuple):
-    """How one vehicle held its point in one current."""
+    """Result of one vehicle that holds its point in one current."""
 
     off_m: float
     settled_s: float
@@ -121,12 +121,12 @@ def place(vehicle: Vehicle, share: float, seed: int, settings: tuple[str, ...] =
 
 
 def afloat(estimate: Estimate) -> Estimate:
-    """Without depth: the current alone, as at the surface."""
+    """Return the estimate without depth, as at the surface: only the current."""
     return msgspec.structs.replace(estimate, depth_m=None, velocity_down_mps=None)
 
 
 def hold(vehicle: Vehicle, share: float, seed: int, config: ControllerConfig | None = None) -> Held:
-    """One run."""
+    """Make one run."""
     s = place(vehicle, share, seed)
     plans: list[Plan] = []
     controller = Controller(vehicle, s.reference, config or s.scenario.controller)

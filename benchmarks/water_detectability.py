@@ -53,7 +53,7 @@ _NOTHING = np.empty(0), np.empty((0, 0))
 
 
 class Change(NamedTuple):
-    """What is put into the messages: water, or a gyro's fault about the body's x axis from ``BEGINS_S`` on."""
+    """Change of the messages from ``BEGINS_S`` on: a water feature, or a gyro fault about the body's x axis."""
 
     name: str
     water: Shape | None = None
@@ -127,7 +127,7 @@ class Descent:
         self._beams = beams(self.suite.adcp.beam_angle_rad) @ self._profiler.mounting.T  # (4, 3), body
         scenario = run_config.scenario
         LockStep(
-            nodes, start_ns=scenario.start_ns, observe=self, stepped=self._stepped, latest=lockstep_run.LATEST
+            nodes, start_ns=scenario.start_ns, observer=self, on_step=self._stepped, latest=lockstep_run.LATEST
         ).advance(scenario.end_ns)
         self.end_ns = scenario.end_ns
 
@@ -149,7 +149,7 @@ class Descent:
                 self.pings[t_ns] = _Ping(self._beams @ R.T, down, wild)
 
     def aligned(self) -> tuple[Belief, list[ImuSample | Measurement]]:
-        """Where the filter stands once it is aligned, and what is measured from there on, by validity time."""
+        """Return the aligned filter's belief, and the measurements from there on in order of validity time."""
         estimator = Estimator(self.suite, _OPEN)
         rest = iter(self.steps)
         for t_ns, inbox in rest:
@@ -166,14 +166,14 @@ class Descent:
         return belief.copy(), [m for m in later if m.t_ns > belief.t_ns]
 
     def clean(self, message: ImuSample | Measurement) -> ImuSample | Measurement:
-        """Without outliers."""
+        """Return the message without outliers."""
         if not isinstance(message, AdcpPing):
             return message
         z = np.where(self.pings[message.t_ns].wild, np.nan, message.beam_velocity_mps)
         return msgspec.structs.replace(message, beam_velocity_mps=z)
 
     def changed(self, message: ImuSample | Measurement, change: Change) -> ImuSample | Measurement:
-        """As it would have been."""
+        """Return the message as it would have been with the change."""
         replace, t_s = msgspec.structs.replace, message.t_ns * 1e-9
         if isinstance(message, ImuSample) and t_s > BEGINS_S:
             p, q, r = message.angular_rate_radps
@@ -189,7 +189,7 @@ class Descent:
 
 
 class _Heard(NamedTuple):
-    """What came of one message in the filter that hears no change."""
+    """Result of one message in the filter of the unchanged messages."""
 
     said: ImuSample | Measurement
     residual: Array  # (m,); none of an inertial sample
@@ -199,7 +199,7 @@ class _Heard(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """At each ping, (T,)."""
+    """Values at each ping, (T,)."""
 
     t_s: Array
     deflection: Array  # lambda
@@ -208,7 +208,7 @@ class Seen(NamedTuple):
 
     @property
     def gone(self) -> int | None:
-        """The first ping at which the velocity is off by 3 deviations or more."""
+        """Index of the first ping at which the velocity is off by 3 standard deviations or more."""
         beyond = np.flatnonzero(self.off > 3.0)
         return int(beyond[0]) if len(beyond) else None
 

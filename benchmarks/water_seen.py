@@ -42,7 +42,7 @@ BEYOND = float(chdtri(VELOCITY_AXES, 0.01))
 
 
 class Case(NamedTuple):
-    """What a descent goes through: a change that nobody has foretold, or water of another kind."""
+    """Case of a descent: a change without prediction, or water of another kind."""
 
     change: Change
     settings: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ def descend(job: tuple[Job, float]) -> Run:
 
 
 def figures(case: Case, runs: Sequence[Run]) -> dict[str, float | None]:
-    """Of one row."""
+    """Return the figures of one row."""
     told = [run.t_s[(run.t_s >= case.from_s) & ~run.well] - case.from_s for run in runs]
     delays = [float(t[0]) for t in told if len(t)]
     after = np.concatenate([run.t_s >= case.from_s for run in runs])

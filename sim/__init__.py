@@ -1,1 +1,1 @@
-"""The world outside the vehicle: deleted the day the real vehicle and the real sea arrive."""
+"""Simulated vehicle and sea: the package to delete when the real ones arrive."""

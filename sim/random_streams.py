@@ -1,4 +1,4 @@
-"""Who draws from which stream of random numbers: one row each, so that no part's draws move another's."""
+"""Random streams: one for each part of the simulation, so that the draws of one part do not shift another's."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Stream(enum.IntEnum):
-    """The second word of a generator's seed. Numbers are never used again for something else."""
+    """Second word of a generator's seed. A number is never used again for something else."""
 
     WATER_NORTH = 101
     WATER_EAST = 102
@@ -28,5 +28,5 @@ class Stream(enum.IntEnum):
 
 
 def generator(seed: int, stream: Stream) -> np.random.Generator:
-    """The run's ``seed`` and the part's stream give the part's own random numbers."""
+    """Return the random generator of one part for the run's ``seed``."""
     return np.random.Generator(np.random.PCG64([seed, int(stream)]))

@@ -1,4 +1,4 @@
-"""A situation: which water, which plant, which settings, how long. One file a scenario; tables with one owner each."""
+"""Scenario of a simulated run: water, plant, duration, and the settings of controller and estimator."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ltv_mpc.localisation.config import EstimatorConfig
 
 MAX_WATER_CELLS = 20_000
 MAX_ESTIMATOR_CELLS = 500
-"""Each cell is two states of the filter, whose covariance grows with their square."""
+"""Each cell adds two states to the filter, and the covariance grows with the square of their number."""
 
 Factor: TypeAlias = Annotated[float, Meta(gt=0, le=10)]
 
@@ -30,7 +30,7 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Feature(_Table, frozen=True, kw_only=True):
-    """What is on top of the current and no filter has been told of; ``kind`` says which of the keys are read."""
+    """Feature added to the current, unknown to the filter; ``kind`` decides which of the keys are read."""
 
     kind: Literal["none", "front", "step", "waves"] = "none"
     step_mps: Annotated[float, Meta(ge=-2, le=2)] = 0.1  # front, step: by how much the water's velocity changes
@@ -43,7 +43,7 @@ class Feature(_Table, frozen=True, kw_only=True):
 
 
 class Water(_Table, frozen=True, kw_only=True):
-    """The current over depth: a seeded Gauss-Markov profile, or a measured one."""
+    """Current over depth: a Gauss-Markov profile from the seed, or a measured profile."""
 
     kind: Literal["markov", "measured"] = "markov"
     sd_mps: Annotated[float, Meta(ge=0, le=5)] = 0.04  # paper: about 4 cm/s
@@ -58,7 +58,7 @@ class Water(_Table, frozen=True, kw_only=True):
 
 
 class Mismatch(_Table, frozen=True, kw_only=True):
-    """What the plant has otherwise than the controller's model: factors on the vehicle file."""
+    """Mismatch between plant and controller's model: factors on the values of the vehicle file."""
 
     mass: Factor = 1.0
     drag: Factor = 1.0
@@ -66,7 +66,7 @@ class Mismatch(_Table, frozen=True, kw_only=True):
 
 
 class Plant(_Table, frozen=True, kw_only=True):
-    """The simulated vehicle's own effects."""
+    """Effects of the simulated vehicle that the controller's model does not have."""
 
     mismatch: Mismatch = Mismatch()
     tilt_rms_rad: Annotated[float, Meta(ge=0, le=0.5)] = 0.026179938779914945  # 1.5 deg of roll and of pitch
@@ -78,7 +78,7 @@ class Plant(_Table, frozen=True, kw_only=True):
 
 
 class Run(_Table, frozen=True, kw_only=True):
-    """How long, how fast, which seed."""
+    """Duration, speed and seed of the run."""
 
     duration_s: Annotated[float, Meta(gt=0, le=1e6)] = 200.0  # after the surface phase
     surface_time_s: Annotated[float, Meta(ge=1, le=1e5)] = 1.0  # 1: one TDCP fix
@@ -90,7 +90,7 @@ class Run(_Table, frozen=True, kw_only=True):
 
 
 class Scenario(_Table, frozen=True, kw_only=True):
-    """Everything that a run is made of."""
+    """Complete description of a simulated run."""
 
     title: str
     vehicle: str = "paper"  # NAME or FILE
@@ -105,7 +105,7 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
     @classmethod
     def load(cls, name: str) -> Scenario:
-        """A shipped scenario by name (``"descent"``, ``"hover"``), or a TOML file by path. Raises ``ConfigError``.
+        """Load a shipped scenario by name (``"descent"``, ``"hover"``) or a TOML file by path. Raises ``ConfigError``.
 
         Relative paths in a file are relative to that file's folder.
         """
@@ -127,17 +127,17 @@ class Scenario(_Table, frozen=True, kw_only=True):
 
     @property
     def start_ns(self) -> int:
-        """Vehicle time at which the run begins: afloat, before t = 0."""
+        """Vehicle time (ns) at which the run starts: afloat, before t = 0."""
         return -round(self.run.surface_time_s * 1e9)
 
     @property
     def end_ns(self) -> int:
-        """Vehicle time at which it is complete."""
+        """Vehicle time (ns) at which the run is complete."""
         return round(self.run.duration_s * 1e9)
 
 
 def checked(scenario: Scenario, *, source: str) -> Scenario:
-    """The scenario, after what no single field can tell. Raises ``ConfigError``."""
+    """Return the scenario after the checks that involve more than one field. Raises ``ConfigError``."""
     water, estimator = scenario.water, scenario.estimator
     if water.kind == "measured" and not water.file:
         raise ConfigError(source, "[water] file", 'must name a currents CSV where kind = "measured"', value="")
@@ -162,10 +162,10 @@ def checked(scenario: Scenario, *, source: str) -> Scenario:
 
 
 def with_overrides(scenario: Scenario, assignments: Sequence[str], *, source: str = "option --set") -> Scenario:
-    """The scenario after ``["water.sd_mps=0.1", "vehicle=otter.toml", ...]``; ``checked`` is left to the caller.
+    """Return the scenario with settings changed by ``["water.sd_mps=0.1", "vehicle=otter.toml", ...]``.
 
-    Values are TOML values; a text needs no quotes. Raises ``ConfigError``, with the nearest known name of a key that
-    is not there.
+    Values are TOML values; a text needs no quotes. The caller calls ``checked`` afterwards. Raises ``ConfigError``;
+    for an unknown key it names the most similar known one.
     """
     kinds = {key: kind for key, kind in settings_schema.scalar_fields(Scenario).items() if key != "made_by"}
     for assignment in assignments:
@@ -189,7 +189,7 @@ def _near(key: str, known: Iterable[str]) -> str:
 
 
 def _value(text: str, kind: settings_schema.Type, key: str, source: str) -> Any:
-    """A TOML value; a text may stand without quotes."""
+    """Parse a TOML value; a text needs no quotes."""
     try:
         table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -205,5 +205,5 @@ def _value(text: str, kind: settings_schema.Type, key: str, source: str) -> Any:
 
 
 def _beside(folder: Path, name: str) -> str:
-    """A file named in a scenario file; a shipped name stays one."""
+    """Return the path of a file named in a scenario file; the name of a shipped file stays as it is."""
     return str(folder / name) if config.is_path(name) else name

@@ -1,25 +1,26 @@
-"""Lock step: all nodes in one process on a simulated clock. The same nodes and the same seed give the same bits.
+"""Lock step: all nodes of a run in one process on a simulated clock. One seed gives the same bits in every run.
 
-At one instant deliveries that were on their way come first, then steps in the order of the list of nodes: plant,
-sensors, estimator, controller. A message is handed at once to every node that reads its type, with two exceptions:
+At one instant pending deliveries come first, then steps in the order of the list of nodes: plant, sensors, estimator,
+controller. A message is delivered at once to every node that reads its type, with two exceptions:
 
-- what a ``Cycle`` node writes arrives ``compute_delay_ns`` after the start of its cycle, exactly; until then the cycle
-  is in flight and the next one waits (one solve at a time). With no delay the plan arrives at the same instant, when
-  the plant, first in the list, has already stepped: it acts on the plan in its next step;
-- of a type in ``latest`` an inbox holds the newest only.
+- The output of a ``Cycle`` node arrives exactly ``compute_delay_ns`` after the start of its cycle. Until then the cycle
+  is in flight and the next one waits: there is one solve at a time. Without delay the plan arrives at the same
+  instant. The plant, first in the list, has then already stepped, so it acts on the plan in its next step.
+- Of a type in ``latest`` an inbox holds the newest message only.
 
-The scheduler works by stretches of time (conservative lookahead). A stretch ends at the next instant at which a node
-could read something that a node at its own place or after it in the list writes: at the next cycle, at the next step
-of a node on a grid that writes such a type, or when something that is on its way arrives. Until then each node in turn
-does all its steps in one call of ``steps``, with all that the nodes before it have published by then. Where a node on
-messages writes such a type, where a node other than a cycle is told of refused messages, or where ``between`` carries
-the messages, a stretch is one step. How long stretches are changes the speed of a run and nothing else.
+The scheduler advances by time windows (conservative lookahead). A window ends at the next instant at which a node could
+read something that a node at its own place or after it in the list writes: at the next cycle, at the next step of a
+node on a grid that writes such a type, or at the next pending delivery. Within a window each node in turn takes all its
+steps in one call of ``steps``, with all messages that the nodes before it have published by then. A window is a single
+step in three cases: a node on messages writes such a type, a node other than a cycle reads rejections, or a
+``transport`` carries the messages. The length of the windows affects the speed of a run and nothing else.
 
-Observers are told at the end of each stretch, in the order in which things happened. A node may then be ahead of what
-is told: whoever looks into a node as it goes wraps it in a node of his own, which takes the steps one at a time.
+Observers are notified at the end of each window, in the order of the events. A node may then be ahead of the event
+that is reported. An observer that inspects a node during the run therefore wraps it in a node that takes the steps one
+at a time.
 
-Whoever calls a cycle measures it. Here nothing is measured: a cycle that made a plan is followed by a ``CycleTiming``
-that says ``compute_delay_ns``, no wall time and no stages.
+The caller of a cycle measures it. Here nothing is measured: a cycle that made a plan is followed by a ``CycleTiming``
+with ``compute_delay_ns``, no wall time and no stages.
 """
 
 from __future__ import annotations
@@ -37,111 +38,114 @@ from ltv_mpc.node import Cycle, Due, Inbox, Node, OnMessage, ReceivedMessage
 from ltv_mpc.validation import validator
 
 EPOCH = 1
-"""The epoch of every node: in lock step none restarts."""
+"""Epoch of every node: in lock step no node restarts."""
 
 LATEST: frozenset[type[Message]] = frozenset({Estimate})
-"""Types of which a reader wants the newest value only."""
+"""Types of which a reader receives the newest message only."""
 
 Cause: TypeAlias = str | type[Message]
-"""``"grid"``, ``"cycle"`` or the type of the message that caused a step."""
+"""Cause of a step: ``"grid"``, ``"cycle"`` or the type of the message that caused it."""
 
-Refuse: TypeAlias = Callable[[str, ReceivedMessage, str], RejectedFrame]
-"""Node, what arrived, reason -> the message that says so."""
+MakeRejection: TypeAlias = Callable[[str, ReceivedMessage, str], RejectedFrame]
+"""Function of node, received message and reason that returns the rejection message."""
 
 
 class Step(NamedTuple):
-    """Step ``number`` of ``node`` (from 0) for ``t_ns`` took this inbox when the clock stood at ``at_ns``."""
+    """One step of a node."""
 
-    at_ns: int
+    at_ns: int  # clock at the step
     node: str
-    number: int
-    t_ns: int
+    number: int  # of the node's steps, from 0
+    t_ns: int  # vehicle time that the step is for
     cause: Cause
     inbox: Inbox
 
 
 class Observer(Protocol):
-    """Is told of messages in the order of their publication."""
+    """Observer of the messages of a run, notified in the order of their publication."""
 
     def published(self, node: str, message: ReceivedMessage) -> None:
-        """``node`` published this at ``message.received_t_ns``; its sequence counts by type from 0."""
+        """Handle a message that ``node`` published at ``message.received_t_ns``.
+
+        The sequence number counts the node's messages of one type from 0.
+        """
         ...
 
 
 class Delivery(NamedTuple):
-    """A copy of a message on its way to one reader. ``payload``: these bytes arrive in the message's place."""
+    """Copy of a message that a transport delivers to one reader."""
 
     at_ns: int
     message: ReceivedMessage
-    payload: bytes | None = None
+    payload: bytes | None = None  # bytes that arrive instead of the message
 
 
-class Between(Protocol):
-    """Carries every message to each of its readers and checks it there: it stands where the bus is between processes.
+class Transport(Protocol):
+    """Carrier of all messages between nodes, in the place of the bus between processes.
 
-    Without one a message arrives as it was published, and validation alone checks it.
+    Without a transport a message arrives as published and is checked by validation only.
     """
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
-        """What comes of a message published at ``message.received_t_ns``, and when; nothing: it is lost."""
+        """Return the deliveries that a message published at ``message.received_t_ns`` leads to; none: it is lost."""
         ...
 
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
-        """What the reader's door lets in, or why not."""
+        """Return the message if the reader accepts it, else the reason for its rejection."""
         ...
 
 
 def rejected_by_type_name(node: str, message: ReceivedMessage, reason: str) -> RejectedFrame:
-    """What a node is told of a refused message where no wire has given it a key, a crc and a payload."""
+    """Return the rejection of a message that has no frame: its type for the key, and neither crc nor payload."""
     kind = type(message.message).__name__
     return RejectedFrame(t_ns=message.received_t_ns, node=node, key=kind, reason=reason, crc=0, payload_base64="")
 
 
-Place: TypeAlias = tuple[int, int, int, int]
-"""In the order of all that happens: time, place of the node in the list (-1: it was on its way before), a count of
-steps, and of the messages of that step that were refused. What has one place is kept in the order of publication."""
+EventOrder: TypeAlias = tuple[int, int, int, int]
+"""Sort key of all events: time, place of the node in the list (-1: a pending delivery), count of steps, and count of
+that step's messages that were rejected. Events with equal keys keep the order of publication."""
 
-_ON_ITS_WAY = -1
+_PENDING = -1
 
-_by_place = itemgetter(0)
+_by_order = itemgetter(0)
 
 
-class _Refusal(NamedTuple):
-    """A message that one reader does not get."""
+class _Rejection(NamedTuple):
+    """Message that one reader has rejected."""
 
-    place: Place
-    reader: _Seat
+    order: EventOrder
+    reader: _ScheduledNode
     message: ReceivedMessage
     reason: str
 
 
 class _Route:
-    """Where one node's messages of one type go. Looked up once for each type."""
+    """Readers of one node's messages of one type, looked up once for each type."""
 
-    __slots__ = ("inboxes", "judge", "published", "readers", "told", "wakes")
+    __slots__ = ("inboxes", "observed", "published", "readers", "validate", "wakes")
 
-    def __init__(self, kind: type[Message], readers: Sequence[_Seat], told: bool) -> None:
-        self.judge = validator(kind)
+    def __init__(self, kind: type[Message], readers: Sequence[_ScheduledNode], observed: bool) -> None:
+        self.validate = validator(kind)
         self.readers = tuple(readers)
         self.inboxes = tuple(reader.inbox_of(kind).append for reader in readers)
-        self.wakes = tuple(reader for reader in readers if reader.bounds and kind in reader.causes)
-        self.told = told
+        self.wakes = tuple(reader for reader in readers if reader.ends_window and kind in reader.causes)
+        self.observed = observed
         self.published = 0
 
-    def numbered(self, signal: Message, at_ns: int) -> ReceivedMessage:
-        """The next of them, as it is published."""
+    def numbered(self, message: Message, at_ns: int) -> ReceivedMessage:
+        """Return the message with the next sequence number."""
         number = self.published
         self.published = number + 1
-        return ReceivedMessage(signal, EPOCH, number, at_ns)
+        return ReceivedMessage(message, EPOCH, number, at_ns)
 
 
-class _Seat:
-    """A node with what has been published to it, and when it is due."""
+class _ScheduledNode:
+    """Node with its next due time and the messages that wait for it."""
 
     def __init__(self, index: int, node: Node, start_ns: int, latest: frozenset[type[Message]]) -> None:
         self.index, self.name, self.node = index, node.name, node
-        self.rank = index  # of what it publishes, among all that is published at one instant
-        self.bounds = False  # whether each of its steps ends a stretch
+        self.rank = index  # order of its messages among all that are published at one instant
+        self.ends_window = False  # True if each of its steps ends a time window
         schedule = node.schedule
         self.cycles = isinstance(schedule, Cycle)
         self.causes = frozenset(schedule.types if isinstance(schedule, OnMessage) else ())
@@ -149,17 +153,17 @@ class _Seat:
         # On the grid k x period, not before the start.
         self.next_ns = -(-start_ns // self.period_ns) * self.period_ns if self.period_ns else 0
         self._latest = latest.intersection(node.reads) - self.causes
-        self.waiting: list[tuple[Place, ReceivedMessage]] = []
-        self.causing: list[tuple[Place, ReceivedMessage]] = []
+        self.waiting: list[tuple[EventOrder, ReceivedMessage]] = []
+        self.causing: list[tuple[EventOrder, ReceivedMessage]] = []
         self.routes: dict[type[Message], _Route] = {}
         self.steps = 0
 
-    def inbox_of(self, kind: type[Message]) -> list[tuple[Place, ReceivedMessage]]:
-        """Where a message of this type goes: it causes a step, or waits for the next one."""
+    def inbox_of(self, kind: type[Message]) -> list[tuple[EventOrder, ReceivedMessage]]:
+        """Return the list for messages of a type: those that cause a step, or those that wait for the next one."""
         return self.causing if kind in self.causes else self.waiting
 
     def due(self, last_ns: int, *, one: bool = False) -> tuple[list[int], list[Due]]:
-        """When, and what for, it is to be stepped up to ``last_ns``; ``one``: the first of them alone."""
+        """Return the times and inboxes of all steps due up to ``last_ns``, or of the first one only (``one``)."""
         return self._by_time(last_ns) if self.period_ns else self._by_messages(last_ns, one=one)
 
     def _by_time(self, last_ns: int) -> tuple[list[int], list[Due]]:
@@ -170,21 +174,24 @@ class _Seat:
 
     def _by_messages(self, last_ns: int, *, one: bool) -> tuple[list[int], list[Due]]:
         causing = self.causing
-        causing.sort(key=_by_place)
+        causing.sort(key=_by_order)
         number = 1 if one else bisect_right(causing, last_ns, key=_time_of)
         times: list[int] = []
         due: list[Due] = []
-        for (at_ns, *_), message in causing[:number]:
-            signal: Any = message.message  # a type that causes steps has its validity time
+        for (at_ns, *_), received in causing[:number]:
+            message: Any = received.message  # a type that causes steps has its validity time
             times.append(at_ns)
-            due.append((signal.t_ns, [*self._take(at_ns), message] if self.waiting else [message]))
+            due.append((message.t_ns, [*self._take(at_ns), received] if self.waiting else [received]))
         del causing[:number]
         return times, due
 
     def _take(self, at_ns: int) -> list[ReceivedMessage]:
-        """What has arrived by then; what comes at that instant from later in the list is not published yet."""
+        """Take the messages that have arrived by then.
+
+        Messages of nodes later in the list at that same instant are not published yet.
+        """
         waiting = self.waiting
-        waiting.sort(key=_by_place)
+        waiting.sort(key=_by_order)
         number = bisect_right(waiting, at_ns, key=_time_of)
         inbox = [message for _, message in waiting[:number]]
         del waiting[:number]
@@ -194,17 +201,51 @@ class _Seat:
         return [m for m in inbox if type(m.message) not in self._latest or newest[type(m.message)] is m]
 
 
-def _time_of(entry: tuple[Place, ReceivedMessage]) -> int:
+def _time_of(entry: tuple[EventOrder, ReceivedMessage]) -> int:
     return entry[0][0]
 
 
-class LockStep:
-    """The nodes of one run between ``start_ns`` and wherever ``advance`` has taken it.
+class _EventLog:
+    """Steps and messages of a time window, and the observers that are notified of them at its end."""
 
-    ``compute_delay_ns`` is one for all cycles, or a function of a cycle's start. ``observe`` is told of each message,
-    or of those of the types ``heard``; ``stepped`` is told of each step, before its messages. ``latest`` names the
-    types of which a reader wants the newest only, ``refused`` words the ``RejectedFrame`` for what is turned away.
-    """
+    def __init__(
+        self,
+        observer: Observer | None,
+        types: frozenset[type[Message]] | None,
+        on_step: Callable[[Step], None] | None,
+    ) -> None:
+        self._observer = observer
+        self._types = frozenset[type[Message]]() if observer is None else types
+        self._on_step = on_step
+        self._events: list[tuple[EventOrder, str, Step | ReceivedMessage]] = []
+
+    @property
+    def wants_steps(self) -> bool:
+        """True if an observer is notified of steps."""
+        return self._on_step is not None
+
+    def wants(self, kind: type[Message]) -> bool:
+        """Return True if an observer is notified of messages of this type."""
+        return self._types is None or kind in self._types
+
+    def add(self, order: EventOrder, node: str, event: Step | ReceivedMessage) -> None:
+        """Add a step or a published message of ``node``."""
+        self._events.append((order, node, event))
+
+    def notify(self) -> None:
+        """Notify the observers of all events since the last call, in the order of the events."""
+        events, self._events = self._events, []
+        events.sort(key=_by_order)
+        for _, node, event in events:
+            if type(event) is Step:
+                assert self._on_step is not None
+                self._on_step(event)
+            elif self._observer is not None:
+                self._observer.published(node, event)  # type: ignore[arg-type]
+
+
+class LockStep:
+    """Lock step of the nodes of one run, from ``start_ns`` to the time that ``advance`` has reached."""
 
     def __init__(
         self,
@@ -212,194 +253,211 @@ class LockStep:
         *,
         start_ns: int,
         compute_delay_ns: int | Callable[[int], int] = 0,
-        observe: Observer | None = None,
-        heard: frozenset[type[Message]] | None = None,
-        stepped: Callable[[Step], None] | None = None,
+        observer: Observer | None = None,
+        observed_types: frozenset[type[Message]] | None = None,
+        on_step: Callable[[Step], None] | None = None,
         latest: frozenset[type[Message]] = LATEST,
-        refused: Refuse = rejected_by_type_name,
-        between: Between | None = None,
+        make_rejection: MakeRejection = rejected_by_type_name,
+        transport: Transport | None = None,
     ) -> None:
+        """Schedule the nodes.
+
+        Parameters
+        ----------
+        nodes : nodes in the order in which they step at one instant.
+        start_ns : vehicle time of the start (ns).
+        compute_delay_ns : delay of a cycle's output (ns): one for all cycles, or a function of a cycle's start.
+        observer : is notified of each published message.
+        observed_types : types of which the observer is notified; None: of all.
+        on_step : is called with each step, before the step's messages are reported to the observer.
+        latest : types of which a reader receives the newest message only.
+        make_rejection : returns the message that reports a rejected one.
+        transport : carries all messages; None: they arrive as published.
+        """
         self._compute_delay_ns = compute_delay_ns if callable(compute_delay_ns) else lambda _: compute_delay_ns
-        self._observe = observe
-        self._heard = frozenset[type[Message]]() if observe is None else heard
-        self._stepped = stepped
-        self._refused = refused
-        self._between = between
-        self._seats = [_Seat(index, node, start_ns, latest) for index, node in enumerate(nodes)]
-        _divide(self._seats, singly=between is not None)
-        self._flowing = [seat for seat in self._seats if not seat.bounds]
-        self._readers: dict[type[Message], list[_Seat]] = {}
-        for seat in self._seats:
-            for kind in seat.node.reads:
-                self._readers.setdefault(kind, []).append(seat)
+        self._log = _EventLog(observer, observed_types, on_step)
+        self._make_rejection = make_rejection
+        self._transport = transport
+        self._nodes = [_ScheduledNode(index, node, start_ns, latest) for index, node in enumerate(nodes)]
+        _find_window_ends(self._nodes, singly=transport is not None)
+        self._batched = [node for node in self._nodes if not node.ends_window]
+        self._readers: dict[type[Message], list[_ScheduledNode]] = {}
+        for node in self._nodes:
+            for kind in node.node.reads:
+                self._readers.setdefault(kind, []).append(node)
         self._count = count()
-        # A heap of what ends stretches: time, place in the list, a count, and what happens then.
+        # A heap of the events that end time windows: time, place in the list, a count, and the action.
         self._events: list[tuple[int, int, int, Callable[[], None]]] = []
-        for seat in self._seats:
-            if seat.bounds and seat.period_ns:
-                self._later(seat.next_ns, seat.index, partial(self._once, seat, seat.next_ns))
-        self._happened: list[tuple[Place, str, Step | ReceivedMessage]] = []  # and not told yet
-        self._refusals: list[_Refusal] = []
+        for node in self._nodes:
+            if node.ends_window and node.period_ns:
+                self._schedule(node.next_ns, node.index, partial(self._step_once, node, node.next_ns))
+        self._rejections: list[_Rejection] = []
 
     @property
     def steps(self) -> dict[str, int]:
-        """Steps done so far by each node."""
-        return {seat.name: seat.steps for seat in self._seats}
+        """Number of steps of each node so far."""
+        return {node.name: node.steps for node in self._nodes}
 
     @property
     def published(self) -> int:
-        """Messages published so far, by all nodes."""
-        return sum(route.published for seat in self._seats for route in seat.routes.values())
+        """Number of messages of all nodes so far."""
+        return sum(route.published for node in self._nodes for route in node.routes.values())
 
     def advance(self, until_ns: int) -> None:
-        """Everything that happens up to and including ``until_ns``."""
+        """Simulate all events up to and including ``until_ns``."""
         try:
-            while self._stretch(until_ns):
+            while self._advance_window(until_ns):
                 pass
         finally:
-            self._tell()
+            self._notify()
 
-    def _stretch(self, until_ns: int) -> bool:
-        """Go on to the next event that ends a stretch, and let it happen; False where none is left."""
+    def _advance_window(self, until_ns: int) -> bool:
+        """Advance to the next event that ends a time window, and execute it; return False if there is none."""
         events = self._events
         event = heapq.heappop(events) if events and events[0][0] <= until_ns else None
-        end_ns, index = (until_ns + 1, _ON_ITS_WAY) if event is None else event[:2]
-        for seat in self._flowing:
-            times_ns, due = seat.due(end_ns if seat.index < index else end_ns - 1)
+        end_ns, index = (until_ns + 1, _PENDING) if event is None else event[:2]
+        for node in self._batched:
+            times_ns, due = node.due(end_ns if node.index < index else end_ns - 1)
             if due:
-                self._publish(seat, *self._step(seat, times_ns, due))
-        self._tell()
+                self._publish(node, *self._step(node, times_ns, due))
+        self._notify()
         if event is not None:
             event[-1]()
         return event is not None
 
-    def _once(self, seat: _Seat, at_ns: int) -> None:
-        places, (outputs,) = self._step(seat, *seat.due(at_ns, one=True))
-        plan = next((signal for signal in outputs if isinstance(signal, Plan)), None) if seat.cycles else None
+    def _step_once(self, node: _ScheduledNode, at_ns: int) -> None:
+        """Take one step of a node whose steps end time windows, and schedule the next one."""
+        orders, (outputs,) = self._step(node, *node.due(at_ns, one=True))
+        plan = next((message for message in outputs if isinstance(message, Plan)), None) if node.cycles else None
         delay_ns = 0 if plan is None else self._compute_delay_ns(at_ns)  # without a plan nothing was computed
         if plan is not None:
             outputs = [*outputs, timing_of(plan, at_ns, delay_ns)]
         if delay_ns:
-            place = (at_ns + delay_ns, _ON_ITS_WAY, next(self._count), 0)
-            self._later(place[0], _ON_ITS_WAY, partial(self._publish, seat, [place], [outputs]))
+            order = (at_ns + delay_ns, _PENDING, next(self._count), 0)
+            self._schedule(order[0], _PENDING, partial(self._publish, node, [order], [outputs]))
         else:
-            self._publish(seat, places, [outputs])
-        if seat.period_ns:
-            seat.next_ns = next_ns = at_ns + max(seat.period_ns, delay_ns)
-            self._later(next_ns, seat.index, partial(self._once, seat, next_ns))
+            self._publish(node, orders, [outputs])
+        if node.period_ns:
+            node.next_ns = next_ns = at_ns + max(node.period_ns, delay_ns)
+            self._schedule(next_ns, node.index, partial(self._step_once, node, next_ns))
 
-    def _later(self, at_ns: int, index: int, act: Callable[[], None]) -> None:
+    def _schedule(self, at_ns: int, index: int, act: Callable[[], None]) -> None:
         heapq.heappush(self._events, (at_ns, index, next(self._count), act))
 
     def _step(
-        self, seat: _Seat, times_ns: Sequence[int], due: Sequence[Due]
-    ) -> tuple[list[Place], list[list[Message]]]:
-        rank, numbers = seat.rank, self._count
-        places = [(at_ns, rank, next(numbers), 0) for at_ns in times_ns]
-        if self._stepped is not None:
-            cause: Cause = "cycle" if seat.cycles else "grid"
-            for number, (place, (t_ns, inbox)) in enumerate(zip(places, due, strict=True), seat.steps):
-                if seat.causes:
+        self, node: _ScheduledNode, times_ns: Sequence[int], due: Sequence[Due]
+    ) -> tuple[list[EventOrder], list[list[Message]]]:
+        """Take all due steps of a node; return the sort key and the outputs of each."""
+        rank, numbers = node.rank, self._count
+        orders = [(at_ns, rank, next(numbers), 0) for at_ns in times_ns]
+        if self._log.wants_steps:
+            cause: Cause = "cycle" if node.cycles else "grid"
+            for number, (order, (t_ns, inbox)) in enumerate(zip(orders, due, strict=True), node.steps):
+                if node.causes:
                     cause = type(inbox[-1].message)
-                self._happened.append((place, seat.name, Step(place[0], seat.name, number, t_ns, cause, inbox)))
-        seat.steps += len(due)
-        return places, seat.node.steps(due)
+                self._log.add(order, node.name, Step(order[0], node.name, number, t_ns, cause, inbox))
+        node.steps += len(due)
+        return orders, node.node.steps(due)
 
-    def _publish(self, seat: _Seat, places: Sequence[Place], outputs: Sequence[Sequence[Message]]) -> None:
-        name, routes, happened, between = seat.name, seat.routes, self._happened.append, self._between
-        for place, signals in zip(places, outputs, strict=True):
-            for signal in signals:
-                kind = type(signal)
-                route = routes.get(kind) or self._route(seat, kind)
-                message = route.numbered(signal, place[0])
-                if route.told:
-                    happened((place, name, message))
+    def _publish(
+        self, node: _ScheduledNode, orders: Sequence[EventOrder], outputs: Sequence[Sequence[Message]]
+    ) -> None:
+        """Assign sequence numbers to the outputs of each step and deliver them to their readers."""
+        name, routes, log, transport = node.name, node.routes, self._log.add, self._transport
+        for step_order, messages in zip(orders, outputs, strict=True):
+            order = step_order
+            for message in messages:
+                kind = type(message)
+                route = routes.get(kind) or self._route(node, kind)
+                received = route.numbered(message, order[0])
+                if route.observed:
+                    log(order, name, received)
                 if not route.readers:
                     continue
-                if between is not None:
+                if transport is not None:
                     for reader in route.readers:
-                        self._carry(between, name, reader, message, place)
-                elif (reason := route.judge(signal)) is None:
+                        self._carry(transport, name, reader, received, order)
+                elif (reason := route.validate(message)) is None:
                     for append in route.inboxes:
-                        append((place, message))
+                        append((order, received))
                     for reader in route.wakes:
-                        self._later(place[0], reader.index, partial(self._once, reader, place[0]))
+                        self._schedule(order[0], reader.index, partial(self._step_once, reader, order[0]))
                     continue
                 else:
-                    self._refusals += [_Refusal(place, reader, message, reason) for reader in route.readers]
-                place = (*place[:3], place[3] + 1)  # a refusal is told before the next message
+                    self._rejections += [_Rejection(order, reader, received, reason) for reader in route.readers]
+                order = (*order[:3], order[3] + 1)  # a rejection is reported before the next message
 
-    def _route(self, seat: _Seat, kind: type[Message]) -> _Route:
-        """Of ``kind`` from this seat."""
-        if kind not in seat.node.writes and kind not in _OWN:
-            raise ValueError(f"{seat.name} publishes {kind.__name__}, which is not among its writes")
-        told = self._heard is None or kind in self._heard
-        return seat.routes.setdefault(kind, _Route(kind, self._readers.get(kind, ()), told))
+    def _route(self, node: _ScheduledNode, kind: type[Message]) -> _Route:
+        """Return the route of the node's messages of one type, made at its first message."""
+        if kind not in node.node.writes and kind not in _OWN:
+            raise ValueError(f"{node.name} publishes {kind.__name__}, which is not among its writes")
+        return node.routes.setdefault(kind, _Route(kind, self._readers.get(kind, ()), self._log.wants(kind)))
 
-    def _carry(self, between: Between, writer: str, reader: _Seat, message: ReceivedMessage, place: Place) -> None:
-        for delivery in between.carry(writer, reader.name, message):
+    def _carry(
+        self,
+        transport: Transport,
+        writer: str,
+        reader: _ScheduledNode,
+        message: ReceivedMessage,
+        order: EventOrder,
+    ) -> None:
+        for delivery in transport.carry(writer, reader.name, message):
             if delivery.at_ns <= message.received_t_ns:
-                self._arrive(between, reader, delivery, place)
+                self._deliver(transport, reader, delivery, order)
             else:
-                later = (delivery.at_ns, _ON_ITS_WAY, next(self._count), 0)
-                self._later(delivery.at_ns, _ON_ITS_WAY, partial(self._arrive, between, reader, delivery, later))
+                later = (delivery.at_ns, _PENDING, next(self._count), 0)
+                self._schedule(delivery.at_ns, _PENDING, partial(self._deliver, transport, reader, delivery, later))
 
-    def _arrive(self, between: Between, reader: _Seat, delivery: Delivery, place: Place) -> None:
-        admitted = between.receive(reader.name, delivery)
-        if isinstance(admitted, str):
-            self._refusals.append(_Refusal(place, reader, delivery.message, admitted))
-        else:
-            message, kind = (
-                ReceivedMessage(admitted.message, admitted.epoch, admitted.sequence, place[0]),
-                type(admitted.message),
-            )
-            reader.inbox_of(kind).append((place, message))
-            if kind in reader.causes:
-                self._later(place[0], reader.index, partial(self._once, reader, place[0]))
+    def _deliver(self, transport: Transport, reader: _ScheduledNode, delivery: Delivery, order: EventOrder) -> None:
+        accepted = transport.receive(reader.name, delivery)
+        if isinstance(accepted, str):
+            self._rejections.append(_Rejection(order, reader, delivery.message, accepted))
+            return
+        kind = type(accepted.message)
+        received = ReceivedMessage(accepted.message, accepted.epoch, accepted.sequence, order[0])
+        reader.inbox_of(kind).append((order, received))
+        if kind in reader.causes:
+            self._schedule(order[0], reader.index, partial(self._step_once, reader, order[0]))
 
-    def _tell(self) -> None:
-        """Those whose messages were refused, then the observers, of all that has happened."""
-        if self._refusals:
-            self._turn_back()
-        happened, self._happened = self._happened, []
-        happened.sort(key=_by_place)
-        for _, name, what in happened:
-            if type(what) is Step:
-                assert self._stepped is not None
-                self._stepped(what)
-            elif self._observe is not None:
-                self._observe.published(name, what)  # type: ignore[arg-type]
+    def _notify(self) -> None:
+        """Report rejections to the nodes that rejected, then all events to the observers."""
+        if self._rejections:
+            self._report_rejections()
+        self._log.notify()
 
-    def _turn_back(self) -> None:
-        for place, reader, message, reason in sorted(self._refusals, key=_by_place):
+    def _report_rejections(self) -> None:
+        for order, reader, message, reason in sorted(self._rejections, key=_by_order):
             route = reader.routes.get(RejectedFrame) or self._route(reader, RejectedFrame)
-            rejected = route.numbered(self._refused(reader.name, message, reason), place[0])
-            if route.told:
-                self._happened.append((place, reader.name, rejected))
+            rejected = route.numbered(self._make_rejection(reader.name, message, reason), order[0])
+            if route.observed:
+                self._log.add(order, reader.name, rejected)
             if RejectedFrame in reader.node.reads:
-                reader.waiting.append((place, rejected))
-        self._refusals.clear()
+                reader.waiting.append((order, rejected))
+        self._rejections.clear()
 
 
 _OWN = (CycleTiming, RejectedFrame)
 """Types that the scheduler publishes in a node's name."""
 
 
-def _divide(seats: Sequence[_Seat], *, singly: bool) -> None:
-    """Find the nodes whose every step ends a stretch; the others do all steps of a stretch at once."""
-    read: set[type[Message]] = set()  # by nodes up to here that do not cycle
-    for seat in seats:
-        if not seat.cycles:
-            read.update(seat.node.reads)
-        seat.bounds = seat.cycles or not read.isdisjoint(seat.node.writes)
-        singly |= seat.bounds and bool(seat.causes)
+def _find_window_ends(nodes: Sequence[_ScheduledNode], *, singly: bool) -> None:
+    """Mark the nodes whose every step ends a time window; the others take all steps of a window at once.
+
+    With ``singly`` every step of every node ends a window.
+    """
+    read: set[type[Message]] = set()  # by nodes up to here that are no cycles
+    for node in nodes:
+        if not node.cycles:
+            read.update(node.node.reads)
+        node.ends_window = node.cycles or not read.isdisjoint(node.node.writes)
+        singly |= node.ends_window and bool(node.causes)
     if singly or RejectedFrame in read:
-        for seat in seats:
-            seat.bounds, seat.rank = True, 0  # things are in the order in which they happen
+        for node in nodes:
+            node.ends_window, node.rank = True, 0  # then events are already in the order in which they happen
 
 
 def timing_of(plan: Plan, start_ns: int, delay_ns: int) -> CycleTiming:
-    """What a cycle from ``start_ns`` is said to have cost."""
+    """Return the timing of a cycle that started at ``start_ns`` and took ``delay_ns``."""
     return CycleTiming(
         t_ns=start_ns,
         compute_ns=delay_ns,

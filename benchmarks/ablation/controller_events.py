@@ -486,10 +486,10 @@ class Locked:
             [*self.others, *self.around(make_nodes(s))],
             start_ns=s.scenario.start_ns,
             compute_delay_ns=self.delay_ns,
-            observe=log,
+            observer=log,
             latest=lockstep_run.LATEST,
-            refused=lockstep_run.rejected_message,
-            between=bus if self.harms or self.others else None,
+            make_rejection=lockstep_run.rejected_message,
+            transport=bus if self.harms or self.others else None,
         )
         lockstep.advance(s.scenario.end_ns)
         truth = np.array([row[:3] for row in log.truth])
@@ -503,11 +503,11 @@ class Locked:
             "true error in the window, rms (m)": float(
                 np.sqrt(np.mean(np.hypot(n, e)[(t >= window_s[0]) & (t < window_s[1])] ** 2))
             ),
-            "mean thrust (N)": float(np.mean(np.abs(np.array(log.asked)[:, 1:]))),
+            "mean thrust (N)": float(np.mean(np.abs(np.array(log.propeller_thrust)[:, 1:]))),
             "cycles solved (%)": 100.0 * float(np.mean([p.origin.value == "solved" for p in plans])),
             "late plans (%)": 100.0 * log.applied[-1][4] / len(plans),
             "bad thrusts (%)": 100.0 * float(np.mean([bad for _, bad, *_ in log.applied])),
-            "damaged messages let in": float(len(bus.doors.let_in)),
+            "damaged messages let in": float(len(bus.validators.accepted)),
         }
 
 

@@ -53,7 +53,7 @@ def as_given(suite: SensorConfig) -> SensorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """What is special about a descent. A function of the seed, ``Event.run``: call it."""
+    """Descent with an event. It is a function of the seed, ``Event.run``: call it."""
 
     settings: tuple[str, ...] = ()
     sensors: str = "realistic"
@@ -89,11 +89,11 @@ class Descent:
         lockstep = LockStep(
             nodes,
             start_ns=scenario.start_ns,
-            observe=watch,
-            heard=watch.heard,
+            observer=watch,
+            observed_types=watch.received_estimates,
             latest=lockstep_run.LATEST,
-            refused=lockstep_run.rejected_message,
-            between=lockstep_runs.Bus(self.harmed) if self.harmed else None,
+            make_rejection=lockstep_run.rejected_message,
+            transport=lockstep_runs.Bus(self.harmed) if self.harmed else None,
         )
         crashed = 0.0
         try:
@@ -105,7 +105,7 @@ class Descent:
 
 
 class TimedNode:
-    """The estimator with the processor time of its steps; replaced by a new one at ``restart_ns``."""
+    """Estimator that measures the processor time of its steps; it is replaced by a new one at ``restart_ns``."""
 
     def __init__(self, make: Callable[[], Estimator], restart_ns: float) -> None:
         self._make, self._restart_ns = make, restart_ns
@@ -140,7 +140,7 @@ class TimedNode:
 
 
 class Changed:
-    """The sensors, of which some publish everything twice, and whose satellite fix at -1 s has a wrong velocity."""
+    """Sensors with faults: some publish everything twice, and the satellite fix at -1 s has a wrong velocity."""
 
     def __init__(self, sensors: Node, twice: tuple[type[Message], ...], error_mps: float) -> None:
         self._sensors, self._twice, self._error_mps = sensors, twice, error_mps

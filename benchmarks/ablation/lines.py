@@ -55,7 +55,7 @@ def _code(source: str) -> set[int]:
 
 
 def _docstrings(tree: ast.AST) -> set[int]:
-    """Lines of every statement that is a string and nothing else."""
+    """Return the lines of all statements that are only a string."""
     return {
         line
         for node in ast.walk(tree)

@@ -63,7 +63,7 @@ OWN, FIXED, NONE = range(3)
 def begin(
     numbers: Array, start: Array, target: Array, old: Array, stages: float, flat: Array, steers: bool, looks: bool
 ) -> int:
-    """``nominal_trajectory.choose_nominal``; ``steers``: with steered guesses, ``looks``: with the terminal check."""
+    """Choose the nominal trajectory (``choose_nominal``); ``steers``: steered guesses, ``looks``: terminal check."""
     c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     X, U = lin.X, lin.U
@@ -106,7 +106,7 @@ def begin(
 def step(
     numbers: Array, flat: Array, target: Array, commands: Array, X: Array, U: Array, searches: bool, looks: bool
 ) -> float:
-    """``line_search``; ``searches``: with the line search, else the whole step; ``looks``: with the terminal check."""
+    """Take a step: with the line search (``searches``) or the whole step; ``looks``: with the terminal check."""
     c, lin = unpack_constants(numbers), views(flat, len(target) - 1)
     o = c.objective
     before = cost(lin.X, lin.U, lin.C, target, o)
@@ -144,7 +144,7 @@ def prepare(
     guesses: bool,
     scales: int,
 ) -> float:
-    """``sparse_osqp.prepare``; ``guesses``: with the Riccati sweeps, ``scales``: how rows are scaled."""
+    """Prepare the QP (``sparse_osqp.prepare``); ``guesses``: Riccati sweeps, ``scales``: how rows are scaled."""
     N, states = len(target) - 1, limited_state_count(unpack_objective(numbers))
     at = unpack_arrays(solve, N, states)
     fill(numbers, flat, target, places, factor, at.A, at.q, at.l, at.u)
@@ -192,7 +192,7 @@ def prepare(
 
 @jit
 def rescale(places: Indices, solve: Array, N: int, limited: int, scales: int) -> int:
-    """``sparse_osqp.rescale``; ``scales`` as in ``prepare``."""
+    """Rescale the rows (``sparse_osqp.rescale``); ``scales`` as in ``prepare``."""
     at = unpack_arrays(solve, N, limited)
     row_of = unpack_map(places, len(at.A)).row_of
     E = N * STATES + 2

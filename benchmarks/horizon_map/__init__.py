@@ -1,1 +1,1 @@
-"""Which horizon, when: docs/horizon.md."""
+"""Map of the best horizon by situation, for docs/horizon.md."""

@@ -1,4 +1,4 @@
-"""Which horizon, when: docs/horizon.md's picture and numbers, from the two campaigns that ``make map`` runs.
+"""Figure and numbers of docs/horizon.md, from the two campaigns that ``make map`` runs.
 
     .venv/bin/python -m benchmarks.horizon_map --known DIR --realistic DIR [--page docs/horizon.md]
 

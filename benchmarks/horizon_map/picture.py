@@ -1,4 +1,4 @@
-"""The map as a picture: error over the best one's against the horizon, by thirds of each group."""
+"""Figure of the map: error over that of the best horizon against the horizon, by thirds of each group."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MARKERS = ("o", "s", "^")
 
 
 def draw(maps: Mapping[str, Sequence[Place]], path: Path) -> None:
-    """Rows of panels, one column a campaign."""
+    """Draw rows of panels, with one column for each campaign."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -39,17 +39,17 @@ class Place(NamedTuple):
 
     @property
     def enough(self) -> int:
-        """Which horizon is the shortest that is enough."""
+        """Index of the shortest horizon whose error is small enough."""
         return int(np.argmax(self.errors_m <= ENOUGH * self.errors_m.min()))
 
     def excess(self, horizon_s: float) -> float:
-        """By how much the error at the nearest horizon of the design exceeds the best one's; 0.1 is 10 %."""
+        """Return the relative excess of the error at the nearest horizon over that of the best one; 0.1 is 10 %."""
         i = int(np.argmin(np.abs(np.log(self.horizons_s / horizon_s))))
         return float(self.errors_m[i] / self.errors_m.min() - 1.0)
 
 
 def places(folder: Path) -> list[Place]:
-    """Those of a campaign's folder of which every horizon and seed is there."""
+    """Return the places of a campaign's folder for which every horizon and seed exists."""
     made, rows = reopened(folder)
     campaign, base = made.campaign, made.base
     errors: dict[int, list[float]] = {}
@@ -85,11 +85,11 @@ def in_own_time(of: Sequence[Place]) -> Array:
 
 
 def relative(of: Sequence[Place]) -> Array:
-    """(K, H): errors over that of the best horizon at the same place."""
+    """Return the errors over that of the best horizon at the same place, (K, H)."""
     return np.array([place.errors_m / place.errors_m.min() for place in of])
 
 
 def thirds(of: Sequence[Place], group: str) -> list[Array]:
-    """Which places are in the lowest, middle and highest third of a group."""
+    """Return the places in the lowest, middle and highest third of a group."""
     column = [place.groups[GROUPS.index(group)] for place in of]
     return np.array_split(np.argsort(column, kind="stable"), 3)

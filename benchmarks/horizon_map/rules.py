@@ -27,13 +27,13 @@ Rule: TypeAlias = Callable[[Place], float]
 
 
 def features(groups: Array) -> Array:
-    """(K, 5) of groups (K, 4)."""
+    """Return the features (K, 5) of groups (K, 4)."""
     strength, layer, change, delay = groups.T
     return np.column_stack([np.ones(len(groups)), np.log(strength), np.log(layer), change, delay])
 
 
 def fitted(of: Sequence[Place]) -> Array:
-    """a0 .. a4."""
+    """Return the fitted coefficients a0 .. a4."""
     X = features(np.array([place.groups for place in of]))
     y = np.array([math.log(place.horizons_s[place.enough] / place.time_s) for place in of])
     found: Array = np.linalg.lstsq(X, y, rcond=None)[0]
@@ -78,7 +78,7 @@ RULES: Mapping[str, Callable[[Sequence[Place]], Rule]] = {
 
 
 def judged(of: Sequence[Place]) -> dict[str, dict[str, float]]:
-    """Excess of every rule at places that it was not fitted to: median, 90 % and worst; 0.1 is 10 %."""
+    """Return the excess of every rule at places that it was not fitted to: median, 90 % and worst; 0.1 is 10 %."""
     excess: dict[str, list[float]] = {name: [] for name in RULES}
     for fold in range(FOLDS):
         known = [place for i, place in enumerate(of) if i % FOLDS != fold]

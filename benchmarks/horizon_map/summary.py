@@ -1,4 +1,4 @@
-"""What is kept of the map: docs/horizon.json, and the tables of docs/horizon.md."""
+"""Summary of the map: docs/horizon.json, and the tables of docs/horizon.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RULES = {
 
 
 def summary(of: Sequence[Place]) -> dict[str, Any]:
-    """Of one campaign."""
+    """Return the summary of one campaign."""
     horizons = of[0].horizons_s
     errors, times = relative(of), in_own_time(of)
     enough = np.array([place.horizons_s[place.enough] for place in of])

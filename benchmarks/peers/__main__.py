@@ -98,7 +98,7 @@ def compare(stages: int, cycles: int, seeds: int, console: Console) -> str:
 
 
 def _by_kind(outcomes: Sequence[tuple[Episode, Held]]) -> dict[str, Held]:
-    """Means over the episodes of a kind, weighted by their cycles."""
+    """Return the means over the episodes of a kind, weighted by their cycles."""
     kinds = {}
     for kind in dict.fromkeys(episode.kind for episode, _ in outcomes):
         of_kind = [(episode.cycles, held) for episode, held in outcomes if episode.kind == kind]

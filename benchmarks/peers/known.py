@@ -1,4 +1,4 @@
-"""The peers that are installed."""
+"""Registry of the peers that are installed."""
 
 from __future__ import annotations
 

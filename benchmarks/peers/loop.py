@@ -64,7 +64,7 @@ class Loop(ControllerNode):
 
 @dataclass(frozen=True)
 class Held:
-    """What a closed loop came to."""
+    """Result of a closed loop."""
 
     off_m: float  # mean distance from the line
     thrust_N: float  # mean of |F|, both lateral thrusters

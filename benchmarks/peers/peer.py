@@ -1,4 +1,4 @@
-"""What every peer is: a solver of the controller that takes a linearisation and gives commands at the knots.
+"""Base of all peers: a solver of the controller that takes a linearisation and returns commands at the knots.
 
 Peers that solve the nonlinear problem take from the linearisation only what it was taken along: the state at the start,
 the command in force, the current, and the commands to start from.
@@ -53,7 +53,7 @@ class Peer:
         raise NotImplementedError
 
     def answer(self, following: Array | None, *, iterations: int = 0, why: str = "") -> SolverResult:
-        """Commands (N+1, 2) from those after the first (N, 2); None: there is no solution, for the reason ``why``."""
+        """Return commands (N+1, 2) from those after the first (N, 2); None: no solution, for the reason ``why``."""
         commands = self.lin.U.copy()
         if following is None or not np.isfinite(following).all():
             return SolverResult(

@@ -1,4 +1,4 @@
-"""The equations of motion as CasADi expressions, for the peers that differentiate them themselves."""
+"""Equations of motion as CasADi expressions, for the peers that differentiate them themselves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ltv_mpc.vehicle.parameters import Coefficients
 
 
 def rates(x: Any, F: Any, c: Any, cr: Any, p: Coefficients) -> Any:
-    """[n', e', u', v', psi', r'] of x (6,) under thrusts F (2,), in a current c (2,) whose rate on the way is cr.
+    """Return [n', e', u', v', psi', r'] of x (6,) under thrusts F (2,), in a current c (2,) with rate of change cr.
 
     ``ltv_mpc/vehicle/dynamics.py``; a test holds the two together.
     """
@@ -30,7 +30,7 @@ def rates(x: Any, F: Any, c: Any, cr: Any, p: Coefficients) -> Any:
 
 
 def velocity_over_ground(x: Any, c: Any) -> Any:
-    """[n', e'] of a state."""
+    """Return [n', e'] of a state."""
     cos, sin = ca.cos(x[4]), ca.sin(x[4])
     return ca.vertcat(cos * x[2] - sin * x[3] + c[0], sin * x[2] + cos * x[3] + c[1])
 

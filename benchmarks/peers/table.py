@@ -1,4 +1,4 @@
-"""The comparison as markdown: time beside closed-loop error, settings and machine below."""
+"""Comparison as a markdown table: time beside closed-loop error, settings and machine below."""
 
 from __future__ import annotations
 

@@ -69,11 +69,11 @@ class CasadiIpopt(Peer):
         self._duals: dict[str, Array] = {}
 
     def reset_warm_start(self) -> None:
-        """Duals of another problem are no help."""
+        """Discard the duals, which do not help with another problem."""
         self._duals = {}
 
     def shift_warm_start(self, stages: float) -> None:
-        """To the nearest whole stage, the last one repeated."""
+        """Shift to the nearest whole stage and repeat the last one."""
         by = np.minimum(np.arange(self.stages) + round(stages), self.stages - 1)
         gaps = self.stages * STATES
         for name, dual in self._duals.items():
@@ -81,7 +81,7 @@ class CasadiIpopt(Peer):
             self._duals[name] = np.concatenate([block.reshape(self.stages, -1)[by].ravel() for block in blocks])
 
     def solve(self) -> SolverResult:
-        """From the guess, and the duals of the last solution."""
+        """Solve from the guess and the duals of the last solution."""
         lin, F, N = self.lin, self.limits.scale, self.stages
         low, high = (bound / F for bound in self.limits.box(lin.U[0], self.knots))
         free = np.full((N, STATES), np.inf)

@@ -89,7 +89,7 @@ class CvxpyOsqp(Peer):
         return self.answer(found, iterations=self._problem.solver_stats.num_iters or 0, why=self._problem.status)
 
     def _dynamics_values(self) -> Array:
-        """I, -A, -B0, -B1 in the order of the pattern."""
+        """Return I, -A, -B0, -B1 in the order of the pattern."""
         lin, scale, F = self.lin, self._scale, self.limits.scale
         A = lin.A[1:] * (scale[None, :] / scale[:, None])
         B0, B1 = lin.B0[1:] * (F / scale[:, None]), lin.B1 * (F / scale[:, None])
@@ -97,7 +97,7 @@ class CvxpyOsqp(Peer):
 
 
 def _dynamics_pattern(N: int) -> tuple[Array, Array]:
-    """Rows and columns of z_(k+1) - A_k z_k - B0_k du_k - B1_k du_(k+1); z_0 and du_0 are 0."""
+    """Return rows and columns of z_(k+1) - A_k z_k - B0_k du_k - B1_k du_(k+1), with z_0 and du_0 equal to 0."""
     k = np.arange(N)
 
     def blocks(stages: Array, first: int, width: int, behind: int) -> tuple[Array, Array]:

@@ -104,7 +104,7 @@ class QpmpcDaqp(Peer):
         return list(A), list(B)
 
     def _terminal_coordinates(self) -> Array:
-        """From [X_N - Xbar_N, U_N, 1] to the coordinates in which the terminal cost is a sum of squares."""
+        """Return the map from [X_N - Xbar_N, U_N, 1] to coordinates whose sum of squares is the terminal cost."""
         T = self._end.copy()
         velocity, slope = velocity_over_ground(self.lin.X[-1], self.lin.C[-1])
         weight = np.sqrt(self.weights.terminal_velocity_s2_per_m2)

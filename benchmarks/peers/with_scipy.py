@@ -25,7 +25,7 @@ class ScipyLeastSquares(Peer):
     settings = "trf with bounds, 2-point differences, commands over their maxima; defaults otherwise; no slew limit"
 
     def solve(self) -> SolverResult:
-        """From the guess."""
+        """Solve from the guess."""
         F = self.limits.scale
         low, high = (bound / F for bound in self.limits.box(self.lin.U[0], self.knots))
         start = np.clip(self.lin.U[1:] / F, low, high)

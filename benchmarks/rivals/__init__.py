@@ -1,1 +1,1 @@
-"""The controller against what people use instead, and against itself without one of its parts."""
+"""Comparison of the controller with common alternatives, and with itself without one of its parts."""

@@ -132,7 +132,7 @@ def _runs(progress: Progress, name: str, workers: int | None, jobs: list[Job]) -
 
 
 def table(kept: dict[str, Any]) -> str:
-    """Means over seeds; differences to the whole controller paired by seed, with their 95 % interval."""
+    """Return the table of means over seeds, with differences to the whole controller and their 95 % interval."""
     whole = np.array(kept[WHOLE]["runs"])
     lines = [
         f"| mean of {len(whole)} seeds | distance (m) | more than whole (m) | largest (m) | abs F (N) | trials' best |",

@@ -55,7 +55,7 @@ def fly(run_config: RunConfig, law: Law) -> Outcome:
 
 
 def ramped(command: Array, wanted: Array, slew: Array, since_s: Array) -> Array:
-    """(M, 3) commands at ``since_s`` (M,) after ``command`` (3,), on the way to ``wanted`` at no more than ``slew``."""
+    """Return commands (M, 3) at ``since_s`` (M,) after ``command`` (3,) towards ``wanted`` at no more than ``slew``."""
     reach = since_s[:, None] * slew
     out: Array = command + (wanted - command).clip(-reach, reach)
     return out

@@ -40,7 +40,7 @@ SPEEDS = 40
 
 
 class Lqr:
-    """With the weights of ``SPANS``, by name. Raises ``LinAlgError`` for those of which no gain can be computed."""
+    """LQR with the weights of ``SPANS``, by name. Raises ``LinAlgError`` for weights without a gain."""
 
     def __init__(self, vehicle: Vehicle, weights: dict[str, float]) -> None:
         self._p = vehicle.coefficients()
@@ -80,7 +80,7 @@ class Lqr:
         return between
 
     def _gain(self, u: float, Q: Array, R: Array) -> Array:
-        """(2, 6) at the trim speed u (m/s), in axes that lie along the trim's heading."""
+        """Return the gain (2, 6) at the trim speed u (m/s), in axes along the trim's heading."""
         A, B = np.zeros((6, 6)), np.zeros((6, 2))
         dynamics.jacobian(np.array([0.0, 0.0, u, 0.0, 0.0, 0.0]), np.zeros(2), self._p, A)
         A[3, 3] = -(self._p.linear_sway + 2.0 * self._p.quadratic_sway * self._sway_mps) / self._p.mass_sway

@@ -1,4 +1,4 @@
-"""The controller itself, whole and without one of its parts.
+"""Controller of this project, whole and without one of its parts.
 
 preview        without: the current at its own depth is taken to be that of all depths
 water          without: it is told no current; and, besides, may not estimate one as a disturbance
@@ -28,7 +28,7 @@ SPANS = {
 
 
 class Variant(NamedTuple):
-    """What is left of it."""
+    """Controller without some of its parts."""
 
     preview: bool = True
     told_of_water: bool = True
@@ -44,7 +44,7 @@ class Variant(NamedTuple):
 
     @property
     def told(self) -> Told:
-        """What it is told of the truth."""
+        """Function that returns the part of the truth that the controller receives."""
         if not self.told_of_water:
             return without_water
         return (lambda estimate: estimate) if self.preview else without_preview

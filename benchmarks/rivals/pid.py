@@ -32,7 +32,7 @@ SPANS = {
 
 
 class Pid:
-    """With the gains of ``SPANS``, by name."""
+    """PID with the gains of ``SPANS``, by name."""
 
     def __init__(self, vehicle: Vehicle, gains: dict[str, float]) -> None:
         port, starboard = vehicle.thrusters[:2]

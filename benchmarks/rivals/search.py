@@ -27,7 +27,7 @@ class Span(NamedTuple):
 
 
 class Found(NamedTuple):
-    """The best trial of a search."""
+    """Best trial of a search."""
 
     values: dict[str, float]
     cost: float
@@ -41,7 +41,7 @@ def search(
     budget: int,
     seed: int,
 ) -> Found:
-    """``costs`` says what each of some trials costs; NaN counts as infinitely much."""
+    """Search for the best trial; ``costs`` returns the cost of each of some trials, and NaN counts as infinite."""
     names, rng = list(spans), np.random.default_rng(seed)
     low, high = np.log([spans[name] for name in names]).T
     tried: list[tuple[float, Array]] = []

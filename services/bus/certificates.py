@@ -1,8 +1,8 @@
-"""Certificates for mTLS: an authority of one's own, and of each role one key and certificate that it has signed.
+"""Certificates for mutual TLS: an own authority, and a key and a signed certificate for each role.
 
-Elliptic keys (P-256). A certificate's common name is its role (``roles.py``); it serves for both ends of a connection,
-as Zenoh's links do, and names the hosts where a router may listen with it. The authority's key signs once and is then
-forgotten: nobody can make a further role out of a folder that was copied, and a new vehicle gets new certificates.
+Keys are elliptic (P-256). A certificate's common name is its role (``roles.py``). It serves for both ends of a
+connection, as Zenoh's links need, and names the hosts at which a router may listen with it. The authority's key is
+discarded after signing: nobody can derive another role from a copied folder, and a new vehicle gets new certificates.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from services.bus.security import AUTHORITY
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 BACKDATED = datetime.timedelta(days=1)
-"""Valid from yesterday on: the clock of a vehicle that has just been switched on may be behind."""
+"""Start of validity before now: the clock of a vehicle that has just been switched on may be slow."""
 
 
 def make(folder: Path, roles: Iterable[str], *, hosts: Iterable[str] = (), days: int) -> list[Path]:
-    """Write ``ca.pem``, and ``<role>.pem`` and ``<role>.key`` of each role, into ``folder``; the files, in that order.
+    """Write ``ca.pem``, and ``<role>.pem`` and ``<role>.key`` of each role, into ``folder``; return the paths.
 
-    The folder is for its owner alone (0700), and so is each file (0600). ``hosts`` are names or addresses besides
-    loopback's by which a router is reached. What is there of the same name is replaced.
+    Only the owner may read the folder (0700) and the files (0600). ``hosts`` are the names or addresses of the router
+    in addition to loopback. Existing files of these names are replaced.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     folder.chmod(0o700)
@@ -122,7 +122,7 @@ def _general_name(host: str) -> x509.GeneralName:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Never, not even for a moment, somebody else's to read; nor half of it under its name."""
+    """Write a file atomically; others cannot read it at any time."""
     fresh = path.with_name(f".{path.name}.new")
     fresh.unlink(missing_ok=True)
     with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:

@@ -1,8 +1,9 @@
-"""What a secured router has denied, counted from Zenoh's own log: it drops in silence, and offers no other account.
+"""Denied access at a secured router, counted from Zenoh's log.
 
-Read are, of Zenoh 1.10, the lines of access control (trace), of which those that end a decision against a message that
-came in count, and the warnings of TLS about connections that it has refused. Access control first works out, once for
-each key and session, what would be allowed there; those lines are not attempts.
+Zenoh drops denied messages without a report, so its log is the only source. Two kinds of lines of Zenoh 1.10 count:
+the lines of access control (trace level) that end a decision against an incoming message, and the warnings of TLS about
+rejected connections. Access control first caches, once for each key and session, what would be allowed there; those
+lines are no attempts.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from collections import Counter
 MODULE = "zenoh::net::routing::interceptor::access_control"
 
 LOG_FILTER = f"warn,{MODULE}=trace"
-"""What Zenoh has to log, in the words of RUST_LOG."""
+"""Log filter that Zenoh needs, in the syntax of RUST_LOG."""
 
-TELLING = re.compile(rb"unauthorized|caching|did not match|zenoh_link_tls")
-"""In every line that matters. Most of the log is of what was allowed, and is thrown away by the block."""
+RELEVANT = re.compile(rb"unauthorized|caching|did not match|zenoh_link_tls")
+"""Pattern of every line that matters. Most lines are about allowed access; blocks without a match are skipped whole."""
 
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 THREAD = re.compile(r"ThreadId\((\d+)\)")
@@ -30,38 +31,41 @@ WITHOUT_ROLE = re.compile(r"access_control: (\w+) did not match any configured A
 REFUSED_LINK = re.compile(r"zenoh_link_tls\S*: (.+?)(?:\. Hint: .*)?$")
 
 SILENT = "tls handshake eof"
-"""A connection that was closed without a word, as by whoever looks whether somebody listens: no attempt at anything."""
+"""Reason of a connection that was closed at once, as by a port check: no attempt at access."""
 
-MOST_KINDS = 64
-MOST_SESSIONS = 1024
-LONGEST = 80
+MAX_KINDS = 64
+MAX_SESSIONS = 1024
+MAX_TEXT = 80
+"""Length of one kind (characters)."""
 
 
 class Denials:
-    """Counts by kind: who may not do what where. Whoever attempts chooses key and name, so their number is bounded."""
+    """Denials by kind: who may not do what on which key. A client chooses key and name, so their number is bounded."""
 
     def __init__(self) -> None:
         self.kinds: Counter[str] = Counter()
         self._names: dict[str, str] = {}  # by Zenoh id
-        self._caching: dict[str, bool] = {}  # by thread: the lines that follow are of a permission worked out ahead
+        self._caching: dict[
+            str, bool
+        ] = {}  # by thread: True while its lines are about a permission that is cached ahead
         self._rest = b""
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """Number of all denials."""
         return self.kinds.total()
 
     def read(self, block: bytes) -> None:
-        """The next piece of the log, cut anywhere."""
+        """Read the next piece of the log, which may end within a line."""
         text, _, self._rest = (self._rest + block).rpartition(b"\n")
-        if not TELLING.search(text):
+        if not RELEVANT.search(text):
             return
         for line in text.split(b"\n"):
-            if TELLING.search(line):
+            if RELEVANT.search(line):
                 self._line(COLOUR.sub("", line.decode(errors="replace")))
 
     def __str__(self) -> str:
-        """In words, the most frequent first."""
+        """Describe the most frequent kinds."""
         return ", ".join(f"{kind} ({count})" for kind, count in self.kinds.most_common(3))
 
     def _line(self, line: str) -> None:
@@ -78,7 +82,7 @@ class Denials:
     def _decided(
         self, thread: str, cached: str | None, zid: str, who: str | None, what: str, flow: str, key: str
     ) -> None:
-        if who is not None and (name := COMMON_NAME.search(who)) and len(self._names) < MOST_SESSIONS:
+        if who is not None and (name := COMMON_NAME.search(who)) and len(self._names) < MAX_SESSIONS:
             self._names[zid] = name[1]
         if cached is None and self._caching.get(thread):
             self._caching[thread] = what != LAST_OF_CACHING
@@ -86,5 +90,5 @@ class Denials:
             self._count(f"{self._names.get(zid, zid)} may not {what.lower()} on {key}")
 
     def _count(self, kind: str) -> None:
-        kind = "".join(c if c.isprintable() else "?" for c in kind)[:LONGEST]
-        self.kinds[kind if kind in self.kinds or len(self.kinds) < MOST_KINDS else "others"] += 1
+        kind = "".join(c if c.isprintable() else "?" for c in kind)[:MAX_TEXT]
+        self.kinds[kind if kind in self.kinds or len(self.kinds) < MAX_KINDS else "others"] += 1

@@ -1,4 +1,4 @@
-"""The newest frame of each key, for who looks now and then: nothing is decoded until then."""
+"""Cache of the newest frame of each key, for occasional readers: a frame is decoded only when it is read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from services.bus.topics import Topic
 
 
 class LatestFrame(NamedTuple):
-    """A frame as it came."""
+    """Received frame, not decoded yet."""
 
     topic: Topic
     payload: bytes
@@ -18,23 +18,23 @@ class LatestFrame(NamedTuple):
 
 
 class LatestCache:
-    """Takes frames as a ``Mailbox`` does, and keeps the newest of each key."""
+    """Receiver of frames, as a ``Mailbox``, that keeps the newest one of each key."""
 
     def __init__(self) -> None:
         self._frames: dict[str, LatestFrame] = {}
         self.arrived_s = 0.0
-        """When the newest of all came."""
+        """Arrival of the newest frame of all (monotonic, s)."""
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        """Replace; called on Zenoh's thread."""
+        """Replace the frame of a key; called on Zenoh's thread."""
         if topic is not None:
             self.arrived_s = time.monotonic()
             self._frames[key] = LatestFrame(topic, payload, self.arrived_s)
 
     def get(self, key: str) -> LatestFrame | None:
-        """What came last on a key."""
+        """Return the newest frame of a key, or None."""
         return self._frames.get(key)
 
     def items(self) -> ItemsView[str, LatestFrame]:
-        """Of every key, as it is now."""
+        """Return the newest frames of all keys, as a copy."""
         return self._frames.copy().items()

@@ -1,7 +1,7 @@
-"""All that a process hears, in one order: what arrives on any key is taken in the order of its arrival.
+"""Mailbox of a process: one queue of the frames of all keys, in the order of their arrival.
 
-Zenoh's receiving thread only stamps and appends, so it is never blocked by a slow reader; the step loop takes. A queue
-beyond its capacity drops what comes and counts it.
+Zenoh's receiving thread only stamps and appends frames, so a slow reader never blocks it. The step loop takes them. A
+full queue drops new frames and counts them.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ CAPACITY = 50_000  # frames: about 5 s of everything at 20 times real time, some
 
 
 class Frame(NamedTuple):
-    """One message as it arrived."""
+    """Received frame, not decoded yet."""
 
-    topic: Topic | None  # None on a key that the table does not know
+    topic: Topic | None  # None for an unknown key
     key: str
     payload: bytes
     received_monotonic_us: int
 
 
 class Mailbox:
-    """An ordered queue between Zenoh's thread and the step loop."""
+    """Ordered queue between Zenoh's thread and the step loop."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self._capacity = capacity
@@ -33,18 +33,18 @@ class Mailbox:
         self.overflowed = 0
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        """Append; called on Zenoh's thread."""
+        """Append a frame; called on Zenoh's thread."""
         if self._queue.qsize() >= self._capacity:
             self.overflowed += 1
             return
         self._queue.put(Frame(topic, key, payload, time.monotonic_ns() // 1000))
 
     def wake(self) -> None:
-        """Let a waiting ``take`` return at once; may be called from a signal handler."""
+        """Make a waiting ``take`` return at once; may be called from a signal handler."""
         self._queue.put(None)
 
     def take(self, timeout_s: float) -> Frame | None:
-        """The oldest frame, or None after ``timeout_s`` or a ``wake``."""
+        """Take the oldest frame; return None after ``timeout_s`` or a ``wake``."""
         try:
             return self._queue.get(timeout=timeout_s) if timeout_s > 0 else self._queue.get_nowait()
         except queue.Empty:

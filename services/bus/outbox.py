@@ -1,4 +1,4 @@
-"""How one process publishes: each signal on its type's key, numbered by key from 0, under the process's epoch."""
+"""Outbox of a process: each message goes out on the key of its type, numbered by key from 0, under one epoch."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from services.bus.wire import Header, crc, encode
 
 
 def new_epoch() -> int:
-    """48 random bits for each start of a process: exact in every language, never 0."""
+    """Return a random epoch for one start of a process: 48 bits, which every language holds exactly, and never 0."""
     return secrets.randbits(48) or 1
 
 
 class SentFrame(NamedTuple):
-    """What went out, by which anyone finds it again."""
+    """Identification of a published frame."""
 
     key: str
     sequence: int
@@ -27,12 +27,12 @@ class SentFrame(NamedTuple):
 
 
 class Outbox:
-    """The ways out of one process. ``published`` counts every message, whichever its key."""
+    """Publishers of one process. ``published`` counts the messages of all keys."""
 
     def __init__(
         self, session: Session, *, node: str, epoch: int, kinds: Iterable[type[Message]], key_prefix: str = ""
     ) -> None:
-        """``key_prefix`` is put before every key, where one session serves several vehicles."""
+        """Declare a publisher for each kind; ``key_prefix`` precedes every key if a session serves several vehicles."""
         self.epoch = epoch
         self.published = 0
         self._keys = {
@@ -42,7 +42,7 @@ class Outbox:
         self._sequence = dict.fromkeys(self._publishers, 0)
 
     def publish(self, signal: Message) -> SentFrame:
-        """Number, encode and send. ``signal`` is of one of the kinds that were declared."""
+        """Add the header to a message of a declared kind, encode it and send it."""
         key = self._keys[type(signal)]
         sequence = self._sequence[key]
         header = Header(epoch=self.epoch, sequence=sequence, sent_monotonic_us=time.monotonic_ns() // 1000)

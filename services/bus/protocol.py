@@ -1,7 +1,8 @@
-"""``docs/protocol.md`` and the schemas beside it: prose from ``protocol.md`` in this folder, tables from the code.
+"""Generator of ``docs/protocol.md`` and of the schemas: prose from ``protocol.md`` here, tables from the code.
 
-A line ``{{name}}`` in the prose stands for a table: ``{{topics}}``, ``{{header}}``, ``{{fields KEY}}`` (the message on
-that key), ``{{part NAME}}`` (a struct inside a message), ``{{rest}}`` (the messages that the prose does not name).
+A line ``{{name}}`` in the prose is replaced by a table: ``{{topics}}``, ``{{header}}``, ``{{fields KEY}}`` (the
+message on that key), ``{{part NAME}}`` (a struct inside a message), ``{{rest}}`` (all messages that the prose does
+not name).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ BAR = "\\|"  # inside a cell
 
 
 def files() -> dict[str, str]:
-    """What is written into the folder of documents, by its path there."""
+    """Return the text of each generated file, by its path in the folder of documents."""
     written = {PAGE: page()}
     for topic in TOPICS:
         written[f"{SCHEMAS}/{topic.message_type.__name__}.json"] = (
@@ -33,7 +34,7 @@ def files() -> dict[str, str]:
 
 
 def page() -> str:
-    """The protocol in words and tables."""
+    """Return the protocol page."""
     prose = resources.files("services.bus").joinpath(PAGE).read_text(encoding="utf-8")
     named = re.findall(r"\{\{fields ([\w/]+)\}\}", prose)
     rest = [topic for topic in TOPICS if topic.key not in named]
@@ -89,7 +90,7 @@ def _key(topic: Topic) -> str:
 
 
 def _anchor(topic: Topic) -> str:
-    """As GitHub makes it of the heading."""
+    """Return the anchor that GitHub derives from the heading."""
     return re.sub(r"[^a-z0-9_ -]", "", _key(topic).lower())
 
 
@@ -119,14 +120,14 @@ def _fields(found: Mapping[str, Field]) -> str:
 
 
 def unit(field: Field) -> str:
-    """``m, -1e+06 to 1e+06``; empty where a field has no number, or none with bounds."""
+    """Return unit and bounds, as in ``m, -1e+06 to 1e+06``; empty for a field without bounded numbers."""
     if field.bounds is None:
         return ""
     return f"{field.bounds.unit}, {_bound(field.bounds.low)} to {_bound(field.bounds.high)}"
 
 
 def _bound(bound: float) -> str:
-    """Powers of two by their name: 9007199254740991 says nothing."""
+    """Format a bound; limits of integers are written as powers of two."""
     for power in (48, 53, 63):
         if abs(bound) == 2**power - 1:
             return f"{'-' if bound < 0 else ''}(2^{power} - 1)"
@@ -134,7 +135,7 @@ def _bound(bound: float) -> str:
 
 
 def words(value: Schema) -> str:
-    """What a field is as it travels: ``3 x number``, ``list of lists of number or null``."""
+    """Describe the type of a field, as in ``3 x number`` or ``list of lists of number or null``."""
     if "anyOf" in value:
         return " or ".join(words(x) for x in value["anyOf"])
     if "enum" in value:

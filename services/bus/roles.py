@@ -1,7 +1,7 @@
-"""Who may do what on a secured bus: one role a process, and its rights read off the topics table.
+"""Roles of a secured bus: the keys that each process may write and read, derived from the table of topics.
 
-A role is the common name of a certificate. Whoever writes a row of the table may put on its key, whoever reads it may
-subscribe, and everything else is denied by the router; a certificate of no role may do nothing.
+A role is the common name of a certificate. The writer of a row may publish on its key and the readers may subscribe.
+The router denies everything else; a certificate without a role may do nothing.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ ANYONE = "*"
 ROUTER, LAUNCHER, RECORDER, DISPLAY = "router", "launcher", "recorder", "display"
 
 SEES_EVERYTHING = (LAUNCHER, RECORDER, DISPLAY, OPERATOR)
-"""They may read every topic: what is recorded or shown is whatever there is."""
+"""Roles that may read every topic, because they record or show all of them."""
 
 SIMULATED = BY_TYPE[Truth].written_by
-"""The simulated vehicle: it keeps the time, so it reads the others' status, and it arms its controller itself."""
+"""Role of the simulated vehicle: it is the clock master, so it reads the others' status, and it arms its controller."""
 
 
 def _named(topics: Iterable[Topic]) -> tuple[str, ...]:
@@ -29,21 +29,21 @@ def _named(topics: Iterable[Topic]) -> tuple[str, ...]:
 
 
 ROLES = tuple(dict.fromkeys((ROUTER, *_named(TOPICS), *SEES_EVERYTHING)))
-"""Every role there is, the router's first."""
+"""All roles, the router's first."""
 
 
 def writes(role: str) -> tuple[str, ...]:
-    """The keys on which ``role`` may put; of a key that every node writes its own alone."""
-    hats = (role, OPERATOR) if role == SIMULATED else (role,)
+    """Return the keys on which ``role`` may publish; of a key of every node, only the role's own."""
+    acts_as = (role, OPERATOR) if role == SIMULATED else (role,)
     return tuple(
         f"{topic.key}/{role}" if topic.written_by == ANYONE else topic.key
         for topic in TOPICS
-        if topic.written_by in (ANYONE, *hats)
+        if topic.written_by in (ANYONE, *acts_as)
     )
 
 
 def reads(role: str) -> tuple[str, ...]:
-    """The key expressions to which ``role`` may subscribe."""
+    """Return the key expressions to which ``role`` may subscribe."""
     if role in SEES_EVERYTHING:
         return ("**",)
     return tuple(_pattern(topic) for topic in TOPICS if _reads(role, topic))
@@ -58,10 +58,10 @@ def _pattern(topic: Topic) -> str:
 
 
 def access_control(namespace: str) -> dict[str, Any]:
-    """Zenoh's ``access_control`` for a router: default deny, one subject a role, by the certificate's common name.
+    """Return Zenoh's ``access_control`` for a router: default deny, one subject a role, by the common name.
 
-    With a ``namespace`` the rights hold in that one alone; without, in each. The router is no subject: what it says
-    itself comes by no link.
+    With a ``namespace`` the rights hold in that one only; without, in every namespace. The router is no subject: its
+    own messages use no link.
     """
     subjects = [role for role in ROLES if role != ROUTER]
     rules = [rule for role in subjects for rule in _rules(role, namespace)]
@@ -76,10 +76,10 @@ def access_control(namespace: str) -> dict[str, Any]:
 
 
 def _rules(role: str, namespace: str) -> list[dict[str, Any]]:
-    """In: what it puts, what it subscribes to. Out: what it reads.
+    """Return the rules of one role: ingress for its publications and subscriptions, egress for what it reads.
 
-    Where there are subscribers is told to everyone with a role. Without that a publisher of the wrong role would keep
-    its messages to itself, as Zenoh's do where they know of no reader, and nobody would ever see that it tried.
+    Every role learns of all subscribers. Zenoh's publishers send nothing if they know of no subscriber, so without this
+    rule an attempt of a wrong role to publish would never reach the router and would not be counted.
     """
 
     def rule(name: str, messages: list[str], flow: str, keys: Iterable[str]) -> dict[str, Any]:

@@ -1,13 +1,13 @@
-"""JSON Schema of each message as it travels and is recorded: the header's fields, then the signal's.
+"""JSON Schema of each message on the wire and in a recording: the header's fields, then the message's.
 
-A field is required where nobody can do without it: a reader takes the rest as absent (this project's own writers leave
-nothing out: there it is null). Types, bounds and meanings are the annotations of ``ltv_mpc/messages.py``; a message
-beyond its bounds is refused.
+A field is required if no reader can do without it; any other field may be absent or null. This project's writers leave
+no field out and write null. Types, bounds and meanings are the annotations of ``ltv_mpc/messages.py``; a message
+outside its bounds is rejected.
 
-Every schema is an object and self-contained. Foxglove's reader of JSON schemas knows neither ``$ref`` nor ``null`` nor
-an array in an array under ``properties``: it drops the whole channel. So a field that may be null and a matrix are
-described under ``patternProperties``, by a pattern that only its own name matches: a validator checks all of it, and
-Foxglove opens the channel and shows the field as it comes.
+Every schema is an object and self-contained. Foxglove's reader of JSON schemas supports neither ``$ref`` nor ``null``
+nor an array of arrays under ``properties``: it drops the whole channel. A field that may be null, or that is a
+matrix, is therefore described under ``patternProperties``, by a pattern that matches only its name. A validator still
+checks it, and Foxglove opens the channel and shows the field as received.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Schema: TypeAlias = dict[str, Any]
 
 
 class Field(NamedTuple):
-    """One entry of a message's map."""
+    """Entry of a message's map."""
 
     value: Schema
     required: bool
@@ -36,12 +36,12 @@ class Field(NamedTuple):
 
 @cache
 def text(kind: type[Message]) -> bytes:
-    """The schema of ``kind`` on the wire, as JSON."""
+    """Return the schema of a message type as JSON."""
     return msgspec.json.encode(schema(kind))
 
 
 def schema(kind: type[Message]) -> Schema:
-    """JSON Schema (draft 2020-12) of the map that a message of ``kind`` is."""
+    """Return the JSON Schema (draft 2020-12) of a message type's map."""
     about = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": kind.__name__,
@@ -51,13 +51,13 @@ def schema(kind: type[Message]) -> Schema:
 
 
 def message(kind: type[Message]) -> dict[str, Field]:
-    """The entries of a message's map by name, the header's first."""
+    """Return the entries of a message's map by name, the header's first."""
     # A step record's own epoch is its sender's: one entry.
     return fields(Header) | fields(kind)
 
 
 def fields(kind: type) -> dict[str, Field]:
-    """The entries of a signal, or of a struct inside one, without a header."""
+    """Return the entries of a message, or of a struct inside one, without the header."""
     info = struct.type_info(kind)
     if not isinstance(info, struct.StructType):
         raise TypeError(f"{kind} is not a message")
@@ -84,7 +84,7 @@ def _object(found: dict[str, Field]) -> Schema:
 
 
 def _is_simple(value: Schema) -> bool:
-    """Whether Foxglove takes it as a property: one type, and no array or null directly in an array."""
+    """Return True if Foxglove accepts it as a property: one type, and no array or null directly in an array."""
     if "type" not in value:
         return False
     inside = value.get("items", {}).get("type")

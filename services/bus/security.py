@@ -1,7 +1,7 @@
-"""mTLS on the bus: which files of a folder of certificates a process uses, and Zenoh's settings for them.
+"""Mutual TLS on the bus: the certificate files of a process, and Zenoh's settings for them.
 
-The folder holds ``ca.pem`` and, of each role that runs on this host, ``<role>.pem`` and ``<role>.key``; what is not
-there cannot be played here. ``ltv-mpc certs new`` makes it.
+The folder holds ``ca.pem`` and, for each role that runs on this host, ``<role>.pem`` and ``<role>.key``. A role without
+files cannot run here. ``ltv-mpc certs new`` creates the folder.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ OPTION = "option --certs"
 
 
 class Credentials(NamedTuple):
-    """One role's files."""
+    """Certificate files of one role."""
 
     authority: Path
     certificate: Path
@@ -26,7 +26,7 @@ class Credentials(NamedTuple):
 
 
 def credentials(folder: Path, role: str) -> Credentials:
-    """The files of ``role``, checked: present, one for the other, and the key nobody else's to read.
+    """Return the files of ``role``: they exist, key and certificate match, and only the owner can read the key.
 
     Raises ``ConfigError``.
     """
@@ -50,7 +50,7 @@ def credentials(folder: Path, role: str) -> Credentials:
 
 
 def tls(files: Credentials) -> dict[str, Any]:
-    """Zenoh's ``transport/link/tls``: both sides show a certificate of one authority, and the host is checked."""
+    """Return Zenoh's ``transport/link/tls``: both sides need a certificate of one authority; the host is verified."""
     return {
         "root_ca_certificate": str(files.authority),
         "enable_mtls": True,

@@ -1,15 +1,17 @@
-"""Zenoh, and all that was measured about it: the only file that imports it.
+"""Zenoh session: options, configuration, publishers and subscribers. The only file that imports zenoh.
 
-- No multicast, no scouting: a client of a router, or itself the router where it listens. A lost router is waited for.
+- No multicast and no scouting: a session is a client of a router, or itself the router if it listens. It waits for a
+  lost router.
 - Publishers drop under congestion and are not express: blocking ones stalled for seconds, express ones lost samples.
-- All publishers have one priority: Zenoh keeps the order of one source only within a priority, and a step's record has
-  to arrive before the step's outputs.
-- Subscribers run on Zenoh's receiving thread and only append to one ``Mailbox``: arrival across keys has one order, and
-  no FIFO between can fill and hold up the other keys, as the default callback's does.
+- All publishers have one priority: Zenoh keeps the order of one source only within a priority, and the record of a step
+  must arrive before the step's outputs.
+- Subscribers run on Zenoh's receiving thread and only append to one ``Mailbox``. Arrival across keys then has one
+  order, and there is no intermediate FIFO that could fill and block the other keys, as that of Zenoh's default
+  callback.
 - Shared memory is off: by default it applies from 3 kB and can lose a chunk on busy cores.
-- No session takes in a message of more than ``MAX_MESSAGE_BYTES``. Zenoh drops what is larger and says nothing, so this
-  cap is above the door's own, which counts.
-- With certificates every link is mTLS, and whoever listens denies what no role allows.
+- No session accepts a message larger than ``MAX_MESSAGE_BYTES``. Zenoh drops larger ones without a report, so this
+  limit is above that of the message validation, which counts.
+- With certificates every link uses mutual TLS, and a listening session denies what no role allows.
 """
 
 from __future__ import annotations
@@ -32,14 +34,14 @@ from services.bus.topics import Topic, topic_at
 from services.bus.wire import MAX_PAYLOAD_BYTES
 
 ROUTER_ADDRESS = "127.0.0.1:7447"
-"""Where a node that is told nothing looks for a router, and where a router that is told nothing listens."""
+"""Default address of the router, for nodes that connect and for a router that listens."""
 
 SECURE = "tls"
 MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
 
 HOST_AND_PORT = ("tcp", "udp", "tls", "quic", "ws")
 PROTOCOLS = (*HOST_AND_PORT, "unixsock-stream")
-"""Those that Zenoh's Python package has; of another it only says so once it is open, or waits for ever."""
+"""Protocols of Zenoh's Python package. With another one Zenoh fails only after it has opened, or waits for ever."""
 
 MAX_PORT = 2**16 - 1
 
@@ -47,29 +49,29 @@ Mode: TypeAlias = Literal["client", "peer", "router"]
 
 
 class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """-e, -l, -m, -c, --namespace, --certs: how a process reaches the others, in the words of Zenoh's users."""
+    """Options of a process's bus connection: -e, -l, -m, -c, --namespace and --certs, named as in Zenoh."""
 
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
-    mode: Mode | None = None  # default: router where it listens, client where it does not
+    mode: Mode | None = None  # default: router if it listens, else client
     config: Path | None = None  # a Zenoh configuration; default: $ZENOH_CONFIG, if that is set
     namespace: str = ""  # put before every key: one per vehicle or run
-    certs: Path | None = None  # the folder of certificates; every link is mTLS then
-    role: str = ""  # as whom this process shows itself with them
+    certs: Path | None = None  # folder of certificates; every link then uses mutual TLS
+    role: str = ""  # role of this process, whose certificate it uses
 
     @property
     def acts_as(self) -> Mode:
-        """The mode in force."""
+        """Effective mode."""
         return self.mode or ("router" if self.listen else "client")
 
     @property
     def connects_to(self) -> tuple[str, ...]:
-        """The endpoints in force: the usual router's where a client is told nothing."""
+        """Effective endpoints; the default router for a client without any."""
         return self.connect or ((self.usual_endpoint,) if self.acts_as == "client" and not self._has_file else ())
 
     @property
     def usual_endpoint(self) -> str:
-        """The usual router's."""
+        """Endpoint of the default router."""
         return f"{SECURE if self.certs else 'tcp'}/{ROUTER_ADDRESS}"
 
     @property
@@ -78,7 +80,7 @@ class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def endpoint_error(endpoint: str) -> str:
-    """What is wrong with ``tcp/127.0.0.1:7447``; empty where nothing is."""
+    """Return what is wrong with an endpoint such as ``tcp/127.0.0.1:7447``; empty if it is valid."""
     protocol, _, rest = endpoint.partition("/")
     address = re.split("[?#]", rest, maxsplit=1)[0]  # metadata and settings may follow it
     if not (protocol and address):
@@ -93,21 +95,21 @@ def endpoint_error(endpoint: str) -> str:
 
 
 class BusError(RuntimeError):
-    """A session that cannot be opened: an address that is taken."""
+    """Failure to open a session, for example because an address is in use."""
 
 
 class Stopped(Exception):
-    """The process was told to stop while it waited."""
+    """Request to stop while a session waits for its router."""
 
 
 def log_to_stdout(levels: str) -> None:
-    """Have Zenoh log what ``levels``, in the words of RUST_LOG, asks for; before the first session opens."""
+    """Make Zenoh log to standard output, with ``levels`` as in RUST_LOG; call it before the first session opens."""
     os.environ["RUST_LOG"] = levels
     zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
 
 
 def configuration(options: BusOptions) -> zenoh.Config:
-    """Zenoh's configuration for these options. Raises ``ConfigError`` where Zenoh refuses it."""
+    """Return Zenoh's configuration for these options. Raises ``ConfigError`` if Zenoh rejects it."""
     try:
         if options.config is not None:
             config = zenoh.Config.from_file(str(options.config))
@@ -153,11 +155,11 @@ def _refusal(options: BusOptions, error: zenoh.ZError) -> ConfigError:
         source, value = "$ZENOH_CONFIG", os.environ["ZENOH_CONFIG"]
     else:
         source, value = "bus options", " ".join((*options.connect, *options.listen, options.namespace))
-    return ConfigError(source, "", f"Zenoh rejects the configuration: {_words(error)}", value=value)
+    return ConfigError(source, "", f"Zenoh rejects the configuration: {_text(error)}", value=value)
 
 
-def _words(error: zenoh.ZError) -> str:
-    """What Zenoh says, in one line and without where in its sources it says so, or the file that it was given."""
+def _text(error: zenoh.ZError) -> str:
+    """Return Zenoh's error in one line, without its source location and its input."""
     text = re.sub(r" at /\S+\.rs:\d+\.?", "", str(error)).partition(", input: ")[0]
     return " ".join(text.split())
 
@@ -167,29 +169,29 @@ def _insert(config: zenoh.Config, key: str, value: object) -> None:
 
 
 class FrameReceiver(Protocol):
-    """Where what arrives is put: a ``Mailbox``, as a rule."""
+    """Receiver of frames, usually a ``Mailbox``."""
 
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:
-        """Called on Zenoh's thread: be quick."""
+        """Take a frame. Called on Zenoh's thread, so it must return quickly."""
         ...
 
 
 class Publisher:
-    """One key's way out."""
+    """Publisher of one key."""
 
     def __init__(self, publisher: zenoh.Publisher) -> None:
         self.put: Callable[[bytes], None] = publisher.put
 
 
 class Session:
-    """An open Zenoh session; close it by ``with``."""
+    """Open Zenoh session, closed by ``with``."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._subscribers: list[zenoh.Subscriber[None]] = []
 
     def publisher(self, key: str) -> Publisher:
-        """A way out on ``key``."""
+        """Declare a publisher on ``key``."""
         return Publisher(
             self._session.declare_publisher(
                 key,
@@ -199,16 +201,16 @@ class Session:
             )
         )
 
-    def subscribe(self, key: str, topic: Topic | None, inlet: FrameReceiver) -> None:
-        """Hand over what arrives on ``key``. ``topic`` None: the table's row of each message's own key."""
-        offer = inlet.offer
+    def subscribe(self, key: str, topic: Topic | None, receiver: FrameReceiver) -> None:
+        """Offer what arrives on ``key`` to the receiver; ``topic`` None: looked up by the key of each message."""
+        offer = receiver.offer
 
-        def arrived(sample: zenoh.Sample) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
             name = str(sample.key_expr)
             offer(topic or topic_at(name), name, sample.payload.to_bytes())
 
         self._subscribers.append(
-            self._session.declare_subscriber(key, zenoh.handlers.Callback(arrived, indirect=False))
+            self._session.declare_subscriber(key, zenoh.handlers.Callback(on_sample, indirect=False))
         )
 
     def __enter__(self) -> Session:
@@ -223,9 +225,9 @@ class Session:
 
 
 def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable[[str], None]) -> Session:
-    """Open, and wait for the router as long as it takes; after a second ``say`` what is waited for.
+    """Open a session and wait for the router without limit; after one second report through ``say``.
 
-    Raises ``BusError`` where waiting would not help, and ``Stopped`` when ``stop`` turns true meanwhile.
+    Raises ``BusError`` if the session cannot be opened, and ``Stopped`` if ``stop`` returns True meanwhile.
     """
     config = configuration(options)
     result: list[zenoh.Session | zenoh.ZError] = []
@@ -248,13 +250,13 @@ def open_session(options: BusOptions, *, stop: Callable[[], bool], say: Callable
         thread.join(0.1)
     (opened,) = result
     if isinstance(opened, zenoh.ZError):
-        raise BusError(f"Zenoh cannot open a session: {_words(opened)}")
+        raise BusError(f"Zenoh cannot open a session: {_text(opened)}")
     return Session(opened)
 
 
 def waiting_for_router(options: BusOptions) -> str:
-    """What a person reads while nobody answers."""
+    """Return the text that is shown while the router does not answer."""
     where = ", ".join(options.connects_to) or "the configured endpoints"
     command = "`ltv-mpc router`" if options.certs is None else "`ltv-mpc router --certs`"
-    refused = "" if options.certs is None else "; a router that rejects this certificate reports it in its own log"
-    return f"waiting for a router at {where}; {command} starts one at {options.usual_endpoint}{refused}"
+    hint = "" if options.certs is None else "; a router that rejects this certificate reports it in its own log"
+    return f"waiting for a router at {where}; {command} starts one at {options.usual_endpoint}{hint}"

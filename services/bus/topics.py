@@ -1,5 +1,6 @@
-"""What travels: signal type, key, period, delivery, who writes it, who reads it. Keys, quality of service,
-documentation and the recording's channels all come from this table.
+"""Table of topics: message type, key, period, delivery, writer and readers.
+
+Keys, quality of service, documentation and the channels of a recording all come from this table.
 """
 
 from __future__ import annotations
@@ -46,23 +47,24 @@ from ltv_mpc.messages import (
 
 
 class Delivery(enum.StrEnum):
-    """What a reader needs of a key."""
+    """Requirement of the readers of a key."""
 
-    EVERY = "every"  # each sample counts: a queue that is always drained, losses counted
-    LATEST = "latest"  # the newest value: a ring of one
+    EVERY = "every"  # every sample counts: a queue that is always drained, losses are counted
+    LATEST = "latest"  # only the newest value: a ring of one
 
 
 EVERY, LATEST = Delivery.EVERY, Delivery.LATEST
 
 OPERATOR = "operator"
-"""`ltv-mpc ctl`, a pilot's program, and in a simulation the plant, which arms."""
+"""Writer of commands: `ltv-mpc ctl`, a pilot's program and, in a simulation, the plant, which arms."""
 
 
 class Topic(msgspec.Struct, frozen=True):
-    """One row. ``written_by`` is the sole writer; "*" stands for every node, which then adds its name to the key, and
-    ``OPERATOR`` for whoever commands: several may on one key, each under an epoch of its own.
+    """Row of the table of topics.
 
-    ``period_ns`` is vehicle time between two messages, 0 where they come on events.
+    ``written_by`` is the only writer. "*" stands for every node, which then appends its name to the key. ``OPERATOR``
+    stands for any source of commands: several may publish on one key, each under an epoch of its own.
+    ``period_ns`` is the vehicle time between two messages, 0 if they are published on events.
     """
 
     message_type: type[Message]
@@ -93,7 +95,7 @@ TOPICS = (
     Topic(Plan,               "plan",                   300_000_000, EVERY,    "controller", ("plant",)),
     Topic(Command,            "command",                          0, EVERY,    OPERATOR,     ("controller",)),
     Topic(Manual,             "manual",                 100_000_000, LATEST,   OPERATOR,     ("controller",)),
-    Topic(Acknowledgement,       "acknowledged",                     0, EVERY,    "controller", (OPERATOR,)),
+    Topic(Acknowledgement,    "acknowledged",                     0, EVERY,    "controller", (OPERATOR,)),
     Topic(ControllerStatus,   "controller/status",    1_000_000_000, LATEST,   "controller", (OPERATOR,)),
     Topic(ModelCheck,         "model",                1_000_000_000, EVERY,    "controller", (OPERATOR,)),
     Topic(CycleTiming,        "timing",                 300_000_000, EVERY,    "controller", ("controller",)),
@@ -104,8 +106,8 @@ TOPICS = (
     Topic(Kill,               "world/kill",                       0, EVERY,    OPERATOR,     ("launcher",)),
     Topic(NodeStatus,         "status",                           0, EVERY,    "*",          ("launcher",)),
     Topic(StepRecord,         "record",                           0, EVERY,    "*",          ()),
-    Topic(RejectedFrame,           "rejected",                         0, EVERY,    "*",          ()),
-    Topic(InjectorFrame,             "inject/frame",                           0, EVERY,    "inject",     ()),
+    Topic(RejectedFrame,      "rejected",                         0, EVERY,    "*",          ()),
+    Topic(InjectorFrame,      "inject/frame",                     0, EVERY,    "inject",     ()),
     Topic(RunEvent,           "event",                            0, EVERY,    "*",          ("launcher",)),
 )  # fmt: skip
 
@@ -114,19 +116,19 @@ STATES: dict[str, type[ControllerState] | type[EstimatorState]] = {
     "controller": ControllerState,
     "estimator": EstimatorState,
 }
-"""The state that a process publishes, by its name: a new process in its place continues from the newest one."""
+"""State that a process publishes, by its name; a restarted process continues from the newest one."""
 
 BY_KEY = {topic.key: topic for topic in TOPICS}
 
 
 def key_of(kind: type[Message], writer: str) -> str:
-    """The key on which ``writer`` publishes: the row's, with the writer's name behind it where every node writes."""
+    """Return the key on which ``writer`` publishes; on a key of every node its name is appended."""
     topic = BY_TYPE[kind]
     return f"{topic.key}/{writer}" if topic.written_by == "*" else topic.key
 
 
 def topic_at(key: str) -> Topic | None:
-    """The row of a key as published, or None where the table knows no such key."""
+    """Return the row of a key as published, or None for an unknown key."""
     topic = BY_KEY.get(key)
     if topic is not None:
         return topic if topic.written_by != "*" else None

@@ -1,8 +1,8 @@
-"""One message as bytes: a plain msgpack map, the header's fields first, then the signal's, units in their names.
+"""Wire format: one message as a msgpack map, first the header's fields, then the message's, with units in their names.
 
-Encoding is ``to_map`` (a map of builtins, which is also what a recording holds as JSON) packed with msgpack. Decoding
-is typed (unknown, missing and mistyped fields, and single numbers out of bounds, are refused) and valid
-(``ltv_mpc/validation.py``). Whatever the bytes are, ``decode`` returns a signal that is fit for a node or raises
+``to_map`` converts a message to a map of builtins, which a recording holds as JSON, and ``pack`` to bytes. Decoding
+rejects unknown, missing and mistyped fields and numbers out of bounds, and then validates the message as a whole
+(``ltv_mpc/validation.py``). For any bytes ``decode`` either returns a message that a node can use or raises
 ``WireError`` with the reason.
 """
 
@@ -25,16 +25,16 @@ S = TypeVar("S", bound=Message)
 T = TypeVar("T")
 
 MAX_PAYLOAD_BYTES = 1 << 20
-"""A larger frame is refused unread: the largest message, an estimate with its profile, has about 10 kB."""
+"""Largest frame; a larger one is rejected undecoded. The largest message, an estimate with its profile, has 10 kB."""
 
 Epoch: TypeAlias = Annotated[int, Meta(ge=0, le=2**48 - 1, extra={"unit": "identifier"})]
 
 DECODE_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RecursionError, msgpack.UnpackException)
-"""What msgpack, msgspec and numpy raise on hostile bytes; UnicodeDecodeError and ValidationError are ValueErrors."""
+"""Exceptions of msgpack, msgspec and numpy on hostile bytes; UnicodeDecodeError and ValidationError are ValueErrors."""
 
 
 class Header(msgspec.Struct, frozen=True, kw_only=True):
-    """Who sent a message and which of its messages it is."""
+    """Header of a message: its source and its place among the source's messages."""
 
     epoch: Annotated[Epoch, Meta(description="start of the sender that this is: 48 random bits, drawn at each start")]
     sequence: Annotated[Count, Meta(description="number of the message of this key and epoch, from 0 without a gap")]
@@ -44,11 +44,11 @@ class Header(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WireError(ValueError):
-    """A frame that is refused; the text is the reason."""
+    """Rejection of a frame; the text is the reason."""
 
 
 def to_map(signal: Message, header: Header) -> dict[str, Any]:
-    """Header and signal as one map of builtins: numbers, text, lists, maps, null."""
+    """Return header and message as one map of builtins: numbers, text, lists, maps, null."""
     message: dict[str, Any] = {
         "epoch": header.epoch,
         "sequence": header.sequence,
@@ -61,23 +61,26 @@ def to_map(signal: Message, header: Header) -> dict[str, Any]:
 
 
 def encode(signal: Message, header: Header) -> bytes:
-    """The bytes that travel."""
+    """Return the frame of a message."""
     return pack(to_map(signal, header))
 
 
 def pack(message: Mapping[str, Any]) -> bytes:
-    """The bytes of what ``to_map`` gives."""
+    """Return the frame of a map from ``to_map``."""
     payload: bytes = msgpack.packb(message)
     return payload
 
 
 def decode(kind: type[S], payload: bytes) -> tuple[S, Header]:
-    """The signal and its header. Raises ``WireError``, and nothing else."""
+    """Return message and header of a frame. Raises ``WireError``, and nothing else."""
     return from_map(kind, unpack(payload))
 
 
 def from_map(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
-    """The same of a plain map: what ``unpack`` gives, or a recording's JSON. Raises ``WireError``, and nothing else."""
+    """Return message and header of a map from ``unpack`` or from a recording's JSON.
+
+    Raises ``WireError``, and nothing else.
+    """
     header = header_of(message)
     signal = _checked(_signal, kind, message)
     reason = _checked(refusal, signal)
@@ -87,13 +90,13 @@ def from_map(kind: type[S], message: dict[str, Any]) -> tuple[S, Header]:
 
 
 def from_validated_map(kind: type[S], message: dict[str, Any]) -> S:
-    """The signal of a plain map that a door has let in before: it is not validated again. Raises ``WireError``."""
+    """Return the message of a map that has been accepted before, without another validation. Raises ``WireError``."""
     signal: S = _checked(_signal, kind, message)
     return signal
 
 
 def unpack(payload: bytes) -> dict[str, Any]:
-    """The map that a frame holds, untyped, for the recorder. Raises ``WireError``."""
+    """Return the untyped map of a frame, for the recorder. Raises ``WireError``."""
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise WireError(f"too large: {len(payload)} bytes, at most {MAX_PAYLOAD_BYTES}")
     message = _checked(msgpack.unpackb, payload)
@@ -103,13 +106,13 @@ def unpack(payload: bytes) -> dict[str, Any]:
 
 
 def header_of(message: dict[str, Any]) -> Header:
-    """The header of what ``unpack`` gives, its bounds checked. Raises ``WireError``, and nothing else."""
+    """Return the header of a map from ``unpack``, within its bounds. Raises ``WireError``, and nothing else."""
     header: Header = _checked(_converted, message, Header)
     return header
 
 
 def crc(payload: bytes) -> int:
-    """CRC-32 of a frame, by which a step record finds it again."""
+    """Return the CRC-32 of a frame, by which a step record identifies it."""
     return zlib.crc32(payload)
 
 
@@ -124,7 +127,7 @@ HEADER_FIELDS = Header.__struct_fields__
 
 
 def _signal(kind: type[S], message: dict[str, Any]) -> S:
-    # A StepRecord has an ``epoch`` of its own; it is its sender's, so one entry of the map is both.
+    # A StepRecord has an ``epoch`` of its own. It is its sender's, so one entry of the map holds both.
     own = message.copy()
     for name in HEADER_FIELDS:
         if name not in kind.__struct_fields__:

@@ -17,7 +17,7 @@ from ltv_mpc.messages import Acknowledgement, Action, ClockCommand, Disturbance,
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
 from services.bus.topics import OPERATOR
-from services.processes.operator import PATIENCE_S, send_command
+from services.processes.operator import TIMEOUT_S, send_command
 
 KICK_S = 2.0
 KICK_N = (0.0, 120.0, 0.0)
@@ -61,7 +61,7 @@ class ButtonReply(msgspec.Struct, frozen=True, kw_only=True, tag_field="kind", t
 
 
 def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) -> ButtonReply:
-    """Execute a command and return its result, within twice ``PATIENCE_S``.
+    """Execute a command and return its result, within twice ``TIMEOUT_S``.
 
     ``t_ns`` is the vehicle time, None if unknown; ``speed`` is the requested speed of the clock.
     """
@@ -69,7 +69,7 @@ def do(request: ButtonRequest, bus: BusOptions, t_ns: int | None, speed: float) 
         with open_session(bus, stop=_patience(), say=lambda _: None) as session:
             return _done(request, session, t_ns, speed)
     except Stopped:
-        return _reply(request, f"no router within {PATIENCE_S:.0f} s")
+        return _reply(request, f"no router within {TIMEOUT_S:.0f} s")
     except BusError as error:
         return _reply(request, str(error))
 
@@ -105,7 +105,7 @@ def _by_controller(request: ButtonRequest, answer: Acknowledgement | RejectedFra
         case RejectedFrame():
             return _reply(request, f"{request.button.value} refused by {answer.node}: {answer.reason}")
         case None:
-            return _reply(request, f"no reply from a controller within {PATIENCE_S:.0f} s")
+            return _reply(request, f"no reply from a controller within {TIMEOUT_S:.0f} s")
 
 
 def _sent(request: ButtonRequest, session: Session, signal: Message, text: str) -> ButtonReply:
@@ -119,5 +119,5 @@ def _reply(request: ButtonRequest, text: str, *, done: bool = False) -> ButtonRe
 
 
 def _patience() -> Callable[[], bool]:
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + TIMEOUT_S
     return lambda: time.monotonic() > until

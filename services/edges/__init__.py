@@ -1,1 +1,1 @@
-"""Edges to other message buses."""
+"""Bridges between this bus and other message buses."""

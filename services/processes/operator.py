@@ -1,4 +1,4 @@
-"""An operator's one command: sent, and its answer waited for."""
+"""Command of an operator: publish it and wait for the controller's answer."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from services.bus.topics import BY_TYPE, OPERATOR
 from services.bus.wire import WireError, decode
 from services.runtime.stopping import DONE, FAILED, stderr_printer
 
-PATIENCE_S = 3.0
-"""So long for a router, and again for the answer: a cycle takes a third of a second."""
+TIMEOUT_S = 3.0
+"""Longest wait for a router, and again for the answer. A control cycle takes a third of a second."""
 
 
 def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
-    """The exit code: 0 where the controller accepted, 1 with the reason on stderr where not."""
+    """Send a command; return 0 if the controller accepted it, else print the reason to stderr and return 1."""
     say = stderr_printer(f"ctl {action.value}")
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + TIMEOUT_S
     try:
         with open_session(bus, stop=lambda: time.monotonic() > until, say=say) as session:
             answer = send_command(session, action, reference_toml)
     except Stopped:
-        say(f"no router within {PATIENCE_S:.0f} s")
+        say(f"no router within {TIMEOUT_S:.0f} s")
         return FAILED
     except BusError as error:
         say(str(error))
@@ -33,19 +33,19 @@ def main(action: Action, reference_toml: str, bus: BusOptions) -> int:
     if isinstance(answer, Acknowledgement) and answer.accepted:
         sys.stdout.write(f"accepted; command authority: {answer.authority.value}\n")
         return DONE
-    say(_why(answer))
+    say(_reason(answer))
     return FAILED
 
 
 def send_command(session: Session, action: Action, reference_toml: str = "") -> Acknowledgement | RejectedFrame | None:
-    """Send the command; the controller's answer, its door's refusal, or None where nobody says a word."""
+    """Send a command; return the controller's answer, the rejection of the frame, or None without an answer."""
     box = Mailbox()
     for kind, suffix in ((Acknowledgement, ""), (RejectedFrame, "/*")):
         session.subscribe(f"{BY_TYPE[kind].key}{suffix}", BY_TYPE[kind], box)
     outbox = Outbox(session, node=OPERATOR, epoch=new_epoch(), kinds=(Command,))
     command = Command(command_id=new_epoch(), action=action, reference_toml=reference_toml)
     sent = outbox.publish(command)
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + TIMEOUT_S
     while (left := until - time.monotonic()) > 0:
         frame = box.take(left)
         if frame is None or frame.topic is None:
@@ -61,11 +61,11 @@ def send_command(session: Session, action: Action, reference_toml: str = "") -> 
     return None
 
 
-def _why(answer: Acknowledgement | RejectedFrame | None) -> str:
+def _reason(answer: Acknowledgement | RejectedFrame | None) -> str:
     match answer:
         case Acknowledgement():
-            return f"refused: {answer.why}; command authority: {answer.authority.value}"
+            return f"rejected: {answer.why}; command authority: {answer.authority.value}"
         case RejectedFrame():
-            return f"refused by {answer.node}: {answer.reason}"
+            return f"rejected by {answer.node}: {answer.reason}"
         case None:
-            return f"no reply from a controller within {PATIENCE_S:.0f} s: is one running at this router and namespace?"
+            return f"no reply from a controller within {TIMEOUT_S:.0f} s: is one running at this router and namespace?"

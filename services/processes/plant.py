@@ -1,4 +1,4 @@
-"""The plant process: the simulated vehicle, and the keeper of vehicle time."""
+"""Plant process: the simulated vehicle, which is also the clock master of a simulated run."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from sim.plant import Plant
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the plant process needs to start."""
+    """Configuration of the plant process."""
 
     bus: BusOptions
     scenario: str  # NAME or FILE
-    expects: tuple[str, ...] = ()  # nodes that the clock waits for besides the usual ones
+    expects: tuple[str, ...] = ()  # further nodes that the clock waits for
 
 
 def main(config: Config) -> int:
-    """Start the clock once all are ready, run to the scenario's end."""
+    """Start the clock when all nodes are ready, and run to the scenario's end."""
     run_config = resolve(config.scenario)
     scenario = run_config.scenario
     estimator = () if scenario.run.perfect_state else ("estimator",)
@@ -40,7 +40,7 @@ def main(config: Config) -> int:
 
 
 def warm_up(run_config: RunConfig) -> None:
-    """Have all compiled code loaded: a few steps of a plant that is thrown away."""
+    """Load all compiled code, by a few steps of a plant that is discarded."""
     plant = _make(run_config)
     for t_ns in range(0, 5 * Plant.schedule.period_ns, Plant.schedule.period_ns):
         plant.steps([(t_ns, [])])

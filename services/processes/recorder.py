@@ -1,4 +1,4 @@
-"""The recorder process: every message of the run into run.mcap, or the next segment of it."""
+"""Recorder process: writes every message of the run to run.mcap, or to its next segment."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from services.runtime.stopping import Say, StopRequest
 from services.runtime.supervisor_link import SUPERVISOR_LINK
 
 MODE = "services"
-"""The mode of a recording of processes, in its metadata."""
+"""Mode in the metadata of a recording of processes."""
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the recorder process needs to start."""
+    """Configuration of the recorder process."""
 
     bus: BusOptions
     folder: Path  # of the run
-    start_ns: int  # where the run's time begins, log time 0
+    start_ns: int  # vehicle time of log time 0
     metadata: dict[str, str]  # kept in the recording
 
 
 def metadata(seed: int, files: Mapping[str, str]) -> dict[str, str]:
-    """What a recording of processes keeps of its run: the seed, and the settings files by their path."""
+    """Return the metadata of a recording of processes: mode, seed, and the settings files by their path."""
     return {"mode": MODE, "seed": str(seed), **files}
 
 
 def main(config: Config) -> int:
-    """Record until told to stop."""
+    """Record until a stop is requested."""
 
     def work(request: StopRequest, say: Say) -> None:
         SUPERVISOR_LINK.state()

@@ -1,4 +1,4 @@
-"""The process at the edge to ROS 2: reads odometry and plans, writes estimates and a force for each thruster."""
+"""ROS 2 process: reads odometry and plans, writes estimates and a force for each thruster."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ STATUS_US = 500_000
 
 
 class Topics(msgspec.Struct, frozen=True, kw_only=True):
-    """Names in ROS. Over the bridge a topic's key is its name without the first slash."""
+    """Names of the ROS topics. Over the bridge the key of a topic is its name without the first slash."""
 
     odometry: str
     thrusts: tuple[str, str, str]  # port, starboard, vertical
 
 
 def main(topics: Topics, bus: BusOptions, *, ros_namespace: str, rate_hz: float) -> int:
-    """Translate until told to stop. ``ros_namespace`` is the bridge's, before each of its keys."""
+    """Translate until a stop is requested. ``ros_namespace`` is the bridge's prefix of all its keys."""
     period_us = round(1e6 / rate_hz)
     return run_until_stopped(NAME, lambda request, say: _run(topics, bus, ros_namespace, period_us, request, say))
 
@@ -60,56 +60,56 @@ def _run(topics: Topics, bus: BusOptions, ros_namespace: str, period_us: int, re
                 status_us = now_us + STATUS_US
             if (frame := mailbox.take((min(due_us, status_us) - now_us) / 1e6)) is not None:
                 loop.take(frame)
-        loop.let_go()
+        loop.release()
         loop.publish_status(finished=True)
 
 
 def key_of(topic: str) -> str:
-    """The key of a ROS topic as zenoh-plugin-ros2dds has it."""
+    """Return the key that zenoh-plugin-ros2dds uses for a ROS topic."""
     return topic.removeprefix("/")
 
 
 class _Loop:
-    """What is done with each frame, and at each beat."""
+    """Handling of each received frame, and of each period."""
 
     def __init__(self, outbox: Outbox, thrusters: Sequence[Publisher], say: Say) -> None:
         self._outbox = outbox
         self._thrusters = thrusters
         self._say = say
-        self._said = ""
-        self._door = MessageValidator()
+        self._last_reason = ""
+        self._validator = MessageValidator()
         self._edge = Edge()
 
     def take(self, frame: Frame) -> None:
-        """A plan of ours, or odometry of theirs."""
+        """Handle a plan from the bus or odometry from ROS."""
         if frame.topic is not BY_TYPE[Plan]:
             estimate = self._edge.odometry(frame.payload, frame.received_monotonic_us)
             if estimate is not None:
                 self._outbox.publish(estimate)
             return
         try:
-            plan, _ = self._door.validate(frame)
-        except WireError:  # counted at the door
+            plan, _ = self._validator.validate(frame)
+        except WireError:  # counted by the validator
             return
         if isinstance(plan, Plan):
             self._edge.follow(plan)
 
     def play(self, now_us: int) -> None:
-        """A force to each thruster."""
+        """Publish the force of each thruster at this instant."""
         thrust_N = self._edge.thrust_N(now_us)
         if thrust_N is not None:
             self._put(thrust_N)
 
-    def let_go(self) -> None:
-        """No force, the last word."""
+    def release(self) -> None:
+        """Publish zero force, as the last message."""
         self._put((0.0, 0.0, 0.0))
 
     def publish_status(self, *, finished: bool = False) -> None:
-        """Say what was taken and what was not; why not to the person at the terminal, once a reason."""
+        """Publish the node's status, and print each new reason for rejected odometry once."""
         edge = self._edge
-        if edge.rejected and edge.reason != self._said:
+        if edge.rejected and edge.reason != self._last_reason:
             self._say(f"odometry rejected, {edge.rejected} so far: {edge.reason}")
-            self._said = edge.reason
+            self._last_reason = edge.reason
         self._outbox.publish(
             NodeStatus(
                 node=NAME,
@@ -118,9 +118,9 @@ class _Loop:
                 waiting_for="" if edge.accepted or finished else "odometry",
                 steps=edge.accepted,
                 published=self._outbox.published + 1,  # this one included
-                received=edge.accepted + self._door.received,
-                dropped=self._door.dropped,
-                rejected=edge.rejected + self._door.rejected,
+                received=edge.accepted + self._validator.received,
+                dropped=self._validator.dropped,
+                rejected=edge.rejected + self._validator.rejected,
                 step_us=0.0,
                 finished=finished,
             )

@@ -1,6 +1,6 @@
-"""The router process: passes messages between all others, and knows nothing of them.
+"""Router process: passes messages between all other processes.
 
-With certificates it also denies what no role allows, and says on the bus how much that was.
+With certificates it also denies what no role allows, and reports the number of denials on the bus.
 """
 
 from __future__ import annotations
@@ -28,30 +28,30 @@ STATUS_US = 500_000
 PULSE_S = HEARTBEAT_PERIOD_US / 1e6
 STDOUT = 1
 PAUSE_S = 0.05
-"""Between two looks at Zenoh's log: it comes in lines, some thousand a second, and is read in blocks."""
+"""Pause between two reads of Zenoh's log, which has some thousand lines a second and is read in blocks."""
 
 LOG_BYTES = 1 << 20
-"""Of the pipe between: what Zenoh logs while nobody looks. Once full it would hold up the messages."""
+"""Size of the log's pipe, for the lines between two reads. A full pipe would block the router."""
 
 
 class Config(msgspec.Struct, frozen=True, kw_only=True):
-    """What the router process needs to start."""
+    """Configuration of the router process."""
 
     bus: BusOptions
 
 
 def main(config: Config) -> int:
-    """Route until told to stop; by default at the place where the others look."""
+    """Route until a stop is requested; by default at the address to which the other processes connect."""
     bus = config.bus
     endpoints = bus.listen or (bus.usual_endpoint,)
     secure = bus.certs is not None
-    namespace = bus.namespace if secure else ""  # in which the rights hold, and where it says what it has denied
+    namespace = bus.namespace if secure else ""  # in which the rights hold and denials are reported
     options = msgspec.structs.replace(bus, listen=endpoints, mode=bus.mode or "router", namespace=namespace)
 
     def work(request: StopRequest, say: Say) -> None:
         SUPERVISOR_LINK.state()
         if secure:
-            _guard(options, request, say)
+            _route_with_roles(options, request, say)
             return
         with open_session(options, stop=request, say=say):
             say(f"ready at {', '.join(endpoints)}")
@@ -61,8 +61,8 @@ def main(config: Config) -> int:
     return run_until_stopped(ROUTER, work)
 
 
-def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
-    """Route for those who have a role, and tell of the others."""
+def _route_with_roles(options: BusOptions, request: StopRequest, say: Say) -> None:
+    """Route for clients with a role, and report denials."""
     denials = Denials()
     with _zenoh_log(denials), open_session(options, stop=request, say=say) as session:
         report = _Report(session, denials, say)
@@ -78,39 +78,39 @@ def _guard(options: BusOptions, request: StopRequest, say: Say) -> None:
 
 
 class _Report:
-    """The router's word: a heartbeat with the number of denied attempts, and an event when there were more of them.
+    """Status of the router with the number of denials, and an event when that number has grown.
 
-    On the bus it waits for the first word of another, so that nothing is said before a recorder listens.
+    It starts to publish after the first message of another process, so that a recorder does not miss a message.
     """
 
     def __init__(self, session: Session, denials: Denials, say: Say) -> None:
         self._denials = denials
         self._say = say
-        self._said = 0
-        self._heard = False
+        self._reported = 0
+        self._others_run = False
         self._clock = VehicleClock()
         self._out = Outbox(session, node=ROUTER, epoch=new_epoch(), kinds=(NodeStatus, RunEvent))
         session.subscribe(f"{BY_TYPE[NodeStatus].key}/*", BY_TYPE[NodeStatus], self)
         session.subscribe(BY_TYPE[Clock].key, BY_TYPE[Clock], self)
 
     def offer(self, topic: Topic | None, _key: str, payload: bytes) -> None:
-        """Hear another's status, or the clock; called on Zenoh's thread."""
-        self._heard = True
+        """Take the status of another process, or the clock; called on Zenoh's thread."""
+        self._others_run = True
         if topic is BY_TYPE[Clock]:
-            with contextlib.suppress(WireError, ClockError):  # its followers say so
+            with contextlib.suppress(WireError, ClockError):  # the processes that follow the clock report it
                 self._clock.follow(decode(Clock, payload)[0])
 
     def publish(self, *, finished: bool = False) -> None:
-        """Say it now."""
-        if not self._heard:
+        """Publish the status."""
+        if not self._others_run:
             return
         t_ns = self._clock.read(monotonic_us()) or 0
         total = self._denials.total
-        if total > self._said:
+        if total > self._reported:
             text = f"denied {total} attempts so far: {self._denials}"
             self._say(text)
             self._out.publish(RunEvent(t_ns=t_ns, node=ROUTER, kind="denied", text=text))
-            self._said = total
+            self._reported = total
         self._out.publish(
             NodeStatus(
                 node=ROUTER,
@@ -130,7 +130,7 @@ class _Report:
 
 @contextlib.contextmanager
 def _zenoh_log(denials: Denials) -> Iterator[None]:
-    """What Zenoh logs, which it can to standard output only, goes to ``denials`` while this lasts."""
+    """Redirect Zenoh's log, which goes to standard output only, to ``denials`` in this context."""
     log, into = os.pipe()
     _widen(into)
     before = os.dup(STDOUT)
@@ -149,7 +149,7 @@ def _zenoh_log(denials: Denials) -> Iterator[None]:
     try:
         yield
     finally:
-        os.dup2(before, STDOUT)  # the last way into the pipe: the reader finds its end
+        os.dup2(before, STDOUT)  # closes the pipe's last writer, so the reader reaches its end
         os.close(before)
         ended.set()
         reader.join()

@@ -1,13 +1,13 @@
-"""A run's folder, and the only writer of what is in it but the recording itself.
+"""Folder of a run. This module writes everything in it except the recording.
 
 runs/20261121T054500Z-descent/
-    scenario.toml     resolved: every value, the seed, what made it; `ltv-mpc sim RUN/scenario.toml` runs it again
-    config/*.toml     vehicle, sensors, reference, controller, estimator: the files it names
-    config/*.csv      currents, of a measured water; water-prior, where the estimator was given one
+    scenario.toml     resolved: every value, the seed, the provenance; `ltv-mpc sim RUN/scenario.toml` runs it again
+    config/*.toml     vehicle, sensors, reference, controller, estimator: the files that scenario.toml names
+    config/*.csv      currents, if the water is measured; water-prior, if the estimator has one
     run.mcap          every message
-    summary.json      what it came to
-    currents.csv      the current as it was estimated at the end, with standard deviations; not with --perfect-state
-    report.html       its plots, where plotly is installed
+    summary.json      the results
+    currents.csv      the current as estimated at the end, with standard deviations; not with --perfect-state
+    report.html       the plots, if plotly is installed
 """
 
 from __future__ import annotations
@@ -29,41 +29,41 @@ ROOT = Path("runs")
 LATEST = "latest"
 RECORDING = "run.mcap"
 RESULTS = ("summary.json", "currents.csv", "report.html")
-"""What stands beside it once a run has ended."""
+"""Files that stand beside the recording once a run has ended."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunFolder:
-    """An existing folder of one run."""
+    """Existing folder of one run."""
 
     path: Path
 
     @property
     def recording(self) -> Path:
-        """run.mcap."""
+        """Path of the recording, run.mcap."""
         return self.path / RECORDING
 
     @property
     def summary(self) -> Path:
-        """summary.json."""
+        """Path of the results, summary.json."""
         return self.path / "summary.json"
 
     @property
     def currents(self) -> Path:
-        """currents.csv."""
+        """Path of the estimated current, currents.csv."""
         return self.path / "currents.csv"
 
     @property
     def scenario(self) -> Path:
-        """scenario.toml."""
+        """Path of the resolved scenario, scenario.toml."""
         return self.path / "scenario.toml"
 
     def config(self, what: str) -> Path:
-        """One of the settings files: ``vehicle``, ``sensors``, ``reference``, ``controller``, ``estimator``."""
+        """Return the path of a settings file: vehicle, sensors, reference, controller or estimator."""
         return self.path / "config" / f"{what}.toml"
 
     def write_result(self, summary: msgspec.Struct, water: WaterPrior | None) -> None:
-        """summary.json, and currents.csv of the water as it was estimated; each whole or not at all."""
+        """Write summary.json, and currents.csv of the estimated water, each of them atomically."""
         draft = self.summary.with_suffix(".json.part")
         draft.write_bytes(msgspec.json.format(msgspec.json.encode(summary), indent=2) + b"\n")
         draft.replace(self.summary)
@@ -74,10 +74,10 @@ class RunFolder:
 
 
 def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force: bool = False) -> RunFolder:
-    """The folder ``out``, or ``runs/<UTC time>-<name>`` with the link ``runs/latest`` to it, with its settings files.
+    """Make the folder ``out``, or ``runs/<UTC time>-<name>`` with the link ``runs/latest``, and write settings files.
 
-    ``files``: path in the folder -> text. A folder that is not empty is refused (``ConfigError``) unless ``force``,
-    which replaces what a run writes and leaves the rest.
+    ``files`` maps a path in the folder to a text. A folder that is not empty raises ``ConfigError`` unless ``force``
+    is set, which replaces the files of a run and leaves the others.
     """
     folder = RunFolder(_default(name) if out is None else _given(out, force=force))
     for path, text in files.items():
@@ -88,9 +88,9 @@ def make(name: str, files: Mapping[str, str], *, out: Path | None = None, force:
 
 
 def find(text: str) -> Path:
-    """The recording that RUN stands for: a run's folder, its run.mcap, or ``latest``, the newest folder below runs/.
+    """Return the recording of RUN: a run's folder, its run.mcap, or ``latest`` for the newest folder below runs/.
 
-    A run.mcap may have been taken out of its folder; where it was not, ``find(text).parent`` is the run's folder.
+    ``find(text).parent`` is the run's folder, unless run.mcap was moved out of it.
     Raises ``ConfigError``.
     """
     source = f"RUN {text}"
@@ -110,14 +110,15 @@ def find(text: str) -> Path:
 
 
 def _newest() -> Path | None:
-    """The folder below runs/ whose run was begun last: by its scenario.toml, which is written once, at the start."""
-    begun = [path for path in ROOT.glob("*/scenario.toml") if not path.parent.is_symlink()]
-    return max(begun, key=lambda path: path.stat().st_mtime_ns).parent if begun else None
+    """Return the folder of the run that started last, by its scenario.toml, which is written once at the start."""
+    started = [path for path in ROOT.glob("*/scenario.toml") if not path.parent.is_symlink()]
+    return max(started, key=lambda path: path.stat().st_mtime_ns).parent if started else None
 
 
 def find_prepared(scenario: Path, out: Path, *, resume: bool = False) -> RunFolder | None:
-    """The folder ``out`` where a launcher has made it for a run of its ``scenario`` and nothing is recorded yet;
-    ``resume``: even if something is.
+    """Return the folder ``out`` if a supervisor made it for a run of its ``scenario``, and nothing is recorded yet.
+
+    With ``resume`` it may hold a recording. None: the folder was not prepared.
     """
     folder = RunFolder(out)
     same = folder.scenario.absolute() == scenario.absolute()
@@ -125,10 +126,10 @@ def find_prepared(scenario: Path, out: Path, *, resume: bool = False) -> RunFold
 
 
 def make_default(name: str) -> Path:
-    """The folder ``runs/<UTC time>-<name>``, made now."""
+    """Make the folder ``runs/<UTC time>-<name>`` and return its path."""
     stem = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{name}"
     tries = (ROOT / (stem if count == 1 else f"{stem}-{count}") for count in itertools.count(1))
-    return next(path for path in tries if _made(path))
+    return next(path for path in tries if _try_make(path))
 
 
 def _default(name: str) -> Path:
@@ -140,8 +141,8 @@ def _default(name: str) -> Path:
     return path
 
 
-def _made(path: Path) -> bool:
-    """Whether ``path`` was made here and now: several runs may start within one second."""
+def _try_make(path: Path) -> bool:
+    """Make a folder; return False if it exists: several runs may start within one second."""
     try:
         path.mkdir(parents=True)
     except FileExistsError:
@@ -152,8 +153,9 @@ def _made(path: Path) -> bool:
 
 
 def open_folder(path: Path, *, force: bool) -> Path:
-    """The folder ``path``, made if it is not there. One that is not empty is refused (``ConfigError``) unless
-    ``force``, which leaves everything in it.
+    """Make the folder ``path`` if it does not exist, and return it.
+
+    A folder that is not empty raises ``ConfigError`` unless ``force`` is set, which leaves everything in it.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -168,7 +170,7 @@ def open_folder(path: Path, *, force: bool) -> Path:
 def _given(path: Path, *, force: bool) -> Path:
     open_folder(path, force=force)
     try:
-        # else a run that fails would seem to have ended
+        # Old results would make a run that fails look complete.
         for old in (*path.glob("run*.mcap"), *(path / name for name in RESULTS)):
             old.unlink(missing_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""What this machine has for a run: processor cores and disk space."""
+"""Resources of this machine for a run: processor cores and disk space."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
-BYTES_PER_VEHICLE_S = 200_000  # of recording, generously: 200 s were 12 MB
+BYTES_PER_VEHICLE_S = 200_000  # of recording, with a margin: 200 s have about 12 MB
 
 
 def core_count() -> int:
@@ -18,7 +18,7 @@ def core_count() -> int:
 def check_disk_space(folder: Path, duration_s: float) -> None:
     """Raise ``OSError`` if a recording of ``duration_s`` vehicle seconds may not fit on the disk of ``folder``.
 
-    Called before the folder is made: a full disk would cost the end of the recording.
+    Call it before the folder is made: on a full disk the end of the recording would be lost.
     """
     there = next((path for path in (folder, *folder.absolute().parents) if path.exists()), Path("/"))
     needed = round(duration_s * BYTES_PER_VEHICLE_S)

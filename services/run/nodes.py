@@ -1,4 +1,4 @@
-"""The nodes of a simulated run, built from its configuration: lock step and replay make the same ones."""
+"""Nodes of a simulated run, built from its configuration in the same way for lock step and replay."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What made a run: versions, commit and processor, as texts. Another processor may give other last bits.
+"""Provenance of a run: versions, commit and processor. Results of another processor may differ in the last bits.
 
-Which bits a product or a sine has is decided by what code is chosen for the processor when it runs: by numba for
-compiled functions (``numba_cpu``, its target and a checksum of the instructions that it may use) and by OpenBLAS for
-numpy's products (``blas``, the name of its kernel).
+The last bits of a product or a sine depend on the code that is selected for the processor at run time. numba selects it
+for compiled functions (``numba_cpu``: its target, and a checksum of the instructions that it may use), and OpenBLAS for
+numpy's products (``blas``: the name of its kernel).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ KERNEL_NAMES = ("scipy_openblas_get_corename64_", "scipy_openblas_get_corename",
 
 
 def provenance_table() -> dict[str, str]:
-    """The table ``[made_by]`` of a run's scenario.toml."""
+    """Return the table ``[made_by]`` of a run's scenario.toml."""
     table = {
         "ltv_mpc": version(),
         "commit": commit(),
@@ -37,7 +37,7 @@ def provenance_table() -> dict[str, str]:
     return table | {package: _version(package) for package in PACKAGES}
 
 
-@cache  # it reads and parses a file for each, and a process keeps what it has imported
+@cache  # it reads and parses a file for each package
 def _version(package: str) -> str:
     try:
         return metadata.version(package)
@@ -62,7 +62,7 @@ def _numba_cpu() -> str:
 
 
 def _blas() -> str:
-    """The kernel that numpy's OpenBLAS has chosen; it lies beside numpy where numpy came as a wheel."""
+    """Return the name of the kernel that numpy's OpenBLAS has selected; a wheel has OpenBLAS in its own folder."""
     import numpy as np
 
     for path in sorted(Path(np.__file__).parents[1].glob("numpy.libs/*openblas*")):

@@ -1,4 +1,4 @@
-"""Everything a run is made of, read and checked before a process starts or a folder is made."""
+"""Run configuration: all inputs of a run, read and checked before a process starts or a folder is made."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from sim import water
 from sim.scenario import Scenario, checked, with_overrides
 
 ORIGIN = "scenario"
-"""The entry of a run's [made_by] that keeps the name of its scenario."""
+"""Entry of a run's [made_by] with the name of its scenario."""
 
 PRIOR = "water-prior.csv"
-"""The estimator's prior of the water, in a run's config/."""
+"""File of the estimator's water prior in a run's config/."""
 
 
 class Override(NamedTuple):
-    """Settings that one option stands for, and what errors call it."""
+    """Settings that one command-line option sets, and the name of the option in error messages."""
 
     source: str
     assignments: Sequence[str]
@@ -38,7 +38,7 @@ class Override(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """Resolved inputs of a run. ``files`` is what its folder holds so that it can be run again: path in it, text."""
+    """Resolved inputs of a run."""
 
     name: str  # of the scenario: "descent"
     scenario: Scenario
@@ -46,13 +46,13 @@ class RunConfig:
     suite: SensorConfig
     reference: Reference
     water: water.WaterColumn
-    prior: WaterPrior | None  # of the water, for the estimator; None: it knows nothing but the settings' prior
-    files: Mapping[str, str]
-    notes: tuple[str, ...]  # what a reader of the result should know of the inputs
+    prior: WaterPrior | None  # water prior of the estimator; None: only the prior of the settings
+    files: Mapping[str, str]  # texts by path in the run's folder, with which it can be run again
+    notes: tuple[str, ...]  # remarks on the inputs for readers of the results
 
 
 def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
-    """The situation of a scenario (NAME or FILE) and of options on top of it. Raises ``ConfigError``."""
+    """Return the configuration of a scenario (NAME or FILE) with overrides. Raises ``ConfigError``."""
     scenario = Scenario.load(name)
     folder = config.find(name, what="scenario", package="sim.scenarios").parent
     scenario = msgspec.structs.replace(scenario, estimator=resolve_prior_path(folder, scenario.estimator))
@@ -61,7 +61,7 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
     scenario = checked(scenario, source=f"scenario {name}")
     vehicle = Vehicle.load(scenario.vehicle)
     suite = SensorConfig.load(scenario.sensors)
-    solvers.make(vehicle, scenario.controller)  # refuses one that is not there
+    solvers.make(vehicle, scenario.controller)  # raises ConfigError if the solver is not installed
     reference = references.load(scenario.reference)
     prior = load_prior(scenario.estimator)
     called = _called(name, scenario)
@@ -79,16 +79,16 @@ def resolve(name: str, overrides: Sequence[Override] = ()) -> RunConfig:
 
 
 def _called(name: str, scenario: Scenario) -> str:
-    """As the file is called, or, of a run's own scenario.toml, as the one was that the run was made of."""
+    """Return the scenario's name: its file's, or for a run's own scenario.toml that of the run's original scenario."""
     origin = (scenario.made_by or {}).get(ORIGIN, "")
     plain = origin == Path(origin).name and origin.isprintable()  # it becomes part of a folder's name
     return origin if origin and plain else Path(name).stem
 
 
 def _files(scenario: Scenario, suite: SensorConfig, called: str) -> dict[str, str]:
-    """Settings files as they were read, comments and all; the aboard tables without any word of the truth.
+    """Return the settings files as read, with comments; files for use aboard hold nothing of the true values.
 
-    Sensors upon a shipped base are resolved: the shipped one may be another when the run is run again.
+    Sensors that extend a shipped file are resolved, because the shipped file may differ when the run is repeated.
     """
     files = {
         f"config/{what}.toml": config.read_text(config.find(name, what=what, package=package), what=what)
@@ -109,7 +109,7 @@ def _files(scenario: Scenario, suite: SensorConfig, called: str) -> dict[str, st
     if prior:
         files[f"config/{PRIOR}"] = config.read_text(Path(prior), what="currents")
     files["config/controller.toml"] = config.to_toml(scenario.controller)
-    # Each names the prior from where it stands itself.
+    # Each file names the prior relative to its own folder.
     aboard = msgspec.structs.replace(scenario.estimator, water_prior=PRIOR if prior else "")
     files["config/estimator.toml"] = config.to_toml(aboard)
     again = msgspec.structs.replace(

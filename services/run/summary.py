@@ -1,4 +1,4 @@
-"""What a run came to, from its metrics or from its recording."""
+"""Summary of a run, from its metrics or from its recording."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ SERVICES = "services"
 LOCKSTEP = "lockstep"
 
 STATUS = topics.BY_TYPE[NodeStatus].key + "/"
-"""Every process says under it how it is: an epoch more is a start more."""
-MENDED = topics.key_of(RunEvent, LAUNCHER)
-"""The launcher says there whom it has started anew, those too that have no status."""
+"""Prefix of the keys of all processes' status: each further epoch is a further start."""
+
+RESTARTS = topics.key_of(RunEvent, LAUNCHER)
+"""Key on which the supervisor reports restarts, also of processes without a status."""
 
 
 def summarise(
     run_config: RunConfig, metrics: RunMetrics, *, mode: str, messages: Messages, restarts: int = 0
 ) -> Summary:
-    """The summary of a run that ``metrics`` has seen."""
+    """Return the summary of a run whose messages ``metrics`` has observed."""
     scenario = run_config.scenario
     measured = mode == SERVICES
     tracking, true, localisation, absolute = metrics.errors()
@@ -65,30 +66,30 @@ def summarise(
 
 
 def _duration_ns(until_ns: int, end_ns: int) -> int:
-    """How far it came after t = 0: to the end, if the plant's next step would have been beyond it."""
+    """Return the duration after t = 0: to the end, if the next step of the plant would lie beyond it."""
     return end_ns if until_ns + PERIOD_NS > end_ns else max(0, until_ns)
 
 
 def summarise_recording(
     run_config: RunConfig, path: Path, *, restarts: int = 0, unrecorded: int = 0
 ) -> tuple[Summary, WaterPrior | None]:
-    """The summary of a run of processes and what it learned of the water, from its run.mcap, complete or cut off.
+    """Return the summary and the estimated current of a run of processes, from its run.mcap, complete or truncated.
 
-    ``restarts`` and ``unrecorded`` are what its launcher knows besides: what is not in a file cannot be told from it.
+    ``restarts`` and ``unrecorded`` are counts of the supervisor for what a recording does not show.
     """
     learned = EstimatedCurrent()
     metrics = RunMetrics(run_config.vehicle, speed=run_config.scenario.run.speed)
     losses = LossAccounting()
-    rejected = mended = 0
+    rejected = restarted = 0
     for message in Recording(path):
         epoch, sequence = message.plain["epoch"], message.plain["sequence"]
         losses.add(message.key, epoch, sequence)
         rejected += message.kind is RejectedFrame
-        mended += message.key == MENDED and message.plain["kind"] == "fault"
+        restarted += message.key == RESTARTS and message.plain["kind"] == "fault"
         if message.kind in metrics.message_types:
             try:
                 signal, _ = message.typed()
-            except WireError:  # its readers have turned it away too
+            except WireError:  # its readers have rejected it too
                 continue
             metrics.observe(signal, epoch=epoch, sequence=sequence, t_ns=message.t_ns)
             if isinstance(signal, Estimate):
@@ -100,7 +101,7 @@ def summarise_recording(
         messages=Messages(published=losses.published, dropped=max(losses.missing, unrecorded), rejected=rejected),
         restarts=max(
             restarts,
-            mended,
+            restarted,
             sum(starts - 1 for key, starts in losses.epochs().items() if key.startswith(STATUS)),
         ),
     )

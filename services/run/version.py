@@ -1,8 +1,7 @@
-"""Which version of this project runs: one text for `ltv-mpc --version`, a run's files and the doctor.
+"""Version of the running code: one text for `ltv-mpc --version`, a run's files and the doctor.
 
-A wheel knows the version that the git tag gave it when it was built. A checkout that is installed editable was told
-one at the day of its installation, while its code goes on: of that the release alone still holds, and the commit that
-is checked out now stands behind it.
+A wheel has the version of its git tag. An editable checkout has the version of the day of its installation, while its
+code changes: of that version only the release is still valid, and the commit that is checked out now is appended.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ UNKNOWN = "unknown"
 
 
 def version() -> str:
-    """As installed, ``0.2.0``; of a checkout ``0.2.0+g1a2b3c4d5``, with ``.changed`` where files differ from that."""
-    return of(installed(), commit())
+    """Return the version: ``0.2.0``, for a checkout ``0.2.0+g1a2b3c4d5``, and ``.changed`` if its files differ."""
+    return combine(installed(), commit())
 
 
 def installed() -> str:
-    """The version that the distribution was installed as."""
+    """Return the version of the installed distribution."""
     try:
         return metadata.version(DISTRIBUTION)
     except metadata.PackageNotFoundError:
         return UNKNOWN
 
 
-def of(installed: str, commit: str) -> str:
-    """What a distribution's version and the commit that is checked out, if any, come to."""
+def combine(installed: str, commit: str) -> str:
+    """Combine a distribution's version with the commit that is checked out, if there is one."""
     if UNKNOWN in (commit, installed):
         return installed
     release = re.sub(r"(?<=\.dev)\d+", "", installed.partition("+")[0])
@@ -41,7 +40,7 @@ def of(installed: str, commit: str) -> str:
 
 
 def commit() -> str:
-    """The commit that is checked out, ``and changes`` where files differ from it; "unknown" outside a checkout."""
+    """Return the commit, with ``and changes`` if files differ from it; "unknown" outside a checkout."""
     if not (ROOT / ".git").exists():
         return UNKNOWN
     try:

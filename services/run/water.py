@@ -1,4 +1,4 @@
-"""What a run is told of the water before it, and what it has learned at its end."""
+"""Water prior of a run, and the current that a run has estimated, which can be the prior of a later one."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from ltv_mpc.validation import refusal
 
 
 def resolve_prior_path(folder: Path, settings: EstimatorConfig) -> EstimatorConfig:
-    """Settings from a file of ``folder``: the file of the prior that they name is relative to it."""
+    """Return settings from a file of ``folder``, with the path of their water prior taken relative to that folder."""
     name = settings.water_prior
     return msgspec.structs.replace(settings, water_prior=str(folder / name) if name else "")
 
 
 def load_prior(settings: EstimatorConfig) -> WaterPrior | None:
-    """The prior that the settings name, None where they name none. Raises ``ConfigError``."""
+    """Return the water prior that the settings name, or None. Raises ``ConfigError``."""
     return read_prior(settings.water_prior) if settings.water_prior else None
 
 
 class EstimatedCurrent:
-    """What a run has come to know of the current, from its estimates in their order.
+    """Current over all depths, collected from the estimates of a run in their order.
 
-    An estimate's profile may be a window of depths that follows the vehicle: of a depth that it has left counts what
-    was known last. What all depths share is not in an estimate. But the vehicle measures water against itself: its
-    velocity's error is in every cell that it sees, and has been since it lost the satellites. So sd_common is the
-    velocity's standard deviation, of north or east the larger one, and at most the smallest of the cells', of which
-    it is a part.
+    An estimate's profile may be a window of depths that follows the vehicle. For a depth that has left the window the
+    last estimate counts. The error that all depths share is not part of an estimate. But the vehicle measures the
+    water relative to itself, so the error of its velocity is in every cell that it sees, and has been since the last
+    satellite fix. So sd_common is the standard deviation of the velocity, the larger one of north and east. It is at
+    most the smallest standard deviation of a cell, of which it is a part.
     """
 
     def __init__(self) -> None:
@@ -39,7 +39,7 @@ class EstimatedCurrent:
         self._left: dict[float, tuple[float, float, float]] = {}  # depth: north, east, sd
 
     def update(self, estimate: Estimate) -> None:
-        """The next estimate."""
+        """Add the next estimate."""
         before = None if self._last is None else self._last.current
         now = estimate.current
         if before is not None and before.sd_mps is not None:
@@ -51,9 +51,9 @@ class EstimatedCurrent:
         self._last = estimate
 
     def prior(self) -> WaterPrior | None:
-        """As a later run may be told it, all depths with their standard deviations, of unseen ones the assumed one.
+        """Return the current as a prior for a later run; depths not seen keep their assumed standard deviation.
 
-        None where there is nothing to go by: no estimate, a perfect one, one without covariances.
+        None if there is no estimate, a perfect one, or one without covariances.
         """
         last = self._last
         if last is None or last.current is None or refusal(last) is not None:

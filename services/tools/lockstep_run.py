@@ -65,11 +65,11 @@ def _go(
         make_nodes(run_config, unread=recorded),
         start_ns=scenario.start_ns,
         compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-        observe=log,
-        heard=None if recorded else log.heard,
-        stepped=log.stepped if recorded else None,
+        observer=log,
+        observed_types=None if recorded else log.observed_types,
+        on_step=log.stepped if recorded else None,
         latest=LATEST,
-        refused=rejected_message,
+        make_rejection=rejected_message,
     )
     for t_ns in (*range(scenario.start_ns, scenario.end_ns, PROGRESS_NS), scenario.end_ns):
         if stop():
@@ -101,7 +101,7 @@ class _Log:
         self._writer = writer
 
     @property
-    def heard(self) -> frozenset[type[Message]]:
+    def observed_types(self) -> frozenset[type[Message]]:
         """Return the message types whose content is needed when nothing is recorded."""
         return self.metrics.message_types | {Estimate, RejectedFrame}
 

@@ -1,1 +1,1 @@
-"""Faults that happen outside the code under test: in instruments, on the way, in the solver, in the plant's world."""
+"""Fault models outside the code under test: sensors, message transport, solver, and the plant's environment."""

@@ -1,7 +1,7 @@
-"""Instruments that fail as PX4's failure injection has it: off, stuck, garbage, wrong, slow, delayed, intermittent.
+"""Sensor faults with the failure modes of PX4: off, stuck, garbage, wrong, slow, delayed, intermittent.
 
-A failing instrument is a node around the sensors' node: what it does not say is not numbered, what it says wrong is
-numbered and stamped like anything else. The node inside, and all that reads it, know nothing.
+Faulty sensors are a node around the sensors' node. A message that is suppressed gets no sequence number; a wrong one
+is numbered and stamped like any other. Neither the node inside nor the readers know of the fault.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ from sim.faults.readings import Reading, changed, restamped
 
 
 class Failure(enum.StrEnum):
-    """PX4's seven."""
+    """Failure modes of PX4's failure injection."""
 
-    OFF = "off"  # says nothing
-    STUCK = "stuck"  # what it said last, with the stamps of now
-    GARBAGE = "garbage"  # anything
+    OFF = "off"  # no messages
+    STUCK = "stuck"  # the last reading, with current stamps
+    GARBAGE = "garbage"  # random values
     WRONG = "wrong"  # biased
     SLOW = "slow"  # one message of several
-    DELAYED = "delayed"  # arrives late, stamped right
+    DELAYED = "delayed"  # arrives late, with the right stamp
     INTERMITTENT = "intermittent"  # comes and goes
 
 
 class SensorFault(NamedTuple):
-    """One failure of one instrument. ``size`` is, by failure:
+    """One failure of one sensor.
 
-    garbage, wrong: share of the range or bias in ``READINGS``; slow: messages of which one is said; delayed: seconds;
-    intermittent: mean seconds of a silence, and of what lies between two. Off and stuck have none.
+    The unit of ``size`` depends on the failure. Garbage and wrong: multiple of the range or bias in ``READINGS``. Slow:
+    number of messages of which one is published. Delayed: seconds. Intermittent: mean length (s) of a silence, and of
+    the time between two. Off and stuck have no size.
     """
 
     kind: type[Message]
@@ -45,75 +46,78 @@ class SensorFault(NamedTuple):
 
 
 class FaultySensors:
-    """The sensors' node, with instruments that break."""
+    """Node around the sensors' node that applies sensor faults to its messages."""
 
-    def __init__(self, sensors: Node, broken: Sequence[SensorFault]) -> None:
+    def __init__(self, sensors: Node, faults: Sequence[SensorFault]) -> None:
         self._sensors = sensors
-        self._failures = [_Failing(one) for one in broken]
+        self._faulty = [_FaultySensor(fault) for fault in faults]
 
     @property
     def name(self) -> str:
-        """As the node inside: the rest see no difference."""
+        """Name of the node inside, so that other nodes see no difference."""
         return self._sensors.name
 
     @property
     def schedule(self) -> Schedule:
-        """As the node inside."""
+        """Schedule of the node inside."""
         return self._sensors.schedule
 
     @property
     def reads(self) -> tuple[type[Message], ...]:
-        """As the node inside."""
+        """Types that the node inside reads."""
         return self._sensors.reads
 
     @property
     def writes(self) -> tuple[type[Message], ...]:
-        """As the node inside."""
+        """Types that the node inside writes."""
         return self._sensors.writes
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """What the instruments say, and what the broken ones make of it."""
+        """Step the sensors and apply the faults to their messages."""
         outputs = self._sensors.steps(due)
-        for failing in self._failures:
-            outputs = [failing.through(t_ns, signals) for (t_ns, _), signals in zip(due, outputs, strict=True)]
+        for sensor in self._faulty:
+            outputs = [sensor.apply(t_ns, messages) for (t_ns, _), messages in zip(due, outputs, strict=True)]
         return outputs
 
 
-class _Failing:
-    def __init__(self, broken: SensorFault) -> None:
-        self._broken = broken
-        self._rng = np.random.default_rng(broken.seed)
+class _FaultySensor:
+    """One fault and its state."""
+
+    def __init__(self, fault: SensorFault) -> None:
+        self._fault = fault
+        self._rng = np.random.default_rng(fault.seed)
         self._count = 0
         self._last: Message | None = None
         self._late: list[tuple[int, Message]] = []
         self._silent = True
-        self._until_ns = broken.interval.start_ns
+        self._until_ns = fault.interval.start_ns
 
-    def through(self, t_ns: int, signals: Sequence[Message]) -> list[Message]:
-        """Those of its instrument changed, late, or gone; all others as they were."""
+    def apply(self, t_ns: int, messages: Sequence[Message]) -> list[Message]:
+        """Return the messages of one step: those of its sensor changed, delayed or dropped, the others unchanged."""
         here = [signal for due_ns, signal in self._late if due_ns <= t_ns]
         self._late = [(due_ns, signal) for due_ns, signal in self._late if due_ns > t_ns]
-        for signal in signals:
-            if type(signal) is not self._broken.kind:
+        for signal in messages:
+            if type(signal) is not self._fault.kind:
                 here.append(signal)
-            elif self._broken.interval.contains(t_ns):
-                here += self._said(t_ns, signal)
+            elif self._fault.interval.contains(t_ns):
+                here += self._failed(t_ns, signal)
             else:
                 self._last = signal
                 here.append(signal)
         return here
 
-    def _said(self, t_ns: int, signal: Message) -> list[Message]:
-        size, rng = self._broken.size, self._rng
+    def _failed(self, t_ns: int, signal: Message) -> list[Message]:
+        """Return what the failing sensor publishes in place of one message."""
+        size, rng = self._fault.size, self._rng
         self._count += 1
-        match self._broken.failure:
+        match self._fault.failure:
             case Failure.OFF:
                 return []
             case Failure.STUCK:
                 self._last = self._last or signal
                 return [restamped(self._last, signal)]
             case Failure.GARBAGE:
-                return [changed(signal, lambda r, x: size * r.raves * rng.uniform(-1.0, 1.0, x.shape))]
+                return [changed(signal, lambda r, x: size * r.garbage * rng.uniform(-1.0, 1.0, x.shape))]
             case Failure.WRONG:
                 return [changed(signal, self._biased)]
             case Failure.SLOW:
@@ -123,9 +127,9 @@ class _Failing:
                 return []
             case Failure.INTERMITTENT:
                 while t_ns >= self._until_ns:
-                    self._silent = not self._silent if self._until_ns > self._broken.interval.start_ns else True
+                    self._silent = not self._silent if self._until_ns > self._fault.interval.start_ns else True
                     self._until_ns += 1 + round(rng.exponential(size) * 1e9)
                 return [] if self._silent else [signal]
 
     def _biased(self, reading: Reading, value: Any) -> Any:
-        return value + self._broken.size * reading.bias
+        return value + self._fault.size * reading.bias

@@ -1,4 +1,4 @@
-"""When a fault lasts: from its start, included, to its end, excluded. Vehicle time."""
+"""Interval of vehicle time in which a fault is active."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 
 class Interval(NamedTuple):
-    """[start_ns, end_ns)."""
+    """Half-open interval [start_ns, end_ns) of vehicle time."""
 
     start_ns: int
     end_ns: int
 
     def contains(self, t_ns: int) -> bool:
-        """Whether it lasts at ``t_ns``."""
+        """Return True if ``t_ns`` lies in the interval."""
         return self.start_ns <= t_ns < self.end_ns

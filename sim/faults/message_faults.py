@@ -1,6 +1,6 @@
 """Message faults: loss, delay, reordering, duplication, corruption, non-finite values, stale data and wrong stamps.
 
-``MessageFaults`` is a transport between the nodes of a lock step (``sim.scheduler.Between``). A message passes
+``MessageFaults`` is a transport between the nodes of a lock step (``sim.scheduler.Transport``). A message passes
 through the first active fault that concerns its type; all others arrive as published. Harmed messages are counted,
 so that the readers' own counts can be compared with them.
 """
@@ -22,10 +22,10 @@ from sim.scheduler import Delivery
 
 
 class MessageFaultInterval(NamedTuple):
-    """One fault. ``size`` is, by harm:
+    """Message fault, the types that it concerns and the interval in which it is active.
 
-    loss, reorder, duplicate, corruption, not a number: the share of messages that meets it; delay: seconds; clock
-    jump: seconds that stamps are ahead of the time. A stale one has none.
+    The unit of ``size`` depends on the fault. Loss, reorder, duplicate, corruption and not a number: share of the
+    messages that are harmed. Delay: seconds. Clock jump: seconds by which stamps are ahead. Stale has no size.
     """
 
     kinds: tuple[type[Message], ...]
@@ -36,22 +36,22 @@ class MessageFaultInterval(NamedTuple):
 
 
 Encode = Callable[[ReceivedMessage], bytes]
-"""A message as the bytes that travel: what stands in a frame is no affair of this file."""
+"""Function that returns a message's frame; the wire format is defined elsewhere."""
 
 Admit = Callable[[str, Delivery], ReceivedMessage | str]
-"""The door of a reader, by the reader's name."""
+"""Function of reader and delivery that returns the accepted message, or the reason for its rejection."""
 
 AGAIN_NS = 40_000_000
-"""A message that comes twice comes the second time so much later."""
+"""Delay of the second copy of a duplicated message."""
 
-MOST_FLIPPED = 8
-"""Bits of one frame."""
+MAX_FLIPPED_BITS = 8
+"""Largest number of bits that corruption inverts in one frame."""
 
 NOT_NUMBERS = (math.nan, math.inf, -math.inf)
 
 
 class MessageFaults:
-    """All that stands between the nodes of one run."""
+    """Transport of one run that applies message faults."""
 
     def __init__(self, faults: Sequence[MessageFaultInterval], *, encode: Encode, admit: Admit) -> None:
         self._harms: list[_Harm] = []
@@ -62,21 +62,21 @@ class MessageFaults:
             self.add(fault)
 
     def add(self, fault: MessageFaultInterval) -> None:
-        """One more, from now on."""
+        """Add a fault."""
         self._harms.append(_HARMS[fault.harm](fault, self._encode))
         self._kinds.update(fault.kinds)
 
     @property
     def harmed(self) -> list[int]:
-        """Of each fault, in the order given: how many messages it has harmed."""
+        """Number of messages that each fault has harmed, in the order of the faults."""
         return [harm.harmed for harm in self._harms]
 
     def covers(self, kind: type[Message]) -> bool:
-        """Whether any fault concerns messages of this type, now or at another time."""
+        """Return True if any fault concerns messages of this type, active or not."""
         return kind in self._kinds
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002  (a type is a key)
-        """What comes of it on the way to ``reader``: by the first fault that lasts and concerns its type."""
+        """Return the deliveries of a message; the first active fault that concerns its type decides."""
         if type(message.message) in self._kinds:
             for harm in self._harms:
                 if harm.concerns(message):
@@ -84,12 +84,12 @@ class MessageFaults:
         return [Delivery(message.received_t_ns, message)]
 
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
-        """By the reader's door."""
+        """Return the message if the reader accepts it, else the reason for its rejection."""
         return self._admit(reader, delivery)
 
 
 class _Harm:
-    """A harm that meets a share ``size`` of the messages; the others pass."""
+    """Base of the faults: harms a share ``size`` of the messages and passes the others."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         self.harmed = 0
@@ -98,22 +98,22 @@ class _Harm:
         self.rng = np.random.default_rng(fault.seed)
 
     def concerns(self, message: ReceivedMessage) -> bool:
-        """Whether it lasts, and the message is of its types."""
+        """Return True if the fault is active and the message is of its types."""
         return type(message.message) in self.fault.kinds and self.fault.interval.contains(message.received_t_ns)
 
     def deliveries(self, message: ReceivedMessage) -> list[Delivery]:
-        """What comes of a message that it concerns."""
+        """Return the deliveries of a message that the fault concerns."""
         if not self.meets(message):
             return [Delivery(message.received_t_ns, message)]
         self.harmed += 1
         return self.harm(message)
 
-    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (others look at it)
-        """Whether it harms this one."""
+    def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (overrides read it)
+        """Return True if this message is to be harmed."""
         return bool(self.rng.random() < self.fault.size)
 
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        """What comes of a harmed one."""
+        """Return the deliveries of a harmed message."""
         raise NotImplementedError
 
 
@@ -131,7 +131,7 @@ class _Delay(_Harm):
 
 
 class _Reorder(_Harm):
-    """A message waits until the next one of its type has gone before it."""
+    """Fault that holds a message back until the next one of its type has passed."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         super().__init__(fault, encode)
@@ -161,7 +161,7 @@ class _Duplicate(_Harm):
 class _Corruption(_Harm):
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
         payload = bytearray(self.encode(message))
-        for _ in range(int(self.rng.integers(1, MOST_FLIPPED + 1))):
+        for _ in range(int(self.rng.integers(1, MAX_FLIPPED_BITS + 1))):
             bit = int(self.rng.integers(8 * len(payload)))
             payload[bit // 8] ^= 1 << bit % 8
         return [Delivery(message.received_t_ns, message, bytes(payload))]
@@ -182,20 +182,20 @@ class _NotANumber(_Harm):
 
 
 class _Stale(_Harm):
-    """The publisher says again and again what it said last before, stamps and all, as new messages."""
+    """Fault that repeats the first message of its interval, stamps included, under new sequence numbers."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
         super().__init__(fault, encode)
-        self._said: dict[type[Message], Message] = {}
+        self._first: dict[type[Message], Message] = {}
 
     def meets(self, message: ReceivedMessage) -> bool:
         kind = type(message.message)
-        first = kind not in self._said
-        self._said.setdefault(kind, message.message)
+        first = kind not in self._first
+        self._first.setdefault(kind, message.message)
         return not first
 
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
-        return [Delivery(message.received_t_ns, _replaced(message, self._said[type(message.message)]))]
+        return [Delivery(message.received_t_ns, _replaced(message, self._first[type(message.message)]))]
 
 
 class _ClockJump(_Harm):
@@ -210,7 +210,7 @@ class _ClockJump(_Harm):
 
 
 STAMPS = ("t_ns", "from_t_ns", "cycle_t_ns")
-"""What a publisher stamps by its own clock."""
+"""Fields that a publisher stamps by its own clock."""
 
 _HARMS: Mapping[MessageFault, type[_Harm]] = {
     MessageFault.LOSS: _Loss,

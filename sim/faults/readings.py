@@ -1,4 +1,4 @@
-"""What an instrument's message measures, and how far off a broken one is: the only place where that is said."""
+"""Measured fields of each sensor message, with the bias and the range of a faulty sensor."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ltv_mpc.messages import AdcpPing, CompassHeading, GnssFix, ImuSample, Messa
 
 
 class Reading(NamedTuple):
-    """One measured field: a bias that a broken instrument of its kind has, and the range of what it raves (SI)."""
+    """Measured field of a message, in SI units."""
 
     field: str
-    bias: float
-    raves: float
+    bias: float  # of a faulty sensor of this kind
+    garbage: float  # random values lie within +- this
 
 
 READINGS: Mapping[type[Message], tuple[Reading, ...]] = {
@@ -27,13 +27,13 @@ READINGS: Mapping[type[Message], tuple[Reading, ...]] = {
     GnssFix: (Reading("north_m", 20.0, 1000.0), Reading("east_m", 20.0, 1000.0)),
     TdcpFix: (Reading("north_m", 0.5, 50.0), Reading("east_m", 0.5, 50.0)),
 }
-"""Biases of a few to a hundred times what a good instrument of the shipped files has."""
+"""Readings by type. The biases are a few to a hundred times those of a good sensor of the shipped files."""
 
 TIMES = ("t_ns", "from_t_ns", "interval_ns")
 
 
 def changed(signal: Message, change: Callable[[Reading, Any], Any]) -> Message:
-    """The signal with ``change(reading, value)`` in place of each measured value, of the same shape and type."""
+    """Return the message with each measured value replaced by ``change(reading, value)``, of equal shape and type."""
     values: dict[str, Any] = {}
     for reading in READINGS[type(signal)]:
         old = getattr(signal, reading.field)
@@ -43,6 +43,6 @@ def changed(signal: Message, change: Callable[[Reading, Any], Any]) -> Message:
 
 
 def restamped(old: Message, now: Message) -> Message:
-    """What ``old`` measured, at the time of ``now``."""
+    """Return the reading of ``old`` with the stamps of ``now``."""
     times = {name: getattr(now, name) for name in TIMES if name in now.__struct_fields__}
     return msgspec.structs.replace(old, **times)

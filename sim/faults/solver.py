@@ -1,8 +1,8 @@
-"""A solver in trouble: it stands around the controller's own, and for a while gives no answer, or a bad one.
+"""Solver faults: a wrapper around the controller's solver that fails during given intervals.
 
-fails    says so, with commands that are not finite
-lies     says "solved", with commands that are not finite: what some solvers do with NaN
-raises   an exception, which no solver of this project does
+fails    reports a failure, with commands that are not finite
+lies     reports "solved", with commands that are not finite, as some solvers do with NaN
+raises   raises an exception, which no solver of this project does
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sim.faults.interval import Interval
 
 
 class SolverFault(enum.StrEnum):
-    """What a solver does."""
+    """Behaviour of a faulty solver."""
 
     FAILS = "fails"
     LIES = "lies"
@@ -31,49 +31,49 @@ class SolverFault(enum.StrEnum):
 
 
 class SolverFaultInterval(NamedTuple):
-    """One spell of trouble."""
+    """Solver fault and the interval in which it is active."""
 
     fault: SolverFault
     interval: Interval
 
 
 class InjectedSolverError(RuntimeError):
-    """What a solver in trouble raises."""
+    """Exception that a faulty solver raises."""
 
 
 class SolverClock:
-    """The time that a solver in trouble goes by: that of its controller's cycle."""
+    """Vehicle time of the controller's cycle, by which a faulty solver knows whether a fault is active."""
 
     def __init__(self) -> None:
         self.t_ns = 0
 
 
 class FaultySolver:
-    """``solver``, but for the spells in which it is in trouble."""
+    """Wrapper of a solver that fails while a fault is active."""
 
     def __init__(self, solver: Solver, faults: Sequence[SolverFaultInterval], now: SolverClock) -> None:
         self._solver = solver
-        self._troubles = faults
+        self._faults = faults
         self._now = now
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._solver, name)
 
     def solve(self) -> SolverResult:
-        """Its answer, or trouble."""
+        """Return the solver's result, or that of the active fault."""
         answer = self._solver.solve()
-        for fault, interval in self._troubles:
+        for fault, interval in self._faults:
             if not interval.contains(self._now.t_ns):
                 continue
             if fault is SolverFault.RAISES:
-                raise InjectedSolverError("in trouble")
+                raise InjectedSolverError("injected fault")
             status = SolveStatus.SOLVED if fault is SolverFault.LIES else SolveStatus.FAILED
             return SolverResult(np.full_like(answer.commands, math.nan), Solve(status=status, why=f"it {fault}"))
         return answer
 
 
 class TimedNode:
-    """A node that tells ``now`` the time of each of its steps."""
+    """Node that sets a solver clock to the time of each of its steps."""
 
     def __init__(self, node: Node, now: SolverClock) -> None:
         self._node = node
@@ -81,26 +81,26 @@ class TimedNode:
 
     @property
     def name(self) -> str:
-        """As the node inside."""
+        """Name of the node inside."""
         return self._node.name
 
     @property
     def schedule(self) -> Schedule:
-        """As the node inside."""
+        """Schedule of the node inside."""
         return self._node.schedule
 
     @property
     def reads(self) -> tuple[type[Message], ...]:
-        """As the node inside."""
+        """Types that the node inside reads."""
         return self._node.reads
 
     @property
     def writes(self) -> tuple[type[Message], ...]:
-        """As the node inside."""
+        """Types that the node inside writes."""
         return self._node.writes
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """The node's own steps, one at a time."""
+        """Step the node inside, one step at a time."""
         outputs: list[list[Message]] = []
         for one in due:
             self._now.t_ns = one[0]
@@ -110,7 +110,7 @@ class TimedNode:
 
 @contextmanager
 def inject_solver_faults(faults: Sequence[SolverFaultInterval], now: SolverClock) -> Iterator[None]:
-    """Controllers that are made here get solvers in trouble, the ones they make anew while they run too."""
+    """Give every controller built in this context faulty solvers, also those that it builds later in this context."""
     before: Any = controller.make  # type: ignore[attr-defined]  # its name for ``solvers.make``
 
     def make(*arguments: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What happens to the vehicle and who else commands it: nodes that stand beside those of a run."""
+"""Extra nodes of a run: a source of disturbances, and an intruder that also commands the vehicle."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ INTRUDERS_STAGE_NS = 300_000_000
 
 
 class DisturbanceSource:
-    """Says each disturbance when its time has come."""
+    """Node that publishes each disturbance at its time."""
 
     name = "operator"
     schedule = Grid(PERIOD_NS)
@@ -27,28 +27,28 @@ class DisturbanceSource:
     writes: tuple[type[Message], ...] = (Disturbance,)
 
     def __init__(self, disturbances: Sequence[tuple[int, Disturbance]]) -> None:
-        """Pairs of when (vehicle ns) and what."""
+        """Schedule pairs of vehicle time (ns) and disturbance."""
         self._waiting = sorted(disturbances, key=lambda pair: pair[0])
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """The disturbances whose time has come."""
-        return [self._begun(t_ns) for t_ns, _ in due]
+        """Return the disturbances that are due."""
+        return [self._due(t_ns) for t_ns, _ in due]
 
-    def _begun(self, t_ns: int) -> list[Message]:
+    def _due(self, t_ns: int) -> list[Message]:
         due = [disturbance for at_ns, disturbance in self._waiting if at_ns <= t_ns]
         self._waiting = self._waiting[len(due) :]
         return list(due)
 
 
 class Intrusion(NamedTuple):
-    """A second commander's spell: it wants these lateral thrusts."""
+    """Interval in which an intruder commands a thrust."""
 
     interval: Interval
-    thrust_N: Triple
+    thrust_N: Triple  # port, starboard, vertical
 
 
 class Intruder:
-    """A second commander: plans by the rules (finite, in the box, steady), which nobody has asked for."""
+    """Node that publishes unauthorised plans, each of which is valid: finite, within limits and constant."""
 
     name = "intruder"
     schedule = Grid(PERIOD_NS)
@@ -59,7 +59,7 @@ class Intruder:
         self._intrusions = intrusions
 
     def steps(self, due: Sequence[Due]) -> list[list[Message]]:
-        """One plan each period of a spell."""
+        """Return one plan each period of an active intrusion."""
         return [
             [steady_plan(t_ns, one.thrust_N) for one in self._intrusions if one.interval.contains(t_ns)]
             for t_ns, _ in due
@@ -67,7 +67,7 @@ class Intruder:
 
 
 def steady_plan(t_ns: int, thrust_N: Triple) -> Plan:
-    """A steady one from ``t_ns`` on."""
+    """Return a plan of constant thrust from ``t_ns`` on."""
     knots = t_ns + INTRUDERS_STAGE_NS * np.arange(INTRUDERS_STAGES + 1)
     return Plan(
         cycle_t_ns=t_ns,
@@ -81,7 +81,7 @@ def steady_plan(t_ns: int, thrust_N: Triple) -> Plan:
 
 
 def thrust_at(vehicle: Vehicle, share: Sequence[float]) -> Triple:
-    """Thrusts (N) at these shares, -1 to 1, of each thruster's box."""
+    """Return thrusts (N) at these shares, -1 to 1, of each thruster's limit."""
     port, starboard, vertical = (
         s * (t.max_N if s > 0 else -t.min_N) for s, t in zip(share, vehicle.thrusters, strict=True)
     )

@@ -32,7 +32,7 @@ from ltv_mpc.messages import AdcpPing, Array, Triple
 from sim.random_streams import Stream, generator
 from sim.sensors.outlier_masks import Mask, OutlierMasks
 from sim.sensors.vehicle_state import VehicleState
-from sim.water.column import WaterColumn, velocity_at
+from sim.water.column import WaterColumn, WaterSample, velocity_at
 
 
 class Instrument:
@@ -62,15 +62,6 @@ class Transducer(NamedTuple):
     beams: Array  # (4, 3), M e_i, body
 
 
-class Water(NamedTuple):
-    """Current between two stored profiles."""
-
-    depth_m: Array  # (D,)
-    earlier: Array  # (D, 2), north and east (m/s)
-    later: Array
-    share: float  # weight of the later one
-
-
 class Profiler:
     """Current profiler. ``ranges_m`` (K,) are those of the cells' centres; ``bias_mps`` is (4, K)."""
 
@@ -98,8 +89,7 @@ class Profiler:
         transducer = Transducer(
             now.position_m[2], now.velocity_mps, now.rotation, now.angular_rate_radps, self._lever, self._beams
         )
-        water = Water(self._water.depth_m, *self._water.between(now.t_ns))
-        velocity = beam_velocities(transducer, self.ranges_m, water)
+        velocity = beam_velocities(transducer, self.ranges_m, self._water.sample(now.t_ns))
         # Everything is drawn at every ping, so that no setting changes the random numbers of another.
         noise = self._draws.standard_normal(shape)
         silent = self._draws.random(4) < settings.missing_share
@@ -121,7 +111,7 @@ def beams(angle_rad: float) -> Array:
 
 
 @jit
-def beam_velocities(transducer: Transducer, ranges: Array, water: Water) -> Array:
+def beam_velocities(transducer: Transducer, ranges: Array, water: WaterSample) -> Array:
     """Return the error-free b_ij (m/s), (4, K), at slant ranges (K,) (m)."""
     rate, lever, R = transducer.rate_radps, transducer.lever_m, transducer.R
     swing = np.empty(3)  # w x l
@@ -136,6 +126,6 @@ def beam_velocities(transducer: Transducer, ranges: Array, water: Water) -> Arra
     for i in range(len(transducer.beams)):
         d = R @ transducer.beams[i]
         for j in range(len(ranges)):
-            c = velocity_at(depth + ranges[j] * d[2], water.depth_m, water.earlier, water.later, water.share)
+            c = velocity_at(depth + ranges[j] * d[2], water)
             b[i, j] = d[0] * (c[0] - north) + d[1] * (c[1] - east) - d[2] * down
     return b

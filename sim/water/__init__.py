@@ -1,4 +1,4 @@
-"""The true water: seeded and synthetic, or measured; and what happens in it."""
+"""True water of a run: synthetic from a seed or measured, with an optional feature."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ __all__ = ["WaterColumn", "make"]
 
 
 def make(water: Water, seed: int) -> WaterColumn:
-    """The column that ``water`` describes; the same for all who ask with the same seed. Raises ``ConfigError``."""
+    """Return the column that the settings describe, the same for equal seeds. Raises ``ConfigError``."""
     depth, velocity = _profile(water, seed)
     feature = None if water.feature.kind == "none" else Feature(water)
     return WaterColumn(depth, velocity, change_mps_per_rts=water.change_mps_per_rts, seed=seed, feature=feature)
 
 
 def _profile(water: Water, seed: int) -> tuple[Array, Array]:
-    """Depths (K,) and velocities (K, 2) at t = 0, without any feature."""
+    """Return depths (K,) and velocities (K, 2) at t = 0, without the feature."""
     if water.kind == "measured":
         if not water.file:
             raise ConfigError("scenario", "[water] file", 'must name a currents CSV where kind = "measured"')

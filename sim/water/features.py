@@ -1,12 +1,12 @@
-"""What water does that a slow random walk does not: a front, a jump over depth, internal waves. On top of the column.
+"""Water features that are added to a column: a front, a step over depth, or internal waves.
 
 With d = [cos direction, sin direction], north and east, and ramp(x) = x + 1/2 cut to 0 and 1:
 front   c(z, t) += step d ramp((t - at_s) / width_s)                all depths at once
 step    c(z, t) += step d ramp((z - at_m) / 1 m)                    from its depth down, at all times
 waves   c(z, t) += A d cos(pi z / deepest) sin(2 pi t / T)          first mode between surface and ``deepest_m``
-Source  Gill 1982, Atmosphere-Ocean Dynamics, chapter 6: in evenly stratified water the vertical velocity of the first
-        mode goes with sin(pi z / H), the horizontal one with cos; a vehicle that stays within a part of a wavelength
-        sees it as a function of depth and time.
+Source  Gill 1982, Atmosphere-Ocean Dynamics, chapter 6: in water of constant stratification the vertical velocity of
+        the first mode is proportional to sin(pi z / H), the horizontal one to cos(pi z / H). A vehicle that stays
+        within a fraction of a wavelength sees it as a function of depth and time.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from sim.scenario import Water
 from sim.water import markov
 
 STEP_M = 1.0
-"""The thickness of a jump over depth."""
+"""Thickness of the layer over which a step changes the velocity."""
 
 
 class Feature:
-    """The water's [feature]; ``steady``: it does not change in time."""
+    """Feature of the water, from the settings' table [water.feature]."""
 
     def __init__(self, water: Water) -> None:
-        """``water.feature.kind`` is not "none"."""
+        """Take the settings, whose ``feature.kind`` must not be "none"."""
         self._water, feature = water, water.feature
         self._direction = np.array([math.cos(feature.direction_rad), math.sin(feature.direction_rad)])
         self.steady = feature.kind == "step"
 
     def depths(self, own_m: Array) -> Array:
-        """The column's depths and, between and beyond them, those that the feature bends at, shape (K,)."""
+        """Return the column's depths (m) together with those at which the feature's slope changes, shape (K,)."""
         water = self._water
         match water.feature.kind:
             case "step":
@@ -45,7 +45,7 @@ class Feature:
                 return own_m
 
     def velocity(self, depth_m: Array, t_s: float) -> Array:
-        """What it adds at each depth (K,), shape (K, 2)."""
+        """Return the added velocity north and east (m/s) at each depth (K,), shape (K, 2)."""
         feature, deepest = self._water.feature, self._water.deepest_m
         match feature.kind:
             case "front":

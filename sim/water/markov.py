@@ -1,10 +1,11 @@
-"""A bounded first-order Gauss-Markov current over depth (the paper's section IV-A).
+"""Synthetic current: a bounded first-order Gauss-Markov process over depth (section IV-A of the paper).
 
 x_k+1 = a x_k + sqrt(1 - a^2) w,  a = exp(-cell / length),  c_k = sd x_k,  north and east independent
-Bound: w is drawn from the normal distribution cut to the values that keep |x_k+1| <= bound, which is what rejecting
-and redrawing gives, with one draw a cell. Stationary: the cut chain is in detailed balance with
-p(x) ~ phi(x) P(|a x + sqrt(1 - a^2) w| <= bound), and x_0 is drawn from p, so that every depth has the same statistics.
-Its standard deviation is less than its name: 0.982 of it for a bound of 3, 0.856 for one of 2 (length 8 cells).
+Bound: w is drawn from the normal distribution truncated to the values that keep |x_k+1| <= bound. The result is that of
+rejection sampling, with one draw a cell.
+Stationarity: the truncated chain is in detailed balance with p(x) ~ phi(x) P(|a x + sqrt(1 - a^2) w| <= bound), and x_0
+is drawn from p, so every depth has the same statistics.
+The standard deviation is below the nominal sd: 0.982 of it for a bound of 3, 0.856 for a bound of 2 (length 8 cells).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ltv_mpc.messages import Array
 
 
 def depths(deepest_m: float, cell_m: float) -> Array:
-    """Centres 0, cell, 2 cell, ... down to the first at or below ``deepest_m``, shape (K,)."""
+    """Return the cell centres 0, cell, 2 cell, ... down to the first at or below ``deepest_m``, shape (K,)."""
     cells = math.ceil(deepest_m / cell_m - 1e-9)
     return cell_m * np.arange(cells + 1, dtype=np.float64)
 
@@ -32,7 +33,7 @@ def series(
     correlation_length_m: float,
     bound_sd: float,
 ) -> Array:
-    """One axis of the current, shape (cells,)."""
+    """Return one axis of the current (m/s), shape (cells,)."""
     a = math.exp(-cell_m / correlation_length_m)
     s = math.sqrt(-math.expm1(-2.0 * cell_m / correlation_length_m))
     x = np.empty(cells)
@@ -43,14 +44,14 @@ def series(
 
 
 def _cut_normal(draws: np.random.Generator, mean: float, sd: float, bound: float) -> float:
-    """N(mean, sd^2) given that it lies within +-bound: the inverse distribution function of a uniform number."""
+    """Return a draw of N(mean, sd^2) truncated to +-bound, by the inverse distribution function."""
     low, high = float(ndtr((-bound - mean) / sd)), float(ndtr((bound - mean) / sd))
     value = mean + sd * float(ndtri(low + (high - low) * draws.random()))
     return min(max(value, -bound), bound)
 
 
 def _stationary(draws: np.random.Generator, a: float, s: float, bound: float) -> float:
-    """A normal number within the bound, accepted as often as its successor would be."""
+    """Return a draw of the stationary distribution p: rejection sampling from the truncated normal distribution."""
 
     def stays(x: float) -> float:
         return float(ndtr((bound - a * x) / s) - ndtr((-bound - a * x) / s))

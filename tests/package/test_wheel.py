@@ -133,7 +133,7 @@ def test_the_tag_is_the_version_and_a_commit_behind_it_is_in_it(tmp_path: Path) 
     ],
 )
 def test_a_checkout_reports_its_current_commit_not_the_installed_one(installed: str, commit: str, said: str) -> None:
-    assert versions.of(installed, commit) == said
+    assert versions.combine(installed, commit) == said
 
 
 def test_command_run_and_doctor_say_the_same_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -79,10 +79,10 @@ def ears_of(
         nodes,
         start_ns=start_ns,
         compute_delay_ns=delay_ns,
-        observe=ears,
-        stepped=ears.stepped,
-        refused=lockstep_run.rejected_message,
-        between=Through() if singly else None,
+        observer=ears,
+        on_step=ears.stepped,
+        make_rejection=lockstep_run.rejected_message,
+        transport=Through() if singly else None,
     )
     for until_ns in until:
         lockstep.advance(until_ns)
@@ -150,9 +150,9 @@ def test_who_wants_some_types_hears_of_these_and_all_are_counted(delay_s: float)
             make_nodes(run_config),
             start_ns=run_config.scenario.start_ns,
             compute_delay_ns=round(delay_s * 1e9),
-            observe=ears,
-            heard=heard,
-            refused=lockstep_run.rejected_message,
+            observer=ears,
+            observed_types=heard,
+            make_rejection=lockstep_run.rejected_message,
         )
         lockstep.advance(run_config.scenario.end_ns)
         return ears.said, lockstep.published

@@ -13,6 +13,7 @@ from ltv_mpc.vehicle.parameters import Coefficients, Vehicle
 from sim import motion
 from sim.plant import apply_mismatch
 from sim.scenario import Mismatch
+from sim.water.column import WaterSample
 
 PAPER = Vehicle.load("paper").coefficients()
 UNEQUAL = PAPER._replace(mass_surge=350.0, mass_sway=520.0, linear_surge=9.0, linear_sway=21.0, linear_heave=4.0)
@@ -38,10 +39,12 @@ def travel(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States (T, 8), revolutions (T, 3) and thrusts (T, 3) for commands (T, 3), one a step."""
     state, n, F = np.array(s, dtype=float), np.zeros(3), np.zeros(3)
+    vehicle = motion.MotionState(state, n, F)
+    water = WaterSample(DEPTHS, current, current, 0.0)
     body = np.array([*p, *3 * [DIAMETER, N_MAX, lag], RHO, factor])
     states, revs, thrusts = [state.copy()], [n.copy()], [F.copy()]
     for y0, y1 in itertools.pairwise(commands):
-        motion.step(body, state, n, F, y0, y1, held, h, DEPTHS, current, current, 0.0)
+        motion.step(body, vehicle, y0, y1, held, h, water)
         states.append(state.copy())
         revs.append(n.copy())
         thrusts.append(F.copy())

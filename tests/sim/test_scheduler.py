@@ -78,8 +78,8 @@ def run(
         nodes,
         start_ns=start_ns,
         compute_delay_ns=compute_delay_ns,
-        observe=observe,
-        stepped=None if observe is None else observe.stepped,
+        observer=observe,
+        on_step=None if observe is None else observe.stepped,
     ).advance(end_ns)
 
 
@@ -262,7 +262,7 @@ def test_advancing_in_pieces_is_the_same_as_at_once() -> None:
     def lines(pieces_ms: list[int]) -> list[tuple[Any, ...]]:
         log = Log()
         nodes = [plant(), controller(30)]
-        run = LockStep(nodes, start_ns=0, compute_delay_ns=45 * MS, observe=log, stepped=log.stepped)
+        run = LockStep(nodes, start_ns=0, compute_delay_ns=45 * MS, observer=log, on_step=log.stepped)
         for piece_ms in pieces_ms:
             run.advance(piece_ms * MS)
         return log.lines

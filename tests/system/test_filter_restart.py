@@ -73,7 +73,7 @@ def led(request):
     run_config = resolve("descent", [Override("test", [f"run.duration_s={end_s}", "run.seed=3"])])
     nodes = [Led(n, alter, to_s) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
-    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
+    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observer=ears).advance(
         end_s * SECOND
     )
     return run_config, ears

@@ -46,7 +46,7 @@ def run():
     run_config = resolve("descent", [Override("test", settings)])
     nodes = [WithoutFixes(n) if n.name == "sensors" else n for n in make_nodes(run_config)]
     ears = Ears()
-    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(
+    LockStep(nodes, start_ns=run_config.scenario.start_ns, latest=lockstep_run.LATEST, observer=ears).advance(
         END_S * SECOND
     )
     return run_config, ears.heard

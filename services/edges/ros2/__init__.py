@@ -1,1 +1,1 @@
-"""The edge to ROS 2: its messages in and out, over Zenoh, as zenoh-plugin-ros2dds bridges them. An extra: ``ros2``."""
+"""Bridge to ROS 2 over Zenoh, with messages as zenoh-plugin-ros2dds carries them. It needs the extra ``ros2``."""

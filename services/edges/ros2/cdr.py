@@ -1,6 +1,6 @@
-"""ROS 2 messages as bytes: CDR with its 4-byte header, which is the payload that zenoh-plugin-ros2dds passes on.
+"""Encoding of ROS 2 messages: CDR with its 4-byte header, the payload of zenoh-plugin-ros2dds.
 
-The definitions of messages come with ``rosbags`` (pure Python; ROS itself is not needed).
+``rosbags`` has the message definitions. It is pure Python; ROS itself is not needed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 MAX_BYTES = 65_536
-"""An odometry message has some 720 bytes and two names of frames."""
+"""Largest accepted payload. An odometry message has some 720 bytes and two names of frames."""
 
 LITTLE_ENDIAN, BIG_ENDIAN = b"\x00\x01", b"\x00\x00"
 ODOMETRY, FLOAT64 = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64"
@@ -30,11 +30,11 @@ DECODE_ERRORS = (
     MemoryError,
     struct.error,
 )
-"""What rosbags and numpy raise on bytes that are no message of the type; UnicodeDecodeError is a ValueError."""
+"""Exceptions of rosbags and numpy on bytes that are no message of the type; UnicodeDecodeError is a ValueError."""
 
 
 class CdrError(ValueError):
-    """Bytes that are no message of the type that was expected."""
+    """Bytes that are no message of the expected type."""
 
 
 @cache
@@ -43,7 +43,7 @@ def _types() -> Typestore:
 
 
 def odometry(payload: bytes) -> Any:
-    """A ``nav_msgs/msg/Odometry``. Raises ``CdrError``, and nothing else."""
+    """Decode a ``nav_msgs/msg/Odometry``. Raises ``CdrError``, and nothing else."""
     if len(payload) > MAX_BYTES:
         raise CdrError(f"too large: {len(payload)} bytes, at most {MAX_BYTES}")
     if payload[:2] not in (LITTLE_ENDIAN, BIG_ENDIAN):
@@ -55,6 +55,6 @@ def odometry(payload: bytes) -> Any:
 
 
 def float64(value: float) -> bytes:
-    """A ``std_msgs/msg/Float64``, little-endian."""
+    """Encode a ``std_msgs/msg/Float64``, little-endian."""
     types = _types()
     return bytes(types.serialize_cdr(types.types[FLOAT64](data=value), FLOAT64))

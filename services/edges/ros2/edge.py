@@ -1,6 +1,6 @@
-"""Between two key spaces: odometry of ROS 2 becomes our estimate, our plan becomes a force for each thruster.
+"""Conversion between ROS 2 and this bus: odometry to an estimate, and a plan to a force for each thruster.
 
-Pure, but for the caller's clock: ``now_us`` is the host's monotonic clock.
+It reads no clock: the caller passes ``now_us``, the host's monotonic clock.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ WINDOW_US = 30_000_000
 
 
 class StampedClock:
-    """The time in which the odometry is stamped, by its stamps: that of the least delayed message of the last 30 s.
+    """Clock of the odometry's stamps, from the least delayed message of the last 30 s.
 
         time = monotonic + max (stamp - arrival)
 
-    It is behind by that message's delay: a fraction of a millisecond on one host.
+    It is slow by the delay of that message: a fraction of a millisecond on one host.
     """
 
     def __init__(self) -> None:
-        self._best: deque[tuple[int, int]] = deque()  # arrival, stamp - arrival; falling, the largest first
+        self._best: deque[tuple[int, int]] = deque()  # arrival (us), stamp - arrival (ns); decreasing
 
     def update(self, stamp_ns: int, now_us: int) -> None:
-        """A message with this stamp has come."""
+        """Add a message that arrived at ``now_us`` with this stamp."""
         offset_ns = stamp_ns - now_us * 1000
         while self._best and self._best[-1][1] <= offset_ns:
             self._best.pop()
@@ -38,22 +38,22 @@ class StampedClock:
             self._best.popleft()
 
     def read(self, now_us: int) -> int | None:
-        """The time now (ns); None before the first message."""
+        """Return the time (ns) at ``now_us``; None before the first message."""
         return now_us * 1000 + self._best[0][1] if self._best else None
 
 
 class Edge:
-    """``refused`` counts odometry that was turned away, ``taken`` what became an estimate."""
+    """Converter with counts: ``accepted`` odometry became an estimate, ``rejected`` odometry did not."""
 
     def __init__(self) -> None:
         self._clock = StampedClock()
         self._plan: Plan | None = None
         self.accepted = 0
         self.rejected = 0
-        self.reason = ""  # the last one was refused
+        self.reason = ""  # of the last rejection
 
     def odometry(self, payload: bytes, now_us: int) -> Estimate | None:
-        """The estimate of a message, None where it cannot be used."""
+        """Return the estimate of an odometry message, or None if it is rejected."""
         try:
             estimate = estimate_of(cdr.odometry(payload))
         except (cdr.CdrError, OdometryError) as error:
@@ -67,11 +67,11 @@ class Edge:
         return estimate
 
     def follow(self, plan: Plan) -> None:
-        """The plan to play from now on."""
+        """Set the plan to execute."""
         self._plan = plan
 
     def thrust_N(self, now_us: int) -> Array | None:
-        """Port, starboard, vertical (N), of the plan at this instant; zero past its end, None before the first plan."""
+        """Return the plan's thrust (N), port, starboard, vertical: 0 past its end, None without a plan."""
         now_ns = self._clock.read(now_us)
         if self._plan is None or now_ns is None:
             return None

@@ -1,4 +1,4 @@
-"""nav_msgs/Odometry to an ``Estimate``: from ENU and FLU (REP 103) to NED and FRD.
+"""Conversion of nav_msgs/Odometry to an ``Estimate``: from ENU and FLU (REP 103) to NED and FRD.
 
 In    position p and attitude R (body to world, from the quaternion) in ``header.frame_id``, ENU: x east, y north, z up
       velocity v and angular velocity w in ``child_frame_id``, FLU: x forward, y to port, z up
@@ -7,12 +7,12 @@ Out   north = p_y, east = p_x, depth = -p_z            z = 0 of the frame is the
       heading = pi/2 - yaw,   yaw = atan2(R_yx, R_xx)  from north clockwise, instead of from east counter-clockwise
       yaw rate = -(R w)_z                              about the world's vertical
 
-A small error of attitude turns the world's axes, R -> (1 + [d]) R, so that it is in the velocity too:
+A small attitude error d rotates the axes of the world, R -> (1 + [d]) R, so it affects the velocity too:
 
     d(R v) = -[R v] d + R dv,    d(R w)_z = (-[R w] d + R dw)_z
 
-and the covariance of the estimate is J P J^T with P = diag(pose.covariance, twist.covariance), whose axes are those of
-``header.frame_id`` and of ``child_frame_id``. Zeros all over mean that it is not known.
+The covariance of the estimate is J P J^T with P = diag(pose.covariance, twist.covariance), whose axes are those of
+``header.frame_id`` and of ``child_frame_id``. All zeros mean that it is unknown.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from ltv_mpc.frames import wrap_angle
 from ltv_mpc.messages import Array, Estimate
 
 OTHER_CONVENTIONS = ("ned", "frd")
-"""REP 103 names frames that are not ENU or FLU by such a suffix, as in ``odom_ned``."""
+"""Suffixes by which REP 103 marks frames that are not ENU or FLU, as in ``odom_ned``."""
 
 LARGEST = 1e9
 
 UNIT = 1e-3
-"""By how much a quaternion's length may differ from 1."""
+"""Largest deviation of a quaternion's length from 1."""
 
 
 class OdometryError(ValueError):
-    """A message that says nothing that can be used; the text is the reason."""
+    """Odometry that cannot be used; the text is the reason."""
 
 
 def estimate_of(message: Any) -> Estimate:
-    """The estimate that an odometry message holds, at its own stamp. Raises ``OdometryError``."""
+    """Return the estimate of an odometry message, at the message's stamp. Raises ``OdometryError``."""
     for name in (message.header.frame_id, message.child_frame_id):
         if name.lower().rpartition("_")[2] in OTHER_CONVENTIONS:
             raise OdometryError(f"frame {name}: must be ENU, its child FLU (REP 103)")
@@ -62,10 +62,10 @@ def estimate_of(message: Any) -> Estimate:
 
 
 def rotation(quaternion: Any) -> Array:
-    """R of a quaternion (x, y, z, w), body to world, shape (3, 3). Raises ``OdometryError`` where it is no attitude."""
+    """Return R of a quaternion (x, y, z, w), body to world, shape (3, 3). Raises ``OdometryError`` if it is invalid."""
     x, y, z, w = (float(value) for value in (quaternion.x, quaternion.y, quaternion.z, quaternion.w))
     length = math.sqrt(x * x + y * y + z * z + w * w)
-    if not abs(length - 1.0) <= UNIT:  # not so for NaN either
+    if not abs(length - 1.0) <= UNIT:  # also true for NaN
         raise OdometryError(f"orientation: a quaternion of length {length:.3g}, not 1")
     x, y, z, w = x / length, y / length, z / length, w / length
     return np.array(
@@ -86,14 +86,14 @@ def _matrix(name: str, covariance: Any) -> Array:
 
 
 def _bounded(name: str, values: Array) -> Array:
-    """Numbers that can be reckoned with; what a vehicle can have is for the door to say."""
-    if not np.abs(values).max() <= LARGEST:  # not so for NaN either
+    """Return finite values within LARGEST; the bounds of a vehicle are checked by the message validation."""
+    if not np.abs(values).max() <= LARGEST:  # also true for NaN
         raise OdometryError(f"{name}: a value is not a number, or larger than {LARGEST:g}")
     return values
 
 
 def _covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Array) -> Array | None:
-    """(6, 6) over north, east, velocity north, east, heading, yaw rate; None where nothing is known of it.
+    """Return the covariance (6, 6) of north, east, velocity north, east, heading and yaw rate; None if unknown.
 
     ``pose`` and ``twist`` are (6, 6) over x, y, z and the rotations about them; ``velocity`` and ``rate`` ENU.
     """
@@ -113,5 +113,5 @@ def _covariance(R: Array, velocity: Array, rate: Array, pose: Array, twist: Arra
 
 
 def _cross(v: Array) -> Array:
-    """[v], with [v] a = v x a."""
+    """Return [v], with [v] a = v x a."""
     return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -23,7 +23,7 @@ from services.tools.campaign.ranking import ConfidenceInterval, Scores, Standing
 from services.tools.campaign.text import difference, failures, span
 
 NAME = "report.html"
-MOST_POINTS, MOST_LINES = 40, 8
+MAX_POINTS, MAX_LINES = 40, 8
 
 
 def write(folder: Path) -> Path:
@@ -31,7 +31,7 @@ def write(folder: Path) -> Path:
     made, found = reopened(folder)
     campaign, rows = made.campaign, list(found)
     of = scores(rows, campaign.minimise, campaign.varied)
-    best = ranked(of, MOST_POINTS)
+    best = ranked(of, MAX_POINTS)
     failed = [row for row in rows if row["failed"] is not None]
     lines = [
         html.escape(f"{len(rows)} runs at {len(of.values)} points, {campaign.design.kind} design: {campaign.scenario}"),
@@ -60,8 +60,8 @@ def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
     for i, key in enumerate(keys):
         over = campaign.varied[key]
         if campaign.design.kind == "grid" or key in campaign.cross:
-            beside = keys[(i + 1) % len(keys)] if len(keys) > 1 and campaign.design.kind == "grid" else None
-            traces = list(_lines(of, key, beside, campaign))
+            second = keys[(i + 1) % len(keys)] if len(keys) > 1 and campaign.design.kind == "grid" else None
+            traces = list(_lines(of, key, second, campaign))
         else:
             traces = [_points(of, key)]
         x = {"title": {"text": html.escape(key)}, "zeroline": False, "gridcolor": "#e6e8eb", "automargin": True}
@@ -84,17 +84,17 @@ def panels(campaign: Campaign, of: Scores) -> list[dict[str, Any]]:
     return made
 
 
-def _lines(of: Scores, key: str, beside: str | None, campaign: Campaign) -> Iterable[dict[str, Any]]:
-    """Generate one line for each value of the field ``beside``."""
-    of_beside = campaign.varied[beside] if beside is not None else ()
-    values = of_beside[:MOST_LINES] if beside is not None and not isinstance(of_beside, Range) else [None]
+def _lines(of: Scores, key: str, second: str | None, campaign: Campaign) -> Iterable[dict[str, Any]]:
+    """Generate one line for each value of the field ``second``."""
+    second_values = campaign.varied[second] if second is not None else ()
+    values = second_values[:MAX_LINES] if second is not None and not isinstance(second_values, Range) else [None]
     own = campaign.varied[key]
     assert not isinstance(own, Range)  # a grid's
     for number, value in enumerate(values):
-        at = {x: _over(of, {key: x} | ({beside: value} if beside is not None else {})) for x in own}
+        at = {x: _over(of, {key: x} | ({second: value} if second is not None else {})) for x in own}
         there = [(x, found) for x, found in at.items() if found is not None]
         yield {
-            "name": "" if beside is None else f"{html.escape(beside.rpartition('.')[2])} {value}",
+            "name": "" if second is None else f"{html.escape(second.rpartition('.')[2])} {value}",
             "x": [x for x, _ in there],
             "y": [found.mean for _, found in there],
             "error_y": {

@@ -11,7 +11,7 @@ from services.tools.campaign.ranking import ConfidenceInterval, Standing
 from services.tools.campaign.trial import Row
 
 SHOWN = 10
-MOST_FAILURES = 5
+MAX_FAILURES = 5
 
 
 def standings(rows: Sequence[Standing], figure: str) -> Table:
@@ -44,7 +44,7 @@ def failures(rows: Sequence[Row]) -> list[str]:
     """List the most frequent reasons why runs failed, with count and an example point and seed."""
     count: Counter[str] = Counter(row["failed"] for row in rows)
     example = {row["failed"]: f"point {row['point']}, seed {row['seed']}" for row in reversed(rows)}
-    lines = [f"{n} failed: {why} ({example[why]})" for why, n in count.most_common(MOST_FAILURES)]
+    lines = [f"{n} failed: {why} ({example[why]})" for why, n in count.most_common(MAX_FAILURES)]
     left = len(count) - len(lines)
     return [*lines, *([f"and {left} other reasons"] if left > 0 else [])]
 

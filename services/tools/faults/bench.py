@@ -35,7 +35,7 @@ ROUTER_S = 20.0
 STOP_S = 10.0
 
 IN_ORDER = ("plant", "sensors", "estimator", UNDER_TEST, "inject", "recorder", "router", "router-b")
-"""Of the end: the recorder hears the last words of all others."""
+"""Order in which processes are stopped: the recorder receives the last messages of all others."""
 
 
 class Account(NamedTuple):
@@ -43,7 +43,7 @@ class Account(NamedTuple):
 
     codes: dict[str, int | None]
     harmed: list[int]
-    words: str
+    output: str
 
 
 def injection(fault: Fault) -> Injection:

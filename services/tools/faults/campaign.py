@@ -107,7 +107,7 @@ def plan(classes: str, where: str, n: int, *, quick: bool = False) -> FaultCount
 
 
 def run(
-    asked: FaultCounts,
+    counts: FaultCounts,
     store: ResultsStore,
     *,
     seed: int,
@@ -120,13 +120,13 @@ def run(
     """
     names: list[str] = []
     maker = maker or RunMaker()
-    if asked.n_inside:
+    if counts.n_inside:
         names += in_lockstep(
-            asked.inside, asked.n_inside, store, seed=seed, quick=quick, maker=maker, progress=progress
+            counts.inside, counts.n_inside, store, seed=seed, quick=quick, maker=maker, progress=progress
         )
-    if asked.n_outside:
+    if counts.n_outside:
         names += in_processes(
-            asked.outside, asked.n_outside, store, seed=seed, quick=quick, maker=maker, progress=progress
+            counts.outside, counts.n_outside, store, seed=seed, quick=quick, maker=maker, progress=progress
         )
     found = dict(store.results())
     return [one for name in names for one in decode(found[name], list[FaultOutcome])]
@@ -308,7 +308,7 @@ def remove(folder: Path) -> None:
 def under_supervisor(run: Run, folder: Path) -> OfProcesses:
     """Run ``ltv-mpc sim`` and attack its processes."""
     ended = process_runs.supervised(run, folder)
-    uncontrolled = "" if ended.code == 0 else f"exit code {ended.code}: {ended.words}"
+    uncontrolled = "" if ended.code == 0 else f"exit code {ended.code}: {ended.output}"
     return OfProcesses(run, folder, ended.injected, (), uncontrolled)
 
 
@@ -319,5 +319,5 @@ def behind_injector(run: Run, folder: Path) -> OfProcesses:
     account = bench.run(of, run.faults, folder, patience_s=patience_s)
     injected = [process_runs.Injected(fault, 0, round(fault.start_s * 1e9)) for fault in run.faults]
     failed = {name: code for name, code in account.codes.items() if code != 0}
-    uncontrolled = f"exit codes {failed}: {account.words}" if failed else ""
+    uncontrolled = f"exit codes {failed}: {account.output}" if failed else ""
     return OfProcesses(run, folder, injected, account.harmed, uncontrolled)

@@ -14,7 +14,7 @@ import contextlib
 import heapq
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import msgspec
 
@@ -102,7 +102,7 @@ def _bytes(delivery: Delivery) -> bytes:
 
 
 def _nobody(_: str, __: Delivery) -> ReceivedMessage | str:
-    raise AssertionError("the doors are the readers' own")
+    raise AssertionError("each reader validates its own messages")
 
 
 class _Side:
@@ -131,6 +131,29 @@ class _Side:
         publisher.put(payload)
 
 
+class _DelayedFrames:
+    """Frames that a fault delays, in the order of their due times."""
+
+    def __init__(self) -> None:
+        self._frames: list[tuple[int, int, str, bytes]] = []  # heap: due (ns), count, key, frame
+        self._count = 0
+
+    def add(self, due_ns: int, key: str, payload: bytes) -> None:
+        """Hold a frame back until ``due_ns``."""
+        self._count += 1
+        heapq.heappush(self._frames, (due_ns, self._count, key, payload))
+
+    def take(self, now_ns: int) -> Iterator[tuple[str, bytes]]:
+        """Take the frames that are due."""
+        while self._frames and self._frames[0][0] <= now_ns:
+            _, _, key, payload = heapq.heappop(self._frames)
+            yield key, payload
+
+    def next_due(self) -> list[int]:
+        """Return the due time (ns) of the first frame, if there is one."""
+        return [self._frames[0][0]] if self._frames else []
+
+
 class Injector:
     """Bridge between the two routers that applies the faults, until it is stopped."""
 
@@ -143,10 +166,9 @@ class Injector:
         stop.on_request(self._mailbox.wake)
         self._node = node
         self._clock = VehicleClock()
-        self._door = MessageValidator()
-        self._on_the_way: list[tuple[int, int, str, bytes]] = []  # due (ns), count, key, frame
-        self._count = 0
-        self._marks: list[tuple[int, int, str]] = []  # events to come: when, of which fault, what
+        self._validator = MessageValidator()
+        self._delayed = _DelayedFrames()
+        self._events: list[tuple[int, int, str]] = []  # heap: time (ns), number of the fault, "begins" or "ends"
         self._out: Outbox
         self._sides: tuple[_Side, _Side]
         for injection in injections:
@@ -185,10 +207,10 @@ class Injector:
     def _take(self, frame: Frame) -> None:
         assert frame.topic is not None
         if frame.topic.message_type is Injection:
-            self._asked(frame)
+            self._accept(frame)
             return
         if frame.topic.message_type is Clock:
-            with contextlib.suppress(WireError, ClockError):  # its followers say so
+            with contextlib.suppress(WireError, ClockError):  # the processes that follow the clock report it
                 self._clock.follow(decode(Clock, frame.payload)[0])
         now_ns = self._now_ns()
         if now_ns is None:  # nothing happens before there is a time
@@ -202,38 +224,36 @@ class Injector:
             if due_ns <= now_ns:
                 self._send(frame.key, payload)
             else:
-                self._count += 1
-                heapq.heappush(self._on_the_way, (due_ns, self._count, frame.key, payload))
+                self._delayed.add(due_ns, frame.key, payload)
 
-    def _asked(self, frame: Frame) -> None:
+    def _accept(self, frame: Frame) -> None:
         """Accept a fault that is requested on the bus during the run."""
         try:
-            injection, _ = self._door.validate(frame)
+            injection, _ = self._validator.validate(frame)
         except WireError as error:
-            self._say(f"refused: {error}")
+            self._say(f"rejected: {error}")
             return
         assert isinstance(injection, Injection)
         if (found := problem(injection)) is not None:
-            self._say(f"refused: {' '.join(found)}")
+            self._say(f"rejected: {' '.join(found)}")
         else:
             self._add(injection)
 
     def _add(self, injection: Injection) -> None:
         number = len(self._interference.asked)
         self._interference.add(injection)
-        heapq.heappush(self._marks, (injection.start_t_ns, number, "begins"))
-        heapq.heappush(self._marks, (injection.end_t_ns, number, "ends"))
+        heapq.heappush(self._events, (injection.start_t_ns, number, "begins"))
+        heapq.heappush(self._events, (injection.end_t_ns, number, "ends"))
 
     def _tend(self) -> None:
         """Forward delayed frames that are due, and publish the begin and end events of faults."""
         now_ns = self._now_ns()
         if now_ns is None:
             return
-        while self._on_the_way and self._on_the_way[0][0] <= now_ns:
-            _, _, key, payload = heapq.heappop(self._on_the_way)
+        for key, payload in self._delayed.take(now_ns):
             self._send(key, payload)
-        while self._marks and self._marks[0][0] <= now_ns:
-            _, number, what = heapq.heappop(self._marks)
+        while self._events and self._events[0][0] <= now_ns:
+            _, number, what = heapq.heappop(self._events)
             asked, harmed = self._interference.asked[number], self._interference.harmed[number]
             text = f"{asked.fault} of {asked.key} {what}" + (f", {harmed} harmed" if what == "ends" else "")
             self._out.publish(RunEvent(t_ns=now_ns, node=NAME, kind="injected", text=text))
@@ -246,7 +266,7 @@ class Injector:
         return self._clock.read(monotonic_us())
 
     def _wait_s(self) -> float:
-        dues = [heap[0][0] for heap in (self._on_the_way, self._marks) if heap]
+        dues = [*self._delayed.next_due(), *(event[0] for event in self._events[:1])]
         due_us = self._clock.due_us(min(dues)) if dues else None
         return WAIT_S if due_us is None else min(max((due_us - monotonic_us()) / 1e6, 0.0), WAIT_S)
 

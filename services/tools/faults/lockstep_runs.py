@@ -50,8 +50,8 @@ SCENARIO = "hover"
 INTRUDERS_EPOCH = 7
 """Of the second commander's messages: it is another process than the controller."""
 
-LOOK_NS = 500_000_000
-"""Between two looks at what the doors count."""
+POLL_NS = 500_000_000
+"""Time between two readings of the validators' counts."""
 
 SLEW_ROUNDING = 1e-6
 """N/s of the largest slew between two reports, a difference of commands over 10 ms."""
@@ -103,8 +103,8 @@ class Log:
     alarms: list[tuple[int, bool]] = field(
         default_factory=list
     )  # of the model check: time of publication, and whether it is an alarm
-    asked: list[tuple[int, float, float]] = field(default_factory=list)  # of port and starboard by the propellers: t, N
-    heard: list[tuple[int, int]] = field(
+    propeller_thrust: list[tuple[int, float, float]] = field(default_factory=list)  # t, port and starboard (N)
+    received_estimates: list[tuple[int, int]] = field(
         default_factory=list
     )  # estimates that the controller accepted: t received, t valid
 
@@ -117,7 +117,9 @@ class Log:
         if step.node != "controller":
             return
         self.cycles.append(step.at_ns)
-        self.heard += [(a.received_t_ns, a.message.t_ns) for a in step.inbox if isinstance(a.message, Estimate)]
+        self.received_estimates += [
+            (a.received_t_ns, a.message.t_ns) for a in step.inbox if isinstance(a.message, Estimate)
+        ]
 
     def published(self, node: str, message: ReceivedMessage) -> None:
         """Record a message as its writer published it."""
@@ -134,7 +136,7 @@ class Log:
             case Applied() as s:
                 if s.plan_sequence >= 0:
                     self.gate.append(GateSeen(s.t_ns, s.plan_received_t_ns, s.plan_cycle_t_ns, s.health))
-                self.asked.append((s.t_ns, *s.thrust_N[:2]))
+                self.propeller_thrust.append((s.t_ns, *s.thrust_N[:2]))
                 self.applied.append((s.t_ns, self._bad(s), s.plan_epoch, s.plans_rejected, s.plans_late))
             case RejectedFrame() as s:
                 self.rejected.append((message.received_t_ns, node, s.key))
@@ -164,24 +166,24 @@ class ReaderValidators:
     """Message validators, one for each reader as in processes: they decode damaged bytes and check sequence numbers."""
 
     def __init__(self) -> None:
-        self._doors: dict[str, MessageValidator] = {}
-        self.let_in: list[int] = []
+        self._validators: dict[str, MessageValidator] = {}
+        self.accepted: list[int] = []
         """Times (ns) at which a damaged frame was accepted, because its content was valid."""
 
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """Return the accepted message, or the reason why it is rejected."""
         message, kind = delivery.message, type(delivery.message.message)
-        door = self._doors.setdefault(reader, MessageValidator())
+        validator = self._validators.setdefault(reader, MessageValidator())
         key = topics.key_of(kind, reader)
         try:
             if delivery.payload is not None:
-                signal, header = door.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
-                self.let_in.append(delivery.at_ns)
+                signal, header = validator.validate(Frame(topics.BY_TYPE[kind], key, delivery.payload, 0))
+                self.accepted.append(delivery.at_ns)
                 return ReceivedMessage(signal, header.epoch, header.sequence, delivery.at_ns)
             if (reason := refusal(message.message)) is not None:
                 return reason
             shared = topics.BY_TYPE[kind].written_by == topics.OPERATOR or kind is Plan  # as in MessageValidator
-            door.check_order(f"{key}@{message.epoch}" if shared else key, _header(message))
+            validator.check_order(f"{key}@{message.epoch}" if shared else key, _header(message))
         except wire.WireError as error:
             return str(error)
         return message
@@ -189,15 +191,15 @@ class ReaderValidators:
     @property
     def dropped(self) -> int:
         """Return the number of messages that the validators know to be lost."""
-        return sum(door.dropped for door in self._doors.values())
+        return sum(validator.dropped for validator in self._validators.values())
 
 
 class Bus(MessageFaults):
-    """Message transit with the bytes and the validators of the bus; a second commander is another process."""
+    """Message transport with the bytes and the validators of the bus; a second commander is another process."""
 
     def __init__(self, faults: Sequence[MessageFaultInterval]) -> None:
-        self.doors = ReaderValidators()
-        super().__init__(faults, encode=encoded, admit=self.doors.receive)
+        self.validators = ReaderValidators()
+        super().__init__(faults, encode=encoded, admit=self.validators.receive)
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """Deliver a message with the epoch of its writer."""
@@ -220,11 +222,11 @@ class Observed(NamedTuple):
 
     log: Log
     harmed: dict[int, int]  # by the fault's place in the run
-    let_in: list[int] | None  # damaged frames: when; None: nobody looked
-    dropped: list[tuple[int, int]]  # when, and how many losses the doors knew of by then
+    accepted: list[int] | None  # damaged frames: when; None: nobody looked
+    dropped: list[tuple[int, int]]  # time, and number of losses that the validators knew of
     uncontrolled: str
     until_ns: int
-    unheard: int = 0  # plans that were published and lost on the way to the observer
+    lost_plans: int = 0  # plans that were published and lost on the way to the observer
 
 
 def run_config(run: Run) -> RunConfig:
@@ -240,30 +242,30 @@ def observe(run: Run, *, tap: Callable[[Message], None] = lambda _: None) -> Obs
     now = SolverClock()
     harmed = [(i, harm) for i, fault in enumerate(run.faults) if (harm := _harm(fault)) is not None]
     bus = Bus([harm for _, harm in harmed])
-    with inject_solver_faults([t for t in map(_trouble, run.faults) if t is not None], now):
+    with inject_solver_faults([t for t in map(_solver_fault, run.faults) if t is not None], now):
         lockstep = LockStep(
             _nodes(of, run.faults, now),
             start_ns=of.scenario.start_ns,
             compute_delay_ns=_overrun(run.faults),
-            observe=log,
-            stepped=log.stepped,
+            observer=log,
+            on_step=log.stepped,
             latest=lockstep_run.LATEST,
-            refused=lockstep_run.rejected_message,
-            between=bus,
+            make_rejection=lockstep_run.rejected_message,
+            transport=bus,
         )
         uncontrolled, until_ns = "", of.scenario.end_ns
         dropped: list[tuple[int, int]] = []
         try:
-            for t_ns in (*range(of.scenario.start_ns, of.scenario.end_ns, LOOK_NS), of.scenario.end_ns):
+            for t_ns in (*range(of.scenario.start_ns, of.scenario.end_ns, POLL_NS), of.scenario.end_ns):
                 lockstep.advance(t_ns)
-                dropped.append((t_ns, bus.doors.dropped))
+                dropped.append((t_ns, bus.validators.dropped))
         except Exception as error:  # whatever it is: that is what is looked for
             uncontrolled = f"{type(error).__name__}: {error}"
             until_ns = log.truth[-1][0] if log.truth else of.scenario.start_ns
     return Observed(
         log=log,
         harmed=dict(zip((i for i, _ in harmed), bus.harmed, strict=True)),
-        let_in=bus.doors.let_in,
+        accepted=bus.validators.accepted,
         dropped=dropped,
         uncontrolled=uncontrolled,
         until_ns=until_ns,
@@ -309,7 +311,7 @@ def _harm(fault: Fault) -> MessageFaultInterval | None:
     return MessageFaultInterval(MESSAGES[fault.target], MessageFault(harm), _interval(fault), fault.size, fault.seed)
 
 
-def _trouble(fault: Fault) -> SolverFaultInterval | None:
+def _solver_fault(fault: Fault) -> SolverFaultInterval | None:
     return SolverFaultInterval(SolverFault(fault.target), _interval(fault)) if fault.kind == "solver_failure" else None
 
 

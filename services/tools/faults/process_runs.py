@@ -32,26 +32,22 @@ SPEED = 2.0
 START_S = 90.0
 """At most so long a run may take to begin, on a machine that does other things too."""
 
-LOOK_S = 0.02
+POLL_S = 0.02
 END_S = 30.0
 """Of wall time after a run's end, until its processes have ended too."""
 
 
-LAST_LINES, LONGEST_WORDS = 4, 500
-"""Of what a run said."""
+LAST_LINES, MAX_TEXT = 4, 500
+"""Number of the last log lines that are kept, and their largest length (characters)."""
 
 
 class Injected(NamedTuple):
-    """Injected fault: time by the host's monotonic clock and by the run's clock; ``why``: reason if it was not
-    injected.
-
-    Of a full disk ``at_us`` is when there was room again.
-    """
+    """Injected fault of a run of processes."""
 
     fault: Fault
-    at_us: int
-    at_ns: int
-    why: str = ""
+    at_us: int  # host's monotonic clock; for a full disk: when space was free again
+    at_ns: int  # vehicle time
+    why: str = ""  # reason if the fault was not injected
 
 
 class Ended(NamedTuple):
@@ -59,7 +55,7 @@ class Ended(NamedTuple):
 
     folder: Path
     code: int | None  # None: it had to be ended
-    words: str
+    output: str
     injected: list[Injected]
 
 
@@ -73,9 +69,9 @@ class _Time:
     def offer(self, topic: Topic | None, key: str, payload: bytes) -> None:  # noqa: ARG002  (there is one key)
         """Update the clock (called on the bus's thread)."""
         try:
-            said, _ = decode(Clock, payload)
-            self._clock.follow(said)
-            self.state = said.state
+            clock, _ = decode(Clock, payload)
+            self._clock.follow(clock)
+            self.state = clock.state
         except (WireError, ClockError):
             return
 
@@ -101,14 +97,14 @@ def supervised(run: Run, folder: Path) -> Ended:
         process = started.start(arguments(run, folder), log, results=False)
         injected = _attack(run.faults, process, folder)
         code = _end_of(process, run)
-    return Ended(folder, code, _words(log), injected)
+    return Ended(folder, code, _last_output(log), injected)
 
 
-def _words(log: Path) -> str:
+def _last_output(log: Path) -> str:
     """Return the last log lines, without the lines of progress."""
     lines = log.read_text(errors="replace").splitlines()
-    said = [line.strip() for line in lines if line.strip() and not line.startswith(("t ", "report: ", str(log.parent)))]
-    return "; ".join(said[-LAST_LINES:])[-LONGEST_WORDS:]
+    kept = [line.strip() for line in lines if line.strip() and not line.startswith(("t ", "report: ", str(log.parent)))]
+    return "; ".join(kept[-LAST_LINES:])[-MAX_TEXT:]
 
 
 def _end_of(process: Process, run: Run) -> int | None:
@@ -129,7 +125,7 @@ def _attack(faults: Sequence[Fault], process: Process, folder: Path) -> list[Inj
         for fault in faults:
             start_ns, end_ns = round(fault.start_s * 1e9), round(fault.end_s * 1e9)
             while process.poll() is None and (clock.now_ns() or start_ns - 1) < start_ns:
-                time.sleep(LOOK_S)
+                time.sleep(POLL_S)
             if process.poll() is not None:
                 break
             at_us, at_ns, why = monotonic_us(), clock.now_ns() or start_ns, ""
@@ -138,7 +134,7 @@ def _attack(faults: Sequence[Fault], process: Process, folder: Path) -> list[Inj
                 attacks.attack(fault, pid, lasts=lambda end_ns=end_ns: (clock.now_ns() or end_ns) < end_ns)  # type: ignore[misc]
             except (attacks.NotFound, ProcessLookupError) as error:
                 why = str(error)
-            if fault.kind == "disk_full":  # nobody can write before there is room again
+            if fault.kind == "disk_full":  # no process can write before space is free again
                 at_us = monotonic_us()
             injected.append(Injected(fault, at_us, at_ns, why))
     return injected
@@ -155,7 +151,7 @@ def _clock_of(process: Process, folder: Path, sessions: ExitStack) -> _Time | No
             connected = True
         if clock.now_ns() is not None:
             return clock
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
     return None
 
 

@@ -27,7 +27,7 @@ BACK_S = 2.0
 OUTAGE_US = 60_000
 """The plant speaks every 5 ms at twice real time: so long a silence of the recording is one."""
 
-LONGEST_OUTAGE_US = 10_000_000
+MAX_OUTAGE_US = 10_000_000
 
 RECORDER = "recorder"
 
@@ -64,11 +64,11 @@ def judge(of: OfProcesses, vehicle: Vehicle, baseline: Errors | None) -> list[Fa
             of=Observed(
                 log=read.log,
                 harmed={},
-                let_in=None,
+                accepted=None,
                 dropped=_dropped(read, READ_BY.get(fault.target, "")),
                 uncontrolled=of.uncontrolled,
                 until_ns=read.until_ns,
-                unheard=min(harmed, _holes(read, PLAN)) if fault.target == PLAN else 0,
+                lost_plans=min(harmed, _holes(read, PLAN)) if fault.target == PLAN else 0,
             ),
             back=_back(read, one),
         )
@@ -121,7 +121,7 @@ def _again(read: Recorded, one: Injected) -> int | None:
         ends = [b for a, b in pairwise(truth_us) if b - a > OUTAGE_US and b > one.at_us]
         if not truth_us or truth_us[-1] < one.at_us:
             return None
-        return next((b for b in ends if b < one.at_us + LONGEST_OUTAGE_US), one.at_us)
+        return next((b for b in ends if b < one.at_us + MAX_OUTAGE_US), one.at_us)
     before = {sent.epoch for sent in read.sent if sent.key == key and sent.at_us <= one.at_us}
     after = (sent for sent in read.sent if sent.key == key and sent.at_us > one.at_us and sent.epoch not in before)
     return next((sent.at_us for sent in after if Taken(key, sent.epoch, sent.sequence) in read.taken), None)
@@ -129,7 +129,7 @@ def _again(read: Recorded, one: Injected) -> int | None:
 
 def _lost(read: Recorded) -> int:
     """Count the messages that were published and are not in the recording, of processes that report their number."""
-    return sum(max(0, word.published - read.messages[epoch]) for epoch, word in read.last.items())
+    return sum(max(0, status.published - read.messages[epoch]) for epoch, status in read.last.items())
 
 
 def _holes(read: Recorded, key: str) -> int:
@@ -143,15 +143,15 @@ def _holes(read: Recorded, key: str) -> int:
 
 def _counted(read: Recorded, folder: Path) -> int:
     """Return how many lost messages the recorder's last status or the run's summary reports."""
-    said = [word.dropped for word in read.words if word.node == RECORDER][-1:]
+    counts = [status.dropped for status in read.statuses if status.node == RECORDER][-1:]
     try:
         summary = msgspec.json.decode((folder / "summary.json").read_bytes())
-        said.append(int(summary["messages"]["dropped"]))
+        counts.append(int(summary["messages"]["dropped"]))
     except (OSError, ValueError, KeyError, TypeError, msgspec.MsgspecError):
         pass  # a run that did not come to its end has none
-    return max(said, default=0)
+    return max(counts, default=0)
 
 
 def _dropped(read: Recorded, node: str) -> list[tuple[int, int]]:
     """Return the number of messages that a reader counts as lost, over time."""
-    return [(-(10**18), 0), *((word.t_ns, word.dropped) for word in read.words if word.node == node)]
+    return [(-(10**18), 0), *((status.t_ns, status.dropped) for status in read.statuses if status.node == node)]

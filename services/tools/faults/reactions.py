@@ -30,7 +30,7 @@ FUTURE_NS = 50_000_000
 SPACINGS = 9
 """Of which the period of estimates is the median."""
 
-REPLACEMENTS, LEAST_SILENCE_S = 5, 0.5
+REPLACEMENTS, MIN_SILENCE_S = 5, 0.5
 """Half periods without a plan after which the second replacement is missing, and the least that counts."""
 
 APPLIED_NS = 100_000_000
@@ -80,11 +80,11 @@ def uncounted(case: Case) -> int:
     match case.fault.kind:
         case "not_a_number" | "message_duplicate" | "message_reorder":
             return max(0, case.harmed - _refused(case))
-        case "message_corruption" if case.of.let_in is None:
+        case "message_corruption" if case.of.accepted is None:
             return 0  # what decodes to a message that is fit is none that its reader could know
         case "message_corruption":
-            let_in = sum(case.start_ns <= t <= case.end_ns for t in case.of.let_in or ())
-            return max(0, case.harmed - let_in - _refused(case))
+            accepted = sum(case.start_ns <= t <= case.end_ns for t in case.of.accepted or ())
+            return max(0, case.harmed - accepted - _refused(case))
         case "message_loss":
             before = [count for t, count in case.of.dropped if t <= case.start_ns]
             after = [count for t, count in case.of.dropped if t <= case.end_ns + 2 * REPORT_NS]
@@ -110,7 +110,7 @@ def _a_command_each_cycle(case: Case) -> Reaction:
     until_ns = min(case.end_ns + REPORT_NS, case.of.until_ns - 2 * REPORT_NS)  # of the last the plan is under way
     made = {plan.cycle_ns for plan in log.plans if plan.finite}
     without = [t for t in log.cycles if max(case.start_ns, first_ns) <= t <= until_ns and t not in made]
-    missing = len(without) - case.of.unheard
+    missing = len(without) - case.of.lost_plans
     return Reaction(None, f"{missing} cycles without a finite command" if missing > 0 else "")
 
 
@@ -119,7 +119,7 @@ def _health_by_age(case: Case) -> Reaction:
     log = case.of.log
     plans = {plan.cycle_ns: plan for plan in log.plans}
     took: float | None = None
-    heard, stamps = iter([*log.heard, (10**19, 0)]), [-(10**18)]
+    heard, stamps = iter([*log.received_estimates, (10**19, 0)]), [-(10**18)]
     received_ns, stamp_ns = next(heard)
     for cycle_ns in log.cycles:
         while received_ns <= cycle_ns:
@@ -160,7 +160,7 @@ def _plans_keep_up(case: Case) -> Reaction:
             continue
         spacings = sorted(np.diff(cycles[-SPACINGS - 1 :]).tolist())
         period_ns = int(spacings[len(spacings) // 2]) if spacings else CYCLE_NS
-        over_ns = seen.t_ns - seen.received_ns - max(REPLACEMENTS * period_ns // 2, round(LEAST_SILENCE_S * 1e9))
+        over_ns = seen.t_ns - seen.received_ns - max(REPLACEMENTS * period_ns // 2, round(MIN_SILENCE_S * 1e9))
         if over_ns > 0 and seen.health is Health.NOMINAL:
             silent_s = (seen.t_ns - seen.received_ns) * 1e-9
             return Reaction(None, f"the actuators are nominal {silent_s:.2f} s after the last plan they accepted")
@@ -206,7 +206,7 @@ def _another_origin(case: Case) -> Reaction:
         return Reaction(None, "a plan is marked solved although the solver failed")
     after = [plan for plan in plans if plan.cycle_ns >= case.end_ns][1:2]
     if any(plan.origin is not PlanOrigin.SOLVED for plan in after):
-        return Reaction(0.0, "not solved in the second cycle after the trouble")
+        return Reaction(0.0, "not solved in the second cycle after the fault")
     return Reaction(0.0 if during else None)
 
 
@@ -238,7 +238,7 @@ def _alarm_in_time(case: Case) -> Reaction:
     of, lost_Ns, last_ns = case.fault, 0.0, case.start_ns
     shares = (of.size if of.target != "starboard" else 0.0, of.size if of.target != "port" else 0.0)
     due_ns = None
-    for t_ns, port_N, starboard_N in case.of.log.asked:
+    for t_ns, port_N, starboard_N in case.of.log.propeller_thrust:
         if case.start_ns < t_ns <= min(case.end_ns, case.of.until_ns):
             lost_Ns += (t_ns - last_ns) * 1e-9 * (shares[0] * abs(port_N) + shares[1] * abs(starboard_N))
             last_ns = t_ns

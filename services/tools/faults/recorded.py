@@ -42,7 +42,7 @@ class Recorded(NamedTuple):
     log: Log
     taken: frozenset[Taken]  # by plant and controller
     sent: list[Sent]  # estimates, plans and truths
-    words: list[NodeStatus]  # all of them, in order
+    statuses: list[NodeStatus]  # all of them, in order
     last: dict[int, NodeStatus]  # last status by epoch, of nodes that have finished
     messages: Counter[int]  # recorded, by epoch; one that is there twice is one
     unreadable: int  # recorded frames that cannot be decoded: harmed on the way, and rejected by their readers
@@ -53,7 +53,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     """Read a whole recording."""
     log = Log(vehicle)
     sent: list[Sent] = []
-    words: list[NodeStatus] = []
+    statuses: list[NodeStatus] = []
     last: dict[int, NodeStatus] = {}
     messages: Counter[int] = Counter()
     sources: dict[tuple[str, int], SequenceGaps] = {}
@@ -76,7 +76,7 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
             case StepRecord() if signal.node in (CONTROLLER, PLANT):
                 steps.append(signal)
             case NodeStatus():
-                words.append(signal)
+                statuses.append(signal)
                 if signal.finished:
                     last[header.epoch] = signal
             case Estimate() | Plan() | Truth():
@@ -90,10 +90,10 @@ def read(path: Path, vehicle: Vehicle) -> Recorded:
     for step in steps:
         if step.node == CONTROLLER:
             log.cycles.append(step.t_ns)
-            log.heard += [
+            log.received_estimates += [
                 (entry.received_t_ns, stamps[entry.epoch, entry.sequence])
                 for entry in step.inbox
                 if entry.key == ESTIMATE and (entry.epoch, entry.sequence) in stamps
             ]
     taken = frozenset(Taken(entry.key, entry.epoch, entry.sequence) for step in steps for entry in step.inbox)
-    return Recorded(log, taken, sent, words, last, messages, unreadable, until_ns)
+    return Recorded(log, taken, sent, statuses, last, messages, unreadable, until_ns)

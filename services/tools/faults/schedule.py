@@ -26,7 +26,7 @@ SHARES = (
 )
 """Harms whose size is a share of the messages."""
 
-LONGEST_DELAY_S = 60.0
+MAX_DELAY_S = 60.0
 
 WORDS = "HARM,KEY,START_S,END_S[,SIZE[,SEED]]"
 
@@ -71,8 +71,8 @@ def problem(asked: Injection) -> tuple[str, str] | None:
         return "end_s", f"must be > start_s = {asked.start_t_ns / 1e9:g}"
     if asked.fault in SHARES and not 0 < asked.size <= 1:
         return "size", f"must be > 0 and <= 1 (a share of the messages) for {asked.fault}"
-    if asked.fault is MessageFault.DELAY and not 0 < asked.size <= LONGEST_DELAY_S:
-        return "size", f"must be > 0 and <= {LONGEST_DELAY_S:g} (s) for {asked.fault}"
+    if asked.fault is MessageFault.DELAY and not 0 < asked.size <= MAX_DELAY_S:
+        return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {asked.fault}"
     # NaN in an array with gaps is a missing value.
     harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
     if asked.fault is MessageFault.NOT_A_NUMBER and not any(harmable):

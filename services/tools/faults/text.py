@@ -5,7 +5,7 @@ from __future__ import annotations
 from services.tools.faults.fault import RECOVERED
 from services.tools.faults.result import Campaign, Row, problems
 
-MOST_SHOWN = 40
+MAX_SHOWN = 40
 """Faults for which a promise was not kept; all of them are in faults.json."""
 
 HEAD = (
@@ -31,13 +31,13 @@ def table(of: Campaign) -> str:
             f"by the same half minute alone {of.window_over} of {of.window_asked} would be over "
             f"{RECOVERED:g}; by chance {100.0 * of.window_chance:.0f} % are, without any fault"
         )
-    for seen in of.violations[:MOST_SHOWN]:
+    for seen in of.violations[:MAX_SHOWN]:
         fault = seen.fault
         where = f"{fault.kind} {fault.target}, {seen.place}, seed {seen.run_seed}"
         when = f"{fault.start_s:.1f} to {fault.end_s:.1f} s, size {fault.size:.3g}"
         lines.append(f"requirement failed: {where}, {when}: {'; '.join(problems(seen))}")
-    if len(of.violations) > MOST_SHOWN:
-        lines.append(f"requirement failed: {len(of.violations) - MOST_SHOWN} more")
+    if len(of.violations) > MAX_SHOWN:
+        lines.append(f"requirement failed: {len(of.violations) - MAX_SHOWN} more")
     return "\n".join(lines)
 
 

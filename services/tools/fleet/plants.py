@@ -28,6 +28,7 @@ from sim import motion
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
 from sim.plant import level_to_ned
+from sim.water.column import WaterSample
 
 STEP_NS = 10_000_000
 CELLS = 71
@@ -178,19 +179,10 @@ class _Plant:
         if len(times) > 1:
             commands[1:] = self._gate.commands_at(times[1:])
         self._command = tuple(commands[-1].tolist())
-        water = np.array([self._current, self._current])
-        motion.simulate(
-            self._body,
-            self._state,
-            self._revolutions,
-            self._thrust,
-            np.array(times) * 1e-9,
-            commands,
-            DEPTHS,
-            water,
-            water,
-            0.0,
-        )
+        profile = np.array([self._current, self._current])
+        vehicle = motion.MotionState(self._state, self._revolutions, self._thrust)
+        water = WaterSample(DEPTHS, profile, profile, 0.0)
+        motion.simulate(self._body, vehicle, np.array(times) * 1e-9, commands, water)
         self.t_ns = until_ns
 
     def estimate(self, t_ns: int) -> Estimate:

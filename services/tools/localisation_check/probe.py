@@ -268,8 +268,8 @@ class Probe:
             self._nodes,
             start_ns=scenario.start_ns,
             compute_delay_ns=round(scenario.run.compute_delay_s * 1e9),
-            observe=self,
-            heard=self.message_types,
+            observer=self,
+            observed_types=self.message_types,
             latest=lockstep_run.LATEST,
         ).advance(scenario.end_ns)
 

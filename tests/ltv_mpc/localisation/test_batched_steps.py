@@ -42,7 +42,7 @@ def descent(sensors: str) -> RunConfig:
 def heard(run_config: RunConfig) -> list[ReceivedMessage]:
     ears, scenario = MessageLog(), run_config.scenario
     nodes = make_nodes(run_config)
-    LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observe=ears).advance(scenario.end_ns)
+    LockStep(nodes, start_ns=scenario.start_ns, latest=lockstep_run.LATEST, observer=ears).advance(scenario.end_ns)
     return ears.said
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from services.bus.denials import MOST_KINDS, Denials
+from services.bus.denials import MAX_KINDS, Denials
 
 AC = "zenoh::net::routing::interceptor::access_control:"
 HEAD = (
@@ -91,6 +91,6 @@ def test_an_intruder_who_makes_up_keys_fills_no_memory() -> None:
     for i in range(1000):
         denials.read(log(f"{WHO} Put (ingress) on made/up/{i}\x07{'x' * 500}"))
     assert denials.total == 1000
-    assert len(denials.kinds) == MOST_KINDS + 1
-    assert denials.kinds["others"] == 1000 - MOST_KINDS
+    assert len(denials.kinds) == MAX_KINDS + 1
+    assert denials.kinds["others"] == 1000 - MAX_KINDS
     assert all(len(kind) <= 80 and kind.isprintable() for kind in denials.kinds)

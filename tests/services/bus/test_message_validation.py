@@ -10,7 +10,8 @@ import pytest
 
 from ltv_mpc.messages import Manual, PressureDepth
 from services.bus.mailbox import Frame, Mailbox
-from services.bus.message_validation import MOST_KINDS, MOST_SOURCES, MessageValidator, rejection
+from services.bus.message_validation import MAX_REASONS, MessageValidator, rejection
+from services.bus.sequence_check import MAX_SOURCES
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, WireError, crc, encode, unpack
 
@@ -117,18 +118,25 @@ def test_two_frames_of_two_epochs_do_not_make_one_source() -> None:
 def test_what_a_door_remembers_does_not_grow_with_what_strangers_send() -> None:
     """Epochs on one key, operators, reasons: each bounded, and who speaks all the time is not forgotten for them."""
     validator, manual = MessageValidator(), BY_TYPE[Manual]
-    for k in range(MOST_SOURCES + 500):
+
+    def by_operator(epoch: int) -> Frame:
+        return Frame(manual, manual.key, encode(MANUAL, Header(epoch=epoch, sequence=0)), 0)
+
+    for k in range(MAX_SOURCES + 500):
         validator.validate(frame(0, epoch=k))
-        validator.validate(Frame(manual, manual.key, encode(MANUAL, Header(epoch=k, sequence=0)), 0))
+        validator.validate(by_operator(k))
         letters = "".join(chr(ord("a") + int(digit)) for digit in str(k))
         with pytest.raises(WireError, match="unknown field"):
             validator.validate(Frame(TOPIC, TOPIC.key, msgpack.packb({**unpack(frame(0).payload), letters: 0}), 0))
-    assert len(validator._sources) == MOST_SOURCES
-    assert len(validator.rejected_by_reason) == MOST_KINDS + 1
-    assert validator.rejected == MOST_SOURCES + 500
-    assert len(validator._sources[TOPIC.key].former) == MOST_SOURCES
+    assert len(validator.rejected_by_reason) == MAX_REASONS + 1
+    assert validator.rejected == MAX_SOURCES + 500
+    # The operators' last MAX_SOURCES - 1 epochs are remembered, beside the sensor's key, and its own former epochs.
+    with pytest.raises(WireError, match="out of order"):
+        validator.validate(by_operator(501))
+    validator.validate(by_operator(500))
     with pytest.raises(WireError, match="former epoch"):
-        validator.validate(frame(1, epoch=MOST_SOURCES))
+        validator.validate(frame(1, epoch=499))
+    validator.validate(frame(1, epoch=498))
 
 
 def test_keys_are_counted_apart() -> None:

@@ -23,7 +23,8 @@ from sim.evaluation.cramer_rao_bound.model import (
     ErrorModel,
     Instant,
 )
-from sim.sensors.adcp import Transducer, Water, beam_velocities, beams
+from sim.sensors.adcp import Transducer, beam_velocities, beams
+from sim.water.column import WaterSample
 
 PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
@@ -117,7 +118,7 @@ def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
             lever_m=np.array(adcp.lever_arm_m),
             beams=np.ascontiguousarray(beams(adcp.beam_angle_rad) @ M.T),
         )
-        b = beam_velocities(transducer, ranges, Water(depths, column, column, 0.0))
+        b = beam_velocities(transducer, ranges, WaterSample(depths, column, column, 0.0))
         biases = e[BEAM_BIAS][:, None] + e[NEAR_BIAS][:, None] * np.exp(-ranges / adcp.near_bias_length_m)
         return (b + biases).ravel()
 

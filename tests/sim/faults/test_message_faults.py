@@ -149,7 +149,7 @@ class Listener(OneByOne):
 
 def in_lockstep(way: MessageFaults | None) -> Listener:
     listener = Listener()
-    LockStep([Speaker(), listener], start_ns=0, between=way).advance(3 * S)
+    LockStep([Speaker(), listener], start_ns=0, transport=way).advance(3 * S)
     return listener
 
 

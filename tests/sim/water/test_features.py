@@ -70,13 +70,13 @@ def test_the_water_with_a_feature_keeps_the_columns_contract(water, feature):
         ends = [column.over(DEPTHS, (second + k) * S) for k in (0, 1)]
         between = column.over(DEPTHS, second * S + 250_000_000)
         np.testing.assert_allclose(between, 0.75 * ends[0] + 0.25 * ends[1], atol=1e-15)
-        earlier, later, share = column.between(second * S + 250_000_000)
-        assert earlier.shape == later.shape == (len(column.depth_m), 2)
+        water = column.sample(second * S + 250_000_000)
+        assert water.earlier.shape == water.later.shape == (len(column.depth_m), 2)
         for z in (0.3, 23.4, 69.4):
-            assert velocity_at(z, column.depth_m, earlier, later, share) == column.at(z, second * S + 250_000_000)
+            assert velocity_at(z, water) == column.at(z, second * S + 250_000_000)
             slope = np.subtract(column.at(z + 1e-4, second * S), column.at(z - 1e-4, second * S)) / 2e-4
-            earlier_0, later_0, _ = column.between(second * S)
-            np.testing.assert_allclose(gradient_at(z, column.depth_m, earlier_0, later_0, 0.0), slope, atol=1e-9)
+            start = column.sample(second * S)
+            np.testing.assert_allclose(gradient_at(z, start), slope, atol=1e-9)
 
 
 def test_asking_in_any_order_says_the_same():
@@ -88,7 +88,7 @@ def test_asking_in_any_order_says_the_same():
 
 
 def test_water_without_a_feature_is_untouched_by_its_other_keys():
-    assert make(Water(), 3).between(7 * S)[2] == 0.0
+    assert make(Water(), 3).sample(7 * S).weight == 0.0
     np.testing.assert_array_equal(
         make(Water(feature=STEP), 3).over(DEPTHS[:400], 0), make(Water(), 3).over(DEPTHS[:400], 0)
     )

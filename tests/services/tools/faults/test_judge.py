@@ -36,9 +36,9 @@ def log(*, off_m: float = 0.0, sd_m: float = 1.0, off_s: tuple[float, float] = (
         of.truth.append((t, 0.1 + here, 0.0, 0.0, 0.0))
         of.estimate.append((t, 0.1, 0.0, 0.0, 0.0))
         of.squares.append((sd_m**2, 0.0, 0.0, sd_m**2, 1.0, 0.0, 0.0, 1.0))
-        of.heard.append((t + 10 * MS, t))
+        of.received_estimates.append((t + 10 * MS, t))
         of.applied.append((t, False, 1, 0, 0))
-        of.asked.append((t, 20.0, 20.0))
+        of.propeller_thrust.append((t, 20.0, 20.0))
         of.gate.append(GateSeen(t, t - t % CYCLE_NS, t - t % CYCLE_NS, Health.NOMINAL))
     for t in range(0, UNTIL_NS, CYCLE_NS):
         of.cycles.append(t)
@@ -61,7 +61,7 @@ def change_plans(of: Log, from_s: float, to_s: float, **changes) -> Log:
 
 def silence(of: Log) -> Log:
     """No estimate from the fault's start to its end."""
-    of.heard = [(received, t) for received, t in of.heard if not START_S * S <= t < END_S * S]
+    of.received_estimates = [(received, t) for received, t in of.received_estimates if not START_S * S <= t < END_S * S]
     return of
 
 
@@ -231,9 +231,9 @@ def test_a_plan_that_the_fault_kept_from_the_recording_still_counts_as_a_command
     of = log()
     of.plans = [plan for plan in of.plans if plan.cycle_ns not in (33 * S, 36 * S)]
     what = fault("message_loss", "plan")
-    case = Case(what, 30 * S, 40 * S, 2, Observed(of, {}, None, [], "", UNTIL_NS, unheard=2))
+    case = Case(what, 30 * S, 40 * S, 2, Observed(of, {}, None, [], "", UNTIL_NS, lost_plans=2))
     assert reaction(case).late == ""
-    assert "1 cycles" in reaction(case._replace(of=case.of._replace(unheard=1))).late
+    assert "1 cycles" in reaction(case._replace(of=case.of._replace(lost_plans=1))).late
 
 
 def test_an_error_beyond_three_sigma_must_be_said():
