@@ -136,7 +136,7 @@ class Estimator:
     def _integrate(self, due: Sequence[Due], first: int) -> list[list[Message]]:
         """Integrate at once the steps from ``first`` on that hold one sample each, up to the next estimate.
 
-        Returns what each of them publishes; an empty list if there are none, or if they need more than integration.
+        Return the messages of each step; an empty list if there is none, or if a step needs more than integration.
         """
         if self.filter is None or not (self._sequencing.is_idle and self._supervision.is_idle):
             return []

@@ -85,9 +85,8 @@ class Sequencing:
         self._publish = publish
         self._progress = progress
         self._buffer: MeasurementBuffer | None = None
-        self._waiting: list[
-            Measurement
-        ] = []  # for the inertial sample that covers them; by time, then order of arrival
+        # Measurements that wait for the inertial sample that covers them, by time, then order of arrival.
+        self._waiting: list[Measurement] = []
 
     @property
     def filter(self) -> ErrorStateFilter | None:
@@ -201,7 +200,7 @@ class Sequencing:
             stop_ns = min(sample.t_ns, self._schedule.next_ns)
             if self._waiting:
                 stop_ns = min(stop_ns, self._waiting[0].t_ns)
-            if self._schedule.is_open:  # time continues: what is still awaited corrects the next estimate
+            if self._schedule.is_open:  # time continues: a message that is still awaited corrects the next estimate
                 self._publish(filter_)
             buffer.advance(stop_ns, sample)
             if self.shadow is not None:

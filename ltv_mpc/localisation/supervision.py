@@ -66,9 +66,9 @@ class Supervision:
         self._monitor = HealthMonitor(suite, config.gate_probability)
         self._reinitialisation = Reinitialisation(suite, config, prior)
         self._recent: deque[ImuSample | Measurement] = deque(maxlen=_MAX_RECENT)
-        self._replacement: Alignment | None = None  # of the filter that is to replace the diverged one
+        self._replacement: Alignment | None = None  # of the filter that will replace the diverged one
         self._shadow: ShadowFilter | None = None
-        self._returned_ns: int | None = None  # when the shadow filter took over
+        self._shadow_took_over_ns: int | None = None  # time at which the shadow filter took over
         self._warm_started_ns: int | None = None
         self._report_ns = 0  # of the next report
 
@@ -134,7 +134,7 @@ class Supervision:
                 self._recent.popleft()
 
     def check(self) -> None:
-        """Replace the filter if it is not finite, if its replacement is aligned, or if its shadow is right."""
+        """Replace the filter if it is not finite, its replacement is aligned, or its shadow filter is to take over."""
         active = self._active()
         if self._replacement is None and not is_finite(active.belief) and self._reinitialisation.has_good_position:
             self._replacement = self._reinitialisation.begin(active.belief.t_ns, self._recent)
@@ -192,11 +192,11 @@ class Supervision:
     def _published(
         self, filter_: ErrorStateFilter, status: FilterStatus, why: str, walk: float, sensors: tuple[SensorReport, ...]
     ) -> LocalisationReport:
-        """Return the report: a restart goes before the status by the sensors."""
+        """Return the report. A restart takes precedence over the status from the sensors."""
         t_ns = filter_.belief.t_ns
         if self._warm_started_ns is not None and t_ns - self._warm_started_ns < RESTARTED_NS:
             status, why = FilterStatus.RESTARTED, why or "restarted from a checkpoint"
-        elif self._returned_ns is not None and t_ns - self._returned_ns < RESTARTED_NS:
+        elif self._shadow_took_over_ns is not None and t_ns - self._shadow_took_over_ns < RESTARTED_NS:
             status, why = FilterStatus.RESTARTED, why or "the shadow filter has replaced the active filter"
         elif self._reinitialisation.recent(t_ns):
             status, why = FilterStatus.RESTARTED, why or "reinitialised at its last good position"
@@ -230,14 +230,14 @@ class Supervision:
         self._shadow = self._sequencing.shadow = shadow
 
     def _reinitialise(self, old: ErrorStateFilter, alignment: Alignment) -> None:
-        """Replace the filter at the time that it has reached; nothing is published on the way."""
+        """Replace the filter at the time that it has reached, without publishing on the way."""
         self._replacement = None
         shadow = self._shadow
         self._set_shadow(None)  # it has received these messages already
         self._account.update(old.account)
         self._monitor.reset()
         belief, since = alignment.belief()
-        # With the wide prior of unknown water, a first motion of it must not be taken for a front.
+        # The prior of unknown water is wide: its first motion must not be detected as a front.
         adapts_from_ns = None if self._reinitialisation.restore_water(belief) else belief.t_ns + RESTARTED_NS
         new = ErrorStateFilter(self._suite, self._config, belief, adapts_from_ns=adapts_from_ns)
         self._set_filter(new)
@@ -246,10 +246,10 @@ class Supervision:
         self._set_shadow(shadow)
 
     def _compare(self, active: ErrorStateFilter, shadow: ShadowFilter) -> None:
-        """Let the shadow filter take over if it agrees with what it rejected; drop it if it is of no more use."""
+        """Let the shadow filter take over if the sensors agree with it; drop it if it cannot take over any more."""
         t_ns = active.belief.t_ns
-        in_doubt = self._reinitialisation.is_inconsistent or self._reinitialisation.recent(t_ns)
-        if shadow.expired or not is_finite(shadow.filter.belief) or (shadow.agrees and not in_doubt):
+        is_unreliable = self._reinitialisation.is_inconsistent or self._reinitialisation.recent(t_ns)
+        if shadow.expired or not is_finite(shadow.filter.belief) or (shadow.agrees and not is_unreliable):
             self._set_shadow(None)
         elif shadow.agrees and shadow.is_better_than(active):
             self._set_shadow(None)
@@ -260,4 +260,4 @@ class Supervision:
             shadow.filter.process_noise.reset_tests(shadow.filter.belief)
             self._set_filter(shadow.filter)
             self._reinitialisation.restore(shadow.past_beliefs)
-            self._returned_ns = t_ns
+            self._shadow_took_over_ns = t_ns
