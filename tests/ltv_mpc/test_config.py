@@ -1,4 +1,4 @@
-"""Settings files: what is refused says file, field, value and bound in one line, and nothing else escapes."""
+"""Settings files: an error names file, field, value and bound in one line, and no other exception escapes."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def test_a_file_that_is_no_settings_file_is_refused(tmp_path: Path, content: byt
 
 
 def test_a_key_of_thousands_of_parts_is_refused_unread(tmp_path: Path) -> None:
-    """tomllib takes a time that grows with the square of their number: half a minute for a command's 64 kB."""
+    """The time of tomllib grows with the square of their number: half a minute for 64 kB."""
     for text in ("a" + ".a" * 32_000 + " = 1", "[a" + " . 'a'" * 10_000 + "]", '"b".' * 100_000):
         with pytest.raises(RecursionError):
             config.loads(text)

@@ -1,4 +1,4 @@
-"""Currents from CSV files: the published ones as they are, and every way to get one wrong."""
+"""Current profiles from CSV files: published ones, and all kinds of errors."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_a_profile_keeps_its_standard_deviation_and_without_one_has_none(tmp_pat
 
 
 def test_what_makes_no_prior_is_a_profile_all_the_same(tmp_path):
-    """To a profile sd_common_mps is one of the further columns, whatever stands in it."""
+    """A plain profile ignores the column sd_common_mps."""
     profile = read(tmp_path, "depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n0,0.1,-0.2,0.5,?\n")
     np.testing.assert_array_equal(profile.sd_mps, [0.5])
 

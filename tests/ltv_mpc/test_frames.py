@@ -1,4 +1,4 @@
-"""Rotations against scipy's, which were written by others."""
+"""Rotations against scipy, an independent implementation."""
 
 from __future__ import annotations
 

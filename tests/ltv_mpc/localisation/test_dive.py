@@ -1,4 +1,4 @@
-"""The filter of a recorded dive: against a batch solution, against brute force, and on dives made for it."""
+"""Filter of a recorded dive: against a batch solution, against brute force, and on simulated dives."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ S = 1_000_000_000
 
 
 def seen(made: Dive) -> tuple[list[BeamEnsemble], Settings]:
-    """The file's ensembles."""
+    """Return the ensembles of the file."""
     ensembles = reader.parse(made.data, source="test").ensembles
     return [to_beams(e) for e in ensembles], ensembles[0].settings
 
 
 def window(made: Dive, start_s: float, after_s: float = 300.0) -> tuple[int, int]:
-    """First and last ensemble."""
+    """Return the first and the last ensemble."""
     start = int(np.searchsorted(made.t, start_s))
     return start, int(np.searchsorted(made.t, made.t[start] + after_s))
 
 
 def errors(world: World, seed: int, starts_s: tuple[float, ...]) -> list[tuple[float, float, float]]:
-    """Of each start: error (m), e P^-1 e, error of constant velocity (m); the truth is the world's own."""
+    """Return for each start: error (m), e P^-1 e, error of constant velocity (m), against the simulated truth."""
     made = dive(world, seed)
     ensembles, settings = seen(made)
     instrument = Instrument.of(ensembles, settings, PARAMETERS)
@@ -58,7 +58,7 @@ def small_model() -> Model:
 
 
 def change(model: Model, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """F and Q of the model's head, written down anew."""
+    """Return F and Q, written independently from the equations."""
     p, n, cells, depths = PARAMETERS, model.size, model.cells, model.depth_m
     F, Q = np.eye(n), np.zeros((n, n))
     F[0, 2] = F[1, 3] = dt
@@ -87,7 +87,7 @@ def change(model: Model, dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_recursion_is_the_batch_solution_of_the_same_linear_problem() -> None:
-    """All states of all instants as one Gaussian, conditioned once on all measurements."""
+    """Return the states of all instants as one Gaussian, conditioned once on all measurements."""
     model = small_model()
     rng = np.random.default_rng(3)
     x, P = model.prior()
@@ -143,7 +143,7 @@ def some_batch(rng: np.random.Generator, model: Model) -> tuple[np.ndarray, np.n
 
 
 def test_a_row_is_judged_by_what_prior_and_neighbours_say_of_it() -> None:
-    """Brute force: predict each row from the belief after all others."""
+    """Predict each row from the belief after all others, by brute force."""
     model = small_model()
     x, P, batch = some_batch(np.random.default_rng(1), model)
     _, nis = correct(x.copy(), P.copy(), batch, gate=1e9)
@@ -182,7 +182,7 @@ def test_no_row_at_all_changes_nothing() -> None:
 
 
 def calm_ensemble(rng: np.random.Generator, **more: object) -> BeamEnsemble:
-    """One ensemble with directions and depths of its own, nothing measured yet."""
+    """Return an ensemble with directions and depths, without measurements."""
     u = rng.standard_normal((4, 3))
     u /= np.linalg.norm(u, axis=1)[:, None]
     values = {
@@ -200,7 +200,7 @@ def calm_ensemble(rng: np.random.Generator, **more: object) -> BeamEnsemble:
 
 
 def test_a_row_is_the_beam_through_water_that_is_linear_in_depth() -> None:
-    """In a linear profile the triangle does nothing: the cell sees u . (c(z) - v) - u_d w + beta."""
+    """In a linear profile the triangular weights have no effect: z = u . (c(d) - v) - u_d w + beta."""
     rng = np.random.default_rng(4)
     ensemble = calm_ensemble(rng)
     model = Model.of(PARAMETERS, np.linspace(5, 35, 11), ensemble.range_m)
@@ -418,7 +418,7 @@ def test_the_covariance_stays_symmetric_and_definite_and_the_profile_is_the_wate
 
 
 def test_on_synthetic_dives_half_the_errors_are_below_six_metres_and_consistent() -> None:
-    """Sea and instrument err as the parameters' sources say; none of the numbers here has been fitted."""
+    """Sea and instrument have the errors of the parameters' sources; no number here was fitted."""
     found = np.array([row for seed in range(8) for row in errors(World(), seed, (27.0, 60.0, 110.0))])
     error, normalised, held = found.T
     assert np.median(error) <= 6.0
@@ -447,7 +447,7 @@ def test_in_other_seas_three_sigma_holds_and_constant_velocity_is_beaten(world: 
 
 
 def test_a_filter_that_believes_its_near_cells_goes_astray_where_they_err() -> None:
-    """The same dives without bias by range: the states for it are not ornament."""
+    """The same dives without states for the bias by range: these states are needed."""
     believing = replace(PARAMETERS, near_bias_sd_mps=0.0, range_bias_sd_mps=0.0)
     found = {name: [] for name in (PARAMETERS, believing)}
     for seed in range(5):

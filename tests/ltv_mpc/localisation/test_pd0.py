@@ -1,4 +1,4 @@
-"""PD0 files: what a writer wrote comes back in the project's signs; damage costs what it touches and is said."""
+"""PD0 files: round trip through a writer; damage costs only the affected ensembles and is reported."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ def parse(data: bytes) -> reader.Recording:
 
 
 def one(head: Head, ensemble: Written) -> BeamEnsemble:
-    """Through bytes and back."""
+    """Write and read ensembles."""
     return to_beams(parse(written(head, ensemble)).ensembles[0])
 
 
 def still(head: Head, t_s: float = 0.0, **more: object) -> Written:
-    """An ensemble of noise."""
+    """Return an ensemble of noise."""
     return Written(t_s=t_s, beams_mps=0.3 * RNG.standard_normal((head.cells, 4)), **more)
 
 
 def water(velocity_enu: tuple[float, float, float], directions_enu: np.ndarray, cells: int) -> np.ndarray:
-    """What beams along ``directions_enu``, away from the transducer, see of passing water, in the file's sign."""
+    """Return the velocities that beams along ``directions_enu`` measure of moving water, in the file's sign."""
     return np.tile(-directions_enu @ np.array(velocity_enu), (cells, 1))
 
 
@@ -83,7 +83,7 @@ def test_beams_that_look_down_point_where_the_projects_own_do(
 
 @pytest.mark.parametrize("head", [head for head in HEADS if head.coordinates == EARTH], ids=str)
 def test_the_beams_order_is_ahead_astern_starboard_port_whatever_the_head(head: Head) -> None:
-    """And each sees what lies in its direction: water that goes away along it is positive."""
+    """Water that moves away along a beam has a positive velocity."""
     level = still(head, heading_deg=0)
     u = one(head, level).direction
     s = math.sin(math.radians(head.beam_angle_deg))
@@ -115,7 +115,7 @@ def test_by_hand_water_from_astern_and_the_bottom_below_a_vehicle_that_heads_eas
 
 
 def test_earth_coordinates_in_the_file_are_east_north_up_relative_to_the_instrument() -> None:
-    """The bytes themselves, against numbers put there by hand: nothing of the writer's transformations."""
+    """Bytes written by hand, independent of the writer's transformations."""
     head = Head(cells=1, beam_angle_deg=30, coordinates=EARTH)
     data = bytearray(written(head, still(head, heading_deg=0)))
     at = bytes(data).index(struct.pack("<H", 0x0100), 6 + 2 * 5 + 59 + 60)
@@ -240,7 +240,7 @@ def numbers(recording: reader.Recording) -> list[int]:
 
 
 def accounted(recording: reader.Recording, size: int) -> bool:
-    """Every byte is of an ensemble or lost."""
+    """Check that every byte belongs to an ensemble or is lost."""
     return recording.lost_bytes + len(FRAMES[0]) * len(recording.ensembles) == size == recording.size
 
 
@@ -300,7 +300,7 @@ def test_without_one_ensemble_a_file_is_refused_with_the_offset(data: bytes, whe
 
 
 def summed(frame: bytearray) -> bytes:
-    """With its checksum made right again."""
+    """Return a frame with a corrected checksum."""
     struct.pack_into("<H", frame, len(frame) - 2, sum(frame[:-2]) & 0xFFFF)
     return bytes(frame)
 
@@ -368,7 +368,7 @@ def test_frames_with_right_checksums_and_any_content_are_read_or_lost(changes: l
 
 
 def test_marks_and_lengths_without_end_cost_time_in_proportion_to_the_file() -> None:
-    """Each offset starts a header that claims up to 64 kB: summing each anew would take hours."""
+    """Each offset starts a header that claims up to 64 kB: separate sums would take hours."""
     hostile = (b"\x7f\x7f\xf0\xff" + b"\x01" * 12) * 100_000
     for data in (hostile, b"\x7f" * 2_000_000):
         recording = parse(FRAMES[0] + data + FRAMES[1])

@@ -1,4 +1,4 @@
-"""The bound's error model: its growth and each sensor's rows against other routes to the same numbers."""
+"""Error model of the bound: propagation and measurement rows against independent computations."""
 
 import math
 
@@ -30,7 +30,7 @@ PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
 
 def strapdown(p, v, R, gyro_bias, accelerometer_bias, rate, force, W, dt, steps):
-    """Small Euler steps of the navigation equations in NED, from what the unit measured."""
+    """Integrate the navigation equations in NED by small Euler steps from IMU measurements."""
     h = dt / steps
     g = np.array([0.0, 0.0, GRAVITY_MPS2])
     for _ in range(steps):
@@ -96,7 +96,7 @@ def test_the_noise_of_a_step_is_what_many_small_steps_gather():
 
 
 def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
-    """Finite differences of the simulation's own equations; beam and range biases by what the sensors file says."""
+    """Reference: finite differences of the simulation; beam and range biases from the sensor configuration."""
     config = EstimatorConfig(deepest_m=20.0)
     suite = replace(REALISTIC, adcp=replace(REALISTIC.adcp, mounting_rad=(0.02, -0.03, 0.5), range_m=12.0))
     adcp = suite.adcp
@@ -134,7 +134,7 @@ def test_what_a_ping_says_of_each_error_is_the_change_of_the_simulated_beams():
 
 
 def test_what_other_sensors_say_of_each_error_is_the_change_of_what_they_measure():
-    """Finite differences again: antenna and gauge on their levers, heading with its bias, level by accelerometers."""
+    """Reference: finite differences of antenna, gauge, heading with bias, and levelling."""
     lever = (0.7, -0.4, -1.1)
     suite = replace(
         REALISTIC,

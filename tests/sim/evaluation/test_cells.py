@@ -1,4 +1,4 @@
-"""What the filter's cells hold of the true water."""
+"""Projection of the true current onto the depth grid of the filter."""
 
 import numpy as np
 import pytest

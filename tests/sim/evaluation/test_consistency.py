@@ -1,4 +1,4 @@
-"""Consistency against draws of known covariance, and errors against the filter's own way of adding them."""
+"""Consistency with draws of known covariance, and errors against the filter's error convention."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ PAPER, REALISTIC = SensorConfig.load("paper"), SensorConfig.load("realistic")
 
 
 def spread(rng, n):
-    """Some covariance whose states differ by 1e4 in size."""
+    """Return a covariance whose states differ by 1e4 in size."""
     A = rng.standard_normal((n, n + 2)) * 10.0 ** rng.uniform(-4, 0, n)[:, None]
     return A @ A.T
 

@@ -1,4 +1,4 @@
-"""Grading by hand-made messages whose figures can be worked out on paper."""
+"""Metrics of hand-made messages whose values follow by hand calculation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a hypothesis would do to the belief: by the textbook's gain, and as a filter that hears it does."""
+"""Failure signatures against the textbook gain, and against a filter that receives the failure."""
 
 import msgspec
 import numpy as np
@@ -45,7 +45,7 @@ def rows_touching(states, m, seed=1):
 
 @pytest.mark.parametrize(("m", "touched"), [(1, N), (2, N), (4, N), (5, N), (60, N), (120, 60)])
 def test_a_correction_moves_them_by_the_textbooks_gain_and_hears_their_scores(belief, m, touched):
-    """Of 120 rows on 60 states by as many rows that say the same; one row beyond the gate does not count."""
+    """120 rows on 60 states are compressed; one row beyond the gate is left out."""
     rows = rows_touching(touched, m)
     gate = 1e9
     if m > 1:
@@ -77,14 +77,14 @@ def test_one_message_adds_at_most_five_deviations(belief, m):
 
 
 def test_the_antennas_clone_is_wrong_by_what_position_and_attitude_are(belief):
-    """As the covariance has it: with P = E E^T before, so after."""
+    """P = E E^T holds before and after the clone."""
     belief.P = belief.signatures.error @ belief.signatures.error.T
     belief.clone_position((0.3, -0.2, 0.5))
     np.testing.assert_allclose(belief.P, belief.signatures.error @ belief.signatures.error.T, atol=1e-14)
 
 
 def drifting(dive, slope_mps2, from_s, until_s):
-    """The dive's messages in water that all drifts, north and east alike."""
+    """Return the messages of the dive if the current at all depths drifts, north and east."""
     beams = beam_directions(PAPER.adcp.beam_angle_rad)
     out = []
     for message in dive.messages:

@@ -1,4 +1,4 @@
-"""Whether water drifts on, and whether it is water."""
+"""Front or gyro test: detection of a continuing drift and of its cause."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ LEVEL = 2e-4
 
 
 def followed(path, *, turning_radps=0.05, seconds=20.0):
-    """20 s of pings of a vehicle that turns, whose water goes along ``path``, (T,) to (T, 2)."""
+    """Return the test after 20 s of pings of a turning vehicle; ``path`` (T,) to (T, 2) is the sum of corrections."""
     rng = np.random.default_rng(3)
     t = np.arange(0.0, seconds, 1 / 3)
     D = path(t, turning_radps) + 2e-3 * rng.standard_normal((len(t), 2))
@@ -40,7 +40,7 @@ def gyro(t, turning):
 
 
 @pytest.mark.parametrize("turning", [0.0, 0.05, -0.2])
-def test_a_front_goes_on_as_water_and_a_gyro_as_a_tilt(turning):
+def test_a_front_drifts_as_water_and_a_gyro_fault_as_a_tilt(turning):
     water, unit = followed(front, turning_radps=turning), followed(gyro, turning_radps=turning)
     assert water.is_drifting(LEVEL)
     assert not water.is_gyro_fault()
@@ -48,13 +48,13 @@ def test_a_front_goes_on_as_water_and_a_gyro_as_a_tilt(turning):
     assert unit.is_gyro_fault()
 
 
-def test_a_front_that_has_passed_does_not_go_on_and_what_the_level_explains_neither():
+def test_no_drift_after_a_front_or_within_the_level_error():
     assert not followed(lambda t, turning: front(t, turning, ends_s=14.0)).is_drifting(LEVEL)
     assert not followed(front).is_drifting(5 * LEVEL)
     assert not followed(front, seconds=0.9).is_drifting(0.0)
 
 
-def test_a_copy_goes_its_own_way():
+def test_a_copy_is_independent():
     one = followed(front)
     other = one.copy()
     belief = Belief.blank(LAYOUT, round(30e9))

@@ -1,4 +1,4 @@
-"""Drifts that began lately: the best of all hypotheses, and what all of them together make of the belief."""
+"""GLR detector: the most likely hypothesis, and compensation by the mixture of all."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ SD = 0.01
 
 
 def has_started(steps):
-    """A belief after so many steps of the grid, and its onsets: the errors of each at random."""
+    """Return a belief after some steps of the time grid, with random signatures, and its detector."""
     rng = np.random.default_rng(0)
     belief, onsets = Belief.blank(LAYOUT, 0), GlrDetector()
     belief.signatures = FailureSignatures.of(N, COLUMNS)
@@ -34,7 +34,7 @@ def slots(k):
 
 
 def hypothesis(began, ended=None):
-    """Which columns' sum it is, (K, 2)."""
+    """Return the selection matrix (K, 2) of a hypothesis."""
     D = np.zeros((COLUMNS, 2))
     D[slots(began), [0, 1]] = 1.0
     if ended is not None:
@@ -42,7 +42,7 @@ def hypothesis(began, ended=None):
     return D
 
 
-def test_all_water_drifts_from_when_it_began_and_the_oldest_instant_gives_its_place():
+def test_signatures_grow_from_their_start_and_the_oldest_is_replaced():
     belief, onsets = Belief.blank(LAYOUT, 0), GlrDetector()
     belief.signatures = FailureSignatures.of(N, COLUMNS)
     for k in range(STEPS + 3):
@@ -64,7 +64,7 @@ def test_all_water_drifts_from_when_it_began_and_the_oldest_instant_gives_its_pl
 
 @pytest.mark.parametrize(("truth", "old"), [((2, 5), True), ((4, None), True), ((9, None), False), ((8, 10), False)])
 def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
-    """By a sum over all hypotheses, each by the textbook. Twelve instants; the filter goes back by three of them."""
+    """Reference: sum over all hypotheses with textbook formulas. Twelve instants, three within the filter's buffer."""
     belief, onsets = has_started(12)
     J, E = belief.signatures.information, belief.signatures.error
     belief.signatures.score[:] = J @ hypothesis(*truth) @ np.array([0.012, -0.02])
@@ -98,7 +98,7 @@ def test_estimate_and_covariance_become_those_of_the_mixture_of_all(truth, old):
     assert onsets.detect(belief, best + 1.0, REACH_NS) is None
 
 
-def test_nothing_is_found_in_what_is_forgotten_or_where_nothing_is_asked():
+def test_nothing_is_detected_after_a_reset_or_without_hypotheses():
     belief, onsets = has_started(12)
     belief.signatures.score[:] = belief.signatures.information @ hypothesis(3) @ np.full(2, 0.05)
     copy = onsets.copy()

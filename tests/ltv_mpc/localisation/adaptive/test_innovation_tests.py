@@ -1,4 +1,4 @@
-"""Sums of innovations against chi-square, and against what a single bad message can do to them."""
+"""Test of the innovation mean: chi-square distribution, and influence of a single bad message."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ V = np.array([[2e-4, 5e-5], [5e-5, 1e-4]])
 
 
 def heard(rng, messages=60, mean=(0.0, 0.0), V_of=lambda _: V):
-    """One InnovationMeanTest that has heard contrasts of that mean, three a second."""
+    """Return a test after contrasts with this mean, three a second."""
     sums = InnovationMeanTest(TAU_S, 2)
     for k in range(messages):
         d = np.array(mean) + np.linalg.cholesky(V_of(k)) @ rng.standard_normal(2)
@@ -21,7 +21,7 @@ def heard(rng, messages=60, mean=(0.0, 0.0), V_of=lambda _: V):
 
 
 def test_white_innovations_have_their_chi_square_at_every_time_constant():
-    """Also where their variance changes on the way."""
+    """The variance may change over time."""
     rng = np.random.default_rng(0)
     draws = np.array([heard(rng, V_of=lambda k: V * (1 + k % 7)).chi_square() for _ in range(600)])
     for one in draws.T:
@@ -29,14 +29,14 @@ def test_white_innovations_have_their_chi_square_at_every_time_constant():
 
 
 def test_a_small_mean_of_a_hundred_rows_is_detected_within_seconds_and_none_is_not():
-    """A mean of as much as one message's deviation: after 9 messages 9 times it in a sum of 3 times it."""
+    """Mean of one standard deviation per message: after 9 messages the sum is 9, its standard deviation 3."""
     rng = np.random.default_rng(1)
     for _ in range(20):
         assert (heard(rng, mean=np.sqrt(np.diagonal(V)) * 1.5, messages=30).chi_square() > threshold(2)).any()
         assert (heard(rng).chi_square() < threshold(2)).all()
 
 
-def test_one_message_however_wrong_does_not_pass_the_limit_and_two_do():
+def test_one_wrong_message_does_not_exceed_the_threshold_and_two_do():
     sums = InnovationMeanTest(TAU_S, 2)
     sums.add(0, np.array([1e3, -1e3]), V)
     assert sums.chi_square() == pytest.approx([MAX_SD**2] * 3)
@@ -45,12 +45,12 @@ def test_one_message_however_wrong_does_not_pass_the_limit_and_two_do():
     assert (sums.chi_square() > threshold(2)).all()
 
 
-def test_the_limit_is_passed_by_chance_as_rarely_as_it_says():
+def test_the_threshold_has_its_false_alarm_probability():
     assert chi2.sf(threshold(2), 2) == pytest.approx(FALSE_ALARM)
     assert chi2.sf(threshold(1), 1) == pytest.approx(FALSE_ALARM)
 
 
-def test_a_copy_goes_its_own_way():
+def test_a_copy_is_independent():
     sums = heard(np.random.default_rng(2))
     before, copy = sums.chi_square(), sums.copy()
     copy.add(21 * SECOND, np.array([0.05, 0.0]), V)
@@ -62,7 +62,7 @@ def test_before_the_first_message_there_is_nothing():
     np.testing.assert_array_equal(InnovationMeanTest(TAU_S, 2).chi_square(), np.zeros(3))
 
 
-def test_what_is_no_number_is_none_and_raises_nothing() -> None:
+def test_nan_gives_nan_and_raises_nothing() -> None:
     for size in (1, 2):
         sums = InnovationMeanTest(TAU_S, size)
         sums.add(0, np.full(size, np.nan), np.eye(size))

@@ -1,4 +1,4 @@
-"""Water that does what its prior does not foresee: seen, granted from before it was seen, and only then."""
+"""Adaptive process noise: inflation when the current departs from its prior, and only then."""
 
 import math
 from typing import NamedTuple
@@ -27,7 +27,7 @@ CELLS = 20
 
 
 def ramp(size_mps, from_s, duration_s):
-    """All water comes to move by so much more, to the north-east, at all depths."""
+    """Return a current that increases to the north-east at all depths."""
     return lambda t_s, depth_m: size_mps * np.clip((t_s - from_s) / duration_s, 0.0, 1.0) * np.sqrt(0.5) + 0.0 * depth_m
 
 
@@ -35,7 +35,7 @@ front = ramp(0.14, 20.0, 10.0)
 
 
 def waves(t_s, depth_m):
-    """First mode of a column of 40 m: 5 cm/s in 200 s."""
+    """Return the first mode of a column of 40 m: 5 cm/s, period 200 s."""
     return 0.05 * np.sin(2 * np.pi * t_s / 200.0) * np.cos(np.pi * depth_m / 40.0)
 
 
@@ -80,7 +80,7 @@ class Granted(NamedTuple):
 
 @pytest.fixture
 def granted(monkeypatch):
-    """What has been granted while a filter ran."""
+    """Record the inflations of a filter."""
     log = []
     grant, restore = AdaptiveProcessNoise.inflate, ErrorStateFilter.restore
     back_ns = []
@@ -99,7 +99,7 @@ def granted(monkeypatch):
 
 
 def off_by(filter_, dive):
-    """Squared error of the horizontal velocity over what the filter says of it: chi-square of 2 degrees."""
+    """Return the NEES of the horizontal velocity: chi-square with 2 degrees of freedom."""
     e = filter_.belief.x[3:5] - dive.velocity[-1, :2]
     return e @ np.linalg.solve(filter_.belief.P[3:5, 3:5], e)
 
@@ -108,7 +108,7 @@ def same(one, other):
     return np.array_equal(one.belief.x, other.belief.x) and np.array_equal(one.belief.P, other.belief.P)
 
 
-def test_water_as_foretold_is_filtered_to_the_bit_as_without(dives, run, granted):
+def test_water_that_follows_its_prior_gives_bitwise_the_same_estimate(dives, run, granted):
     for dive in dives:
         assert same(run(dive.messages), run(dive.messages, BLIND))
     assert granted == []
@@ -129,7 +129,7 @@ def test_a_front_is_detected_within_seconds_and_velocity_is_then_consistent(dive
 
 @pytest.fixture
 def made_up(monkeypatch):
-    """When something was, while a filter ran (s)."""
+    """Record the times of compensations (s)."""
     log, compensate = [], OnsetDetection.compensate
     monkeypatch.setattr(
         OnsetDetection, "compensate", lambda found, belief: (log.append(belief.t_ns * 1e-9), compensate(found, belief))
@@ -137,8 +137,8 @@ def made_up(monkeypatch):
     return log
 
 
-def test_a_front_that_takes_long_is_granted_for_as_long_as_the_water_drifts(make_dive, run, granted):
-    """0.24 m/s in 16 s: seen in its first seconds, and granted beyond the ten of a short one."""
+def test_inflation_lasts_as_long_as_the_current_drifts(make_dive, run, granted):
+    """0.24 m/s in 16 s: detected in its first seconds, and inflated for longer than the 10 s of a short front."""
     dive = make_dive(PAPER, 40, duration_s=END_S)
     messages = with_water(dive, ramp(0.24, 20.0, 16.0))
     filter_ = run(messages)
@@ -151,8 +151,8 @@ def test_a_front_that_takes_long_is_granted_for_as_long_as_the_water_drifts(make
 
 
 @pytest.mark.parametrize(("size", "duration_s", "seeds"), [(0.08, 12.0, (41, 42)), (0.2, 25.0, (40, 43))])
-def test_a_front_that_no_mean_shows_is_made_up_for(make_dive, run, granted, made_up, size, duration_s, seeds):
-    """It began longer ago than the filter goes back. 99 % of chi-square of twice 2 degrees is 13.3."""
+def test_a_front_that_no_mean_shows_is_compensated(make_dive, run, granted, made_up, size, duration_s, seeds):
+    """It started before the filter's buffer. The 99 % quantile of chi-square with 4 degrees of freedom is 13.3."""
     off = 0.0
     for seed in seeds:
         made_up.clear()
@@ -165,7 +165,7 @@ def test_a_front_that_no_mean_shows_is_made_up_for(make_dive, run, granted, made
     assert off < 13.3
 
 
-def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives, run, granted):
+def test_waves_are_detected_and_the_currents_are_then_consistent(dives, run, granted):
     dive = dives[0]
     messages = with_water(dive, waves)
     square = {}
@@ -182,7 +182,7 @@ def test_waves_are_seen_and_the_cells_then_are_as_good_as_the_filter_says(dives,
 
 
 def test_a_gyro_that_fails_is_not_taken_for_a_front_again_and_again(dives, run, granted):
-    """30 deg/h, thirty times what it is said to have: the filter learns it, and is as good as it says."""
+    """30 deg/h, thirty times the specified bias: the filter learns it and stays consistent."""
     dive, fault = dives[0], math.radians(30.0) / 3600.0
     messages = []
     for message in dive.messages:
@@ -197,8 +197,8 @@ def test_a_gyro_that_fails_is_not_taken_for_a_front_again_and_again(dives, run, 
     assert abs(filter_.belief.x[GYRO_BIAS.start] - fault) < 3 * sd < 3 * fault
 
 
-def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_then(dives, run, granted):
-    """Against a filter that is granted it at that instant, and never goes back."""
+def test_inflation_applies_from_ten_seconds_before_its_detection(dives, run, granted):
+    """Reference: a filter that is inflated at that instant and never goes back."""
     dive = dives[0]
     messages = with_water(dive, front)
     adapted = run([m for m in messages if m.t_ns <= 26 * SECOND])
@@ -212,7 +212,7 @@ def test_what_is_granted_holds_from_ten_seconds_back_as_if_it_had_been_known_the
     assert same(adapted, run([m for m in messages if from_ns < m.t_ns <= 26 * SECOND], estimator=told))
 
 
-def test_a_second_grant_that_goes_back_beyond_the_first_keeps_it(dives, run, monkeypatch):
+def test_a_second_inflation_that_goes_back_beyond_the_first_keeps_it(dives, run, monkeypatch):
     calls = {60: NoiseLevel.SLOW, 61: NoiseLevel.FAST}
     monkeypatch.setattr(
         AdaptiveProcessNoise, "required_level", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, NoiseLevel.NONE)
@@ -222,7 +222,7 @@ def test_a_second_grant_that_goes_back_beyond_the_first_keeps_it(dives, run, mon
     assert water.level(35 * SECOND) is NoiseLevel.SLOW
 
 
-def test_after_a_while_nothing_is_granted_any_more_and_longer_the_next_time():
+def test_inflation_ends_and_lasts_longer_the_next_time():
     water = AdaptiveProcessNoise(1.0, 0)
     assert water.inflation_end_ns(NoiseLevel.FAST, 50 * SECOND) == 60 * SECOND
     water.inflate(NoiseLevel.FAST, 60 * SECOND, 50 * SECOND)
@@ -239,7 +239,7 @@ S = 1e-4 * np.eye(40)
 
 
 def hear(water, rng, pings, r, first=0):
-    """Pings of white noise about ``r``; what the last one calls for."""
+    """Return the level that the last ping requires, after pings of white noise about ``r``."""
     for k in range(first, first + pings):
         water.add_innovations(k * SECOND // 3, U, CELL, r + 0.01 * rng.standard_normal(40), S)
     return water.required_level((first + pings - 1) * SECOND // 3)
@@ -257,22 +257,22 @@ def hear(water, rng, pings, r, first=0):
     ],
     ids=["noise", "velocity", "a velocity of one ping's deviation", "shear", "upward", "velocity and upward"],
 )
-def test_a_velocity_calls_for_much_a_shear_for_little_and_what_moves_up_for_nothing(r, change, beyond):
-    """Water does not move up and down: that is the unit or the profiler, and is said."""
+def test_a_velocity_needs_fast_a_shear_slow_and_a_vertical_current_nothing(r, change, beyond):
+    """A vertical current is caused by the IMU or the ADCP and is reported as inconsistent."""
     water = AdaptiveProcessNoise(1.0, 0)
     assert hear(water, np.random.default_rng(3), 40, r) is change
     assert water.is_inconsistent(13 * SECOND) is beyond
 
 
-def test_outliers_on_every_tenth_row_call_for_nothing():
-    """All of one sign along two beams that look opposite ways: as a velocity they would be 15 cm/s."""
+def test_outliers_on_every_tenth_row_inflate_nothing():
+    """Outliers have one sign along two opposite beams: as a velocity they would be 15 cm/s."""
     water = AdaptiveProcessNoise(1.0, 0)
     r = np.where((CELL == 3) & (np.arange(40) < 20), np.sign(U[:, 0]) * 0.5, 0.0)
     assert hear(water, np.random.default_rng(8), 12, r) is NoiseLevel.NONE
 
 
 @pytest.mark.parametrize("change", [NoiseLevel.FAST, NoiseLevel.FAST_AND_IMU])
-def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_water(change):
+def test_a_level_in_force_is_not_repeated_and_more_is_inconsistent(change):
     water = AdaptiveProcessNoise(1.0, 0)
     rng, r = np.random.default_rng(4), U @ [0.02, -0.01, 0.0]
     assert hear(water, rng, 40, r) is NoiseLevel.FAST
@@ -283,7 +283,7 @@ def test_what_is_granted_already_is_not_granted_again_and_more_than_that_is_no_w
     assert not water.is_inconsistent(16 * SECOND)
 
 
-def test_a_change_soon_after_a_front_may_be_the_inertial_unit_and_later_a_front():
+def test_a_change_soon_after_a_front_may_be_the_imu_and_later_a_front():
     for again_s, change in ((15, NoiseLevel.FAST_AND_IMU), (19.5, NoiseLevel.FAST_AND_IMU), (21, NoiseLevel.FAST)):
         water = AdaptiveProcessNoise(1.0, 0)
         water.inflate(NoiseLevel.FAST, 10 * SECOND, 0)
@@ -292,14 +292,14 @@ def test_a_change_soon_after_a_front_may_be_the_inertial_unit_and_later_a_front(
         assert hear(water, np.random.default_rng(12), 2, r, first=first) is change
 
 
-def test_what_shows_over_ten_seconds_alone_may_be_the_unit():
-    """Of 30 pings, 0.3 of one's deviation each; of 9 in 3 s it is not seen."""
+def test_what_is_significant_over_ten_seconds_alone_may_be_the_imu():
+    """0.3 standard deviations per ping are significant after 30 pings, not after 9 within 3 s."""
     water = AdaptiveProcessNoise(1.0, 0)
     calls = [hear(water, np.random.default_rng(k), 1, U @ [0.0038, 0.0, 0.0], first=k) for k in range(120)]
     assert next(call for call in calls if call is not NoiseLevel.NONE) is NoiseLevel.FAST_AND_IMU
 
 
-def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
+def test_imu_states_are_inflated_once_velocity_and_water_together():
     belief = belief_of_water()
     water = AdaptiveProcessNoise(1.0, 0)
     water.inflate(NoiseLevel.FAST_AND_IMU, 20 * SECOND, 0)
@@ -325,13 +325,13 @@ def test_doubt_of_the_unit_is_opened_once_and_of_velocity_and_water_alike():
     assert np.linalg.eigvalsh(belief.P)[0] > 0
 
 
-def test_a_filter_that_has_just_begun_anew_takes_nothing_for_a_front():
+def test_a_reinitialised_filter_detects_no_front_at_first():
     rng, r = np.random.default_rng(5), U @ [0.02, -0.01, 0.0]
     assert hear(AdaptiveProcessNoise(1.0, 20 * SECOND), rng, 40, r) is NoiseLevel.NONE
     assert hear(AdaptiveProcessNoise(1.0, 13 * SECOND), rng, 40, r) is NoiseLevel.FAST
 
 
-def test_beams_of_one_plane_alone_are_not_asked():
+def test_beams_of_one_plane_alone_are_not_fitted():
     water = AdaptiveProcessNoise(1.0, 0)
     two = slice(0, 20)
     for k in range(40):

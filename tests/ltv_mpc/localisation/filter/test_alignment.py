@@ -1,4 +1,4 @@
-"""How the filter starts: where it believes to be, and which of its errors it knows to be one."""
+"""Initial alignment: first estimate, covariance, and correlations between its errors."""
 
 import math
 
@@ -35,7 +35,7 @@ def depth(t_ns=T0):
 
 
 def samples(first=1, count=21, bias=(0.0, 0.0, 0.0), t0=T0):
-    """A vehicle that rolls and turns afloat without moving."""
+    """Return IMU samples of a vehicle that rolls and turns at the surface without moving."""
     out = []
     for k in range(first, first + count):
         R = ATTITUDE_AT_T0 @ rotation_exp((k - 0.5) * 0.01 * RATE)
@@ -59,7 +59,7 @@ def aligned(messages, suite=SUITE, config=CONFIG):
     return alignment.belief()
 
 
-def test_it_says_what_it_waits_for():
+def test_missing_sensors_are_named():
     alignment = Alignment(SUITE, CONFIG)
     assert alignment.waiting_for == "gnss, compass, pressure"
     with pytest.raises(RuntimeError, match="waiting for gnss, compass, pressure"):
@@ -72,7 +72,7 @@ def test_it_says_what_it_waits_for():
     assert alignment.waiting_for == ""
 
 
-def test_the_belief_stands_at_the_fix_with_what_each_sensor_said():
+def test_the_belief_has_the_time_of_the_fix_and_the_measured_values():
     belief, since = aligned([fix(), compass(), depth(), *samples()])
     assert belief.t_ns == belief.epoch_t_ns == T0
     np.testing.assert_array_equal(belief.x[:6], [3.0, -4.0, 0.25, 0.1, -0.2, 0.0])
@@ -81,14 +81,14 @@ def test_the_belief_stands_at_the_fix_with_what_each_sensor_said():
 
 
 def test_a_vehicle_that_rolls_is_levelled_at_the_time_of_the_fix():
-    """Without turning the samples back the tilt would be half of 0.2 s of rolling: 5 mrad."""
+    """Without rotating the samples back to t0 the tilt error would be half of 0.2 s of rolling: 5 mrad."""
     belief, _ = aligned([fix(), compass(), depth(), *samples()])
     np.testing.assert_allclose(roll_pitch_heading(belief.R), roll_pitch_heading(ATTITUDE_AT_T0), atol=1e-5)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_tilt_that_comes_from_an_accelerometer_bias_is_known_to_come_from_it(axis):
-    """The error of the attitude is the one that the covariance expects of that bias: P_phi,b P_bb^-1 b."""
+def test_tilt_error_is_correlated_with_the_accelerometer_bias(axis):
+    """The attitude error equals its conditional mean given the bias, P_phi,b P_bb^-1 b."""
     bias = np.zeros(3)
     bias[axis] = 0.01
     belief, _ = aligned([fix(), compass(), depth(), *samples(bias=bias)])
@@ -99,7 +99,7 @@ def test_a_tilt_that_comes_from_an_accelerometer_bias_is_known_to_come_from_it(a
     np.testing.assert_allclose(error[:2], expected[:2], atol=3e-5)
 
 
-def test_a_heading_that_comes_from_a_compass_bias_is_known_to_come_from_it():
+def test_heading_error_is_correlated_with_the_compass_bias():
     bias = 0.03
     belief, _ = aligned([fix(), compass(heading=2.2 + bias), depth(), *samples()])
     error = rotation_log(ATTITUDE_AT_T0 @ belief.R.T)[2]
@@ -129,7 +129,7 @@ def test_deviations_are_those_of_the_sensors_file():
     assert np.linalg.eigvalsh(P).min() > -1e-12  # the clone is the position itself
 
 
-def test_the_heading_and_depth_that_made_the_belief_do_not_correct_it_too():
+def test_heading_and_depth_of_the_alignment_are_not_used_again():
     later = [compass(T0 + 100_000_000), depth(T0 + 100_000_000), depth(T0 + 150_000_000)]
     messages = sorted([fix(), *later, *samples()], key=lambda m: m.t_ns)
     belief, since = aligned(messages)
@@ -176,7 +176,7 @@ def mast(antenna=(2.0, 0.5, -3.0), gauge=(-1.5, 0.2, 0.4)):
 
 
 def test_position_and_velocity_are_the_origins_and_not_the_antennas():
-    """Against the antenna's and the gauge's place and motion, differentiated numerically."""
+    """Reference: position and motion of antenna and gauge, differentiated numerically."""
     suite = mast()
     R, v = ATTITUDE_AT_T0, np.array([0.1, -0.2, 0.0])
 
@@ -198,8 +198,8 @@ def test_position_and_velocity_are_the_origins_and_not_the_antennas():
     np.testing.assert_allclose(belief.x[belief.layout.epoch], antenna[:2])
 
 
-def test_a_place_that_is_wrong_by_a_tilt_and_a_heading_is_known_to_be_wrong_by_them():
-    """Position and velocity errors that follow from biases are those that the covariance expects of them."""
+def test_position_errors_from_tilt_and_heading_are_in_the_covariance():
+    """Position and velocity errors from biases equal their conditional means given the biases."""
     suite = mast()
     accelerometer, compass_bias = np.array([2e-3, -3e-3, 0.0]), 4e-3
     messages = [fix(), compass(), depth(), *samples()]
@@ -213,7 +213,7 @@ def test_a_place_that_is_wrong_by_a_tilt_and_a_heading_is_known_to_be_wrong_by_t
 
 
 def test_a_gyro_bias_and_an_antenna_on_a_mast_make_a_velocity():
-    """True minus estimated is R (db x l): the covariance of the belief against that of drawn biases."""
+    """The velocity error is R (db x l): covariance of the belief against that of random biases."""
     suite = mast(antenna=(0.0, 0.0, -3.0))
     belief, _ = aligned([fix(), compass(), depth(), *samples()], suite)
     drawn = suite.imu.gyro_bias_sd_radps * np.random.default_rng(0).standard_normal((100_000, 3))
@@ -249,7 +249,7 @@ def test_sound_speed_and_mounting_start_as_the_sensors_file_has_them():
 
 
 def test_a_fix_that_comes_late_finds_what_was_measured_since():
-    """0.3 s late: levelled at once, at its own time, with the samples that a fix in time would have had."""
+    """0.3 s late: alignment is immediate, at the time of the fix, with the same samples as for a fix in time."""
     late = [depth(), compass(), *samples(count=31), fix(), *samples(first=32, count=3)]
     belief, since = aligned(late[:34])
     ordered, _ = aligned([fix(), compass(), depth(), *samples()])
@@ -259,7 +259,7 @@ def test_a_fix_that_comes_late_finds_what_was_measured_since():
     assert [m.t_ns for m in since] == [T0 + k * DT_NS for k in range(1, 32)]
 
 
-def test_what_comes_twice_counts_once():
+def test_duplicate_messages_count_once():
     once, _ = aligned([fix(), compass(), depth(), *samples()])
     messages = sorted([fix(), compass(), depth(), *samples()] * 2, key=lambda m: m.t_ns)
     twice, since = aligned(messages)
@@ -284,7 +284,7 @@ def test_a_receiver_faster_than_the_levelling_does_not_keep_the_filter_from_star
 
 
 def test_a_message_from_the_future_does_not_keep_the_filter_from_starting():
-    """One wrong clock: what is heard in time is kept all the same."""
+    """One sensor has a wrong clock: messages with correct times are kept."""
     belief, since = aligned([depth(T0 + 3_600_000_000_000), fix(), compass(), depth(), *samples()])
     assert belief.x[2] == 0.25
     assert len(since) == 22

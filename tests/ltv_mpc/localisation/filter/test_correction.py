@@ -1,4 +1,4 @@
-"""One update against the textbook's, and the gate."""
+"""Measurement update against the textbook equations, and the gate."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def random_rows(m, seed=1):
 
 @pytest.mark.parametrize("m", [1, 2, 4, 5, 60, 120])
 def test_an_update_is_the_textbooks(belief, m):
-    """K = P H^T (H P H^T + R)^-1, and Joseph's form of the covariance, carried over to the estimate that moved."""
+    """K = P H^T (H P H^T + R)^-1 and Joseph form, followed by the invariant correction."""
     rows, P = random_rows(m), belief.P.copy()
     H, R = rows.dense(LAYOUT.size), np.diag(rows.variance)
     K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
@@ -51,7 +51,7 @@ def test_an_update_is_the_textbooks(belief, m):
 
 
 def test_all_rows_at_once_are_the_same_as_one_after_another(belief):
-    """Exactly so where the heading is known; else the estimate on the way would count."""
+    """Exact for a known heading; otherwise the result depends on the intermediate estimates."""
     belief.P[8, :] = belief.P[:, 8] = 0
     rows, one_by_one = random_rows(40), belief.copy()
     correct(belief, rows, OPEN)
@@ -84,7 +84,7 @@ def test_rows_all_beyond_the_gate_leave_the_belief_as_it_was(belief):
 
 
 @pytest.mark.parametrize("m", [1, 3])
-def test_a_doubted_row_is_used_with_as_much_noise_as_makes_it_just_pass(belief, m):
+def test_a_deweighted_row_is_used_with_the_noise_that_makes_it_just_pass(belief, m):
     rows, other, gate = random_rows(m), belief.copy(), 9.0
     S = np.diagonal(correct(belief.copy(), rows, OPEN).S)
     rows.residual[:] = 0.5 * np.sqrt(S)
@@ -98,7 +98,7 @@ def test_a_doubted_row_is_used_with_as_much_noise_as_makes_it_just_pass(belief, 
     np.testing.assert_allclose(belief.P, other.P, atol=1e-12)
 
 
-def test_no_doubted_row_moves_the_estimate_by_more_than_one_that_passes(belief):
+def test_no_deweighted_row_moves_the_estimate_by_more_than_one_that_passes(belief):
     row, moved = random_rows(1), []
     S = correct(belief.copy(), row, OPEN).S[0, 0]
     for deviations in (2.999, 3.001, 4.0, 5.999, 6.001):
@@ -112,7 +112,7 @@ def test_no_doubted_row_moves_the_estimate_by_more_than_one_that_passes(belief):
 
 
 @pytest.mark.parametrize("m", [1, 3, 20])
-def test_a_covariance_that_is_none_is_reported_and_left_alone(belief, m):
+def test_an_indefinite_covariance_is_reported_and_not_changed(belief, m):
     belief.P[:] = -10 * belief.P
     before = belief.copy()
     correction = correct(belief, random_rows(m), np.inf)
@@ -125,7 +125,7 @@ def test_a_covariance_that_is_none_is_reported_and_left_alone(belief, m):
 @pytest.mark.parametrize("m", [1, 3, 20])
 @pytest.mark.parametrize("n", [3, 31, 32, 33, 100])
 def test_any_covariance_can_be_updated_without_a_belief(n, m):
-    """Of a filter with states of its own, few or many; sizes about that of a tile."""
+    """Filters with other states, few or many, with sizes around that of a tile."""
     rng = np.random.default_rng(n + m)
     root = rng.standard_normal((n, n))
     P = root @ root.T
@@ -153,7 +153,7 @@ def test_a_covariance_without_a_heading_is_not_read_beyond_its_end(m):
     np.testing.assert_allclose(P, np.diag(1.0 / (1.0 + measured)), atol=1e-12)
 
 
-def test_rows_beyond_the_gate_say_that_nothing_is_to_be_added():
+def test_rows_beyond_the_gate_give_no_error():
     P = np.eye(4)
     rows = Rows(np.array([[0]]), np.ones((1, 1)), np.array([1e3]), np.ones(1))
     correction = update_covariance(P, rows, 10.8)
@@ -163,8 +163,8 @@ def test_rows_beyond_the_gate_say_that_nothing_is_to_be_added():
 
 
 @pytest.mark.parametrize("m", [0, 1, 3, 9])
-def test_what_is_left_is_symmetric_to_the_last_bit(m):
-    """Few rows or many."""
+def test_the_updated_covariance_is_bitwise_symmetric(m):
+    """The update is exact for few rows and for many."""
     rng = np.random.default_rng(m)
     n = LAYOUT.size
     root, W, a = rng.standard_normal((n, n)), 0.01 * rng.standard_normal((m, n)), rng.standard_normal(n)

@@ -1,4 +1,4 @@
-"""The filter on linear problems, against one batch least-squares solution over all unknowns at once."""
+"""Error-state filter on linear problems, against a batch least-squares solution over all unknowns."""
 
 import math
 
@@ -26,7 +26,7 @@ def sample(k, force=(0.0, 0.0, -9.80665), rate=(0.0, 0.0, 0.0)):
 
 
 def batch(unknowns, rows, right, sd):
-    """Least squares of whitened rows: the solution and its covariance."""
+    """Return the least-squares solution of whitened rows and its covariance."""
     A = np.array(rows) / np.array(sd)[:, None]
     solution = np.linalg.lstsq(A, np.array(right) / np.array(sd), rcond=None)[0]
     assert A.shape[1] == unknowns
@@ -188,7 +188,7 @@ def full_belief(suite, config, seed=0):
     return belief
 
 
-def test_moving_the_large_covariance_once_is_the_same_as_moving_it_at_every_sample():
+def test_propagating_the_covariance_once_equals_doing_it_at_every_sample():
     suite = SensorConfig.load("realistic")
     config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=0.01)
     rng = np.random.default_rng(4)
@@ -221,7 +221,7 @@ def test_a_compass_bias_keeps_its_deviation_and_forgets_its_value():
     assert belief.P[constant, bias] == belief.P[bias, constant] == pytest.approx(keep * cross, rel=1e-12)
 
 
-def test_every_scalar_measurement_is_accounted_for_by_what_came_of_it():
+def test_every_scalar_measurement_is_counted_by_its_outcome():
     suite = SensorConfig.load("realistic")
     belief = Belief.blank(Layout.of(suite, EstimatorConfig()), 0)
     belief.P += 1e-4 * np.eye(belief.layout.size)

@@ -1,4 +1,4 @@
-"""Many rows of few states, and the fewer rows that say the same."""
+"""Measurement compression: many rows of few states against fewer equivalent rows."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def differences(m, seed=1):
 
 
 def ping(belief, seed=2):
-    """One of a level vehicle at 10 m, linearised about it."""
+    """Return a ping of a level vehicle at 10 m, linearised about the belief."""
     rng = np.random.default_rng(seed)
     z = 0.05 * rng.standard_normal((4, 30))
     message = AdcpPing(t_ns=0, range_m=1.0 + np.arange(30.0), beam_velocity_mps=z)
@@ -55,7 +55,7 @@ def ping(belief, seed=2):
 
 @pytest.fixture
 def belief():
-    """Not quite level, of a vehicle that is as uncertain as some time after it went under."""
+    """Return the belief of a vehicle with a small tilt, with typical uncertainty during a descent."""
     belief = Belief.blank(Layout.of(SUITE, CONFIG), 0)
     belief.x[2] = 10.3
     write_prior(belief, CONFIG)
@@ -63,7 +63,7 @@ def belief():
     return belief
 
 
-def test_what_is_touched_is_named_once_and_what_all_touch_comes_last():
+def test_touched_states_are_listed_once_with_common_ones_last():
     rows = differences(120)
     places, local = touched_states(rows.state, rows.partial, N)
     assert sorted(places) == sorted(set(rows.state[rows.partial != 0.0]))
@@ -83,7 +83,7 @@ def test_innovations_and_projection_are_the_textbooks(P):
 
 
 @pytest.mark.parametrize("m", [60, 61, 200])
-def test_fewer_rows_have_the_information_of_all_also_where_it_is_singular(P, m):
+def test_compressed_rows_have_the_same_information_even_if_singular(P, m):
     """H'^T H' = H^T R^-1 H and H'^T z' = H^T R^-1 z, without the rows of weight zero."""
     rows = differences(m)
     places, local = touched_states(rows.state, rows.partial, N)
@@ -104,7 +104,7 @@ def test_fewer_rows_have_the_information_of_all_also_where_it_is_singular(P, m):
     np.testing.assert_array_equal(z, told)
 
 
-def test_an_update_by_fewer_rows_is_the_textbooks(P):
+def test_an_update_by_compressed_rows_is_the_textbooks(P):
     rows, before = differences(120), P.copy()
     H, R = rows.dense(N), np.diag(rows.variance)
     K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
@@ -113,7 +113,7 @@ def test_an_update_by_fewer_rows_is_the_textbooks(P):
     np.testing.assert_allclose(P, before - K @ H @ before, atol=1e-10)
 
 
-def test_a_row_beyond_the_gate_is_in_none_of_the_fewer(P):
+def test_a_row_beyond_the_gate_is_in_no_compressed_row(P):
     rows, without = differences(120), P.copy()
     rows.residual[[7, 50]] = 1e3
     keep = ~np.isin(np.arange(120), [7, 50])
@@ -125,7 +125,7 @@ def test_a_row_beyond_the_gate_is_in_none_of_the_fewer(P):
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.7])
-def test_a_ping_is_used_alike_by_fewer_rows_and_by_all(belief, monkeypatch, turn):
+def test_a_ping_gives_the_same_update_compressed_or_not(belief, monkeypatch, turn):
     belief.R[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     rows, by_all = ping(belief), belief.copy()
     fewer = []
@@ -141,7 +141,7 @@ def test_a_ping_is_used_alike_by_fewer_rows_and_by_all(belief, monkeypatch, turn
 
 
 def test_a_ping_leaves_few_entries_in_the_root(belief):
-    """A node is coupled to its neighbours, and to what all rows touch: what is to be done does not grow with cells."""
+    """A grid point is coupled only to its neighbours and to the common states, so cost does not grow with cells."""
     rows = ping(belief)
     places, local = touched_states(rows.state, rows.partial, len(belief.P))
     CT, _ = _root(local, rows.partial, 1.0 / rows.variance, rows.residual, len(places))

@@ -1,4 +1,4 @@
-"""Strapdown integration against a fine integration of the continuous equations; its transition against differences."""
+"""Strapdown integration against a fine integration of the continuous equations; transition against differences."""
 
 import numpy as np
 import pytest
@@ -80,7 +80,7 @@ def test_a_bias_decays_with_its_time_constant():
     np.testing.assert_allclose(x[12:15], np.exp(-1 / 5.0) * before[12:15], rtol=1e-12)
 
 
-def test_the_gathered_transition_is_the_derivative_of_the_integration():
+def test_the_accumulated_transition_is_the_derivative_of_the_integration():
     """Central differences of 40 samples, errors as in state.py; what differs is of third order in the interval."""
     steps, dt, h = 40, 0.001, 1e-5
     rng = np.random.default_rng(1)
@@ -122,7 +122,7 @@ def test_noise_grows_as_random_walks_do():
 
 
 def test_the_noise_of_one_sample_moves_position_by_half_its_interval():
-    """White noise of the mean force over dt: dv = dt n and dp = dt / 2 dv are one random number, not two."""
+    """White noise of the mean force over dt: dv = dt n and dp = dt / 2 dv are fully correlated."""
     x, R = start()
     Q = run(x, R, [RATE], [FORCE])[1]
     gain = np.vstack([0.5 * DT * np.eye(3), np.eye(3)])
@@ -130,7 +130,7 @@ def test_the_noise_of_one_sample_moves_position_by_half_its_interval():
     np.testing.assert_allclose(Q[:6, :6], s_a * gain @ gain.T, rtol=1e-12, atol=0)
 
 
-def test_the_units_noise_is_handed_on_as_its_file_has_it():
+def test_imu_noise_has_the_values_of_the_settings():
     """Compiled code squares random walks, so a wrong sign would not show elsewhere."""
     np.testing.assert_allclose(
         NOISE[:3], [IMU.angle_random_walk_rad_per_rts, IMU.velocity_random_walk_mps_per_rts, IMU.gyro_bias_sd_radps]
@@ -154,7 +154,7 @@ def test_a_bias_that_starts_at_its_standard_deviation_keeps_it():
     np.testing.assert_allclose(np.diag(P)[12:15], noise[4] ** 2, rtol=1e-10)
 
 
-def test_gathered_noise_is_that_of_every_sample_moved_to_the_end():
+def test_accumulated_noise_is_that_of_every_sample_propagated_to_the_end():
     """Q = sum of Phi_N..k+1 Q_k Phi_N..k+1^T, each factor taken on its own."""
     rng = np.random.default_rng(2)
     rates, forces = RATE + rng.standard_normal((30, 3)), FORCE + rng.standard_normal((30, 3))
@@ -170,7 +170,7 @@ def test_gathered_noise_is_that_of_every_sample_moved_to_the_end():
     np.testing.assert_array_equal(x, y)
 
 
-def test_it_stops_at_the_sample_after_which_nothing_is_finite():
+def test_integration_stops_after_the_sample_that_makes_it_non_finite():
     x, R = start()
     measured = np.tile(np.hstack([RATE, FORCE]), (5, 1))
     measured[2, 3] = np.inf
@@ -178,8 +178,8 @@ def test_it_stops_at_the_sample_after_which_nothing_is_finite():
     assert done == 3
 
 
-def test_the_large_covariance_is_moved_as_its_fifteen_first_states_are():
-    """T P T^T + Q with T = diag(Phi, 1), and not a bit of symmetry lost; and T E."""
+def test_the_full_covariance_follows_the_core_states():
+    """Reference: T P T^T + Q and T E with T = diag(Phi, 1); the result is bitwise symmetric."""
     rng = np.random.default_rng(6)
     root, Phi, own = rng.standard_normal((40, 40)), rng.standard_normal((15, 15)), rng.standard_normal((15, 15))
     Phi[rng.uniform(size=Phi.shape) < 0.5] = 0.0

@@ -1,4 +1,4 @@
-"""Which states exist, and what adding an error and cloning a position mean."""
+"""State layout, error convention and position clone."""
 
 import msgspec
 import numpy as np
@@ -14,13 +14,13 @@ def length(states: slice) -> int:
     return states.stop - states.start
 
 
-def test_a_bias_that_a_suite_does_not_have_is_no_state():
+def test_a_bias_that_the_sensors_lack_is_no_state():
     paper = Layout.of(SensorConfig.load("paper"), EstimatorConfig())
     assert [length(s) for s in (paper.beam_bias, paper.near_bias, paper.mounting, paper.compass_bias)] == [0, 0, 0, 0]
     assert paper.size == CORE + 2 + 2 + 2 * 71
 
 
-def test_every_state_of_a_realistic_suite_has_its_own_place():
+def test_states_of_realistic_sensors_do_not_overlap():
     layout = Layout.of(SensorConfig.load("realistic"), EstimatorConfig())
     named = [getattr(layout, f) for f in layout.__slots__ if f not in ("nodes", "size")]
     places = [i for s in named for i in range(s.start, s.stop)]
@@ -83,7 +83,7 @@ def test_a_copy_is_the_same_and_shares_nothing_that_changes():
     [((0, 0), 0.0, 15.0), ((20, -20), 0.0, 15.0), ((180, 0), 15.0, 0.0), ((0, -170), 15.0, 0.0), ((0, 90), 15.0, 15.0)],
 )
 def test_nodes_are_wanted_where_a_beam_of_a_rolling_vehicle_can_reach(roll_pitch_deg, above, below):
-    """Beyond the 3 m of a plan and the transducer's 0.5 m. Nose up by 90 deg, beams that looked down look ahead."""
+    """In addition to 3 m of a plan and 0.5 m of the lever arm. At 90 deg pitch, downward beams look ahead."""
     roll, pitch = np.radians(roll_pitch_deg)
     adcp = msgspec.structs.replace(
         SensorConfig.load("realistic").adcp, lever_arm_m=(0.3, 0.0, -0.4), mounting_rad=(roll, pitch, 0.4), range_m=15.0
@@ -92,7 +92,7 @@ def test_nodes_are_wanted_where_a_beam_of_a_rolling_vehicle_can_reach(roll_pitch
 
 
 def test_a_window_holds_what_is_kept_and_what_can_be_reached_on_either_side():
-    """Wherever the vehicle is between two nodes: one more at each end, and one for the fence posts."""
+    """At any position between two grid points: one more at each end, and one because n intervals have n + 1 points."""
     suite = SensorConfig.load("realistic")
     config = msgspec.structs.replace(EstimatorConfig(), deepest_m=900.0, kept_m=21.0, cell_m=2.0)
     above, below = reach_m(suite.adcp)

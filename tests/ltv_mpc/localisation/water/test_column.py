@@ -1,4 +1,4 @@
-"""What hangs the first state of a node on its neighbour, against the textbook's conditional."""
+"""Link of a new grid point to its neighbour, against the conditional of a Gaussian."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from ltv_mpc.localisation.water.column import NodePrior
 
 @pytest.mark.parametrize("walked", [0.0, 0.3])
 @pytest.mark.parametrize(("node", "neighbour"), [(1, 0), (1, 2)])
-def test_a_new_node_is_conditioned_on_its_neighbour_and_on_what_all_have_in_common(node, neighbour, walked):
-    """[c_k, c_i, m] are jointly Gaussian; a walk in time adds to each node alone."""
+def test_a_new_grid_point_is_conditioned_on_its_neighbour_and_the_common_part(node, neighbour, walked):
+    """[c_k, c_i, m] are jointly Gaussian; the random walk adds variance to each grid point independently."""
     sd, common, rho = np.array([0.5, 1.5, 0.8]), 0.7, 0.6
     mean = np.array([[0.1, -0.2], [0.3, 0.5], [-0.4, 0.9]])
     prior = NodePrior(mean_mps=mean, sd_mps=sd, common_sd_mps=common, correlation=rho)
@@ -33,7 +33,7 @@ def test_a_new_node_is_conditioned_on_its_neighbour_and_on_what_all_have_in_comm
     assert link.walked == walked
 
 
-def test_water_that_is_certain_hangs_on_nothing():
+def test_certain_water_depends_on_nothing():
     link = NodePrior.certain(3).link(1, 0, 0.0)
     np.testing.assert_array_equal(link.A, [[0, 0, 1, 0], [0, 0, 0, 1]])
     np.testing.assert_array_equal(link.C, np.zeros((2, 2)))

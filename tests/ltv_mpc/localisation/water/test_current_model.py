@@ -1,4 +1,4 @@
-"""The prior over depth, the walk in time, and what is published."""
+"""Current model: prior over depth, random walk in time, published profile."""
 
 import math
 
@@ -43,7 +43,7 @@ def test_north_and_east_are_alike_and_independent():
     assert not P[LAYOUT.north, LAYOUT.east].any()
 
 
-def test_water_that_changes_walks_node_by_node():
+def test_the_random_walk_is_independent_at_each_grid_point():
     config = msgspec.structs.replace(CONFIG, current_change_mps_per_rts=0.001)
     belief, before = prior(), prior().P
     current_model.add_random_walk(belief, config, 9.0)
@@ -97,7 +97,7 @@ def test_saved_depths_share_their_common_error_and_that_of_neighbours():
 
 
 def test_between_saved_depths_the_prior_is_a_gauss_markov_bridge():
-    """The conditional variance given both ends, by Gaussian conditioning on an exactly known profile."""
+    """Reference: Gaussian conditioning on an exactly known profile."""
     exact = WaterPrior(
         depth_m=np.array([10.0, 30.0]),
         north_mps=np.array([0.1, 0.3]),

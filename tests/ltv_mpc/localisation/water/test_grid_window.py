@@ -1,4 +1,4 @@
-"""The window of depths against a filter that keeps every depth, and what is remembered of those it has left."""
+"""Moving window of the depth grid against a filter that keeps every depth, and the links of dropped depths."""
 
 import dataclasses
 import itertools
@@ -42,19 +42,19 @@ CELLS = LAYOUT.north.stop - LAYOUT.north.start
 
 
 def sink(belief, depth_m):
-    """As the filter does before it uses a message."""
+    """Move the window as the filter does before a correction."""
     belief.x[2] = depth_m
     move_window(belief, *reach_m(SUITE.adcp), WINDOW.cell_m)
 
 
 def states_of(belief, nodes):
-    """Places of the nodes' north, then east."""
+    """Return the state indices of north, then east, of grid points."""
     slots = np.asarray(nodes) - belief.column.first
     return np.concatenate([belief.layout.north.start + slots, belief.layout.east.start + slots])
 
 
-def test_what_hypotheses_would_do_to_the_belief_goes_with_its_window():
-    """As the estimate itself does, which is linear, down where nobody has been."""
+def test_signatures_move_with_the_window():
+    """A signature moves like a difference of two estimates, because the window is linear."""
     rng = np.random.default_rng(5)
     belief = Belief.blank(LAYOUT, 0)
     write_prior(belief, WINDOW)
@@ -71,7 +71,7 @@ def test_what_hypotheses_would_do_to_the_belief_goes_with_its_window():
 
 
 @pytest.mark.parametrize("name", ["paper", "realistic"])
-def test_a_filter_that_drops_depths_behind_it_equals_one_that_keeps_them(name, make_dive, inbox_of):
+def test_a_filter_that_drops_depths_equals_one_that_keeps_them(name, make_dive, inbox_of):
     """12 m down at 0.2 m/s with beams of 5 m: the same vehicle and the same water, to 1e-9, at every estimate."""
     suite = short_sighted(name, 5.0)
     dive = make_dive(suite, 4, duration_s=60.0)
@@ -98,7 +98,7 @@ def test_a_filter_that_drops_depths_behind_it_equals_one_that_keeps_them(name, m
     np.testing.assert_array_equal(window.column.observed, whole.column.observed)
 
 
-def test_nothing_of_70_m_is_left_behind_with_the_shipped_settings():
+def test_no_depth_of_70_m_is_dropped_with_the_shipped_settings():
     for name in ("paper", "realistic"):
         layout = Layout.of(SensorConfig.load(name), EstimatorConfig())
         assert layout.north.stop - layout.north.start == layout.nodes == 71
@@ -125,7 +125,7 @@ def test_beams_and_plan_find_their_nodes_in_the_window_wherever_the_vehicle_is(f
 
 @pytest.fixture
 def uneven():
-    """A prior whose mean and deviation change with depth."""
+    """Return a prior whose mean and standard deviation change with depth."""
     rng = np.random.default_rng(2)
     prior = node_prior(WHOLE)
     return dataclasses.replace(
@@ -134,7 +134,7 @@ def uneven():
 
 
 def started(prior, layout=LAYOUT):
-    """At the surface, with states besides the water that the filter may know something of."""
+    """Return a belief at the surface with some knowledge of the states other than water."""
     belief = Belief.blank(layout, 0)
     belief.P[:15, :15] = np.eye(15)
     belief.P[layout.beam_bias, layout.beam_bias] = np.eye(4)
@@ -164,7 +164,7 @@ def test_a_window_that_has_sunk_through_unmeasured_water_has_the_priors_moments(
 
 
 def measured(belief, node, gain, variance, z):
-    """Conditions the whole belief on z = c_node + gain . [north, heading, beam bias] + noise, by the textbook."""
+    """Condition the belief on z = c_node + gain . [north, heading, beam bias] + noise with textbook formulas."""
     H = np.zeros((2, belief.layout.size))
     H[[0, 1], states_of(belief, [node])] = 1.0
     H[:, [0, 8, belief.layout.beam_bias.start]] = gain
@@ -174,7 +174,7 @@ def measured(belief, node, gain, variance, z):
     belief.P[:] = 0.5 * (P + P.T)
 
 
-def test_what_was_measured_of_depths_left_behind_is_as_if_they_had_been_kept(uneven):
+def test_measurements_of_dropped_depths_are_as_if_they_had_been_kept(uneven):
     """Down, up, down and up again, water and biases measured on the way, position only at the top, before it all.
 
     Velocity, which a window does not follow so far, is not measured. Compared with the belief that keeps all nodes:
@@ -214,8 +214,8 @@ def test_what_was_measured_of_depths_left_behind_is_as_if_they_had_been_kept(une
     assert len(window.column.dropped) > CELLS
 
 
-def test_a_fix_of_position_undoes_what_the_water_was_known_to_share_with_its_error():
-    """Then the position is not the one that the dropped nodes erred with: and P must stay a covariance."""
+def test_a_position_fix_removes_the_shared_error_of_dropped_depths():
+    """The position error of the dropped grid points no longer applies, and P must stay a covariance."""
     rng = np.random.default_rng(8)
     belief = started(node_prior(WHOLE))
     for node in range(CELLS):
@@ -230,7 +230,7 @@ def test_a_fix_of_position_undoes_what_the_water_was_known_to_share_with_its_err
 
 
 def test_a_depth_is_seen_once_an_accepted_beam_has_measured_beside_it():
-    """Beams of 1 to 5 m at 10.2 m, but for the third cell, whose four readings are wild."""
+    """Beams of 1 to 5 m at 10.2 m; the four readings of the third cell are outliers."""
     config = msgspec.structs.replace(WHOLE, gate_probability=0.999)
     belief = Belief.blank(Layout.of(SUITE, config), 0)
     belief.x[2] = 10.2
@@ -249,7 +249,7 @@ def test_a_depth_is_seen_once_an_accepted_beam_has_measured_beside_it():
 
 
 def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
-    """By the variance that it and what it hangs on have gained since it was dropped, and by none from before."""
+    """Only random walk after the drop counts, that of the grid point and of the states it depends on."""
     config = msgspec.structs.replace(WINDOW, current_change_mps_per_rts=1e-3)
     gained = []
     for before_s, after_s in ((50.0, 0.0), (50.0, 100.0)):
@@ -272,8 +272,8 @@ def test_a_walk_in_time_makes_a_remembered_depth_less_certain():
     assert 1e-4 < gained[1] - gained[0] < 2e-4
 
 
-def test_coming_back_the_filter_is_as_good_as_it_says(make_yoyo):
-    """Down and up again, over 10 seeds: water and velocity; and better than without what it remembers."""
+def test_the_filter_is_consistent_when_it_returns_to_a_depth(make_yoyo):
+    """Down and up again, over 10 seeds: current and velocity are consistent, and better than without links."""
     suite = msgspec.structs.replace(
         SUITE,
         adcp=LEVEL,
@@ -300,6 +300,6 @@ def test_coming_back_the_filter_is_as_good_as_it_says(make_yoyo):
 
 
 def forgetful():
-    """Lets the second filter of each pair, which are told apart by their order, lose what it remembers."""
+    """Make the second filter of each pair, by order of creation, lose its links."""
     order = itertools.count()
     return lambda filter_: filter_.belief.column.dropped.clear() if next(order) % 2 else None

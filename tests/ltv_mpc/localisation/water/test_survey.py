@@ -1,4 +1,4 @@
-"""What is saved of a dive is as good as it says: at each depth, and on average over depth."""
+"""Saved survey of the water: consistent at each depth and on average over depth."""
 
 import msgspec
 import numpy as np
@@ -29,7 +29,7 @@ UNCHANGED = msgspec.structs.replace(WHOLE, water_prior_change_sd_mps=0.0)
 
 
 def of(run, which=0):
-    """The saved profile and its error (2, K)."""
+    """Return the saved profile and its error (2, K)."""
     profile = prior_from(run.filters[which].belief, grid(WHOLE))
     nodes = np.round(profile.depth_m).astype(int)
     return profile, run.water[nodes].T - [profile.north_mps, profile.east_mps]
@@ -74,7 +74,7 @@ def test_a_second_dive_with_a_saved_profile_is_more_accurate_and_consistent(make
 
 
 def test_a_profile_saved_by_a_window_is_that_of_a_filter_that_keeps_every_depth(make_yoyo):
-    """Dropped depths included, as far as what came later told of them too."""
+    """Dropped depths are included, with later knowledge of their neighbours."""
     run = make_yoyo(SUITE, [WHOLE, WINDOW], 3, (0.0, 25.0))
     (whole, _), (window, _) = of(run, 0), of(run, 1)
     assert len(run.filters[1].belief.column.dropped) > 10
@@ -85,7 +85,7 @@ def test_a_profile_saved_by_a_window_is_that_of_a_filter_that_keeps_every_depth(
 
 
 def test_the_variance_of_each_depth_and_of_their_average_are_those_of_the_belief():
-    """Random covariances of a common part and parts of each depth's own."""
+    """Random covariances with a common part and an own part at each depth."""
     rng = np.random.default_rng(0)
     belief = Belief.blank(Layout.of(SUITE, WHOLE), 0)
     write_prior(belief, WHOLE)

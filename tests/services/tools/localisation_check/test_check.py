@@ -1,4 +1,4 @@
-"""The check's figures, from made-up records and from a short run of the full loop."""
+"""Localisation check on synthetic records and on a short closed-loop run."""
 
 from __future__ import annotations
 

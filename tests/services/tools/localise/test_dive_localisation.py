@@ -1,4 +1,4 @@
-"""The command over recorded dives: what it says, what it writes, what it refuses."""
+"""Command for recorded dives: report, files and errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.recorded.pd0_writer import BEAM, Head, Written, written
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A glider's whole dive, down and up."""
+    """Return a whole dive of a glider, down and up."""
     path = tmp_path_factory.mktemp("dive") / "dive.PD0"
     path.write_bytes(dive(World(), 5, duration=480.0).data)
     return path
