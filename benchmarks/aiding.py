@@ -16,7 +16,7 @@ import numpy as np
 from ltv_mpc.messages import Array, Estimate, Truth
 from services.run.nodes import make_nodes
 from services.tools import lockstep_run
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
 from sim.scheduler import LockStep
 
@@ -98,7 +98,7 @@ def main() -> None:
     options = parser.parse_args()
     common = (f"run.seed={options.seed}", f"run.duration_s={options.duration_s}", f"water.bottom_m={BOTTOM_M}")
     jobs = [Job("hover", (f"sensors={suite}", *common)) for suite in SUITES.values()]
-    found: dict[int, Drift] = dict(each(hover, jobs, workers=options.workers))
+    found: dict[int, Drift] = dict(run_each(hover, jobs, workers=options.workers))
     drifts = {name: found[i] for i, name in enumerate(SUITES)}
     print(f"{'fixes':<14}{'error at end':>14}{'3 sigma':>10}{'largest after 60 s':>20}   m")
     for name, drift in drifts.items():

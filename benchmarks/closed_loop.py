@@ -35,7 +35,7 @@ from ltv_mpc.control.solvers.interface import Solver, SolverResult
 from ltv_mpc.messages import Array
 from services.run.provenance import provenance_table
 from services.run.run_config import RunConfig
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import open_store
 from services.tools.campaign.trial import version_of
 
@@ -160,7 +160,7 @@ def main() -> None:
     with open_store(options.out, settings) as store, Progress(console=Console(stderr=True)) as progress:
         missing = [job for job in jobs if _key(job) not in store.keys]
         task = progress.add_task("flights", total=len(jobs), completed=len(jobs) - len(missing))
-        for place, flown in each(flight, missing, workers=options.workers):
+        for place, flown in run_each(flight, missing, workers=options.workers):
             store.append(_key(missing[place]), flown._asdict())
             progress.advance(task)
         found = dict(store.results())

@@ -16,7 +16,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
 from sim.evaluation.summary import Summary
 
@@ -94,7 +94,7 @@ def main() -> None:
 def sorted_by_place(progress: Progress, task: object, jobs: list[Job]) -> list[tuple[int, Summary]]:
     """Return all results in the order of the jobs, and advance the progress bar as they arrive."""
     results = []
-    for result in each(Job.summary, jobs):
+    for result in run_each(Job.summary, jobs):
         results.append(result)
         progress.advance(task)  # type: ignore[arg-type]
     return sorted(results, key=lambda result: result[0])

@@ -20,7 +20,7 @@ from benchmarks.loop import Loop, run_config
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.messages import Array, Estimate, Plan, SolveStatus
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 
 LIMITS: tuple[tuple[str, ...], ...] = (
     (),
@@ -77,7 +77,7 @@ def main() -> None:
     flown: dict[tuple[str, ...], list[Flown]] = {}
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"{len(jobs)} descents", total=len(jobs))
-        for place, result in each(one, jobs, workers=options.workers):
+        for place, result in run_each(one, jobs, workers=options.workers):
             flown.setdefault(jobs[place].limits, []).append(result)
             progress.advance(task)
     print(

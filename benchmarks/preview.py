@@ -23,7 +23,7 @@ from benchmarks.loop import Loop, Outcome, run_config
 from ltv_mpc.control.controller import Controller
 from ltv_mpc.control.prediction import currents_at_depths
 from ltv_mpc.messages import CurrentProfile, Estimate
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 
 HORIZONS_S = (2.5, 5.0, 10.0, 20.0)
 
@@ -68,7 +68,7 @@ def main() -> None:
     rows: dict[tuple[float, bool], list[tuple[float, float, float]]] = {}
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"{len(jobs)} descents", total=len(jobs))
-        for place, figures in each(one, jobs, workers=options.workers):
+        for place, figures in run_each(one, jobs, workers=options.workers):
             rows.setdefault(jobs[place][:2], []).append(figures)
             progress.advance(task)
     means = {key: tuple(map(statistics.fmean, zip(*figures, strict=True))) for key, figures in rows.items()}

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.loop import Outcome
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 
 
 class Figures(NamedTuple):
@@ -55,7 +55,7 @@ def measure(description: str | None, rows: Sequence[str], one: Callable[[Job], F
     found: dict[str, dict[int, Figures]] = {row: {} for row in rows}
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task(f"{len(jobs)} runs", total=len(jobs))
-        for place, figures in each(one, jobs, workers=options.workers):
+        for place, figures in run_each(one, jobs, workers=options.workers):
             row, seed = jobs[place]
             found[row][seed] = figures
             progress.advance(task)

@@ -32,7 +32,7 @@ from ltv_mpc.localisation.filter.state import VELOCITY
 from ltv_mpc.messages import Array, Estimate, FilterStatus, LocalisationReport
 from ltv_mpc.node import ReceivedMessage
 from services.run.run_config import RunConfig
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
 from services.tools.localisation_check.probe import LOOK_NS, Probe
 
@@ -193,7 +193,7 @@ def main() -> None:
         jobs = [
             (case.job(sensors, options.seed + n), case.change.gyro_radps) for case in cases for n in range(options.runs)
         ]
-        runs = dict(each(descend, jobs))
+        runs = dict(run_each(descend, jobs))
         result[sensors] = {
             case.change.name: figures(case, [runs[i * options.runs + n] for n in range(options.runs)])
             for i, case in enumerate(cases)

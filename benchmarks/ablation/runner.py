@@ -20,7 +20,7 @@ from benchmarks.ablation.controller import MECHANISMS as OF_CONTROLLER
 from benchmarks.ablation.estimator import MECHANISMS as OF_ESTIMATOR
 from benchmarks.ablation.lines import ROOT
 from benchmarks.ablation.mechanism import Measures, Mechanism
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import ResultsStore
 
 MECHANISMS: tuple[Mechanism, ...] = (*OF_ESTIMATOR, *OF_CONTROLLER)
@@ -113,7 +113,7 @@ def make(job: Job) -> list[tuple[Key, Measures]]:
 
 def run(todo: Sequence[Job], store: ResultsStore, workers: int | None) -> Iterator[int]:
     """Make all jobs, keep each result, and yield how many jobs are done."""
-    for count, (_, done) in enumerate(each(make, todo, workers=workers), 1):
+    for count, (_, done) in enumerate(run_each(make, todo, workers=workers), 1):
         for key, measures in done:
             store.append(json.dumps(key), measures)
         yield count

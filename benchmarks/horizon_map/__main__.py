@@ -15,7 +15,7 @@ from benchmarks.horizon_map import picture
 from benchmarks.horizon_map.places import places
 from benchmarks.horizon_map.rules import FOLDS
 from benchmarks.horizon_map.summary import summary, tables
-from services.tools.page_tables import renewed
+from services.tools.page_tables import replace_tables
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     print(text)
     if options.page is not None:
         options.page.with_suffix(".json").write_text(text + "\n", encoding="utf-8")
-        page = renewed(options.page.read_text(encoding="utf-8"), tables(kept))
+        page = replace_tables(options.page.read_text(encoding="utf-8"), tables(kept))
         options.page.write_text(page, encoding="utf-8")
         picture.draw(maps, options.page.parent / "figures" / "horizon.png")
 

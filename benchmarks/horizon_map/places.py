@@ -20,7 +20,7 @@ import numpy as np
 
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.messages import Array
-from services.tools.campaign.campaign import reopened
+from services.tools.campaign.campaign import reopen_campaign
 from services.tools.campaign.trial import run_config
 
 HORIZON = "controller.horizon_s"
@@ -50,7 +50,7 @@ class Place(NamedTuple):
 
 def places(folder: Path) -> list[Place]:
     """Return the places of a campaign's folder for which every horizon and seed exists."""
-    made, rows = reopened(folder)
+    made, rows = reopen_campaign(folder)
     campaign, base = made.campaign, made.base
     errors: dict[int, list[float]] = {}
     for row in rows:

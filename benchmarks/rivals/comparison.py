@@ -24,7 +24,7 @@ from benchmarks.loop import Outcome, run_config
 from benchmarks.rivals import law, lqr, mpc, pid
 from benchmarks.rivals.search import Span, search
 from services.run.provenance import provenance_table
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import open_store
 from services.tools.campaign.ranking import interval
 from services.tools.campaign.trial import version_of
@@ -124,7 +124,7 @@ def main() -> None:
 def _runs(progress: Progress, name: str, workers: int | None, jobs: list[Job]) -> list[tuple[float, float, float]]:
     task = progress.add_task(f"{name}: {len(jobs)} runs", total=len(jobs))
     found: dict[int, tuple[float, float, float]] = {}
-    for place, figures in each(one, jobs, workers=workers):
+    for place, figures in run_each(one, jobs, workers=workers):
         found[place] = figures
         progress.advance(task)
     progress.remove_task(task)

@@ -44,17 +44,17 @@ def campaign(
     from services.runtime.stopping import DONE, FAILED, INTERRUPTED, stop_on_signals
     from services.tools.campaign import file as files
     from services.tools.campaign import table, text
-    from services.tools.campaign.campaign import opened, plan, run
+    from services.tools.campaign.campaign import open_campaign, plan, run
     from services.tools.campaign.progress import Progress
     from services.tools.campaign.ranking import ranked, scores
 
     design = files.load(file)
     planned = plan(design, f"campaign {file}")
     place = out or folder.make_default(file.stem)
-    with opened(place, planned, force=force) as store, stop_on_signals() as request:
+    with open_campaign(place, planned, force=force) as store, stop_on_signals() as request:
         there = [row for _, row in store.results()]
         with Progress(design, there, planned.runs, quiet=as_json) as progress:
-            run(planned, store, workers=workers, cluster=cluster, hear=progress.hear, stop=request)
+            run(planned, store, workers=workers, cluster=cluster, on_row=progress.add, stop=request)
         rows: Sequence[Row] = progress.rows
         table.write(place, design, rows, {"made_by": msgspec.json.encode(planned.made_by).decode()})
     _write_page(place)

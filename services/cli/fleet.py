@@ -9,7 +9,7 @@ import typer
 from services.cli.options import Force, Json, Out, VehicleFile
 
 if TYPE_CHECKING:
-    from services.tools.fleet.place import Fleet
+    from services.tools.fleet.fleet import Fleet
     from services.tools.fleet.trial import Row
 
 MAX_VEHICLES = 1000
@@ -52,7 +52,7 @@ def fleet(
     from services.run import folder as folders
     from services.runtime.stopping import DONE, FAILED
     from services.tools.fleet import text, trial
-    from services.tools.fleet.place import Fleet
+    from services.tools.fleet.fleet import Fleet
     from services.tools.profile import machine
 
     place = None if out is None else folders.make("fleet", {}, out=out, force=force).path
@@ -91,7 +91,7 @@ def _trial(common: Fleet, vehicles: int, processes: int) -> Row:
     typer.echo(f"{vehicles} vehicles: {common.warm_up_s:g} s to warm up, {common.seconds:g} s measured", err=True)
     fleet_of = replace(common, vehicles=vehicles, router=f"tcp/127.0.0.1:{free_port()}")
     with progress_bar(f"{vehicles} vehicles") as progress:
-        return trial.run(fleet_of, processes, told=progress)
+        return trial.run(fleet_of, processes, on_progress=progress)
 
 
 def _counts(text: str) -> list[int]:

@@ -32,7 +32,7 @@ def _cell(value: str | float | None, digits: int) -> str:
     return value if isinstance(value, str) else f"{value:.{digits}f}"
 
 
-def between(page: str, name: str) -> str:
+def table_text(page: str, name: str) -> str:
     """Return the text at a table's mark in a page. Raises ``ConfigError`` if there is no such mark."""
     _, begin, rest = page.partition(BEGIN.format(name=name) + "\n")
     text, end, _ = rest.partition(END)
@@ -41,10 +41,10 @@ def between(page: str, name: str) -> str:
     return text
 
 
-def renewed(page: str, tables: Sequence[Table]) -> str:
+def replace_tables(page: str, tables: Sequence[Table]) -> str:
     """Replace the tables at their marks in the page. Raises ``ConfigError``."""
     for table in tables:
-        page = page.replace(_marked(table.name, between(page, table.name)), _marked(table.name, table.markdown()))
+        page = page.replace(_marked(table.name, table_text(page, table.name)), _marked(table.name, table.markdown()))
     return page
 
 

@@ -53,23 +53,23 @@ NOT_NUMBERS = (math.nan, math.inf, -math.inf)
 class MessageFaults:
     """Transport of one run that applies message faults."""
 
-    def __init__(self, faults: Sequence[MessageFaultInterval], *, encode: Encode, admit: Admit) -> None:
-        self._harms: list[_Harm] = []
+    def __init__(self, faults: Sequence[MessageFaultInterval], *, encode: Encode, receive: Admit) -> None:
+        self._faults: list[_Fault] = []
         self._kinds: set[type[Message]] = set()
         self._encode = encode
-        self._admit = admit
+        self._receive = receive
         for fault in faults:
             self.add(fault)
 
     def add(self, fault: MessageFaultInterval) -> None:
         """Add a fault."""
-        self._harms.append(_HARMS[fault.harm](fault, self._encode))
+        self._faults.append(_FAULTS[fault.harm](fault, self._encode))
         self._kinds.update(fault.kinds)
 
     @property
     def harmed(self) -> list[int]:
         """Number of messages that each fault has harmed, in the order of the faults."""
-        return [harm.harmed for harm in self._harms]
+        return [harm.harmed for harm in self._faults]
 
     def covers(self, kind: type[Message]) -> bool:
         """Return True if any fault concerns messages of this type, active or not."""
@@ -78,17 +78,17 @@ class MessageFaults:
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:  # noqa: ARG002  (a type is a key)
         """Return the deliveries of a message; the first active fault that concerns its type decides."""
         if type(message.message) in self._kinds:
-            for harm in self._harms:
+            for harm in self._faults:
                 if harm.concerns(message):
                     return harm.deliveries(message)
         return [Delivery(message.received_t_ns, message)]
 
     def receive(self, reader: str, delivery: Delivery) -> ReceivedMessage | str:
         """Return the message if the reader accepts it, else the reason for its rejection."""
-        return self._admit(reader, delivery)
+        return self._receive(reader, delivery)
 
 
-class _Harm:
+class _Fault:
     """Base of the faults: harms a share ``size`` of the messages and passes the others."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
@@ -117,12 +117,12 @@ class _Harm:
         raise NotImplementedError
 
 
-class _Loss(_Harm):
+class _Loss(_Fault):
     def harm(self, message: ReceivedMessage) -> list[Delivery]:  # noqa: ARG002  (whatever it was)
         return []
 
 
-class _Delay(_Harm):
+class _Delay(_Fault):
     def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (all are late by the same time)
         return True
 
@@ -130,7 +130,7 @@ class _Delay(_Harm):
         return [Delivery(message.received_t_ns + round(1e9 * self.fault.size), message)]
 
 
-class _Reorder(_Harm):
+class _Reorder(_Fault):
     """Fault that holds a message back until the next one of its type has passed."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
@@ -152,13 +152,13 @@ class _Reorder(_Harm):
         return [Delivery(at_ns, message)]
 
 
-class _Duplicate(_Harm):
+class _Duplicate(_Fault):
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
         at_ns = message.received_t_ns
         return [Delivery(at_ns, message), Delivery(at_ns + AGAIN_NS, message)]
 
 
-class _Corruption(_Harm):
+class _Corruption(_Fault):
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
         payload = bytearray(self.encode(message))
         for _ in range(int(self.rng.integers(1, MAX_FLIPPED_BITS + 1))):
@@ -167,7 +167,7 @@ class _Corruption(_Harm):
         return [Delivery(message.received_t_ns, message, bytes(payload))]
 
 
-class _NotANumber(_Harm):
+class _NotANumber(_Fault):
     def harm(self, message: ReceivedMessage) -> list[Delivery]:
         signal = message.message
         limits = bounds(type(signal)).items()
@@ -181,7 +181,7 @@ class _NotANumber(_Harm):
         return [Delivery(message.received_t_ns, _with(message, **{name: new}))]
 
 
-class _Stale(_Harm):
+class _Stale(_Fault):
     """Fault that repeats the first message of its interval, stamps included, under new sequence numbers."""
 
     def __init__(self, fault: MessageFaultInterval, encode: Encode) -> None:
@@ -198,7 +198,7 @@ class _Stale(_Harm):
         return [Delivery(message.received_t_ns, _replaced(message, self._first[type(message.message)]))]
 
 
-class _ClockJump(_Harm):
+class _ClockJump(_Fault):
     def meets(self, message: ReceivedMessage) -> bool:  # noqa: ARG002  (it stamps all)
         return True
 
@@ -212,7 +212,7 @@ class _ClockJump(_Harm):
 STAMPS = ("t_ns", "from_t_ns", "cycle_t_ns")
 """Fields that a publisher stamps by its own clock."""
 
-_HARMS: Mapping[MessageFault, type[_Harm]] = {
+_FAULTS: Mapping[MessageFault, type[_Fault]] = {
     MessageFault.LOSS: _Loss,
     MessageFault.DELAY: _Delay,
     MessageFault.REORDER: _Reorder,

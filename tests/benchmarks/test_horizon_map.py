@@ -16,7 +16,7 @@ from ltv_mpc.control.horizon_selection import MIN_TIME_SCALES
 from ltv_mpc.control.scaling import characteristic_scales
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.cli.app import run
-from services.tools.page_tables import between
+from services.tools.page_tables import table_text
 
 PAGE = Path(__file__).parents[2] / "docs" / "horizon.md"
 HORIZONS = np.geomspace(1.0, 32.0, 21)
@@ -87,7 +87,7 @@ def test_the_tables_hold_what_is_kept_and_stand_in_the_page() -> None:
     assert set(RULES) == set(rules.RULES)
     page = PAGE.read_text(encoding="utf-8")
     stored = tables(json.loads(PAGE.with_suffix(".json").read_text(encoding="utf-8")))
-    assert [between(page, table.name) for table in stored] == [table.markdown() for table in stored], "make map"
+    assert [table_text(page, table.name) for table in stored] == [table.markdown() for table in stored], "make map"
 
 
 def test_the_rule_that_vehicle_check_proposes_is_what_the_map_says() -> None:

@@ -32,13 +32,13 @@ R = TypeVar("R")
 MAX_LOSSES = 3
 """A job is given up when it has lost its worker so often while it ran alone."""
 
-LOOK_S = 0.2
+POLL_S = 0.2
 """Interval at which a stop request is noticed."""
 
 AHEAD = 3
 """Jobs submitted for each worker: the next one is there when one ends."""
 
-CLUSTER_PATIENCE_S = 30.0
+CLUSTER_TIMEOUT_S = 30.0
 """For a scheduler's answer, and for its first worker."""
 
 
@@ -46,7 +46,7 @@ class WorkerLost(RuntimeError):
     """A job has ended its worker each time."""
 
 
-def each(
+def run_each(
     work: Callable[[T], R],
     jobs: Sequence[T],
     *,
@@ -100,7 +100,7 @@ def each(
                     queue.popleft()
                 except BrokenExecutor:  # since the last look: the running jobs say so by themselves
                     broken = True
-            for future in wait(running, timeout=LOOK_S, return_when=FIRST_COMPLETED).done:
+            for future in wait(running, timeout=POLL_S, return_when=FIRST_COMPLETED).done:
                 place, error = running.pop(future), future.exception()
                 if error is None:
                     yield place, future.result()
@@ -198,8 +198,8 @@ class _Cluster:
             problem = "needs the package distributed: pip install distributed (extra campaign)"
             raise ConfigError("option --cluster", "", problem, value=address) from None
         try:
-            self._client = Client(address, timeout=f"{CLUSTER_PATIENCE_S:g}s", set_as_default=False)
-            self._client.wait_for_workers(1, timeout=CLUSTER_PATIENCE_S)
+            self._client = Client(address, timeout=f"{CLUSTER_TIMEOUT_S:g}s", set_as_default=False)
+            self._client.wait_for_workers(1, timeout=CLUSTER_TIMEOUT_S)
         except (OSError, ValueError) as error:
             raise ConfigError("option --cluster", "", one_line(str(error)), value=address) from None
         self.workers = sum(info["nthreads"] for info in self._client.scheduler_info(n_workers=-1)["workers"].values())

@@ -22,7 +22,7 @@ from ltv_mpc.errors import ConfigError
 from services.run.provenance import provenance_table
 from services.run.run_config import resolve
 from services.tools.batch import results_store
-from services.tools.batch.executor import MAX_LOSSES, each
+from services.tools.batch.executor import MAX_LOSSES, run_each
 from services.tools.batch.results_store import ResultsStore
 from services.tools.campaign import trial
 from services.tools.campaign.design import Point, points, value_at
@@ -96,7 +96,7 @@ def _try(made: PreparedCampaign, point: Point, field: str, source: str) -> None:
 
 
 @contextmanager
-def opened(folder: Path, made: PreparedCampaign, *, force: bool = False) -> Iterator[ResultsStore]:
+def open_campaign(folder: Path, made: PreparedCampaign, *, force: bool = False) -> Iterator[ResultsStore]:
     """Open the campaign's folder, new or existing, for this process alone. Raises ``ConfigError``."""
     with results_store.open_store(folder, msgspec.to_builtins(made), force=force) as store:
         for name, content in made.base:
@@ -114,22 +114,22 @@ def run(
     *,
     workers: int | None,
     cluster: str | None,
-    hear: Callable[[Row], None],
+    on_row: Callable[[Row], None],
     stop: Callable[[], bool],
 ) -> None:
-    """Make the missing runs. ``hear`` receives each row as it ends."""
+    """Make the missing runs. ``on_row`` receives each row as it ends."""
     missing = [one for one in made.trials() if one.key not in store.keys]
 
     def lost(one: Trial) -> Row:
         return row_of(one, made.version, f"its process was lost {MAX_LOSSES} times")
 
     work = partial(trial.run, made.base, made.version)
-    for place, row in each(work, missing, workers=workers, cluster=cluster, stop=stop, lost=lost):
+    for place, row in run_each(work, missing, workers=workers, cluster=cluster, stop=stop, lost=lost):
         store.append(missing[place].key, row)
-        hear(row)
+        on_row(row)
 
 
-def reopened(folder: Path) -> tuple[PreparedCampaign, Iterator[Row]]:
+def reopen_campaign(folder: Path) -> tuple[PreparedCampaign, Iterator[Row]]:
     """Read the campaign of a folder, finished or not, and its rows. Raises ``ConfigError``."""
     settings, results = results_store.read(folder / results_store.NAME)
     try:

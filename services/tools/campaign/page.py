@@ -17,7 +17,7 @@ import numpy as np
 
 from services.reporting import static_files
 from services.reporting.plots import palette
-from services.tools.campaign.campaign import reopened
+from services.tools.campaign.campaign import reopen_campaign
 from services.tools.campaign.file import Campaign, Range
 from services.tools.campaign.ranking import ConfidenceInterval, Scores, Standing, interval, ranked, scores
 from services.tools.campaign.text import difference, failures, span
@@ -28,7 +28,7 @@ MAX_POINTS, MAX_LINES = 40, 8
 
 def write(folder: Path) -> Path:
     """Write the report of a campaign's folder, finished or not. Raises ``NoPlotly``, ``ConfigError``, ``OSError``."""
-    made, found = reopened(folder)
+    made, found = reopen_campaign(folder)
     campaign, rows = made.campaign, list(found)
     of = scores(rows, campaign.minimise, campaign.varied)
     best = ranked(of, MAX_POINTS)

@@ -37,7 +37,7 @@ class Progress:
         self._began_s = self._said_s = time.monotonic()
         self._first = len(rows)
 
-    def hear(self, row: Row) -> None:
+    def add(self, row: Row) -> None:
         """Add a row and update the display."""
         self.rows.append(row)
         self._bar.update(self._task, completed=len(self.rows))

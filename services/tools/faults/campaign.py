@@ -20,7 +20,7 @@ import msgspec
 from ltv_mpc.errors import ConfigError
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.run.provenance import provenance_table
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.results_store import ResultsStore, decode
 from services.tools.campaign.trial import version_of
 from services.tools.faults import bench, draw, lockstep_runs, process_runs, recorded
@@ -196,11 +196,11 @@ def in_lockstep(
     progress(sum(len(run.faults) for i, run in enumerate(runs) if i not in missing))
     if missing and not quick:
         alone = [run for run in _alone(runs) if _without("lockstep", run.seed) not in store.keys]
-        for place, result in each(maker.undisturbed, alone, workers=workers):
+        for place, result in run_each(maker.undisturbed, alone, workers=workers):
             store.append(_without("lockstep", alone[place].seed), result)
     baselines = {} if quick else without_faults(store)
     jobs = [Job(runs[i], baselines.get(_without("lockstep", runs[i].seed))) for i in missing]
-    for place, seen in each(maker.judged, jobs, workers=workers):
+    for place, seen in run_each(maker.judged, jobs, workers=workers):
         store.append(names[missing[place]], seen)
         progress(len(jobs[place].run.faults))
     return names

@@ -46,7 +46,7 @@ class Interference:
 
     def __init__(self, injections: Iterable[Injection] = ()) -> None:
         self.asked: list[Injection] = []
-        self._message_faults = MessageFaults((), encode=_as_received, admit=_nobody)
+        self._message_faults = MessageFaults((), encode=_as_received, receive=_nobody)
         for injection in injections:
             self.add(injection)
 

@@ -199,7 +199,7 @@ class Bus(MessageFaults):
 
     def __init__(self, faults: Sequence[MessageFaultInterval]) -> None:
         self.validators = ReaderValidators()
-        super().__init__(faults, encode=encoded, admit=self.validators.receive)
+        super().__init__(faults, encode=encoded, receive=self.validators.receive)
 
     def carry(self, writer: str, reader: str, message: ReceivedMessage) -> Sequence[Delivery]:
         """Deliver a message with the epoch of its writer."""

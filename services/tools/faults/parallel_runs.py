@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -75,6 +75,6 @@ def run_in_parallel(
     if not tasks:
         return cores
     workers = machine.at_a_time(cores or CORES_A_RUN)
-    for place, result in each(make, tasks, workers=workers, threads=True):
+    for place, result in run_each(make, tasks, workers=workers, threads=True):
         ended(tasks[place], result)
     return cores

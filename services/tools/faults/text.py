@@ -16,7 +16,7 @@ HEAD = (
 
 
 def table(of: Campaign) -> str:
-    """All of it."""
+    """Return the report of a campaign as text."""
     lines = [
         f"{of.injected} faults in {of.classes} classes, {of.in_processes} of them in processes, seed {of.seed}, "
         f"{of.wall_s:.0f} s, load {of.load:.1f} a core{', quick' if of.quick else ''}",

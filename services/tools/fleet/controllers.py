@@ -26,7 +26,7 @@ from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.processes.controller import warm_up
 from services.supervisor.parent_death import die_with_parent
-from services.tools.fleet.place import Fleet, Wire, begin, namespace, now_ns
+from services.tools.fleet.fleet import Fleet, Wire, namespace, now_ns, wait_for_start
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
 
@@ -52,11 +52,11 @@ def main(fleet: Fleet, numbers: Sequence[int], wire: Wire, parent: int) -> None:
     warm_up(vehicle, point, config)
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox = Mailbox()
-        helms = {
+        by_vehicle = {
             number: _VehicleController(ControllerNode(vehicle, point, config), session, mailbox, number)
             for number in numbers
         }
-        wire.send(_run(fleet, helms, mailbox, begin(wire)))
+        wire.send(_run(fleet, by_vehicle, mailbox, wait_for_start(wire)))
 
 
 class _VehicleController:
@@ -73,7 +73,7 @@ class _VehicleController:
         for kind in (Applied, Estimate):
             session.subscribe(f"{under}/{BY_TYPE[kind].key}", BY_TYPE[kind], mailbox)
 
-    def hear(self, frame: Frame) -> None:
+    def receive(self, frame: Frame) -> None:
         """Keep a frame for the next cycle, which decodes only the newest estimate."""
         self._frames.append(frame)
 
@@ -103,36 +103,38 @@ def _is_estimate(frame: Frame) -> bool:
     return frame.topic is not None and frame.topic.message_type is Estimate
 
 
-def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
+def _run(fleet: Fleet, by_vehicle: dict[int, _VehicleController], mailbox: Mailbox, start_ns: int) -> Controllers:
     begin_ns, end_ns = round(fleet.warm_up_s * 1e9), round((fleet.warm_up_s + fleet.seconds) * 1e9)
     of = {
-        f"{namespace(n)}/{BY_TYPE[kind].key}": arbiter for n, arbiter in helms.items() for kind in (Applied, Estimate)
+        f"{namespace(n)}/{BY_TYPE[kind].key}": controller
+        for n, controller in by_vehicle.items()
+        for kind in (Applied, Estimate)
     }
     waiting: dict[_VehicleController, None] = {}  # in the order in which an estimate came for them
     busy_ms: list[float] = []
     before: tuple[float, Counter[str]] | None = None
     while (t_ns := now_ns(start_ns)) < end_ns:
         if before is None and t_ns >= begin_ns:
-            before = time.process_time(), _counts(helms.values())
+            before = time.process_time(), _counts(by_vehicle.values())
             busy_ms.clear()
         frame = mailbox.take(0.0 if waiting else min((end_ns - t_ns) / 1e9, 0.1))
         started_ns = time.perf_counter_ns()
         while frame is not None:
-            of[frame.key].hear(frame)
+            of[frame.key].receive(frame)
             if _is_estimate(frame):
                 waiting.setdefault(of[frame.key])
             frame = mailbox.take(0.0)
         if not waiting:
             continue
-        arbiter = next(iter(waiting))
-        del waiting[arbiter]
-        arbiter.cycle(start_ns)
+        controller = next(iter(waiting))
+        del waiting[controller]
+        controller.cycle(start_ns)
         busy_ms.append((time.perf_counter_ns() - started_ns) / 1e6)
     cpu_s, counted = before or (0.0, Counter[str]())
-    since = _counts(helms.values())
+    since = _counts(by_vehicle.values())
     since.subtract(counted)
     return Controllers(
-        vehicles=len(helms),
+        vehicles=len(by_vehicle),
         cycles=len(busy_ms),
         overtaken=since["overtaken"],
         rejected=since["rejected"],
@@ -142,10 +144,10 @@ def _run(fleet: Fleet, helms: dict[int, _VehicleController], mailbox: Mailbox, s
     )
 
 
-def _counts(helms: Iterable[_VehicleController]) -> Counter[str]:
+def _counts(controllers: Iterable[_VehicleController]) -> Counter[str]:
     """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
     counts: Counter[str] = Counter()
-    for arbiter in helms:
-        overtaken = {"overtaken": arbiter.overtaken, "dropped": arbiter.door.dropped - arbiter.overtaken}
-        counts.update(overtaken, rejected=arbiter.door.rejected)
+    for controller in controllers:
+        overtaken = {"overtaken": controller.overtaken, "dropped": controller.door.dropped - controller.overtaken}
+        counts.update(overtaken, rejected=controller.door.rejected)
     return counts

@@ -23,7 +23,7 @@ from services.bus.session import BusOptions, Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.supervisor.parent_death import die_with_parent
-from services.tools.fleet.place import Fleet, Wire, begin, namespace, now_ns
+from services.tools.fleet.fleet import Fleet, Wire, namespace, now_ns, wait_for_start
 from sim import motion
 from sim.evaluation.metrics import quantiles
 from sim.evaluation.summary import Quantiles
@@ -62,7 +62,7 @@ def main(fleet: Fleet, wire: Wire, parent: int) -> None:
     with open_session(BusOptions(connect=(fleet.router,)), stop=lambda: False, say=lambda _text: None) as session:
         mailbox = Mailbox()
         made = _World(fleet, plants, session, mailbox)
-        wire.send(made.run(begin(wire), mailbox))
+        wire.send(made.run(wait_for_start(wire), mailbox))
 
 
 class _World:

@@ -19,7 +19,7 @@ from services.bus.session import BusOptions, open_session
 from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet import controllers, plants
 from services.tools.fleet.controllers import Controllers
-from services.tools.fleet.place import Fleet, Wire
+from services.tools.fleet.fleet import Fleet, Wire
 from services.tools.fleet.plants import Plants
 from sim.evaluation.summary import Quantiles
 
@@ -54,58 +54,61 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     limit: str  # what gave way first; "none"
 
 
-TELL_S = 0.5
-"""How often it is told how far a trial is."""
+PROGRESS_PERIOD_S = 0.5
+"""Time between two reports of progress."""
 
 
 class TrialFailed(RuntimeError):
     """A process of the fleet ended without its figures."""
 
 
-def run(fleet: Fleet, processes: int, *, told: Callable[[float], None] = lambda _share: None) -> Row:
-    """Start all processes, measure, and stop them. ``told`` receives the elapsed share. Raises ``TrialFailed``."""
+def run(fleet: Fleet, processes: int, *, on_progress: Callable[[float], None] = lambda _share: None) -> Row:
+    """Start all processes, measure, and stop them. Raises ``TrialFailed``.
+
+    ``on_progress`` receives the elapsed share of the trial.
+    """
     processes = min(processes, fleet.vehicles)
     with _started() as start:
         way = start("router", _router, fleet.router)
         # One after the other: what the first has compiled the others find.
-        minds = [
+        reports = [
             start(f"controllers {first + 1}", controllers.main, fleet, tuple(range(first, fleet.vehicles, processes)))
             for first in range(processes)
         ]
         world = start("plants", plants.main, fleet)
         start_ns = time.monotonic_ns() + round(LEAD_S * 1e9)
-        for child in (*minds, world):
+        for child in (*reports, world):
             child.send(start_ns)
         measured_ns = start_ns + round(fleet.warm_up_s * 1e9)
         end_ns = measured_ns + round(fleet.seconds * 1e9)
 
-        def tell(left_ns: int) -> None:
-            told(1.0 - left_ns / (end_ns - start_ns))
+        def report(left_ns: int) -> None:
+            on_progress(1.0 - left_ns / (end_ns - start_ns))
 
-        _sleep_until(measured_ns, lambda left_ns: tell(left_ns + end_ns - measured_ns))
+        _sleep_until(measured_ns, lambda left_ns: report(left_ns + end_ns - measured_ns))
         before_s = way.cpu_s()
-        _sleep_until(end_ns, tell)
+        _sleep_until(end_ns, report)
         routed_s = way.cpu_s() - before_s
         wait_s = 10.0 + fleet.seconds
-        return _row(fleet, [mind.receive(wait_s) for mind in minds], world.receive(wait_s), routed_s)
+        return _row(fleet, [one.receive(wait_s) for one in reports], world.receive(wait_s), routed_s)
 
 
-def _row(fleet: Fleet, minds: list[Controllers], world: Plants, routed_s: float) -> Row:
+def _row(fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float) -> Row:
     busy = {
         "router": routed_s / fleet.seconds,
         "plants": world.cpu_s / fleet.seconds,
-        "controllers": max(mind.cpu_s for mind in minds) / fleet.seconds,
+        "controllers": max(one.cpu_s for one in reports) / fleet.seconds,
     }
-    thinking = sum(mind.cpu_s for mind in minds) / fleet.seconds
+    thinking = sum(one.cpu_s for one in reports) / fleet.seconds
     busy["all"] = busy["router"] + busy["plants"] + thinking
     missed = max(world.estimates - world.plans, 0) + world.late
     share = missed / max(world.estimates, 1)
-    slowest = max(minds, key=lambda mind: mind.cycle_ms.p99 or 0.0)
+    slowest = max(reports, key=lambda one: one.cycle_ms.p99 or 0.0)
     return Row(
         vehicles=fleet.vehicles,
         rate_hz=fleet.rate_hz,
         seconds=fleet.seconds,
-        controller_processes=len(minds),
+        controller_processes=len(reports),
         plans=world.plans,
         missed=missed,
         missed_share=share,
@@ -115,8 +118,8 @@ def _row(fleet: Fleet, minds: list[Controllers], world: Plants, routed_s: float)
         busy=busy,
         controller_busy_per_vehicle=thinking / fleet.vehicles,
         plant_busy_per_vehicle=busy["plants"] / fleet.vehicles,
-        rejected=sum(mind.rejected for mind in minds) + world.refused,
-        dropped=sum(mind.dropped for mind in minds) + world.dropped,
+        rejected=sum(one.rejected for one in reports) + world.refused,
+        dropped=sum(one.dropped for one in reports) + world.dropped,
         limit=_limit(busy, share),
     )
 
@@ -203,8 +206,8 @@ def _router(endpoint: str, wire: Wire, parent: int) -> None:
             wire.recv()
 
 
-def _sleep_until(instant_ns: int, tell: Callable[[int], None]) -> None:
-    """Sleep until an instant; report the remaining time to ``tell`` from time to time."""
+def _sleep_until(instant_ns: int, report: Callable[[int], None]) -> None:
+    """Sleep until an instant; report the remaining time to ``report`` from time to time."""
     while (left_ns := instant_ns - time.monotonic_ns()) > 0:
-        tell(left_ns)
-        time.sleep(min(left_ns / 1e9, TELL_S))
+        report(left_ns)
+        time.sleep(min(left_ns / 1e9, PROGRESS_PERIOD_S))

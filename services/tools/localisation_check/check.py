@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from ltv_mpc.messages import Array
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
 from services.tools.batch.results_store import ResultsStore, decode
 from services.tools.localisation_check.probe import Record, Squares, descend
@@ -79,7 +79,7 @@ def measure(work: Sequence[Job], store: ResultsStore, *, progress: Callable[[int
     """Return every run's record in the order of the jobs; ``progress`` receives the number of further runs done."""
     missing = [job for job in work if _seed(job) not in store.keys]
     progress(len(work) - len(missing))
-    for place, record in each(descend, missing):
+    for place, record in run_each(descend, missing):
         store.append(_seed(missing[place]), record)
         progress(1)
     found = dict(store.results())

@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parsed(arguments)
         page = checked(options)
         made = make(options)
-        options.page.write_text(page_tables.renewed(page, made.tables), encoding="utf-8")
+        options.page.write_text(page_tables.replace_tables(page, made.tables), encoding="utf-8")
     except ConfigError as error:
         typer.echo(str(error), err=True)
         return 2
@@ -98,7 +98,7 @@ def checked(options: Options) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError("option --page", "", f"cannot be read: {error}", value=str(options.page)) from None
     for name in TABLES:
-        page_tables.between(page, name)
+        page_tables.table_text(page, name)
     for setting in RECORDED:
         descents.Flight(setting, options.runs, options.duration_s, options.surface_s).run_config()
     for path in (options.out, options.runs, options.readme.parent):

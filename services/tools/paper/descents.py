@@ -11,7 +11,7 @@ from services.reporting.plots.recorded import read
 from services.run import folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.tools import lockstep_run
-from services.tools.batch.executor import each
+from services.tools.batch.executor import run_each
 from services.tools.batch.job import Job
 from services.tools.paper.settings import AVERAGED, KNOWN, RECORDED, SCENARIO, Setting
 from sim.evaluation.summary import Summary
@@ -56,7 +56,7 @@ def recorded(
     """Return the plotted run and the summary of each recorded setting, by its key."""
     flights = [Flight(setting, runs / setting.key, duration_s, surface_s) for setting in RECORDED]
     summaries: dict[str, Summary] = {}
-    for place, summary in each(fly, flights, workers=workers):
+    for place, summary in run_each(fly, flights, workers=workers):
         summaries[flights[place].setting.key] = summary
         progress()
     return {
@@ -84,7 +84,7 @@ def averaged(
         for seed in range(seeds)
     ]
     found: list[Summary | None] = [None] * len(jobs)
-    for place, summary in each(Job.summary, [job for _, job in jobs], workers=workers):
+    for place, summary in run_each(Job.summary, [job for _, job in jobs], workers=workers):
         found[place] = summary
         progress()
     of: dict[str, list[Summary]] = {setting.key: [] for setting in AVERAGED}

@@ -81,7 +81,7 @@ def test_the_page_s_tables_are_those_of_figures_json_and_the_rest_stays(made: Pa
     figures = tables.Figures.load(made / "figures" / command.FIGURES)
     assert [table.name for table in figures.tables] == list(command.TABLES)
     for table in figures.tables:
-        assert page_tables.between(page, table.name) == table.markdown()
+        assert page_tables.table_text(page, table.name) == table.markdown()
     assert "old" not in page
     assert page.startswith("# A page\n")
 
@@ -154,7 +154,7 @@ def test_the_committed_page_quotes_the_committed_tables() -> None:
     assert [table.name for table in figures.tables] == list(command.TABLES)
     for table in figures.tables:
         assert len(table.rows) > 1
-        assert page_tables.between(page, table.name) == table.markdown(), "make figures"
+        assert page_tables.table_text(page, table.name) == table.markdown(), "make figures"
 
 
 def test_every_link_of_the_page_leads_somewhere_and_every_figure_is_linked() -> None:

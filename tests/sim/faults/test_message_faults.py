@@ -34,7 +34,7 @@ def message_faults(harm: MessageFault, size: float = 1.0, kind: type[Message] = 
     return MessageFaults(
         [MessageFaultInterval((kind,), harm, INTERVAL, size, seed=4)],
         encode=lambda _: bytes(range(60)),
-        admit=by_validation,
+        receive=by_validation,
     )
 
 
@@ -168,7 +168,7 @@ def test_in_lock_step_what_the_door_refuses_is_told_and_not_heard():
 
 
 def test_without_faults_a_way_between_the_nodes_changes_nothing():
-    way = MessageFaults([], encode=lambda _: b"", admit=by_validation)
+    way = MessageFaults([], encode=lambda _: b"", receive=by_validation)
     assert in_lockstep(way).heard == in_lockstep(None).heard
 
 

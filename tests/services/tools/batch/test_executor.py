@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from ltv_mpc.errors import ConfigError
-from services.tools.batch.executor import MAX_LOSSES, WorkerLost, each
+from services.tools.batch.executor import MAX_LOSSES, WorkerLost, run_each
 
 
 def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
@@ -30,43 +30,43 @@ def mortal(marks: Path, deadly: dict[int, int], job: int) -> int:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_each_job_comes_back_with_its_place(workers: int) -> None:
-    assert sorted(each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
+    assert sorted(run_each(math.sqrt, [4.0, 9.0, 16.0], workers=workers)) == [(0, 2.0), (1, 3.0), (2, 4.0)]
 
 
 def test_no_jobs_are_no_processes() -> None:
-    assert list(each(math.sqrt, [])) == []
+    assert list(run_each(math.sqrt, [])) == []
 
 
 @pytest.mark.parametrize("how", [{"workers": 1}, {"workers": 2}, {"workers": 2, "threads": True}])
 def test_what_a_job_raises_reaches_the_reader(how: dict) -> None:
     with pytest.raises(ValueError, match=r"math domain error|nonnegative"):
-        list(each(math.sqrt, [4.0, -1.0, 9.0], **how))
+        list(run_each(math.sqrt, [4.0, -1.0, 9.0], **how))
 
 
 @pytest.mark.parametrize("deadly", [{1: 1}, {0: 1, 5: 2, 11: 1}])
 def test_each_job_has_one_result_however_often_workers_die(tmp_path: Path, deadly: dict[int, int]) -> None:
-    done = list(each(partial(mortal, tmp_path, deadly), range(12), workers=2))
+    done = list(run_each(partial(mortal, tmp_path, deadly), range(12), workers=2))
     assert sorted(done) == [(job, -job) for job in range(12)]
 
 
 def test_a_job_that_ends_its_worker_each_time_is_given_up_and_no_other(tmp_path: Path) -> None:
     work = partial(mortal, tmp_path, {3: 99})
-    done = dict(each(work, range(8), workers=2, lost=lambda job: job + 1000))
+    done = dict(run_each(work, range(8), workers=2, lost=lambda job: job + 1000))
     assert done == {job: -job for job in range(8)} | {3: 1003}
     began = Counter(path.name.partition("-")[0] for path in tmp_path.iterdir())
     assert began.pop("3") == 1 + MAX_LOSSES  # once with others, then alone
     assert max(began.values()) <= 2
     with pytest.raises(WorkerLost, match="job 0 of 2"):
-        list(each(partial(mortal, tmp_path, {9: 99}), [9, 10], workers=2))
+        list(run_each(partial(mortal, tmp_path, {9: 99}), [9, 10], workers=2))
 
 
 def test_the_only_worker_is_another_process_where_its_loss_must_be_survived(tmp_path: Path) -> None:
-    assert dict(each(partial(mortal, tmp_path, {0: 1}), [0, 1], workers=1, lost=lambda _: 7)) == {0: 0, 1: -1}
+    assert dict(run_each(partial(mortal, tmp_path, {0: 1}), [0, 1], workers=1, lost=lambda _: 7)) == {0: 0, 1: -1}
 
 
 def test_told_to_stop_it_begins_nothing_more(tmp_path: Path) -> None:
     for workers in (1, 2):
-        assert list(each(partial(mortal, tmp_path, {}), range(9), workers=workers, stop=lambda: True)) == []
+        assert list(run_each(partial(mortal, tmp_path, {}), range(9), workers=workers, stop=lambda: True)) == []
     assert not list(tmp_path.iterdir())
 
 
@@ -76,7 +76,7 @@ def test_told_to_stop_it_ends_what_runs() -> None:
     before = set(multiprocessing.active_children())  # of other tests
     began = time.monotonic()
     threading.Timer(2.0, stop.set).start()
-    assert list(each(time.sleep, [60.0, 60.0, 60.0], workers=2, stop=stop.is_set)) == []
+    assert list(run_each(time.sleep, [60.0, 60.0, 60.0], workers=2, stop=stop.is_set)) == []
     assert time.monotonic() - began < 30.0
     for process in set(multiprocessing.active_children()) - before:
         process.join(20)
@@ -89,11 +89,11 @@ def interrupted(job: int) -> int:
 
 
 def test_an_interrupt_that_reaches_a_worker_too_is_its_parent_s() -> None:
-    assert sorted(each(interrupted, [1, 2], workers=2)) == [(0, 1), (1, 2)]
+    assert sorted(run_each(interrupted, [1, 2], workers=2)) == [(0, 1), (1, 2)]
 
 
 def test_a_scheduler_that_is_not_there_is_bad_input(free_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("services.tools.batch.executor.CLUSTER_PATIENCE_S", 1.0)
     with pytest.raises(ConfigError, match="option --cluster"):
-        list(each(math.sqrt, [4.0], cluster=f"tcp://127.0.0.1:{free_port}"))
+        list(run_each(math.sqrt, [4.0], cluster=f"tcp://127.0.0.1:{free_port}"))

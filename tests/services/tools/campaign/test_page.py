@@ -12,7 +12,7 @@ import pytest
 from services.cli.app import run
 from services.reporting import static_files
 from services.tools.campaign import page
-from services.tools.campaign.campaign import opened, plan
+from services.tools.campaign.campaign import open_campaign, plan
 from services.tools.campaign.design import points
 from services.tools.campaign.file import load
 from services.tools.campaign.ranking import interval, ranked, scores
@@ -40,7 +40,7 @@ def made_up(folder: Path) -> list[Row]:
             value = point["controller.horizon_s"] / 10 + (point["sensors"] == "realistic") + hard[seed]
             rows.append(row | {"true_error_m.mean": value})
     rows[7] |= {"true_error_m.mean": None, "failed": "no <such> thing"}  # point 1, seed 2
-    with opened(folder / "out", plan(campaign, "c.toml")) as store:
+    with open_campaign(folder / "out", plan(campaign, "c.toml")) as store:
         for row in rows:
             store.append(f"point {row['point']}, seed {row['seed']}", row)
     return rows

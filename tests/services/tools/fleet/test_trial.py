@@ -11,7 +11,7 @@ import pytest
 from services.cli.app import run
 from services.tools.fleet import trial
 from services.tools.fleet.controllers import Controllers
-from services.tools.fleet.place import Fleet, namespace
+from services.tools.fleet.fleet import Fleet, namespace
 from services.tools.fleet.plants import Plants
 from sim.evaluation.metrics import quantiles
 
@@ -29,7 +29,7 @@ def test_the_vehicles_estimates_are_spread_over_a_period_and_come_once_in_each()
 
 
 def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s: float = 2.0, routed_s: float = 0.5):
-    mind = Controllers(
+    one = Controllers(
         vehicles=3, cycles=plans, overtaken=0, rejected=1, dropped=0, cycle_ms=quantiles([1.0, 2.0]), cpu_s=mind_cpu_s
     )
     world = Plants(
@@ -42,7 +42,7 @@ def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s
         mean_error_m=0.1,
         cpu_s=world_cpu_s,
     )
-    return trial._row(FLEET, [mind], world, routed_s)
+    return trial._row(FLEET, [one], world, routed_s)
 
 
 def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():

@@ -41,7 +41,7 @@ class Wire(Protocol):
     def recv(self) -> Any: ...
 
 
-def begin(wire: Wire) -> int:
+def wait_for_start(wire: Wire) -> int:
     """Report "ready" and wait for the start: the CLOCK_MONOTONIC time (ns) of the fleet's t = 0."""
     wire.send("ready")
     start: int = wire.recv()
