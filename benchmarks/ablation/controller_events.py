@@ -32,7 +32,7 @@ from services.tools.faults.lockstep_runs import Bus, Log
 from sim.faults import world
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
-from sim.faults.solver import FaultySolver, SolverClock, SolverFault, SolverFaultInterval
+from sim.faults.solver_faults import FaultySolver, SolverClock, SolverFault, SolverFaultInterval
 from sim.scheduler import LockStep
 
 S = 1_000_000_000

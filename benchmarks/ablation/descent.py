@@ -27,8 +27,8 @@ from services.run.nodes import make_nodes
 from services.run.run_config import Override, resolve
 from services.tools import lockstep_run
 from services.tools.faults import lockstep_runs
-from sim.faults.instruments import FaultySensors, SensorFault
 from sim.faults.message_faults import MessageFaultInterval
+from sim.faults.sensor_faults import FaultySensors, SensorFault
 from sim.scheduler import LockStep
 from sim.sensors.imu import InertialUnit
 from sim.sensors.node import Sensors

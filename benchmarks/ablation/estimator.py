@@ -30,9 +30,9 @@ from ltv_mpc.messages import (
     PressureDepth,
     TdcpFix,
 )
-from sim.faults.instruments import Failure, SensorFault
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval
+from sim.faults.sensor_faults import Failure, SensorFault
 
 BASE, TESTS = "ltv_mpc/localisation", "tests/ltv_mpc/localisation"
 SENSORS = (ImuSample, AdcpPing, CompassHeading, PressureDepth, GnssFix, TdcpFix)

@@ -39,10 +39,10 @@ from services.tools.faults.draw import Run
 from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import INSTRUMENTS, MESSAGES
 from sim.faults import world
-from sim.faults.instruments import Failure, FaultySensors, SensorFault
 from sim.faults.interval import Interval
 from sim.faults.message_faults import MessageFaultInterval, MessageFaults
-from sim.faults.solver import SolverClock, SolverFault, SolverFaultInterval, TimedNode, inject_solver_faults
+from sim.faults.sensor_faults import Failure, FaultySensors, SensorFault
+from sim.faults.solver_faults import SolverClock, SolverFault, SolverFaultInterval, TimedNode, inject_solver_faults
 from sim.scheduler import Delivery, LockStep, Step
 
 SCENARIO = "hover"

@@ -64,7 +64,7 @@ class _VehicleController:
 
     def __init__(self, node: ControllerNode, session: Session, mailbox: Mailbox, number: int) -> None:
         self.node = node
-        self.door = MessageValidator()
+        self.validator = MessageValidator()
         self.overtaken = 0  # estimates
         self._frames: list[Frame] = []
         self._armed = False
@@ -88,8 +88,8 @@ class _VehicleController:
                 self.overtaken += 1
                 continue
             try:
-                signal, header = self.door.validate(frame)
-            except WireError:  # counted by the door
+                signal, header = self.validator.validate(frame)
+            except WireError:  # counted by the validator
                 continue
             received_ns = frame.received_monotonic_us * 1000 - start_ns
             arrivals.append(ReceivedMessage(signal, header.epoch, header.sequence, received_ns))
@@ -148,6 +148,6 @@ def _counts(controllers: Iterable[_VehicleController]) -> Counter[str]:
     """Sum the counts of all vehicles; overtaken estimates are subtracted from the messages lost on the way."""
     counts: Counter[str] = Counter()
     for controller in controllers:
-        overtaken = {"overtaken": controller.overtaken, "dropped": controller.door.dropped - controller.overtaken}
-        counts.update(overtaken, rejected=controller.door.rejected)
+        overtaken = {"overtaken": controller.overtaken, "dropped": controller.validator.dropped - controller.overtaken}
+        counts.update(overtaken, rejected=controller.validator.rejected)
     return counts

@@ -76,7 +76,7 @@ class _World:
         self._of = {f"{namespace(i)}/{topic.key}": i for i in range(len(plants))}
         for key in self._of:
             session.subscribe(key, topic, mailbox)
-        self._door = MessageValidator()
+        self._validator = MessageValidator()
         self._latencies_ns: list[int] = []
         self._errors_m: list[float] = []
         self._plans = self._estimates = self._late = self._refused = 0
@@ -101,7 +101,7 @@ class _World:
             plans=self._plans,
             late=self._late,
             refused=self._refused,
-            dropped=self._door.dropped,
+            dropped=self._validator.dropped,
             latency_ms=quantiles([x / 1e6 for x in self._latencies_ns]),
             mean_error_m=float(np.mean(self._errors_m)) if self._errors_m else math.nan,
             cpu_s=time.process_time() - (cpu_s or 0.0),
@@ -118,7 +118,7 @@ class _World:
 
     def _take(self, frame: Frame, t_ns: int, *, counts: bool) -> None:
         try:
-            plan, header = self._door.validate(frame)
+            plan, header = self._validator.validate(frame)
         except WireError:
             self._refused += 1
             return

@@ -71,13 +71,13 @@ def run(fleet: Fleet, processes: int, *, on_progress: Callable[[float], None] = 
     with _started() as start:
         way = start("router", _router, fleet.router)
         # One after the other: what the first has compiled the others find.
-        reports = [
+        children = [
             start(f"controllers {first + 1}", controllers.main, fleet, tuple(range(first, fleet.vehicles, processes)))
             for first in range(processes)
         ]
         world = start("plants", plants.main, fleet)
         start_ns = time.monotonic_ns() + round(LEAD_S * 1e9)
-        for child in (*reports, world):
+        for child in (*children, world):
             child.send(start_ns)
         measured_ns = start_ns + round(fleet.warm_up_s * 1e9)
         end_ns = measured_ns + round(fleet.seconds * 1e9)
@@ -90,7 +90,7 @@ def run(fleet: Fleet, processes: int, *, on_progress: Callable[[float], None] = 
         _sleep_until(end_ns, report)
         routed_s = way.cpu_s() - before_s
         wait_s = 10.0 + fleet.seconds
-        return _row(fleet, [one.receive(wait_s) for one in reports], world.receive(wait_s), routed_s)
+        return _row(fleet, [child.receive(wait_s) for child in children], world.receive(wait_s), routed_s)
 
 
 def _row(fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float) -> Row:

@@ -9,7 +9,7 @@ from ltv_mpc.control import controller
 from ltv_mpc.control.solvers.interface import SolverResult
 from ltv_mpc.messages import Solve, SolveStatus
 from sim.faults.interval import Interval
-from sim.faults.solver import (
+from sim.faults.solver_faults import (
     FaultySolver,
     InjectedSolverError,
     SolverClock,
