@@ -1,4 +1,4 @@
-"""A descent made for these tests alone, independent of ``sim``: motion in closed form, sensors as the design says."""
+"""Descents for these tests, independent of ``sim``: motion in closed form, sensors by their equations."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DT_NS = 10_000_000
 
 @dataclass(frozen=True)
 class Dive:
-    """Truth at every inertial sample, (T, ...), and what the sensors said, in order."""
+    """Truth at every inertial sample, (T, ...), and the sensors' messages in order."""
 
     t_ns: Array
     position: Array
@@ -46,12 +46,12 @@ class Dive:
     messages: list[Message]
 
     def at(self, t_ns: int) -> int:
-        """Index of a time of the inertial grid."""
+        """Return the index of a time of the inertial grid."""
         return int((t_ns - self.t_ns[0]) // DT_NS)
 
 
 def markov(rng: np.random.Generator, sd: float, tau: float, steps: int, h: float) -> Array:
-    """First-order Gauss-Markov, (steps,)."""
+    """Return a first-order Gauss-Markov sequence, (steps,)."""
     a = math.exp(-h / tau)
     b = np.empty(steps)
     b[0] = sd * rng.standard_normal()
@@ -62,7 +62,7 @@ def markov(rng: np.random.Generator, sd: float, tau: float, steps: int, h: float
 
 
 def dive(suite: SensorConfig, seed: int, *, surface_s: float = 1.0, duration_s: float = 200.0) -> Dive:
-    """Afloat for ``surface_s``, then down at 0.2 m/s, with a turn of 90 deg, through 4 cm/s of Gauss-Markov water."""
+    """Simulate a descent at 0.2 m/s with a turn of 90 deg, after ``surface_s``, in 4 cm/s of Gauss-Markov water."""
     depth_rate = 0.2
     rng = np.random.default_rng(seed)
     dt = DT_NS * 1e-9
@@ -210,7 +210,7 @@ def dive(suite: SensorConfig, seed: int, *, surface_s: float = 1.0, duration_s: 
 
 @dataclass(frozen=True)
 class Yoyo:
-    """Filters that have gone up and down, what the water was, (G, 2), and position and velocity at the end."""
+    """Filters after a yo-yo dive, the true water (G, 2), and position and velocity at the end."""
 
     filters: list[ErrorStateFilter]
     water: Array
@@ -310,7 +310,7 @@ def yoyo(
 
 
 def inbox(signal: Message) -> list[ReceivedMessage]:
-    """Of one message, on time."""
+    """Return the inbox of one message without latency."""
     return [ReceivedMessage(message=signal, epoch=1, sequence=0, received_t_ns=signal.t_ns)]
 
 

@@ -89,7 +89,7 @@ def truths(from_ns=-S, until_ns=3 * S, step_ns=10 * MS, depth=20.0) -> list[Trut
 
 
 def said(suite: SensorConfig, world: list[Truth], settings: Scenario | None = None) -> list[tuple[int, object]]:
-    """(when it was published, message) in order."""
+    """Return (time of publication, message) in order."""
     settings = settings or scenario()
     node = Sensors(settings, suite, make(settings.water, settings.run.seed))
     out = []
@@ -142,7 +142,7 @@ def test_a_sensor_with_latency_publishes_the_same_values_that_much_later(step_ns
     assert all(times == sorted(times) for times in together.values())  # whatever the order of their arrivals
 
 
-def test_what_arrives_at_one_instant_is_told_in_order_of_validity():
+def test_messages_of_one_arrival_time_are_published_in_order_of_validity():
     suite = late(msgspec.structs.replace(PLAIN, usbl=USBL), compass=1000, pressure=500)
     at_zero = [m for at, m in said(suite, truths()) if at == 0]
     # the compass of -1 s, pressure of -0.5 s, then what is measured now, in the order of the list
@@ -156,8 +156,8 @@ def test_what_arrives_at_one_instant_is_told_in_order_of_validity():
     ]
 
 
-def test_an_answer_is_told_when_it_is_heard():
-    """A detour of up to 60 m is 80 ms more: those who answered by way of the surface are heard so much later."""
+def test_a_range_is_published_when_the_reply_arrives():
+    """A detour of up to 60 m takes up to 80 ms: replies by way of the surface arrive so much later."""
     wild = msgspec.structs.replace(LBL, range_sd_m=1e-9, outlier_share=0.5, outlier_m=60.0)
     suite = msgspec.structs.replace(PLAIN, lbl=wild)
     world = truths()
@@ -178,7 +178,7 @@ def test_an_answer_is_told_when_it_is_heard():
     ("name", "table", "kind"),
     [("bottom_track", BED, BottomTrack), ("lbl", LBL, LblRange), ("usbl", USBL, UsblFix)],
 )
-def test_a_sensor_that_is_there_speaks_and_changes_no_other_sensors_numbers(name, table, kind):
+def test_an_additional_sensor_publishes_and_does_not_change_the_others(name, table, kind):
     with_it = msgspec.structs.replace(PLAIN, **{name: table})
     world = truths()
     bed = scenario("water.bottom_m=39")
@@ -193,7 +193,7 @@ def test_a_sensor_that_is_there_speaks_and_changes_no_other_sensors_numbers(name
 
 
 def test_carrier_phase_is_that_of_the_receivers_antenna():
-    """On a mast of 10 m it goes to and fro with the roll, by the sine of its change."""
+    """On a mast of 10 m the antenna moves with the roll, by the sine of its change."""
     mast = msgspec.structs.replace(PLAIN, gnss=msgspec.structs.replace(PLAIN.gnss, lever_arm_m=(0.0, 0.0, -10.0)))
     world = truths(from_ns=-3 * S, until_ns=0)
     on_hull, on_mast = ([m for _, m in said(x, world) if isinstance(m, TdcpFix)] for x in (PLAIN, mast))
@@ -205,7 +205,7 @@ def test_carrier_phase_is_that_of_the_receivers_antenna():
         assert b.east_m - a.east_m == pytest.approx(math.cos(0.1) * to_starboard, abs=1e-9)
 
 
-def test_the_nodes_sensors_can_be_asked_for_what_is_true_of_them():
+def test_the_nodes_sensors_give_access_to_their_true_errors():
     settings = scenario()
     node = Sensors(settings, msgspec.structs.replace(PLAIN, lbl=LBL), make(settings.water, 4))
     (transceiver,) = [x for x in node.sensors if isinstance(x, AcousticTransceiver)]
@@ -214,7 +214,7 @@ def test_the_nodes_sensors_can_be_asked_for_what_is_true_of_them():
 
 
 def test_a_vehicle_at_rest_above_a_bed_finds_it_and_loses_the_cells_beyond():
-    """Transducer at 20.3 m, bed at 32: cells of the realistic profiler at 0.9 to 10.9 m are this side of 11.7 m."""
+    """Transducer at 20.3 m, bed at 32 m: cells of the realistic profiler at 0.9 to 10.9 m are nearer than 11.7 m."""
     level = msgspec.structs.replace(PLAIN.adcp, mounting_known_to_rad=0.0, missing_share=0.0, outlier_share=0.0)
     suite = msgspec.structs.replace(PLAIN, adcp=level, bottom_track=BED)
     rest = [msgspec.structs.replace(x, velocity_mps=(0.0, 0.0, 0.0), attitude_rad=(0.0, 0.0, 0.1)) for x in truths()]

@@ -1,4 +1,4 @@
-"""All sensors as one node: exact sample times, surface phases, and random numbers that nobody shares."""
+"""The sensors node: exact sample times, surface phases, and an independent random stream for each sensor."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_sample_times_are_whole_multiples_of_each_period():
 
 
 @pytest.mark.parametrize("name", ["paper", "realistic"])
-def test_two_nodes_with_one_seed_say_the_same_bit_for_bit(name):
+def test_two_nodes_with_one_seed_publish_the_same_bits(name):
     settings, suite = scenario(seed=5), SensorConfig.load(name)
     world = truths(settings, 2 * S)
     one, two = (encode(measured(settings, suite, world)) for _ in range(2))
@@ -96,7 +96,7 @@ def test_two_nodes_with_one_seed_say_the_same_bit_for_bit(name):
 
 
 @pytest.mark.parametrize("changed", ["imu", "gnss", "tdcp", "adcp", "pressure", "compass"])
-def test_no_sensors_numbers_change_when_another_sensor_is_another(changed):
+def test_a_change_of_one_sensor_does_not_change_the_others(changed):
     settings, world = scenario(), truths(scenario(), 2 * S)
     plain, other = SensorConfig.load("paper"), SensorConfig.load("realistic")
     latitude = plain.latitude_rad if changed != "imu" else other.latitude_rad
@@ -165,13 +165,13 @@ def test_a_perfect_state_is_the_truth_with_the_true_profile_in_the_estimators_ce
     assert len(of(ImuSample, said)) == 300
 
 
-def test_without_perfect_state_the_node_makes_no_estimate():
+def test_without_perfect_state_the_node_publishes_no_estimate():
     settings = scenario()
     node = Sensors(settings, SensorConfig.load("paper"), make(settings.water, 0))
     assert Estimate not in node.writes
 
 
-def test_a_truth_that_comes_twice_is_measured_once():
+def test_a_truth_that_arrives_twice_is_measured_once():
     settings, world = scenario(), truths(scenario(), 0)
     once = encode(measured(settings, SensorConfig.load("paper"), world))
     twice = encode(measured(settings, SensorConfig.load("paper"), [x for x in world for _ in range(2)]))

@@ -58,7 +58,7 @@ def truth(t_ns, *, position=(0.0, 0.0, 20.0), velocity=(0.0, 0.0, 0.0), heading=
 
 
 def path(t_s: float) -> Truth:
-    """4 m/s ahead and a turn of 0.4 rad/s: what the sound's two ways make of it is 2 m."""
+    """Return the truth at 4 m/s ahead in a turn of 0.4 rad/s: it changes the path of the sound by 2 m."""
     position = (4.0 * t_s, 1.0 + 0.5 * t_s, 20.0 + 0.2 * t_s)
     return truth(round(t_s * S), position=position, velocity=(4.0, 0.5, 0.2), heading=0.4 * t_s)
 
@@ -69,7 +69,7 @@ def head(t_s: float) -> np.ndarray:
 
 
 def said_along(settings, *, seed=1, step_ns=10 * MS, until_s=3.0):
-    """Called at t = 0.123 s; (when it was said, message) of all answers."""
+    """Return (time of publication, message) of all ranges after an interrogation at t = 0.123 s."""
     transceiver = AcousticTransceiver(settings, seed)
     said = []
     called_ns = 123 * MS
@@ -100,7 +100,7 @@ def test_the_sound_returns_to_where_the_vehicle_is_by_then(step_ns):
 
 
 def test_half_the_time_is_the_range_at_the_messages_own_time():
-    """What a filter takes it for: right to a centimetre at 4 m/s, where the range at the call is not."""
+    """The filter's model is correct to a centimetre at 4 m/s, unlike the range at the interrogation."""
     transceiver, said = said_along(msgspec.structs.replace(LBL, **PERFECT))
     for _, message in said:
         P = np.array(LBL.transponders_m[message.transponder])
@@ -110,7 +110,7 @@ def test_half_the_time_is_the_range_at_the_messages_own_time():
 
 
 def calls(settings, count, *, seed=1):
-    """A vehicle at rest calls again and again: the transceiver, times heard (count, J) and which were made wild."""
+    """Return the transceiver of a vehicle at rest, its travel times (count, J), and which of them are outliers."""
     transceiver = AcousticTransceiver(settings, seed)
     heard = np.full((count, len(settings.transponders_m)), np.nan)
     wild = np.zeros_like(heard, dtype=bool)
@@ -139,7 +139,7 @@ def test_ranges_are_off_by_white_noise_of_the_tables_size():
         assert abs(product.mean()) < 4.5 / math.sqrt(product.size)
 
 
-def test_sound_is_faster_or_slower_than_said_by_one_draw_a_run():
+def test_the_sound_speed_differs_from_the_file_by_one_draw_a_run():
     c = np.array([AcousticTransceiver(LBL, seed).sound_speed_mps for seed in range(600)])
     low, high = stats.chi2.ppf([1e-5, 1 - 1e-5], 600)
     assert low < (((c - 1500.0) / 2.0) ** 2).sum() < high
@@ -194,7 +194,7 @@ def at_depth(depth: float, pitch: float = 0.0) -> VehicleState:
 
 
 @pytest.mark.parametrize("depth", [20.0, 900.0])
-def test_a_fix_is_the_worse_the_further_the_ship(depth):
+def test_the_error_of_a_fix_grows_with_the_distance_of_the_ship(depth):
     settings = msgspec.structs.replace(USBL, missing_share=0.0, outlier_share=0.0)
     rows, _ = fixes(settings, 3000, at_depth(depth))
     sd = math.sqrt(0.5**2 + (0.01**2) * (50.0**2 + 60.0**2 + (depth - 0.4) ** 2))
@@ -206,13 +206,13 @@ def test_a_fix_is_the_worse_the_further_the_ship(depth):
     assert np.abs((z[1:] * z[:-1]).mean(axis=0)).max() < 4.5 / math.sqrt(3000)
 
 
-def test_the_beacon_is_what_the_ship_sees():
+def test_a_fix_is_the_position_of_the_beacon():
     quiet = msgspec.structs.replace(USBL, position_sd_m=1e-12, bearing_sd_rad=0.0, missing_share=0.0, outlier_share=0.0)
     rows, _ = fixes(msgspec.structs.replace(quiet, lever_arm_m=(0.0, 0.0, -2.0)), 1, at_depth(20.0, pitch=0.1))
     np.testing.assert_allclose(rows, [[10.0 - 2.0 * math.sin(0.1), 20.0]])
 
 
-def test_fixes_are_lost_and_wild_by_their_shares():
+def test_lost_fixes_and_outliers_have_their_shares():
     settings = msgspec.structs.replace(USBL, position_sd_m=1e-9, bearing_sd_rad=0.0)
     rows, wild = fixes(settings, 1000, at_depth(20.0))
     lost = np.isnan(rows).any(axis=1)
@@ -224,7 +224,7 @@ def test_fixes_are_lost_and_wild_by_their_shares():
         assert share == pytest.approx(0.05, abs=4.5 * math.sqrt(0.05 / error.size))
 
 
-def test_a_beacon_out_of_the_water_is_not_seen():
+def test_a_beacon_out_of_the_water_gives_no_fix():
     rows, _ = fixes(msgspec.structs.replace(USBL, missing_share=0.0), 20, at_depth(0.4))
     assert np.isnan(rows).all()
     rows, _ = fixes(msgspec.structs.replace(USBL, missing_share=0.0), 20, at_depth(0.41))

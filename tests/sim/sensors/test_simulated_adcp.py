@@ -1,4 +1,4 @@
-"""The simulated profiler: geometry worked out by hand, errors against the sensors file by statistics."""
+"""The simulated profiler: geometry computed by hand, errors against the sensors file by statistics."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_cells_of_a_metre_fill_the_range_beyond_the_blanking(settings, first, la
 
 
 def test_each_beam_sees_the_waters_velocity_away_from_the_vehicle():
-    """A vehicle that heads north in water that runs 0.3 north, 0.1 east, at rest over ground."""
+    """The vehicle heads north, at rest over ground, in a current of 0.3 m/s north and 0.1 m/s east."""
     water = WaterColumn(np.array([0.0]), np.array([[0.3, 0.1]]))
     beams = ping(exact(lever_arm_m=(0.0, 0.0, 0.0)), water, instant()).beam_velocity_mps
     np.testing.assert_allclose(beams[:, 0], [0.3 * S20, -0.3 * S20, 0.1 * S20, -0.1 * S20], atol=1e-9)
@@ -64,12 +64,12 @@ def test_each_beam_sees_the_waters_velocity_away_from_the_vehicle():
     np.testing.assert_allclose(beams[:, 0], [0.1 * S20, -0.1 * S20, -0.3 * S20, 0.3 * S20], atol=1e-9)
 
 
-def test_a_vehicle_that_sinks_closes_in_on_the_water_below():
+def test_a_vehicle_that_sinks_approaches_the_water_below():
     beams = ping(exact(), STILL, instant(velocity=(0.0, 0.0, 0.2))).beam_velocity_mps
     np.testing.assert_allclose(beams, -0.2 * C20, atol=1e-9)
 
 
-def test_a_vehicle_that_goes_ahead_sees_the_water_come_on_the_beam_ahead():
+def test_a_vehicle_that_moves_ahead_approaches_the_water_in_the_fore_beam():
     beams = ping(exact(), STILL, instant(velocity=(0.5, 0.0, 0.0))).beam_velocity_mps
     np.testing.assert_allclose(beams[:, 3], [-0.5 * S20, 0.5 * S20, 0.0, 0.0], atol=1e-9)
 
@@ -150,7 +150,7 @@ def test_an_instruments_bias_stays_through_the_run():
     np.testing.assert_allclose(rows.mean(axis=0), profiler.bias_mps, atol=4.5 * 0.0194 / math.sqrt(1500))
 
 
-def test_two_percent_of_the_beams_are_silent_and_one_percent_of_the_cells_wild():
+def test_two_percent_of_the_beams_are_silent_and_one_percent_of_the_cells_outliers():
     settings = msgspec.structs.replace(REALISTIC, **UNBIASED)
     rows = errors(settings, 11, 3000)
     gaps = np.isnan(rows)
@@ -164,7 +164,7 @@ def test_two_percent_of_the_beams_are_silent_and_one_percent_of_the_cells_wild()
         assert heard[wild].mean() == pytest.approx(sign * 0.5, abs=0.005)
 
 
-def test_what_is_left_of_the_mounting_is_what_the_calibration_does_not_know():
+def test_the_remaining_misalignment_is_the_error_of_the_calibration():
     left = np.array([Rotation.from_matrix(Instrument(REALISTIC, s).misalignment).as_rotvec() for s in range(500)])
     known_to = math.radians(0.3)
     np.testing.assert_allclose(left.std(axis=0), known_to, rtol=4.5 / math.sqrt(1000))
@@ -181,7 +181,7 @@ def test_a_misalignment_about_the_vertical_turns_the_measured_water_the_other_wa
 
 
 def test_a_profiler_turned_by_an_eighth_looks_between_the_bows_and_the_beam():
-    """Ahead and to starboard at half a metre a second: beam 1, at 45 deg, sees all of it; beams 3 and 4 nothing."""
+    """At 0.5 m/s ahead and to starboard, beam 1, at 45 deg, measures all of it; beams 3 and 4 nothing."""
     ahead = 0.5 * math.sqrt(0.5)
     settings = exact(mounting_rad=(0.0, 0.0, math.pi / 4))
     beams = ping(settings, STILL, instant(velocity=(ahead, ahead, 0.0))).beam_velocity_mps
@@ -215,12 +215,12 @@ def test_cells_beyond_the_altitude_are_lost_in_the_side_lobes_echo_off_the_bed()
 
 
 @pytest.mark.parametrize("depth", [14.7, 15.0, 40.0])
-def test_a_profiler_at_or_below_the_bed_hears_nothing(depth):
+def test_a_profiler_at_or_below_the_bed_has_no_return(depth):
     message = ping(exact(lever_arm_m=(0.0, 0.0, 0.3)), STILL, instant(depth=depth), bottom_m=15.0)
     assert np.isnan(message.beam_velocity_mps).all()
 
 
-def test_outliers_are_told_by_the_pings_own_time():
+def test_outlier_masks_are_stored_by_the_pings_validity_time():
     settings = msgspec.structs.replace(exact(), beam_noise_sd_mps=1e-6, outlier_share=0.2, outlier_mps=0.5)
     profiler = profiler_of(settings, seed=8)
     pings = [profiler.sample(msgspec.structs.replace(instant(), t_ns=k))[0] for k in range(30)]
@@ -231,7 +231,7 @@ def test_outliers_are_told_by_the_pings_own_time():
     np.testing.assert_array_equal(profiler.outliers, profiler.outlier_masks.at(29))
 
 
-def test_no_settings_value_moves_the_noise_of_the_pings():
+def test_no_setting_changes_the_noise_of_the_pings():
     wild = msgspec.structs.replace(PAPER, missing_share=0.3, outlier_share=0.4, outlier_mps=0.5, beam_bias_sd_mps=0.0)
     plain, other = errors(PAPER, 2, 50), errors(wild, 2, 50)
     tame = np.abs(plain - other) < 1e-12
@@ -239,7 +239,7 @@ def test_no_settings_value_moves_the_noise_of_the_pings():
     assert np.isnan(other).any(axis=2).mean() == pytest.approx(0.3, abs=0.15)
 
 
-def test_a_cells_mean_differs_from_its_centre_by_less_than_is_said():
+def test_a_cells_mean_differs_from_its_centre_by_at_most_the_stated_share():
     spread = []
     for seed in range(60):
         water = make(Water(), seed)

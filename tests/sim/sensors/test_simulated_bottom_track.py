@@ -1,4 +1,4 @@
-"""The simulated bottom track: geometry worked out by hand, errors against its table by statistics."""
+"""The simulated bottom track: geometry computed by hand, errors against its settings by statistics."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_noise_is_white_of_the_tables_size_and_without_bias():
         assert abs(product.mean()) < 4.5 / math.sqrt(product.size)
 
 
-def test_gaps_and_outliers_have_their_shares_and_the_outliers_are_told():
+def test_losses_and_outliers_have_their_shares_and_the_outliers_are_recorded():
     tracker, rows = pings(TABLE, 6000)
     gaps = np.isnan(rows)
     assert gaps.mean() == pytest.approx(0.02, abs=4.5 * math.sqrt(0.02 / rows.size))
@@ -151,7 +151,7 @@ def test_pings_at_the_bed_and_at_the_water_have_noise_of_their_own():
     assert np.abs(of_water[:, None] - of_bed).min() > 1e-6
 
 
-def test_no_settings_value_moves_the_noise():
+def test_no_setting_changes_the_noise():
     _, plain = pings(msgspec.structs.replace(TABLE, missing_share=0.0, outlier_share=0.0), 200)
     _, other = pings(msgspec.structs.replace(TABLE, missing_share=0.3, outlier_share=0.3), 200)
     tame = np.abs(plain - other) < 1e-12

@@ -28,7 +28,7 @@ def error_free(R1, v1, R2, v2, W=NO_EARTH, dt=0.01):
     return np.array(increments(so3.read(R1), tuple(map(float, v1)), so3.read(R2), tuple(map(float, v2)), W, dt))
 
 
-def test_at_rest_it_feels_what_holds_it_up():
+def test_at_rest_the_specific_force_opposes_gravity():
     rate, force = error_free(np.eye(3), [0, 0, 0], np.eye(3), [0, 0, 0])
     np.testing.assert_allclose(rate, 0.0, atol=1e-15)
     np.testing.assert_allclose(force, [0.0, 0.0, -G])
@@ -95,7 +95,7 @@ def suite(request):
 
 
 def unit_record(suite: SensorConfig, seed: int, samples: int) -> np.ndarray:
-    """Errors of rate and force at rest, (samples, 6)."""
+    """Return the errors of rate and force at rest, (samples, 6)."""
     unit = InertialUnit(suite.imu, suite.latitude_rad, seed)
     R = np.eye(3)
     assert unit.sample(still(0, R)) == []
@@ -129,7 +129,7 @@ def test_over_many_units_the_biases_have_the_tables_size(suite):
     assert means[:, 3:].std() == pytest.approx(9.80665e-3, rel=0.1)
 
 
-def test_a_drift_keeps_its_size_and_forgets_with_its_time_constant():
+def test_a_drifting_bias_keeps_its_variance_and_decorrelates_with_its_time_constant():
     draws = np.random.default_rng(2)
     drift = GaussMarkovBias(0.3, 100.0, 20_000, draws)
     first = drift.value.copy()
@@ -139,7 +139,7 @@ def test_a_drift_keeps_its_size_and_forgets_with_its_time_constant():
     assert np.corrcoef(first, drift.value)[0, 1] == pytest.approx(math.exp(-1.0), abs=0.02)
 
 
-def test_a_sample_says_its_own_interval_where_the_unit_is_slower_than_the_truth():
+def test_a_sample_has_its_own_interval_if_the_unit_is_slower_than_the_truth():
     suite = SensorConfig.load("paper")
     unit = InertialUnit(suite.imu, 0.0, 1)
     unit.sample(still(0, np.eye(3)))

@@ -30,7 +30,7 @@ def instant(t_ns: int, north=3.0, east=-4.0, depth=0.0, heading=0.0) -> VehicleS
 
 
 def check_white(errors: np.ndarray, sd: float) -> None:
-    """Mean zero, the standard deviation named, no memory."""
+    """Check that errors have mean zero, the given standard deviation and no correlation in time."""
     assert abs(errors.mean()) < SIGMA * sd
     assert errors.std() == pytest.approx(sd, rel=SIGMA / math.sqrt(2))
     assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < SIGMA
@@ -47,7 +47,7 @@ def test_satellite_fixes_are_off_by_the_tables_standard_deviations(suite):
 
 
 @pytest.mark.parametrize("suite", SUITES, ids=lambda s: s.name)
-def test_carrier_phase_says_the_way_since_the_last_epoch(suite):
+def test_carrier_phase_is_the_displacement_since_the_last_epoch(suite):
     phase = CarrierPhaseReceiver(suite.tdcp, 3)
     assert phase.sample(instant(-COUNT * S, north=0.0, east=0.0)) == []
     fixes = [phase.sample(instant((k - COUNT) * S, north=0.3 * k, east=-0.2 * k))[0] for k in range(1, COUNT + 1)]
@@ -56,7 +56,7 @@ def test_carrier_phase_says_the_way_since_the_last_epoch(suite):
     check_white(np.array([f.east_m for f in fixes]) + 0.2, 0.005)
 
 
-def test_satellites_are_gone_once_the_descent_has_begun():
+def test_there_are_no_satellites_during_the_descent():
     receiver, phase = GnssReceiver(SUITES[0].gnss, 1), CarrierPhaseReceiver(SUITES[0].tdcp, 1)
     phase.sample(instant(-S))
     assert len(receiver.sample(instant(0))) == 1
@@ -65,7 +65,7 @@ def test_satellites_are_gone_once_the_descent_has_begun():
     assert phase.sample(instant(S)) == []
 
 
-def test_an_antenna_on_a_mast_is_fixed_where_it_is_and_moves_as_it_swings():
+def test_the_fix_of_an_antenna_on_a_mast_has_its_position_and_its_swing():
     """Heading east, 2 m ahead of the origin and 1.5 m above it, rolling at 0.2 rad/s and turning at 0.1 rad/s."""
     quiet = msgspec.structs.replace(SUITES[0].gnss, position_sd_m=1e-12, velocity_sd_mps=1e-12)
     now = VehicleState(0, (3.0, -4.0, 0.0), (0.1, -0.2, 0.0), EAST, np.array([0.2, 0.0, 0.1]), 0.0)
