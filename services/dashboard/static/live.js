@@ -151,7 +151,7 @@
     const [, state, step, lost, last] = row.children;
     state.textContent = silent ? `silent for ${process.silent_s.toFixed(0)} s` : process.state;
     state.className = silent ? "bad" : "";
-    state.title = `${process.state}; ${process.steps} steps; last heard ${process.silent_s.toFixed(1)} s ago`;
+    state.title = `${process.state}; ${process.steps} steps; last status ${process.silent_s.toFixed(1)} s ago`;
     step.textContent = process.step_us.toFixed(0);
     lost.textContent = String(process.dropped + process.rejected);
     lost.className = lost.textContent === "0" ? "number" : "number bad";
