@@ -62,7 +62,7 @@ def browser() -> Iterator[Any]:
 
 @contextmanager
 def tab(browser: Any, size: tuple[int, int], *, own: str) -> Iterator[Any]:
-    """A page that may say nothing to the console and ask nobody but ``own`` for anything."""
+    """Open a page that fails on any console message and on any request to a host other than ``own``."""
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.set_default_timeout(PATIENCE_MS)
     wrong: list[str] = []
@@ -95,7 +95,7 @@ def drawn(page: Any, *, but: tuple[str, ...] = ()) -> None:
 
 @pytest.fixture(scope="module")
 def reports(browser: object, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:  # noqa: ARG001  (skips first)
-    """Of a run in lock step of ten seconds, and of that run beside another."""
+    """Return the reports of a 10 s run in lock step and of that run compared with another."""
     folder = tmp_path_factory.mktemp("runs")
     options = ["sim", "--lockstep", "--surface-time-s", "1", "--json"]
     assert app.run([*options, "--duration-s", "10", "--out", str(folder / "ten")]) == 0

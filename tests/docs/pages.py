@@ -1,4 +1,4 @@
-"""README.md and docs/**/*.md as their readers see them: fenced blocks, lines of a shell, words between backticks."""
+"""Parser of README.md and docs/**/*.md: fenced blocks, shell commands, text between backticks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FENCE = re.compile(r"^ {0,3}(```+)([^`]*)$")
 
 @dataclass(frozen=True)
 class Block:
-    """What stands between two fences."""
+    """Fenced block of a page."""
 
     page: str
     line: int  # of the opening fence
@@ -26,30 +26,30 @@ class Block:
 
     @property
     def place(self) -> str:
-        """Where an editor finds it."""
+        """Position as FILE:LINE."""
         return f"{self.page}:{self.line}"
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command of a shell block: ``NAME=value`` before it left out, comments gone, continued lines joined."""
+    """Command of a shell block, without leading ``NAME=value`` and comments, with continued lines joined."""
 
     place: str
     words: tuple[str, ...]
 
     @property
     def text(self) -> str:
-        """As one line."""
+        """Command in one line."""
         return " ".join(self.words)
 
     @property
     def ltv_mpc(self) -> tuple[str, ...] | None:
-        """What follows our own program; None of any other."""
+        """Arguments of ``ltv-mpc``; None for other programs."""
         return self.words[1:] if self.words[0] in ("ltv-mpc", ".venv/bin/ltv-mpc") else None
 
 
 def blocks(page: str) -> list[Block]:
-    """Every fenced block of a page, in order."""
+    """Return every fenced block of a page, in order."""
     found: list[Block] = []
     opened: tuple[int, str, str] | None = None
     lines: list[str] = []
@@ -67,7 +67,7 @@ def blocks(page: str) -> list[Block]:
 
 
 def prose(page: str) -> list[tuple[int, str]]:
-    """The lines outside of all blocks, with their numbers; a block is as many empty ones."""
+    """Return the lines outside of blocks with their numbers; the lines of a block are empty."""
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
     for block in blocks(page):
         length = block.text.count("\n") + 2
@@ -76,7 +76,7 @@ def prose(page: str) -> list[tuple[int, str]]:
 
 
 def commands(block: Block) -> Iterator[Command]:
-    """Each command of a shell block."""
+    """Yield each command of a shell block."""
     number = block.line
     for line in block.text.replace("\\\n", "\0").splitlines():
         number += 1
@@ -91,7 +91,7 @@ def commands(block: Block) -> Iterator[Command]:
 
 
 def _split(words: list[str]) -> Iterator[list[str]]:
-    """At ``&&``."""
+    """Split a list of words at ``&&``."""
     part: list[str] = []
     for word in words:
         if word == "&&":
@@ -103,7 +103,7 @@ def _split(words: list[str]) -> Iterator[list[str]]:
 
 
 def spoken(page: str) -> list[tuple[int, str]]:
-    """What stands between single backticks outside of all blocks, with its line."""
+    """Return the texts between single backticks outside of blocks, with their lines."""
     return [
         (number, " ".join(found.split()))
         for number, text in _paragraphs(page)
@@ -112,7 +112,7 @@ def spoken(page: str) -> list[tuple[int, str]]:
 
 
 def _paragraphs(page: str) -> Iterator[tuple[int, str]]:
-    """Words between backticks may go on in the next line."""
+    """Yield the paragraphs with their first lines: a text between backticks may span two lines."""
     begun, lines = 0, []
     for number, line in [*prose(page), (0, "")]:
         if line.strip():
@@ -124,18 +124,18 @@ def _paragraphs(page: str) -> Iterator[tuple[int, str]]:
 
 
 def slug(heading: str) -> str:
-    """The anchor that GitHub makes of a heading, and the site with it."""
+    """Return the anchor of a heading on GitHub and on the site."""
     words = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading).strip().lower()
     return re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
 
 
 def anchors(page: str) -> set[str]:
-    """Of all headings of a page."""
+    """Return the anchors of all headings of a page."""
     return {slug(found[1]) for _, line in prose(page) if (found := re.match(r"^#{1,6} +(.*)$", line))}
 
 
 def links(page: str) -> list[tuple[int, str]]:
-    """Targets of links and pictures, with their lines."""
+    """Return the targets of links and images, with their lines."""
     return [
         (number, target)
         for number, line in prose(page)

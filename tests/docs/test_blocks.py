@@ -124,7 +124,7 @@ def test_every_command_between_backticks_exists_with_its_options(page: str) -> N
 
 
 def test_everything_that_is_not_run_is_there_to_be_not_run() -> None:
-    """An entry that no page needs any more would hide the next command that looks like it."""
+    """An entry that no page needs would hide the next command that looks like it."""
     typed = [command.text.removeprefix(".venv/bin/") for command in every_command()]
     whole = [command.text for command in every_command()]
     for pattern, _ in NOT_RUN:
@@ -136,7 +136,7 @@ def test_everything_that_is_not_run_is_there_to_be_not_run() -> None:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """The run that stands for all runs."""
+    """Return a recorded run that replaces every run of the pages."""
     folder = tmp_path_factory.mktemp("runs") / "recorded"
     assert run(["sim", "--lockstep", "--duration-s", "3", "--out", str(folder)]) == 0
     return RunFolder(folder)
@@ -144,7 +144,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 @pytest.fixture
 def session(recorded: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder with a run in it, where `sim` is quick."""
+    """Return a working folder with recorded runs, in which `sim` copies the recorded run instead of running."""
 
     def simulated(_run_config: RunConfig, folder: RunFolder, *_: object, **__: object) -> int:
         for path in recorded.path.iterdir():
@@ -152,8 +152,8 @@ def session(recorded: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                 shutil.copy(path, folder.path)
         return DONE
 
-    monkeypatch.setattr(start, "_locked", simulated)
-    monkeypatch.setattr(start, "_processes", simulated)
+    monkeypatch.setattr(start, "_run_in_lockstep", simulated)
+    monkeypatch.setattr(start, "_run_processes", simulated)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     for name in RUNS:
@@ -186,7 +186,7 @@ def test_what_a_page_says_to_type_works(page: str, session: Path, capsys: pytest
 
 
 def typed(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
-    """Run it, or hold it against what there is to run."""
+    """Run a command, or check that it is listed in ``NOT_RUN`` and has a valid form."""
     plain = command.text.removeprefix(".venv/bin/")
     kept = any(re.match(pattern, text) for pattern, _ in NOT_RUN for text in (plain, command.text))
     ours = command.ltv_mpc
@@ -209,7 +209,7 @@ def typed(command: Command, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def write_toml(text: str, folder: Path, page: str, place: str) -> None:
-    """A file of the reader's: its first line says how it is called."""
+    """Write a TOML block of a page to a file; its first line is a comment with the name of the file."""
     tomllib.loads(text)
     named = re.match(r"# ([\w/-]+\.toml)\b", text)
     assert named, f"{place}: the first line must be a comment with the file's name"
@@ -231,12 +231,12 @@ def every_command() -> list[Command]:
 
 @cache
 def tree() -> Any:
-    """All commands, as typer makes them."""
+    """Return the tree of all commands."""
     return get_command(app)
 
 
 def parsed(words: list[str], place: str) -> None:
-    """As the program reads them: every option is there, every argument, each of its type."""
+    """Parse a command line: every option and argument exists and has the right type."""
     command = tree()
     if not words or words[0].startswith("-"):
         return
@@ -248,7 +248,7 @@ def parsed(words: list[str], place: str) -> None:
 
 
 def mentioned(words: list[str], place: str) -> None:
-    """A command in a sentence: its name and its options are there, its arguments may be words."""
+    """Check a command in a sentence: its name and options exist; its arguments may be placeholders."""
     command = tree()
     options = {"--help", "-h", "--install-completion", "--show-completion", "--version"}
     while isinstance(command, TyperGroup) and words and not words[0].startswith("-"):
@@ -266,7 +266,7 @@ def mentioned(words: list[str], place: str) -> None:
 
 
 def benchmark(module: str, words: list[str], place: str) -> None:
-    """The module is there, and its own code knows the options."""
+    """Check that a benchmark module exists and knows the options."""
     folder = ROOT.joinpath(*module.split("."))
     source = next((path for path in (folder.with_suffix(".py"), folder / "__main__.py") if path.is_file()), None)
     assert source is not None, f"{place}: no {module}"

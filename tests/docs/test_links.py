@@ -1,4 +1,4 @@
-"""Every page is found from the first one, every link leads somewhere, and the reference leaves no name out."""
+"""Every page is reachable from the first one, every link has a target, and the reference lists every name."""
 
 from __future__ import annotations
 

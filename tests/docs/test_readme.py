@@ -1,4 +1,4 @@
-"""README's loop does what it is there for: the vehicle comes to its point."""
+"""The loop in the README moves the vehicle to its point."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the site takes from the code is all there, read as it was written, and fetches nothing."""
+"""The generated reference is complete, renders docstrings verbatim and loads nothing from the network."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.docs.pages import ROOT
 
 
 def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """One of the site's own, as conf.py has it found; it is no package."""
+    """Import an extension of the site from docs/extensions, which is not a package."""
     monkeypatch.syspath_prepend(ROOT / "docs" / "extensions")
     for own in ("commands", "docstrings", "offline", "settings"):
         monkeypatch.delitem(sys.modules, own, raising=False)
@@ -70,7 +70,7 @@ def test_every_key_of_a_scenario_is_on_the_page_of_settings(monkeypatch: pytest.
 
 
 def test_docstrings_are_read_as_they_are_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bars, stars and underscores mean nothing; what is indented is taken word for word."""
+    """Bars, stars and underscores are no markup; indented text is literal."""
     text = extension("docstrings", monkeypatch).text
     assert text(["The |F|, x* and a_b of ``code_`` and `ltv-mpc`."]) == [
         r"The \|F\|, x\* and a\_b of ``code_`` and ``ltv-mpc``.",

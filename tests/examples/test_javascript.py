@@ -1,4 +1,4 @@
-"""The payload needs nothing of Python's: JavaScript reads every message and writes an estimate, by the schemas."""
+"""The messages are independent of Python: JavaScript reads each of them and writes an estimate, by the schemas."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PATIENCE_S = 120.0
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The example with what it needs, in a folder of its own: nothing is installed into the repository."""
+    """Return the example with its packages in a temporary folder: nothing is installed into the repository."""
     node, npm = shutil.which("node"), shutil.which("npm")
     if node is None or npm is None:
         pytest.skip("no node and npm on this machine: what JavaScript makes of the payload is not tested here")

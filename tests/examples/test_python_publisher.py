@@ -1,4 +1,4 @@
-"""The example of a publisher brings its vehicle to the point, once somebody arms."""
+"""The example of a publisher moves its vehicle to the point after the controller is armed."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ MOST_MEMORY = 256 << 20
 
 
 class Failure(msgspec.Struct, frozen=True, kw_only=True):
-    """One frame that got through."""
+    """Frame that a reader wrongly accepted or that made it crash."""
 
     target: str
     index: int
@@ -35,7 +35,7 @@ class Failure(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class OfTarget(msgspec.Struct, kw_only=True):
-    """One reader's account."""
+    """Result of one reader."""
 
     target: str
     frames: int = 0
@@ -48,7 +48,7 @@ class OfTarget(msgspec.Struct, kw_only=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """The whole campaign. ``grown_bytes``: of the process, from after the first tenth to the end."""
+    """Result of a campaign. ``grown_bytes`` is the memory growth of the process after the first tenth."""
 
     frames: int
     seed: int
@@ -63,7 +63,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def held(self) -> bool:
-        """Whether nothing got through."""
+        """True if every frame was handled correctly."""
         return not (self.crashes or self.let_in or self.beyond_memory)
 
 
@@ -75,7 +75,7 @@ def run(
     first: int = 0,
     told: Callable[[str, float], None] | None = None,
 ) -> Result:
-    """``frames`` in all, from index ``first`` of each target on; ``told`` the target and the share that is done."""
+    """Run ``frames`` frames, from index ``first`` of each target; ``told`` receives the target and the share done."""
     began = time.monotonic()
     counts = shares(targets, frames)
     accounts, failures = [], []
@@ -108,7 +108,7 @@ def run(
 
 
 def shares(targets: Sequence[Target], frames: int) -> list[int]:
-    """Frames of each target, by weight; ``frames`` in all."""
+    """Return the number of frames of each target by weight, ``frames`` in all."""
     total = sum(target.weight for target in targets)
     ends, at = [0], 0.0
     for target in targets:
@@ -118,12 +118,12 @@ def shares(targets: Sequence[Target], frames: int) -> list[int]:
 
 
 def frame_of(target: Target, seed: int, index: int) -> bytes:
-    """The frame, again."""
+    """Return the frame of an index again."""
     return target.frame(random.Random(f"{seed} {target.name} {index}"))
 
 
 def _one(target: Target, seed: int, index: int, account: OfTarget, failures: list[Failure]) -> bool:
-    """Whether it cost more memory than it may."""
+    """Run one frame and return True if it used more memory than allowed."""
     frame = frame_of(target, seed, index)
     watched = index % SAMPLED == 0 or len(frame) > 100_000
     if watched:
@@ -160,6 +160,6 @@ def _one(target: Target, seed: int, index: int, account: OfTarget, failures: lis
 
 
 def _resident_bytes() -> int:
-    """Of this process, now."""
+    """Return the resident memory of this process (bytes)."""
     with open("/proc/self/statm", encoding="ascii") as file:
         return int(file.read().split()[1]) * resource.getpagesize()

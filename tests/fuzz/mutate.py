@@ -1,4 +1,4 @@
-"""What an input becomes on its way from hostile or broken hands: values, structures, bytes and texts, all by a seed."""
+"""Seeded mutations of inputs: values, structures, bytes and texts, as hostile or broken senders make them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VALUES: tuple[Any, ...] = (
 
 
 class Raw:
-    """Bytes that stand where a value should."""
+    """Raw bytes in place of a value."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -54,7 +54,7 @@ _PACKED_PLACE: bytes = msgpack.packb(_PLACE)
 
 
 def packed(tree: Any, rng: Random) -> bytes:
-    """msgpack, with ``Raw`` as it is; of some maps a key comes twice."""
+    """Pack as msgpack, with ``Raw`` unchanged; some maps repeat a key."""
     raws: list[bytes] = []
 
     def place(value: Any) -> Any:
@@ -75,7 +75,7 @@ def packed(tree: Any, rng: Random) -> bytes:
 
 
 def tree(rng: Random, message: Any) -> Any:
-    """A copy with one to three things wrong in its structure or values."""
+    """Return a copy with one to three faults in its structure or values."""
     message = msgpack.unpackb(msgpack.packb(message), strict_map_key=False)
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         _spoil(rng, message)
@@ -112,7 +112,7 @@ def _spoil(rng: Random, place: Any) -> None:
 
 
 def near(rng: Random, value: Any) -> Any:
-    """A value like the one that was there: wrong in sign, size or length, not in kind."""
+    """Return a similar value: wrong in sign, size or length, not in type."""
     match value:
         case bool():
             return not value
@@ -127,7 +127,7 @@ def near(rng: Random, value: Any) -> Any:
 
 
 def raw(rng: Random, data: bytes) -> bytes:
-    """Bytes after what a link or a disk does to them."""
+    """Return bytes as a faulty link or disk changes them."""
     spoiled = bytearray(data)
     for _ in range(rng.choice((1, 1, 2, 8))):
         if not spoiled:
@@ -163,7 +163,7 @@ LINES = (
 
 
 def text(rng: Random, data: bytes) -> bytes:
-    """A settings file or table after somebody's editor, or somebody's malice."""
+    """Return a settings file or table with errors of an editor or of an attacker."""
     for _ in range(rng.choice((1, 1, 2, 3))):
         data = _spoiled_text(rng, data)
     return raw(rng, data) if rng.random() < 0.1 else data
@@ -191,7 +191,7 @@ def _spoiled_text(rng: Random, data: bytes) -> bytes:
 
 
 def one_of(rng: Random, *ways: tuple[float, Callable[[], bytes]]) -> bytes:
-    """By weight."""
+    """Draw one item by weight."""
     weights: Sequence[float] = [weight for weight, _ in ways]
     (way,) = rng.choices([way for _, way in ways], weights)
     return way()

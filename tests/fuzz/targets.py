@@ -73,7 +73,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Target:
-    """One reader. ``weight``: its share of the frames, against the others'."""
+    """Reader under test. ``weight`` is its relative share of the frames."""
 
     name: str
     weight: float
@@ -83,7 +83,7 @@ class Target:
 
 
 def numbers(value: object) -> Iterator[float]:
-    """Every number in a value, and in what is inside it."""
+    """Yield every number in a value, recursively."""
     if isinstance(value, np.ndarray):
         if value.dtype.kind in "fiu":
             yield from value.ravel().tolist()
@@ -101,7 +101,7 @@ def numbers(value: object) -> Iterator[float]:
 
 
 def finite(value: object) -> None:
-    """No number of it is NaN or infinite."""
+    """Check that no number of a value is NaN or infinite."""
     for x in numbers(value):
         assert math.isfinite(x), f"{x} in {type(value).__name__}"
 
@@ -110,7 +110,7 @@ def finite(value: object) -> None:
 
 
 def signal_is_sound(signal: Message) -> None:
-    """Finite, and of the lengths that belong together. Of beams NaN alone means something: no return."""
+    """Check that a message is finite and its lengths match. Only beams may be NaN, which means no return."""
     match signal:
         case AdcpPing():
             assert signal.beam_velocity_mps.shape == (4, len(signal.range_m))
@@ -144,7 +144,7 @@ def profile_is_sound(profile: CurrentProfile) -> None:
 
 
 def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
-    """A message's bytes, wrong in value, structure or bytes; seldom enormous, seldom mere noise."""
+    """Return the bytes of a message with wrong values, structure or bytes; rarely huge, rarely only noise."""
     return mutate.one_of(
         rng,
         (70, lambda: mutate.packed(mutate.tree(rng, message), rng)),
@@ -157,7 +157,7 @@ def hostile_frame(rng: Random, message: dict[str, Any]) -> bytes:
 
 
 def door_of(topic: topics.Topic) -> Target:
-    """A process's door on one key: decoded, admitted, in order."""
+    """Return the target of one key: message validation of decoding, bounds and order."""
     key = topics.key_of(topic.message_type, "plant")
     messages = [to_map(example, HEADER) for example in EXAMPLES if type(example) is topic.message_type]
 
@@ -171,8 +171,8 @@ def door_of(topic: topics.Topic) -> Target:
 
 
 def one_door() -> Target:
-    """One door for everything, for as long as the campaign lasts: what it keeps must not grow with what is refused."""
-    door = MessageValidator()
+    """Return the target of one validator for the whole campaign: rejected messages must not increase its memory."""
+    validator = MessageValidator()
     messages = [
         (topics.topic_at(key), key, to_map(example, HEADER))
         for example in EXAMPLES
@@ -189,17 +189,17 @@ def one_door() -> Target:
     def take(data: bytes) -> Any:
         topic, key, _ = messages[int.from_bytes(data[:2], "big")]
         with contextlib.suppress(WireError):
-            door.validate(Frame(topic, key, data[2:], 0))
-        return door
+            validator.validate(Frame(topic, key, data[2:], 0))
+        return validator
 
-    def check(door: MessageValidator) -> None:
-        assert len(door.rejected_by_reason) <= 1000, "reasons are counted without end"
+    def check(validator: MessageValidator) -> None:
+        assert len(validator.rejected_by_reason) <= 1000, "the number of reasons is not bounded"
 
-    return Target("door, kept", 3, frame, take, check)
+    return Target("validator, kept", 3, frame, take, check)
 
 
 def recorder() -> Target:
-    """What the recorder writes down: any map with a header, as JSON."""
+    """Target: the recorder, which writes any map with a header as JSON."""
     messages = [to_map(example, HEADER) for example in EXAMPLES]
 
     def take(frame: bytes) -> Any:
@@ -221,7 +221,7 @@ def recorder() -> Target:
 
 
 def ros2() -> Target:
-    """The edge to ROS 2: CDR to an estimate."""
+    """Target: the edge to ROS 2, from CDR to an estimate."""
     seeds = [odometry(), odometry(order=">", position=(1.0, 2.0, -3.0), frame="a" * 40, pose_covariance=np.eye(6))]
     edge = Edge()
     doubles = (math.nan, math.inf, -math.inf, 1e308, 5e-324, 1e10, -1.0)
@@ -246,7 +246,7 @@ def ros2() -> Target:
 
 
 def vehicle_clock() -> Target:
-    """The clock of a process, told by whomever."""
+    """Target: the vehicle clock of a process, with clock messages of any sender."""
     topic = topics.BY_TYPE[Clock]
     example = next(e for e in EXAMPLES if isinstance(e, Clock))
     message = to_map(msgspec.structs.replace(example, host_boot_id=boot_id()), HEADER)
@@ -270,7 +270,7 @@ def vehicle_clock() -> Target:
 
 
 def command() -> Target:
-    """A controller that is told what to follow: its answer, and now and then its next plan."""
+    """Target: a controller that receives commands: its reply, and sometimes its next plan."""
     node = ControllerNode(Vehicle.load("paper"), references.Hold(), ControllerConfig(horizon_s=1.5))
     seeds = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
     example = next(e for e in EXAMPLES if isinstance(e, Command))
@@ -318,7 +318,7 @@ def file_reader(
     *,
     file: str,
 ) -> Target:
-    """A reader of one file, which is written anew for each frame. It may raise ``ConfigError`` alone, in one line."""
+    """Target: a reader of a file that is written for each frame. It may only raise ``ConfigError``, with one line."""
     folder = Path(WORKSHOP.name) / name.replace(" ", "-")
     folder.mkdir()
     path = folder / file
@@ -337,17 +337,17 @@ def file_reader(
 
 
 def texts(*folders: str, suffix: str = ".toml") -> list[bytes]:
-    """Files that are shipped, as seeds."""
+    """Return the shipped files as seeds."""
     return [path.read_bytes() for folder in folders for path in sorted((ROOT / folder).glob(f"*{suffix}"))]
 
 
 def of_text(seeds: Sequence[bytes]) -> Callable[[Random], bytes]:
-    """Seeds, spoiled."""
+    """Return a mutated seed."""
     return lambda rng: mutate.text(rng, rng.choice(seeds))
 
 
 def settings() -> Iterator[Target]:
-    """The files that a user writes."""
+    """Targets: the files that a user writes."""
     vehicles, suites = texts("ltv_mpc/vehicle/files"), texts("ltv_mpc/localisation/files", "examples/sensors")
     paths = [*texts("ltv_mpc/references/files", "examples/references"), TIMED_INLINE]
     controller = [b"horizon_s = 5.0\nmax_stages = 34\n[weights]\nposition = 1.0\n", b"period_s = 0.3\n[disturbance]\n"]
@@ -365,7 +365,7 @@ TIMED_INLINE = b'kind = "timed"\nrows = [[0.0, 1.0, 2.0, 3.0], [10.0, 5.0, 2.0, 
 
 
 def tables() -> Iterator[Target]:
-    """The tables that a user brings."""
+    """Targets: the tables that a user provides."""
     head = b"# measured\ndepth_m,v_north_mps,u_east_mps\n"
     profile = head + b"".join(b"%d,0.%d,-0.1\n" % (i, i) for i in range(1, 9))
     prior = b"depth_m,v_north_mps,u_east_mps,sd_mps,sd_common_mps\n" + b"".join(
@@ -386,7 +386,7 @@ def prior_is_sound(prior: Any) -> None:
 
 
 def timed_by(track: Path) -> Any:
-    """A reference whose rows are in this file."""
+    """Return a reference whose rows are in this file."""
     reference = track.with_name("timed.toml")
     if not reference.exists():
         reference.write_text(f'kind = "timed"\nfile = "{track.name}"\n')
@@ -394,7 +394,7 @@ def timed_by(track: Path) -> Any:
 
 
 def adcp_file() -> Target:
-    """A profiler's recording. Half of what is spoiled has a right checksum again."""
+    """Target: a recording of a profiler. Half of the mutations get a correct checksum again."""
     shape = (4, 4)
     heads = [Head(cells=4, coordinates=k, upward=bool(k % 2)) for k in range(4)]
     beams = np.linspace(-0.5, 0.5, 16).reshape(shape)
@@ -439,7 +439,7 @@ def adcp_file() -> Target:
 
 
 def failed_qp() -> Target:
-    """A QP that was kept: numpy's npz."""
+    """Target: a saved QP in numpy's npz format."""
     unit = csc_array(eye_array(2))
     qp = QP(unit, np.array([-1.0, -1.0]), unit, np.zeros(2), np.full(2, 0.5))
     failed = FailedQp(
@@ -472,7 +472,7 @@ def failed_qp() -> Target:
         return file.getvalue()
 
     def lying(rng: Random) -> bytes:
-        """A part whose head says anything, within an archive whose checksums are right."""
+        """Return a part with an arbitrary header, in an archive with correct checksums."""
         kind = rng.choice((b"'<f8'", b"'|O'", b"'<i8'", b"'|V99999999'", b"'>M8[s]'", b"[('a', '<f8', (99999,))]"))
         shape = rng.choice((b"(999999999999,)", b"(99999999, 99999999)", b"(-1,)", b"(2,)", b"()", b"(True,)", b"'x'"))
         head = b"{'descr': " + kind + b", 'fortran_order': False, 'shape': " + shape + b", }\n"
@@ -500,7 +500,7 @@ def failed_qp() -> Target:
 
 
 def recordings() -> Iterator[Target]:
-    """A run's recording, cut, damaged, or forged with all checksums right."""
+    """Targets: the recording of a run, cut off, damaged, or forged with correct checksums."""
     keys = [(topics.key_of(type(example), "plant"), to_map(example, HEADER)) for example in EXAMPLES]
 
     def forged(rng: Random) -> bytes:
@@ -561,11 +561,11 @@ def recordings() -> Iterator[Target]:
 
 
 def anything(_: object) -> None:
-    """What was accepted was looked at when it was made."""
+    """Accept any result: it was checked when it was built."""
 
 
 def jsoned(tree: Any) -> bytes:
-    """JSON of a spoiled tree: what it cannot hold becomes a text."""
+    """Return the JSON of a mutated tree; values that JSON cannot hold become texts."""
     return msgspec.json.encode(_plain(tree))
 
 
@@ -584,7 +584,7 @@ def _plain(tree: Any) -> Any:
 
 
 def all_targets() -> tuple[Target, ...]:
-    """Every reader of what others wrote."""
+    """Return the targets of all readers of external data."""
     return (
         *map(door_of, topics.TOPICS),
         *(one_door(), recorder(), ros2(), vehicle_clock(), command()),

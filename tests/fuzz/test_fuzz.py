@@ -1,4 +1,4 @@
-"""Ten thousand hostile frames at everything that reads what others wrote; ``make fuzz`` sends a million."""
+"""Ten thousand hostile frames for every reader of external data; ``make fuzz`` sends a million."""
 
 from __future__ import annotations
 

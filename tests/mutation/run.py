@@ -28,21 +28,21 @@ SLOWER = 10.0
 
 
 class Survivor(NamedTuple):
-    """A flip that no test noticed: its file, and its line as it then read."""
+    """Sign flip that no test detected: its file and its changed line."""
 
     file: str
     line: str
 
 
 class Group(NamedTuple):
-    """Of ``plan.toml``."""
+    """Entry of ``plan.toml``: files and their tests."""
 
     files: list[str]
     tests: list[str]
 
 
 def groups(chosen: list[str]) -> list[Group]:
-    """The plan, or what it has of the ``chosen`` files."""
+    """Return the plan, or its part for the ``chosen`` files."""
     plan = [Group(x["files"], x["tests"]) for x in tomllib.loads((HERE / "plan.toml").read_text())["group"]]
     if unknown := set(chosen) - {file for group in plan for file in group.files}:
         sys.exit(f"not in {HERE / 'plan.toml'}: {', '.join(sorted(unknown))}")
@@ -51,7 +51,7 @@ def groups(chosen: list[str]) -> list[Group]:
 
 
 def survivors_of(file: str, folder: Path, tests: list[str], limit_s: float, console: Console) -> list[Survivor]:
-    """Those of its mutants that pass all ``tests``, printed as they are found."""
+    """Return the mutants of a file that pass all ``tests``; print them when they are found."""
     source = (folder / file).read_text()
     found = []
     for line, code in mutants(source):
@@ -64,7 +64,7 @@ def survivors_of(file: str, folder: Path, tests: list[str], limit_s: float, cons
 
 
 def main(chosen: list[str]) -> int:
-    """The table of all files; 1 if the survivors are not those that are listed."""
+    """Print the table of all files; return 1 if the survivors differ from the listed ones."""
     plan = groups(chosen)
     console = Console(width=120, soft_wrap=True, highlight=False, markup=False)
     table = Table("file", "mutants", "killed", "survived", "seconds")

@@ -31,43 +31,43 @@ Span: TypeAlias = tuple[tuple[int, int], tuple[int, int]]
 
 
 class AugmentedSign(Operator):  # type: ignore[misc]
-    """``+=`` for ``-=`` and the reverse."""
+    """Operator that exchanges ``+=`` and ``-=``."""
 
     FLIPPED = {"+=": "-=", "-=": "+="}  # noqa: RUF012
 
     def mutation_positions(self, node: Node) -> Iterator[Span]:
-        """The operator itself."""
+        """Yield the position of the operator."""
         if getattr(node, "value", None) in self.FLIPPED:
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: Node, index: int) -> Node:  # noqa: ARG002
-        """The other one."""
+        """Return the node with the other operator."""
         node.value = self.FLIPPED[node.value]
         return node
 
     @classmethod
     def examples(cls) -> Iterable[Example]:
-        """For whoever reads."""
+        """Return examples for the documentation."""
         return (Example("x += 1", "x -= 1"),)
 
 
 class LeadingSign(Operator):  # type: ignore[misc]
-    """A minus before a term that has no sign of its own."""
+    """Operator that puts a minus before a term without a sign."""
 
     def mutation_positions(self, node: Node) -> Iterator[Span]:
-        """The term."""
+        """Yield the position of the term."""
         if node.type in TERMS and _begins_a_sum(node) and not _without_sign(node) and not _in_subscript(node):
             yield node.start_pos, node.end_pos
 
     def mutate(self, node: Node, index: int) -> Node:  # noqa: ARG002
-        """Its negative: a minus binds less than a power, and turns a product round as a whole."""
+        """Return the negated term: a minus binds weaker than a power and negates a product as a whole."""
         leaf = node.get_first_leaf()
         leaf.value = "-" + leaf.value
         return node
 
     @classmethod
     def examples(cls) -> Iterable[Example]:
-        """For whoever reads."""
+        """Return examples for the documentation."""
         return (Example("x = a * b", "x = -a * b"), Example("x = a - b", "x = -a - b"))
 
 
@@ -93,7 +93,7 @@ def _begins_a_sum(node: Node) -> bool:
 
 
 def _without_sign(node: Node) -> bool:
-    """What has a minus already, is zero, is not yet filled, or counts."""
+    """Return True for a value that has no sign to flip: it has a minus, is zero, is not filled yet, or is a count."""
     return bool(node.get_code(include_prefix=False).startswith(NO_SIGN))
 
 
@@ -113,7 +113,7 @@ OPERATORS = (
 
 
 def mutants(source: str) -> list[tuple[int, str]]:
-    """Each with the number of the line that it changes, by line."""
+    """Yield each mutant with the number of the line that it changes, in the order of the lines."""
     found = []
     for operator in OPERATORS:
         lines = [at[0][0] for node in ast_nodes(get_ast(source)) for at in operator.mutation_positions(node)]

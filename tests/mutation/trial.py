@@ -33,16 +33,16 @@ NOT_THE_COPY = 99
 
 
 class FirstExample:
-    """A pytest plugin: hypothesis need not look for the simplest example that fails, and fewer of them will do."""
+    """Pytest plugin: hypothesis does not simplify failing examples and tries fewer of them."""
 
     def pytest_sessionstart(self) -> None:
-        """After the conftest that sets this project's profile, before tests are collected."""
+        """Change the hypothesis profile after the conftest has set it, before tests are collected."""
         settings.register_profile("mutants", settings(phases=[Phase.explicit, Phase.generate], max_examples=25))
         settings.load_profile("mutants")
 
 
 def prepare() -> None:
-    """To be called once, before anything of this project is imported."""
+    """Prepare this process; call it once, before anything of this project is imported."""
     os.environ |= {"NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
     sys.dont_write_bytecode = True
     for library in LIBRARIES:
@@ -50,7 +50,7 @@ def prepare() -> None:
 
 
 def copy_tree(folder: Path) -> None:
-    """The tree as it is now, what git ignores left out."""
+    """Copy the tree without the files that git ignores."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -64,7 +64,7 @@ def copy_tree(folder: Path) -> None:
 
 
 def outcome(folder: Path, tests: list[str], limit_s: float) -> int | None:
-    """pytest's exit code for ``tests`` in ``folder``, to the first failure; None if they did not end in time."""
+    """Return pytest's exit code for ``tests`` in ``folder``, to the first failure; None after the time limit."""
     child = multiprocessing.get_context("fork").Process(target=_run_tests, args=(folder, tests))
     child.start()
     child.join(limit_s)

@@ -1,4 +1,4 @@
-"""Pip's sources are uv's."""
+"""Pip installs from the same package sources as uv."""
 
 from __future__ import annotations
 

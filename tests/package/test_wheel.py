@@ -1,4 +1,4 @@
-"""What a wheel holds, from the build backend itself: no environment, no network. `make package` tries one for real."""
+"""Contents of the wheel, from the build backend without environment and network. `make package` installs a real one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CORE_LACKS = (
 
 
 def wheel(root: Path, folder: Path) -> zipfile.ZipFile:
-    """As `python -m build` would have it made of the tree at ``root``."""
+    """Build the wheel of the tree at ``root`` as `python -m build` does."""
     code = "import sys, hatchling.build; print(hatchling.build.build_wheel(sys.argv[1]))"
     done = subprocess.run(
         [sys.executable, "-P", "-c", code, folder], cwd=root, capture_output=True, text=True, check=False
@@ -53,7 +53,7 @@ def metadata(of: zipfile.ZipFile) -> Message:
 
 
 def files(root: Path) -> set[str]:
-    """Of the three packages, as they lie in the tree."""
+    """Return the files of the three packages in the tree."""
     return {
         path.relative_to(root).as_posix()
         for package in PACKAGES
@@ -63,7 +63,7 @@ def files(root: Path) -> set[str]:
 
 
 def empty(tree: Path) -> Path:
-    """The project without its code."""
+    """Return a copy of the project without its code."""
     for package in PACKAGES:
         (tree / package).mkdir(parents=True)
         (tree / package / "__init__.py").touch()
@@ -73,7 +73,7 @@ def empty(tree: Path) -> Path:
 
 
 def test_it_holds_the_three_packages_whole_and_nothing_else(ours: zipfile.ZipFile) -> None:
-    """Vehicles, sensors, references, scenarios, pages and styles are files in them."""
+    """Vehicles, sensors, references, scenarios, pages and styles are files of the packages."""
     code = {name for name in ours.namelist() if ".dist-info/" not in name}
     assert code == files(ROOT)
     for data in ("vehicle/files/paper.toml", "vehicle/template.toml", "references/files/hover.toml"):

@@ -54,23 +54,23 @@ WANTED = (
 
 
 class Failed(Exception):
-    """What was tried does not work, in words."""
+    """Failure of a trial, with its description."""
 
 
 @dataclass(frozen=True)
 class Environment:
-    """One empty environment with the wheel in it, and a folder to work in."""
+    """Empty environment with the wheel installed, and a working folder."""
 
     python: Path
     folder: Path
 
     @property
     def program(self) -> Path:
-        """ltv-mpc."""
+        """Path of the installed ltv-mpc."""
         return self.python.with_name("ltv-mpc")
 
     def run(self, *words: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
-        """Run it in the folder, where nothing of this checkout is found. Raises ``Failed`` for another exit code."""
+        """Run a command in the working folder, outside of this checkout. Raises ``Failed`` for another exit code."""
         own = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL_ENV"))}
         line = [str(word) for word in words]
         done = subprocess.run(
@@ -86,7 +86,7 @@ class Environment:
 
 
 def version(env: Environment, wheel: Path) -> str:
-    """The same everywhere: the wheel's name, the command, and what a run and the doctor say."""
+    """Check that wheel, command, run and doctor report the same version."""
     said = env.run(env.program, "--version").stdout.split()[-1]
     if said != wheel.name.split("-")[1]:
         raise Failed(f"--version says {said} of {wheel.name}")
@@ -94,14 +94,14 @@ def version(env: Environment, wheel: Path) -> str:
 
 
 def help_(env: Environment, _wheel: Path) -> str:
-    """Every command's panel."""
+    """Check the help of every command."""
     if "Start here" not in env.run(env.program, "--help").stdout:
         raise Failed("help has no panels")
     return "prints its panels"
 
 
 def data(env: Environment, wheel: Path) -> str:
-    """Every file of the packages is installed where the code looks for it, and the code is taken from there."""
+    """Check that every file of the packages is installed, and that the code is imported from the installation."""
     site = env.run(env.python, "-c", "import ltv_mpc, pathlib; print(pathlib.Path(ltv_mpc.__file__).parents[1])")
     there = Path(site.stdout.strip())
     if there.is_relative_to(ROOT):
@@ -114,7 +114,7 @@ def data(env: Environment, wheel: Path) -> str:
 
 
 def lockstep(env: Environment, wheel: Path) -> str:
-    """Five seconds of the descent; the run says in one line that it wrote no report."""
+    """Run five seconds of the descent in lock step; the run reports in one line that it wrote no report."""
     began = time.monotonic()
     done = env.run(env.program, "sim", "--lockstep", "--duration-s", "5", "--json", "--out", "run")
     took_s = time.monotonic() - began
@@ -127,19 +127,19 @@ def lockstep(env: Environment, wheel: Path) -> str:
 
 
 def replay(env: Environment, _wheel: Path) -> str:
-    """The same run again."""
+    """Replay the same run."""
     verdict = json.loads(env.run(env.program, "replay", "run", "--json").stdout)
     return f"{verdict['steps_identical']} of {verdict['steps_run']} steps identical"
 
 
 def processes(env: Environment, _wheel: Path) -> str:
-    """The same as processes over Zenoh, slowly: they share this machine with whatever else runs."""
+    """Run the same as processes over Zenoh, at low speed because other programs share the machine."""
     env.run(env.program, "sim", "--speed", "2", "--duration-s", "5", "--out", "processes")
     return "5 s over Zenoh"
 
 
 def loop(env: Environment, _wheel: Path) -> str:
-    """README's."""
+    """Run the loop of the README."""
     (code,) = (block.text for block in blocks("README.md") if block.language == "python")
     end = "import math\nassert plan.origin == 'solved' and math.hypot(estimate.north_m, estimate.east_m) < 0.1\n"
     (env.folder / "loop.py").write_text(code + end)
@@ -148,7 +148,7 @@ def loop(env: Environment, _wheel: Path) -> str:
 
 
 def doctor(env: Environment, _wheel: Path) -> str:
-    """No problem, and every extra named that is not there."""
+    """Check that the doctor finds no problem and names every missing extra."""
     found = json.loads(env.run(env.program, "doctor", "--json").stdout)
     (extras,) = (finding["found"] for finding in found["findings"] if finding["check"] == "extras")
     for extra in ("viz", "campaign", "ros2"):
@@ -158,7 +158,7 @@ def doctor(env: Environment, _wheel: Path) -> str:
 
 
 def lean(env: Environment, _wheel: Path) -> str:
-    """What the core lacks is asked for by name."""
+    """Check that the core names the extra of each missing package."""
     shutil.copy(ROOT / "examples" / "campaigns" / "horizon.toml", env.folder / "campaign.toml")
     for words, code, asked in WANTED:
         done = env.run(env.program, *words, code=code)
@@ -168,7 +168,7 @@ def lean(env: Environment, _wheel: Path) -> str:
 
 
 def types(env: Environment, _wheel: Path) -> str:
-    """A strict type checker finds types in the installed wheel."""
+    """Check that a strict type checker finds the types of the installed wheel."""
     (env.folder / "user.py").write_text(USER)
     checker = (sys.executable, "-P", "-m", "mypy", "--strict", "--python-executable", env.python)
     done = env.run(*checker, "--cache-dir", os.devnull, "user.py", code=1)
@@ -187,7 +187,7 @@ TRIALS: tuple[Callable[[Environment, Path], str], ...] = (
 
 
 def pythons() -> dict[int, Path | None]:
-    """The interpreter of each minor version: on the path, or below pyenv's root; None where there is none."""
+    """Return the interpreter of each minor version, on the path or below pyenv's root; None if it is missing."""
     root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
     found: dict[int, Path | None] = {}
     for minor in MINORS:
@@ -198,7 +198,7 @@ def pythons() -> dict[int, Path | None]:
 
 
 def _works(python: Path, minor: int) -> bool:
-    """Whether it is there, is what it is called, and can make environments. A pyenv shim may be neither."""
+    """Return True if an interpreter exists, has the version of its name and can create environments."""
     test = f"import sys, venv, ensurepip; sys.exit(sys.version_info[:2] != (3, {minor}))"
     try:
         return subprocess.run([python, "-c", test], capture_output=True, check=False).returncode == 0
@@ -207,14 +207,14 @@ def _works(python: Path, minor: int) -> bool:
 
 
 def packaged() -> list[str]:
-    """What git has in the three packages, that is not ignored."""
+    """Return the files of the three packages that git does not ignore."""
     git = ("git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard", *PACKAGES)
     names = subprocess.run(git, capture_output=True, text=True, check=True).stdout.splitlines()
     return [name for name in names if (ROOT / name).is_file()]
 
 
 def built() -> Path:
-    """The wheel, made from the source distribution as `python -m build` does it."""
+    """Build the wheel from the source distribution, as `python -m build` does."""
     shutil.rmtree(DIST, ignore_errors=True)
     done = subprocess.run(
         [sys.executable, "-P", "-m", "build", "--outdir", DIST, ROOT], capture_output=True, text=True, check=False
@@ -228,7 +228,7 @@ def built() -> Path:
 
 
 def tried(python: Path, wheel: Path) -> Iterator[tuple[str, str | Failed]]:
-    """Each trial's name and what it found, in an environment of its own."""
+    """Yield the name and result of each trial, in a new environment."""
     with tempfile.TemporaryDirectory(prefix="ltv-mpc-package-") as place:
         folder = Path(place)
         subprocess.run([python, "-m", "venv", folder / "venv"], check=True)
@@ -247,7 +247,7 @@ def tried(python: Path, wheel: Path) -> Iterator[tuple[str, str | Failed]]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Exit code 1 where something does not work, or no Python was there. ``arguments``: of 11, 12, 13, those wanted."""
+    """Run the trials; exit code 1 if one fails or no Python was found. ``arguments`` selects of 11, 12, 13."""
     console = Console()
     wheel = built()
     console.print(f"{wheel.relative_to(ROOT)}, {wheel.stat().st_size / 1e3:.0f} kB")

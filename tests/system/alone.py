@@ -1,4 +1,4 @@
-"""A router and a controller as processes of their own, as a user starts them, for whoever speaks to them."""
+"""Router and controller as separate processes, started as a user starts them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PATIENCE_S = 120.0
 
 
 class Lines:
-    """What a process says, line by line as it comes."""
+    """Output of a process, line by line."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -30,7 +30,7 @@ class Lines:
             self._lines.put(line)
 
     def until(self, wanted: Callable[[str], bool], within_s: float = PATIENCE_S) -> str:
-        """The first line for which ``wanted`` is true, of those that were not looked at yet."""
+        """Return the first unread line for which ``wanted`` is true."""
         deadline = time.monotonic() + within_s
         while (left := deadline - time.monotonic()) > 0:
             try:
@@ -47,7 +47,7 @@ class Lines:
 
 @contextmanager
 def started(*command: str, cwd: Path | None = None) -> Iterator[tuple[subprocess.Popen[str], Lines]]:
-    """A process and its words (both streams), ended with the block."""
+    """Start a process with its output (both streams) and end it with the block."""
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=cwd
     )
@@ -66,7 +66,7 @@ def started(*command: str, cwd: Path | None = None) -> Iterator[tuple[subprocess
 
 @contextmanager
 def controller(port: int, arguments: Sequence[str]) -> Iterator[tuple[str, Lines]]:
-    """``ltv-mpc controller ARGUMENTS`` behind a router at ``port``: the endpoint, and what the controller says."""
+    """Start ``ltv-mpc controller ARGUMENTS`` and a router at ``port``; yield endpoint and output of the controller."""
     endpoint = f"tcp/127.0.0.1:{port}"
     with (
         started(*CLI, "router", "--listen", endpoint) as (_, router),

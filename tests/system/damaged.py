@@ -1,4 +1,4 @@
-"""Messages with one thing wrong each: every field missing, of another type, no number, out of bounds, misspelt."""
+"""Messages with one fault each: a field missing, of another type, not a number, out of bounds or misspelt."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from services.bus.wire import Header, encode, unpack
 
 
 class Damaged(NamedTuple):
-    """One frame, and what is wrong with it."""
+    """Frame and the description of its fault."""
 
     what: str
     payload: bytes
 
 
 def damaged(signal: Message, header: Header) -> Iterator[Damaged]:
-    """Every message with one thing wrong that the schema of ``signal`` tells of; all are otherwise acceptable."""
+    """Yield the messages with one fault each that the schema of ``signal`` rules out; the rest of each is valid."""
     message = unpack(encode(signal, header))
     described = schema(type(signal))
     for path, value in _places(described, message, ()):
@@ -45,7 +45,7 @@ def _packed(message: dict[str, Any], path: tuple[str | int, ...], value: Any) ->
 
 
 def _places(described: Schema, value: Any, path: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Places in a message, each with a value that its schema forbids; of an array the last entry stands for all."""
+    """Yield positions in a message, each with a value that its schema forbids; of an array only the last entry."""
     if "anyOf" in described:
         described = next(one for one in described["anyOf"] if (one["type"] == "null") == (value is None))
     yield from ((path, wrong) for wrong in _wrong(described))
@@ -58,7 +58,7 @@ def _places(described: Schema, value: Any, path: tuple[str | int, ...]) -> Itera
 
 
 def _wrong(described: Schema) -> list[Any]:
-    """Values of no type and beyond every bound of ``described``."""
+    """Yield values of a wrong type and outside the bounds of ``described``."""
     if "type" not in described or described["type"] == "null":
         return []
     kind = described["type"]

@@ -19,14 +19,14 @@ MIN_TIMEOUT_S = 0.2  # Linux's smallest variance term: the timeout is the round 
 
 
 class Link:
-    """One direction: when what is sent now is there. ``delay_s`` +- ``jitter_s`` each, ``loss`` of the segments."""
+    """One direction of the link: ``delay_s`` +- ``jitter_s`` for each segment, of which the share ``loss`` is lost."""
 
     def __init__(self, delay_s: float, jitter_s: float, loss: float, rng: random.Random) -> None:
         self._delay_s, self._jitter_s, self._loss, self._rng = delay_s, jitter_s, loss, rng
         self._free_s = 0.0  # nothing comes before what was sent before it
 
     def arrival_s(self, now_s: float) -> float:
-        """Of the next segment."""
+        """Return the arrival time of the next segment (s)."""
         stall_s, timeout_s = 0.0, 2 * self._delay_s + MIN_TIMEOUT_S
         while self._rng.random() < self._loss:
             stall_s += timeout_s

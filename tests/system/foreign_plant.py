@@ -50,21 +50,21 @@ MIN_N, MAX_N, SLEW_N_PER_S = -38.0, 42.0, 80.0  # as its data sheet says
 
 
 class Hull:
-    """State: position (m, NED), quaternion (w, x, y, z), v, w, revolutions of port and starboard: 15 floats."""
+    """Hull with the state position (m, NED), quaternion (w, x, y, z), v, w, revolutions of port and starboard (15,)."""
 
     def __init__(self, *, heading_rad: float = 0.0, current_mps: tuple[float, float] = (0.0, 0.0)) -> None:
-        """At the origin, adrift with the water."""
+        """Start at the origin, drifting with the water."""
         self.current = current_mps
         self.x = [0.0] * 15
         self.x[3], self.x[6] = cos(heading_rad / 2), sin(heading_rad / 2)
 
     @property
     def thrust_N(self) -> tuple[float, float]:
-        """Delivered by port and starboard."""
+        """Delivered thrust of port and starboard."""
         return _thrust(self.x[13], self.x[7]), _thrust(self.x[14], self.x[7])
 
     def step(self, command_N: tuple[float, float]) -> None:
-        """20 ms on, under commands for port and starboard."""
+        """Advance by 20 ms under commands for port and starboard."""
         wanted = [_revolutions(command) for command in command_N]
         x, h = self.x, STEP_S
         a = self._rate(x, wanted)
@@ -114,7 +114,7 @@ class Hull:
         ]
 
     def estimate(self, t_ns: int) -> dict[str, Any]:
-        """What a navigation system would say, by the protocol: what is needed and nothing more."""
+        """Return the estimate of a navigation system, with only the fields that the protocol requires."""
         R, (u, v, w) = _rotation(*self.x[3:7]), self.x[7:10]
         return {
             "t_ns": t_ns,
@@ -128,7 +128,7 @@ class Hull:
 
 
 def _rotation(w: float, x: float, y: float, z: float) -> list[list[float]]:
-    """Body to world of a unit quaternion."""
+    """Return the rotation matrix, body to world, of a unit quaternion."""
     return [
         [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
         [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
@@ -141,16 +141,16 @@ def _thrust(n: float, u: float) -> float:
 
 
 def _revolutions(command_N: float) -> float:
-    """What the driver sets."""
+    """Return the revolutions that the driver sets for a command."""
     n = copysign(sqrt(abs(command_N) / BOLLARD / (ASTERN if command_N < 0.0 else 1.0)), command_N)
     return n if abs(n) >= DEAD_RPS else 0.0
 
 
 class Actuators:
-    """Plans to commands, as the protocol's section on plans says."""
+    """Actuators that follow plans by the protocol's section on plans."""
 
     def __init__(self) -> None:
-        """At rest, without a plan."""
+        """Start at rest, without a plan."""
         self.command_N = (0.0, 0.0)
         self._plans: list[dict[str, Any]] = []
         self._newest: dict[str, Any] = {"epoch": 0, "sequence": -1, "cycle_t_ns": 0, "t_ns": [0]}
@@ -158,14 +158,14 @@ class Actuators:
         self.late = 0
 
     def offer(self, plan: dict[str, Any], now_ns: int) -> None:
-        """A plan has arrived."""
+        """Add a plan that has arrived; it replaces the plans that start later."""
         starts = plan["t_ns"][0]
         self._plans = [p for p in self._plans if p["t_ns"][0] < starts] + [plan]
         self._newest, self._received_ns = plan, now_ns
         self.late += now_ns > starts
 
     def step(self, t_ns: int) -> tuple[float, float]:
-        """The command at ``t_ns``, one step after the last one."""
+        """Return the command at ``t_ns``, one step after the last one."""
         while len(self._plans) > 1 and self._plans[1]["t_ns"][0] <= t_ns:
             del self._plans[0]
         plan = self._plans[0] if self._plans else None
@@ -175,7 +175,7 @@ class Actuators:
         return self.command_N
 
     def report(self, t_ns: int, delivered_N: tuple[float, float]) -> dict[str, Any]:
-        """``applied``."""
+        """Return the message ``applied``."""
         plan = self._newest
         return {
             "t_ns": t_ns,
@@ -193,7 +193,7 @@ class Actuators:
 
 
 def _between(plan: dict[str, Any], t_ns: int) -> tuple[float, float]:
-    """Port and starboard, linear between knots, zero after the last one."""
+    """Return the thrusts of port and starboard, linear between knots and zero after the last one."""
     knots, thrust = plan["t_ns"], plan["thrust_N"]
     if t_ns >= knots[-1]:
         return 0.0, 0.0
@@ -209,15 +209,15 @@ def _towards(y: float, target: float) -> float:
 
 
 class Sender:
-    """Numbers messages by key and packs them."""
+    """Sender that numbers messages by key and packs them."""
 
     def __init__(self) -> None:
-        """A new epoch."""
+        """Start a new epoch."""
         self.epoch = secrets.randbits(48)
         self._next: dict[str, int] = {}
 
     def pack(self, key: str, fields: dict[str, Any]) -> bytes:
-        """The bytes for ``key``."""
+        """Return the packed message for ``key``."""
         sequence = self._next.get(key, 0)
         self._next[key] = sequence + 1
         payload: bytes = msgpack.packb({"epoch": self.epoch, "sequence": sequence, **fields})
@@ -229,12 +229,12 @@ AHEAD_NS = 7_200_000_000_000
 
 
 def now_ns() -> int:
-    """By its own clock."""
+    """Return the time by the plant's own clock (ns)."""
     return time.time_ns() + AHEAD_NS
 
 
 def main(endpoint: str) -> None:
-    """In real time over Zenoh, until it is ended; once a second a line of JSON on standard output."""
+    """Run in real time over Zenoh until it is ended; print one line of JSON each second."""
     import zenoh
 
     config = zenoh.Config()

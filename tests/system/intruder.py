@@ -48,7 +48,7 @@ def opened(folder: str | None, role: str, endpoint: str = ENDPOINT, patience_ms:
 
 
 def refused_connections() -> int:
-    """No certificate; the right role by another authority, which it does or does not believe itself; no TLS at all."""
+    """Try connections that must be refused: no certificate, the role by another authority (trusted or not), no TLS."""
     both = Path(FOREIGN) / "mixed"  # believes the run's authority, shows the other's certificate
     both.mkdir(exist_ok=True)
     (both / "ca.pem").write_bytes((Path(CERTS) / "ca.pem").read_bytes())
@@ -70,7 +70,7 @@ def refused_connections() -> int:
 
 
 def overheard(keys: tuple[str, ...]) -> dict[str, list[bytes]]:
-    """Some frames of each key: whoever may see everything can keep it. A frame is used once it is old."""
+    """Collect frames of each key, for a replay when they are old."""
     frames: dict[str, deque[bytes]] = {key: deque(maxlen=50) for key in keys}
     with opened(CERTS, "display") as session:
         for key in keys:
@@ -84,14 +84,12 @@ def overheard(keys: tuple[str, ...]) -> dict[str, list[bytes]]:
 
 
 def forged(frame: bytes) -> bytes:
-    """A frame that would be believed."""
+    """Return a frame that a reader would accept."""
     return msgpack.packb(msgpack.unpackb(frame) | {"epoch": FORGED_EPOCH, "sequence": random.randrange(10**6)})
 
 
 def with_wrong_role(frames: dict[str, list[bytes]]) -> int:
-    """Frames as they should be, by those who may not send them: forged ones and replayed ones, with a publisher
-    and without.
-    """
+    """Send valid frames, forged and replayed, under roles that may not send them, with a publisher and without."""
     ways = [(role, key) for role in ("display", "recorder", "sensors", "controller") for key in frames]
     ways = [(role, key) for role, key in ways if (role, key) != ("controller", "plan")]
     sent = 0
@@ -111,9 +109,7 @@ def with_wrong_role(frames: dict[str, list[bytes]]) -> int:
 
 
 def with_stolen_key(estimates: list[bytes]) -> int:
-    """The estimator's own certificate: it may send, so that the reader has to refuse what was sent before, what is
-    broken and what is too large.
-    """
+    """Send with the estimator's own certificate: readers must reject replayed, broken and too large messages."""
     fields = msgpack.unpackb(estimates[-1])
     broken = [
         b"",

@@ -1,4 +1,4 @@
-"""What a controller hears that is wrong: counted by reason, visible, never acted on."""
+"""Invalid messages to a controller are counted by reason, visible and never used."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ HERE_AT_ZERO = Point(north_m=0.0, east_m=0.0)
 
 
 def estimate(k: int) -> Estimate:
-    """Complete, so that every field can be wrong."""
+    """Return an estimate with every field set, so that each can be damaged."""
     return Estimate(
         t_ns=k * PERIOD_NS,
         north_m=1.0 + 0.01 * k,
@@ -69,7 +69,7 @@ def example(kind: type[Message]) -> Message:
 
 
 class Listening:
-    """A controller behind its door."""
+    """Controller behind its message validation."""
 
     def __init__(self) -> None:
         self.node = ControllerNode(Vehicle.load("paper"), HERE_AT_ZERO, ControllerConfig())
@@ -78,7 +78,7 @@ class Listening:
         self.refused: list[RejectedFrame] = []
 
     def hear(self, key: str, payload: bytes, t_ns: int) -> None:
-        """As ``services/runtime/runner.py`` does."""
+        """Receive a frame as ``services/runtime/runner.py`` does."""
         frame = Frame(BY_KEY[key], key, payload, 0)
         try:
             signal, header = self.door.validate(frame)
@@ -102,7 +102,7 @@ ARM = msgpack.packb({"epoch": 7, "sequence": 0, "command_id": 1, "action": "arm"
 
 @pytest.mark.parametrize("kind", READ, ids=lambda kind: kind.__name__)
 def test_no_field_that_is_wrong_changes_a_plan_and_each_is_counted_and_shown(kind: type[Message]) -> None:
-    """Two controllers hear the same estimates; one of them all else besides: their plans are the same to the bit."""
+    """Two controllers receive the same estimates, one also all damaged messages: their plans are equal to the bit."""
     quiet, beset = Listening(), Listening()
     key = BY_TYPE[kind].key
     bad = list(damaged(example(kind), Header(epoch=9, sequence=1_000_000)))

@@ -1,4 +1,4 @@
-"""A filter that is led astray begins anew, in closed loop, and the thrusters do not jump."""
+"""A filter that diverges is reinitialised in closed loop, and the thrusts do not jump."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SECOND = 1_000_000_000
 
 
 class Led(OneByOne):
-    """The sensors' node, whose words are altered for a while."""
+    """Sensors node whose measurements are altered for some time."""
 
     def __init__(self, node, alter, to_s):
         self.node, self.alter, self.to_ns = node, alter, to_s * SECOND
@@ -36,7 +36,7 @@ def scaled_doppler(signal):
 
 
 def wild_accelerometer(signal):
-    """Its bias a hundred times as large."""
+    """Return the sensors with an accelerometer bias that is a hundred times larger."""
     if isinstance(signal, ImuSample):
         force = np.array(signal.specific_force_mps2) + 0.98 * np.array([1.0, -1.0, 0.0])
         return msgspec.structs.replace(signal, specific_force_mps2=tuple(force.tolist()))
@@ -89,7 +89,7 @@ def test_the_filter_is_reported_inconsistent_within_three_seconds_and_not_before
 
 
 def test_it_begins_anew_and_is_right_about_its_error_afterwards(led):
-    """Ten seconds out of the band, then said for half a minute; at the end inside 3 sigma."""
+    """Out of the band for 10 s, reported for half a minute, at the end inside 3 sigma."""
     _, ears = led
     begun = [r for r in ears.reports if r.status is FilterStatus.RESTARTED]
     assert begun

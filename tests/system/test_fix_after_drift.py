@@ -20,7 +20,7 @@ USBL = Path(__file__).resolve().parents[2] / "examples" / "sensors" / "usbl.toml
 
 
 class WithoutFixes(OneByOne):
-    """The sensors' node, whose USBL is not heard before ``FIRST_FIX_S``."""
+    """Sensors node without USBL fixes before ``FIRST_FIX_S``."""
 
     def __init__(self, node):
         self.node = node
@@ -57,7 +57,7 @@ def track(signals, place):
 
 
 def test_the_estimate_jumps_by_metres_and_is_right_afterwards(run):
-    """The satellites' fix at the surface was 5 m off (1 sigma); a fix from the ship is good to about a metre."""
+    """The satellite fix at the surface has an error of 5 m (1 sigma); a fix from the ship of about 1 m."""
     _, heard = run
     t, p = track(heard[Estimate], lambda e: (e.north_m, e.east_m))
     steps = np.hypot(*np.diff(p, axis=0).T)

@@ -1,4 +1,4 @@
-"""A plant written from scratch, driven by docs/protocol.md alone, in a current of 0.2 m/s that nobody tells."""
+"""A plant written from docs/protocol.md alone, in a current of 0.2 m/s that the controller does not know."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_without_thrust_and_drag_its_hull_keeps_its_energy(monkeypatch: pytest.M
 
 
 class Flight:
-    """Plant and controller at simulated time; every message goes as bytes through the codec and the node's door."""
+    """Plant and controller at simulated time; every message passes the codec and the message validation as bytes."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class Flight:
         self._under_way: list[tuple[int, bytes]] = []
 
     def fly(self, seconds: float, **command: str) -> np.ndarray:
-        """So long, after a command; the positions (M, 2) at each 20 ms so far."""
+        """Fly for a time after a command and return all positions (M, 2), one each 20 ms."""
         inbox = [self._heard("command", {"command_id": len(self.track), **command}, self._t_ns)]
         for k in range(round(seconds * 1e9) // STEP_NS):
             t_ns = self._t_ns
@@ -140,7 +140,7 @@ class Flight:
 
 
 def distance(track: np.ndarray) -> np.ndarray:
-    """From the origin."""
+    """Return the distance from the origin (m)."""
     return np.hypot(track[:, 0], track[:, 1])
 
 
@@ -169,7 +169,7 @@ NEAR_M = 3.0
 
 
 def off_the_square(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (M,) of positions (M, 2) from the square's outline and from its next corner."""
+    """Return the distances (M,) of positions (M, 2) from the outline of the square and from its next corner."""
     legs = [
         np.linalg.norm(track - a - np.clip((track - a) @ (b - a) / SIDE_M**2, 0.0, 1.0)[:, None] * (b - a), axis=1)
         for a, b in zip(CORNERS, np.roll(CORNERS, -1, axis=0), strict=True)
@@ -179,7 +179,7 @@ def off_the_square(track: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_it_follows_a_square_at_one_metre_a_second() -> None:
-    """From a hover with its bow into the current, told by message to follow."""
+    """Start from a hover with the bow into the current; a message commands to follow."""
     flight = Flight(HERE_AT_ZERO, heading_rad=2.2)
     hovered = len(flight.fly(30.0, action="arm"))
     track = flight.fly(115.0, action="follow", reference_toml=SQUARE.read_text())[hovered:]

@@ -1,4 +1,4 @@
-"""A run under attack: an intruder's frames are denied or refused, and seen, and the vehicle never hears of them."""
+"""A run under attack: the frames of an intruder are denied or rejected, counted, and never used by the vehicle."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def ended_in_order(process: subprocess.Popen[bytes]) -> None:
 
 
 def router_of(run: Path, launcher: subprocess.Popen[bytes], log: Path) -> tuple[str, str]:
-    """Endpoint and namespace, as the router's config has them."""
+    """Return endpoint and namespace from the configuration of the router."""
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
         assert launcher.poll() is None, log.read_text()
@@ -47,7 +47,7 @@ def router_of(run: Path, launcher: subprocess.Popen[bytes], log: Path) -> tuple[
 
 
 class Ears:
-    """What the processes say of themselves while it lasts: their steps, their counts, what the router has denied."""
+    """Log of the processes' status: their steps, their counts, and what the router has denied."""
 
     def __init__(self) -> None:
         self.box = Mailbox()

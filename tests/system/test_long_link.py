@@ -24,7 +24,7 @@ SETTINGS = ("run.duration_s=35", "run.speed=1")
 
 
 def over_the_link(run_config: RunConfig, folder: Path) -> Summary:
-    """A descent: plant, sensors and estimator on one side, the controller behind the link."""
+    """Run a descent with plant, sensors and estimator on one side of the link, the controller on the other."""
     scenario = folder / "scenario.toml"
     scenario.write_text('title = "link"\n[run]\nduration_s = 35.0\nspeed = 1.0\n')
     near, far = loopback.free_port(), loopback.free_port()

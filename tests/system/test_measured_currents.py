@@ -1,4 +1,4 @@
-"""The main job on real input: measured currents, as processes over Zenoh and in lock step."""
+"""Descents through measured currents, as processes over Zenoh and in lock step."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def measured(name: str) -> Path:
 
 
 def sim(tmp_path: Path, *options: str) -> dict[str, Any]:
-    """The summary of a run that was started as a user would."""
+    """Run `ltv-mpc sim` as a user does and return the summary."""
     command = [sys.executable, "-P", "-m", "services.cli", "sim", *options, "--json", "--out", str(tmp_path / "run")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
@@ -40,7 +40,7 @@ def sim(tmp_path: Path, *options: str) -> dict[str, Any]:
 
 
 def test_processes_run_through_a_measured_current_without_a_message_rejected_or_lost(tmp_path):
-    """The strongest; the others run in lock step below, for to the processes they are all alike."""
+    """The strongest current; the others run in lock step, because to the processes they are all alike."""
     summary = sim(tmp_path, "--currents", str(measured(FILES[-1])), "--duration-s", "10", "--speed", "10")
     assert summary["mode"] == "services"
     assert summary["messages"]["rejected"] == 0

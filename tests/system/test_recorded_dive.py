@@ -1,4 +1,4 @@
-"""A real dive of a glider: parameters that were fixed before the filter first ran on it."""
+"""Real dive of a glider, with parameters fixed before the filter first ran on it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DIVE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "PF23051
 
 @pytest.mark.skipif(not DIVE.exists(), reason=f"{DIVE} is not there: the recording is kept beside the checkout")
 def test_a_glider_is_localised_within_six_metres_after_300_s_from_most_starts():
-    """Bottom track of ten ensembles only, then kept as truth: measured 4.3 m, constant velocity 10.7 m."""
+    """Bottom track of the first ten ensembles; the rest is the truth: measured 4.3 m, constant velocity 10.7 m."""
     result = localise(DIVE, fixes=10, start_depth_m=None).result
     assert (result.ensembles, result.lost_bytes) == (175, 0)
     study = result.study

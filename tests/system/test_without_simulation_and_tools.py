@@ -21,7 +21,7 @@ PUBLISHER = ROOT / "examples" / "python" / "publisher.py"
 
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[str, ...]:
-    """The command line of a copy of the packages without sim/ and services/tools/, uncompiled to be quick."""
+    """Return the command line of a copy of the packages without sim/ and services/tools/, without compilation."""
     place = tmp_path / "vehicle"
     for package in ("ltv_mpc", "services"):
         shutil.copytree(ROOT / package, place / package, ignore=shutil.ignore_patterns("__pycache__"))

@@ -1,4 +1,4 @@
-"""Bad input ends before anything starts: exit code 2, one line with file, field, value and bound, nothing made."""
+"""Bad input is rejected before anything starts: exit code 2, one line with file, field, value and bound, no files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands: what help says and costs, which option wins, what stdout holds, what a process may import."""
+"""Commands: help and its cost, precedence of options, content of stdout, imports of a process."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def cli(line: str) -> int:
 
 
 def imported(stderr: str) -> set[str]:
-    """Top-level packages, from what ``-X importtime`` prints."""
+    """Return the imported top-level packages from the output of ``-X importtime``."""
     names = re.findall(r"^import time: +\d+ \| +\d+ \| +(\S+)$", stderr, re.MULTILINE)
     return {name.partition(".")[0] for name in names}
 
@@ -174,7 +174,7 @@ def test_an_interrupted_lock_step_exits_with_its_code_and_a_readable_recording(
 
 
 def test_the_name_of_the_scenario_outlives_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run of a run's scenario.toml is one of the same name; a name that is no plain one is not taken."""
+    """A run of the scenario.toml of another run has the same name; a name with special characters is not used."""
     monkeypatch.chdir(tmp_path)
     for scenario, out in (("descent", "a"), ("a/scenario.toml", "b"), ("b/scenario.toml", "c")):
         assert cli(f"sim {scenario} --lockstep --duration-s 0.3 --perfect-state --out {out}") == 0
@@ -230,7 +230,7 @@ def test_the_recorder_accepts_its_own_folder_and_no_other_that_is_not_empty(
 
 @pytest.mark.parametrize("line", ["controller", "estimator"])
 def test_what_runs_aboard_never_imports_the_simulation(line: str, tmp_path: Path) -> None:
-    """Not even through another module: the process itself says what it has imported."""
+    """Not even through another module: the process itself lists its imports."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"

@@ -1,4 +1,4 @@
-"""``ltv-mpc controller``: its options, and what it says before the first message."""
+"""``ltv-mpc controller``: its options and its output before the first message."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ FILES = Path(references.__file__).parent / "files"
 
 
 class Alone(NamedTuple):
-    """A controller at a router, and the newest of its plans."""
+    """Controller at a router, with its newest plan."""
 
     endpoint: str
     newest: LatestCache

@@ -14,7 +14,7 @@ from tests.services.recording.recordings import write_depths
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A run of 500 messages, the newest one; the working directory is its grandparent's parent."""
+    """Return the newest run, with 500 messages, below the working directory."""
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "runs" / "20260101T000000Z-hover"
     folder.mkdir(parents=True)

@@ -54,7 +54,7 @@ def test_check_prints_the_performance(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_the_proposed_horizon_covers_a_turn_and_a_stop(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of half a turn, where it goes astern much slower than ahead: longer than 1.9 of its time."""
+    """Half a turn of a vehicle that is much slower astern: the horizon is more than 1.9 times its duration."""
     assert run(["vehicle", "check", "weak-reverse", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     can = said["performance"]
@@ -91,7 +91,7 @@ def test_a_bad_file_is_bad_input(
 
 
 def test_identify_recovers_the_vehicle_of_a_run(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A vehicle of 1.2 times the mass and 0.8 times the drag, held in a current for a minute."""
+    """A vehicle with 1.2 times the mass and 0.8 times the drag, held in a current for one minute."""
     keys = (
         *("run.duration_s=60", "run.surface_time_s=1", "water.sd_mps=0.15", "plant.north_m=3"),
         *("plant.mismatch.mass=1.2", "plant.mismatch.drag=0.8"),

@@ -90,7 +90,7 @@ class SyntheticVehicle:
         return [signal for signal in self.received if isinstance(signal, kind)]
 
     def restart(self) -> None:
-        """Another run, at the time of this one: only the clock's epoch says so."""
+        """Start another run at the same vehicle time: only the epoch of the clock changes."""
         self.clock_epoch += 1
         self.announce(vehicle_ns=self._now_ns(), state=ClockState.RUNNING, speed=SPEED)
 
@@ -153,7 +153,7 @@ class SyntheticVehicle:
 
 
 class Served:
-    """A page that runs, and the vehicle behind it."""
+    """Running page and the vehicle behind it."""
 
     def __init__(
         self, vehicle: SyntheticVehicle, feed: BusFeed, token: Token, port: int, server: uvicorn.Server
@@ -173,7 +173,7 @@ class Served:
         return f"http://{self.host}/"
 
     def cut(self) -> None:
-        """Every connection, as if the network had."""
+        """Cut every connection, as a network failure does."""
         for connection in tuple(self._server.server_state.connections):
             one: Any = connection  # each of uvicorn's protocols has both
             one.loop.call_soon_threadsafe(one.transport.abort)
@@ -181,7 +181,7 @@ class Served:
 
 @contextmanager
 def served(router_port: int) -> Iterator[Served]:
-    """Router, vehicle and page, each with a session of its own, in this process."""
+    """Run router, vehicle and page in this process, each with its own session."""
     endpoint = f"tcp/127.0.0.1:{router_port}"
     reached = BusOptions(connect=(endpoint,), namespace="synthetic")
 

@@ -1,4 +1,4 @@
-"""The live page's process: who may read, who may command, and what the stream brings."""
+"""Server of the live page: who may read, who may command, and the content of the stream."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def get(page: Served, path: str = "/", method: str = "GET", **headers: str) -> t
 
 
 def stream(page: Served, origin: str | None = None, host: str = "127.0.0.1") -> ClientConnection:
-    """``origin``: the page's own by default; none where it is empty."""
+    """Open the stream; ``origin`` is that of the page by default, none if it is empty."""
     claimed: Any = page.url.rstrip("/") if origin is None else origin or None
     return connect(f"ws://{host}:{page.port}/stream", origin=claimed, proxy=None, max_size=2**24)
 
@@ -49,7 +49,7 @@ def status_code(page: Served, **how: str) -> int:
 
 
 def next_text(socket: ClientConnection, kind: str) -> dict[str, Any]:
-    """The next text of this kind."""
+    """Return the next text of this kind."""
     while True:
         text: dict[str, Any] = json.loads(socket.recv(10))
         if text["kind"] == kind:
@@ -87,7 +87,7 @@ def test_nothing_can_be_posted(page: Served) -> None:
     "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "127.0.0.1.evil:{port}"]
 )
 def test_another_name_for_this_machine_is_refused(page: Served, host: str) -> None:
-    """DNS rebinding: a foreign name that leads here."""
+    """DNS rebinding: a foreign name that resolves to this machine."""
     host = host.format(port=page.port)
     assert get(page, Host=host)[0] == 403
     assert get(page, "/page/live.js", Host=host)[0] == 403

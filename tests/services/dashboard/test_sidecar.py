@@ -1,4 +1,4 @@
-"""The page of a run that is started here: its address is said, and whatever becomes of it the run goes on."""
+"""Live page of a run: its address is printed, and a failure of the page does not affect the run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def page_of(folder: Path) -> tuple[Sidecar, list[str]]:
 
 
 def gives_way(pid: int) -> None:
-    """To processes of its own session, and with its session to those of others."""
+    """Check the low priority of the process, within its session and against other sessions."""
     assert os.getpriority(os.PRIO_PROCESS, pid) == NICE
     if (group := Path(f"/proc/{pid}/autogroup")).exists():
         assert group.read_text().split()[-2:] == ["nice", str(NICE)]

@@ -151,7 +151,7 @@ EVENT = RunEvent(t_ns=5 * S, node="plant", kind="test", text="</script><b>a mark
 
 
 def dive(until_s: float = 20.0) -> Iterator[tuple[str, Message, int]]:
-    """Writer, signal, vehicle time of publication; from a second before t = 0."""
+    """Yield writer, message and vehicle time of publication, from one second before t = 0."""
     yield "plant", clock(-S), -S
     yield "operator", ARM, -S
     yield "controller", ARMED, -S
@@ -168,7 +168,7 @@ def dive(until_s: float = 20.0) -> Iterator[tuple[str, Message, int]]:
 
 
 def record(path: Path, until_s: float = 20.0) -> Path:
-    """The dive as a recording."""
+    """Write the dive as a recording."""
     metadata = {"mode": "services", "seed": "3", "config/vehicle.toml": VEHICLE, "scenario.toml": 'title = "made up"\n'}
     with RunWriter(path, start_ns=-S, metadata=metadata, flush_s=None) as writer:
         sequences: dict[type, int] = {}

@@ -1,4 +1,4 @@
-"""Pictures say what the descriptions say: series, units, limits; of a dive whose every number is known."""
+"""Figures show what the descriptions define (series, units, limits), for a dive with known numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is drawn of a run, against a dive whose every number is known."""
+"""Plot tables of a run, checked with a dive whose numbers are known."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_each_plot_says_its_units_and_has_something_to_compare_runs_by() -> None
 
 @pytest.mark.parametrize("colour", sorted({*COLOURS, *palette.STAGES, *palette.RUNS} - {"#56b4e9"}))
 def test_lines_are_told_from_white_paper(colour: str) -> None:
-    """Contrast by WCAG's relative luminance; 2.8 is where Okabe and Ito's palest of those used here lies."""
+    """Contrast by the relative luminance of WCAG; 2.8 is that of the palest used colour of Okabe and Ito."""
     channels = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
     assert 1.05 / (np.dot([0.2126, 0.7152, 0.0722], linear) + 0.05) > 2.8
@@ -89,7 +89,7 @@ def test_distances_are_those_to_the_target(collector: Collector) -> None:
 
 
 def test_a_target_that_moves_is_where_it_is_at_the_estimate_s_time() -> None:
-    """It moves as the vehicle does, 1 m east of it: the distance is that metre, whenever plans come."""
+    """The target moves with the vehicle, 1 m east of it: the distance is 1 m at any rate of plans."""
     collector = Collector()
     for t_ns in range(0, 6 * S, 100_000_000):
         collector.add(synthetic_run.estimate(t_ns), EPOCH)

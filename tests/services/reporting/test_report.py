@@ -51,7 +51,7 @@ def test_a_run_s_report_is_one_small_file_in_its_folder(
 
 
 def test_nothing_of_a_recording_can_become_markup(runs: tuple[Path, Path]) -> None:
-    """An event's text holds a tag and the end of a script."""
+    """The text of an event contains an HTML tag and the end of a script."""
     assert app.run(["report", str(runs[0])]) == 0
     text = (runs[0] / "report.html").read_text()
     assert "<b>a mark</b>" not in text

@@ -1,4 +1,4 @@
-"""The last lines of a run: a machine that could not do what was asked for is said."""
+"""Summary text of a run: it names the reached speed if the machine was too slow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The live screen fits 80 x 24 at its fullest, and says what the messages hold."""
+"""The live screen fits 80 x 24 characters and shows the content of the messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors on the screen are drifts since the start of the descent, of the truth at the estimate's own time."""
+"""Errors on the screen count from the start of the descent, with the truth at the time of the estimate."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def moment(t_ns: int, *, truth_m: tuple[float, float], estimate_m: tuple[float, 
 
 
 def test_the_error_of_the_first_fix_is_no_drift() -> None:
-    """The line goes through the first estimate, 5 m off; then the vehicle moves 5 m and believes 0.5 m less."""
+    """The reference starts at the first estimate, 5 m off; then the vehicle moves 5 m and the estimate 0.5 m less."""
     errors = TrackingError()
     errors.update(moment(0, truth_m=(7.0, 16.0), estimate_m=(10.0, 20.0)))
     assert (errors.true_error_m, errors.localisation_m) == (0.0, 0.0)
@@ -72,7 +72,7 @@ def test_before_the_start_nothing_is_known() -> None:
 
 
 def test_an_estimate_from_before_the_start_does_not_say_where_the_line_is() -> None:
-    """At ten times real time the first look after the start may still find one, metres off: a fix came after it."""
+    """At ten times real time the first view after the start may hold an estimate from before a fix, metres off."""
     errors = TrackingError()
     errors.update(moment(S // 2, truth_m=(0.0, 0.0), estimate_m=(2.0, 2.0), age_ns=S // 2 + 1))
     assert (errors.true_error_m, errors.localisation_m) == (None, None)
