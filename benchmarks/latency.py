@@ -21,8 +21,9 @@ import numpy as np
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, Estimate, Plan
 from services.bus.mailbox import Frame, Mailbox
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.wire import decode
 from services.supervisor import loopback
 

@@ -1,11 +1,7 @@
 """Message bus.
 
-topics              what travels, and who writes and reads it
-wire                encoding and decoding of one message
-message_validation  acceptance or rejection of each received frame
-sequence_check      epoch and sequence number
-outbox, mailbox, latest_cache   publishing, and the queue and cache of received frames
-session             Zenoh
-roles, security, certificates, denials   who may write and read what on a secured bus
-schema, protocol    JSON schemas and the protocol page
+What travels      topics (table of keys, writers and readers), schema and protocol (its description for other programs)
+One message       wire (encoding, decoding), message_validation (accepted or rejected), sequence_check (its order)
+One process       session and options (Zenoh), outbox, mailbox and latest_cache (published and received frames)
+Security          roles (who may write and read what), security and certificates (TLS), denials (rejected attempts)
 """

@@ -1,4 +1,4 @@
-"""Zenoh session: options, configuration, publishers and subscribers. The only file that imports zenoh.
+"""Zenoh session: configuration, publishers and subscribers. The only file that imports zenoh.
 
 - No multicast and no scouting: a session is a client of a router, or itself the router if it listens. It waits for a
   lost router.
@@ -21,77 +21,19 @@ import os
 import re
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from types import TracebackType
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol
 
-import msgspec
 import zenoh
 
 from ltv_mpc.errors import ConfigError
 from services.bus import roles, security
+from services.bus.options import BusOptions
 from services.bus.topics import Topic, topic_at
 from services.bus.wire import MAX_PAYLOAD_BYTES
 
-ROUTER_ADDRESS = "127.0.0.1:7447"
-"""Default address of the router, for nodes that connect and for a router that listens."""
-
-SECURE = "tls"
 MAX_MESSAGE_BYTES = 2 * MAX_PAYLOAD_BYTES
-
-HOST_AND_PORT = ("tcp", "udp", "tls", "quic", "ws")
-PROTOCOLS = (*HOST_AND_PORT, "unixsock-stream")
-"""Protocols of Zenoh's Python package. With another one Zenoh fails only after it has opened, or waits for ever."""
-
-MAX_PORT = 2**16 - 1
-
-Mode: TypeAlias = Literal["client", "peer", "router"]
-
-
-class BusOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """Options of a process's bus connection: -e, -l, -m, -c, --namespace and --certs, named as in Zenoh."""
-
-    connect: tuple[str, ...] = ()
-    listen: tuple[str, ...] = ()
-    mode: Mode | None = None  # default: router if it listens, else client
-    config: Path | None = None  # a Zenoh configuration; default: $ZENOH_CONFIG, if that is set
-    namespace: str = ""  # put before every key: one per vehicle or run
-    certs: Path | None = None  # folder of certificates; every link then uses mutual TLS
-    role: str = ""  # role of this process, whose certificate it uses
-
-    @property
-    def acts_as(self) -> Mode:
-        """Effective mode."""
-        return self.mode or ("router" if self.listen else "client")
-
-    @property
-    def connects_to(self) -> tuple[str, ...]:
-        """Effective endpoints; the default router for a client without any."""
-        return self.connect or ((self.usual_endpoint,) if self.acts_as == "client" and not self._has_file else ())
-
-    @property
-    def usual_endpoint(self) -> str:
-        """Endpoint of the default router."""
-        return f"{SECURE if self.certs else 'tcp'}/{ROUTER_ADDRESS}"
-
-    @property
-    def _has_file(self) -> bool:
-        return self.config is not None or "ZENOH_CONFIG" in os.environ
-
-
-def endpoint_error(endpoint: str) -> str:
-    """Return what is wrong with an endpoint such as ``tcp/127.0.0.1:7447``; empty if it is valid."""
-    protocol, _, rest = endpoint.partition("/")
-    address = re.split("[?#]", rest, maxsplit=1)[0]  # metadata and settings may follow it
-    if not (protocol and address):
-        return "must be PROTOCOL/ADDRESS, as in tcp/127.0.0.1:7447"
-    if protocol not in PROTOCOLS:
-        return f"the protocol must be one of {', '.join(PROTOCOLS)}"
-    host, _, port = address.rpartition(":")
-    number = int(port) if port.isascii() and port.isdigit() and len(port) <= 5 else 0
-    if protocol in HOST_AND_PORT and not (host and 1 <= number <= MAX_PORT):
-        return f"must be {protocol}/HOST:PORT, PORT from 1 to {MAX_PORT}"
-    return ""
+"""Largest message that a session accepts."""
 
 
 class BusError(RuntimeError):

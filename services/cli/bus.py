@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_type_hints
 import typer
 
 if TYPE_CHECKING:
-    from services.bus.session import BusOptions
+    from services.bus.options import BusOptions
 
 PANEL = "Bus options (those of Zenoh)"
 
@@ -73,7 +73,8 @@ def _block(
     from msgspec import structs
 
     from ltv_mpc.config import parse, read_text
-    from services.bus.session import BusOptions, configuration
+    from services.bus.options import BusOptions
+    from services.bus.session import configuration
 
     for name, endpoints in (("--connect", connect), ("--listen", listen)):
         for endpoint in endpoints or ():
@@ -114,7 +115,7 @@ def with_bus(role: str = "", *, without: Iterable[str] = ()) -> Callable[[Callab
 def check_endpoint(option: str, endpoint: str, certs: Path | None) -> None:
     """Raise ``ConfigError`` if Zenoh cannot use the endpoint, or if it is not secure although certificates are used."""
     from ltv_mpc.errors import ConfigError
-    from services.bus.session import SECURE, endpoint_error
+    from services.bus.options import SECURE, endpoint_error
 
     if problem := endpoint_error(endpoint):
         raise ConfigError(f"option {option}", "", problem, value=endpoint)

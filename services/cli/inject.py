@@ -10,7 +10,7 @@ import typer
 from services.cli.bus import check_endpoint, with_bus
 
 if TYPE_CHECKING:
-    from services.bus.session import BusOptions
+    from services.bus.options import BusOptions
 
 
 @with_bus("inject", without=["listen", "mode"])

@@ -12,7 +12,7 @@ from services.cli.inject import inject
 from services.cli.options import Force, Out, ScenarioName, SensorsFile, VehicleFile
 
 if TYPE_CHECKING:
-    from services.bus.session import BusOptions
+    from services.bus.options import BusOptions
 
 
 def register(app: typer.Typer, panel: str) -> None:

@@ -9,7 +9,7 @@ import typer
 from services.cli.bus import check_namespace, with_bus
 
 if TYPE_CHECKING:
-    from services.bus.session import BusOptions
+    from services.bus.options import BusOptions
 
 
 @with_bus(without=["certs"])

@@ -14,7 +14,7 @@ from services.cli.topics import topics
 from services.cli.vehicle_file import vehicle as vehicle_file
 
 if TYPE_CHECKING:
-    from services.bus.session import BusOptions
+    from services.bus.options import BusOptions
 
 
 def register(app: typer.Typer, panel: str) -> None:

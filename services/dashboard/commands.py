@@ -14,8 +14,9 @@ import msgspec
 from msgspec import Meta
 
 from ltv_mpc.messages import Acknowledgement, Action, ClockCommand, Disturbance, Kill, Message, RejectedFrame
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
+from services.bus.session import BusError, Session, Stopped, open_session
 from services.bus.topics import OPERATOR
 from services.processes.operator import TIMEOUT_S, send_command
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 
 SERVER = "services.dashboard.serve"
 

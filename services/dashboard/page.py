@@ -22,7 +22,7 @@ from starlette.responses import FileResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.dashboard.access_guard import AccessGuard, Token
 from services.dashboard.bus_feed import BusFeed
 from services.dashboard.commands import SIMULATED, ButtonReply, ButtonRequest, do

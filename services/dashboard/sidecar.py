@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.bus.topics import OPERATOR
 from services.dashboard.config import SERVER, Config
 from services.runtime.stopping import Say

@@ -35,7 +35,7 @@ from ltv_mpc.node import ReceivedMessage
 from ltv_mpc.references import Reference
 from ltv_mpc.safety import thrust_loss_detector
 from ltv_mpc.vehicle.parameters import Vehicle
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.bus.topics import BY_TYPE, Topic
 from services.processes.failed_qps import FailedQps
 from services.runtime import metrics as prometheus

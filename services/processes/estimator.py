@@ -16,7 +16,7 @@ from ltv_mpc.localisation.sensors.imu import IMU
 from ltv_mpc.localisation.sensors.rows import Rows
 from ltv_mpc.localisation.sensors.sensor import Availability
 from ltv_mpc.node import ReceivedMessage
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.run.water import load_prior
 from services.runtime.clock import monotonic_us
 from services.runtime.runner import Runner

@@ -7,8 +7,9 @@ import time
 
 from ltv_mpc.messages import Acknowledgement, Action, Command, RejectedFrame
 from services.bus.mailbox import Mailbox
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusError, BusOptions, Session, Stopped, open_session
+from services.bus.session import BusError, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, OPERATOR
 from services.bus.wire import WireError, decode
 from services.runtime.stopping import DONE, FAILED, stderr_printer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.run.run_config import RunConfig, resolve
 from services.runtime.clock_master import ClockMasterSettings
 from services.runtime.runner import Runner

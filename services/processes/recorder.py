@@ -7,7 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from services.bus.session import BusError, BusOptions
+from services.bus.options import BusOptions
+from services.bus.session import BusError
 from services.recording.segments import SegmentWriter
 from services.runtime.recording_loop import NAME, RecordingLoop
 from services.runtime.serve import run_until_stopped

@@ -9,8 +9,9 @@ import msgspec
 from ltv_mpc.messages import Estimate, NodeStatus, Plan
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusOptions, Publisher, open_session
+from services.bus.session import Publisher, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.edges.ros2 import cdr

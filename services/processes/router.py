@@ -14,9 +14,10 @@ import msgspec
 
 from ltv_mpc.messages import Clock, NodeStatus, RunEvent
 from services.bus.denials import LOG_FILTER, Denials
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import ROUTER
-from services.bus.session import BusOptions, Session, log_to_stdout, open_session
+from services.bus.session import Session, log_to_stdout, open_session
 from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us

@@ -6,7 +6,7 @@ import msgspec
 
 from ltv_mpc.messages import Truth
 from ltv_mpc.node import ReceivedMessage
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.run.run_config import RunConfig, resolve
 from services.runtime.runner import Runner
 from services.runtime.serve import serve

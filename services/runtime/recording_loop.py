@@ -11,8 +11,9 @@ import time
 from ltv_mpc.messages import Clock, NodeStatus, RejectedFrame, RunEvent
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import rejection
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.wire import WireError, crc, from_map, header_of, unpack
 from services.recording.loss_accounting import LossAccounting
 from services.recording.publish_counts import PublishCounts

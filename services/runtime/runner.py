@@ -25,8 +25,9 @@ from ltv_mpc.messages import (
 from ltv_mpc.node import Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator, rejection
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusOptions, Session, open_session
+from services.bus.session import Session, open_session
 from services.bus.topics import OPERATOR, STATES
 from services.bus.wire import WireError, crc, decode
 from services.runtime import ports

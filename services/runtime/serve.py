@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from services.bus.session import BusError, BusOptions, Stopped
+from services.bus.options import BusOptions
+from services.bus.session import BusError, Stopped
 from services.runtime.clock import ClockError
 from services.runtime.stopping import FAILED, Say, StopRequest, stderr_printer, stop_on_signals
 from services.runtime.supervisor_link import SUPERVISOR_LINK

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.run.folder import RunFolder
 from services.run.run_config import PRIOR, RunConfig
 from sim.scenario import Scenario

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import TypeAlias
 
 from ltv_mpc.messages import NodeStatus, RunEvent
+from services.bus.options import SECURE, BusOptions
 from services.bus.outbox import Outbox, new_epoch
 from services.bus.roles import LAUNCHER
-from services.bus.session import SECURE, BusOptions, Session, Stopped, open_session
+from services.bus.session import Session, Stopped, open_session
 from services.recording import join
 from services.run.folder import RunFolder
 from services.run.run_config import RunConfig

@@ -40,23 +40,23 @@ def run(
     the vehicle time (ns).
     """
     if folder is None:
-        return _go(run_config, None, progress, stop)
+        return simulate(run_config, None, progress, stop)
     metadata = {"mode": LOCKSTEP, "seed": str(run_config.scenario.run.seed), **run_config.files}
     start_ns, learned = run_config.scenario.start_ns, EstimatedCurrent()
     with RunWriter(folder.recording, start_ns=start_ns, metadata=metadata, flush_s=None) as writer:
-        summary = _go(run_config, writer, progress, stop, learned)
+        summary = simulate(run_config, writer, progress, stop, learned)
     folder.write_result(summary, learned.prior())
     return summary
 
 
-def _go(
+def simulate(
     run_config: RunConfig,
     writer: RunWriter | None,
     progress: Callable[[int], None] | None,
     stop: Callable[[], bool],
     learned: EstimatedCurrent | None = None,
 ) -> Summary:
-    """Make the run. ``learned`` collects what the estimates say of the water."""
+    """Make the run without a folder; ``writer`` records it, and ``learned`` collects the estimated current."""
     _leave_alone()
     scenario = run_config.scenario
     log = _Log(RunMetrics(run_config.vehicle), writer, learned)

@@ -29,8 +29,9 @@ from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator, rejection
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.topics import BY_KEY, BY_TYPE
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.stopping import StopRequest

@@ -13,8 +13,9 @@ from pathlib import Path
 from ltv_mpc.messages import NodeStatus, RunEvent, StepRecord
 from services.bus import certificates
 from services.bus.mailbox import Mailbox
+from services.bus.options import BusOptions
 from services.bus.roles import ROLES
-from services.bus.session import BusOptions, Session, open_session
+from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.processes import router

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc.messages import Injection, MessageFault
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.run import folder as run_folder
 from services.run.run_config import Override, RunConfig, resolve
 from services.supervisor import entry_point, loopback, process_table

@@ -22,8 +22,9 @@ from ltv_mpc.messages import Clock, Injection, InjectorFrame, Message, NodeStatu
 from ltv_mpc.node import ReceivedMessage
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusOptions, Publisher, Session, Stopped, open_session
+from services.bus.session import Publisher, Session, Stopped, open_session
 from services.bus.topics import BY_TYPE, TOPICS, Topic, topic_at
 from services.bus.wire import Header, WireError, crc, decode, encode
 from services.runtime.clock import ClockError, VehicleClock, monotonic_us

@@ -15,8 +15,9 @@ from typing import NamedTuple
 import msgspec
 
 from ltv_mpc.messages import Clock, ClockState
+from services.bus.options import BusOptions
 from services.bus.roles import DISPLAY
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.topics import BY_TYPE, Topic
 from services.bus.wire import WireError, decode
 from services.processes import plant

@@ -20,8 +20,9 @@ from ltv_mpc.references import Point
 from ltv_mpc.vehicle.parameters import Vehicle
 from services.bus.mailbox import Frame, Mailbox
 from services.bus.message_validation import MessageValidator
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox, new_epoch
-from services.bus.session import BusOptions, Session, open_session
+from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import WireError
 from services.processes.controller import warm_up

@@ -15,7 +15,8 @@ from typing import Any
 
 import msgspec
 
-from services.bus.session import BusOptions, open_session
+from services.bus.options import BusOptions
+from services.bus.session import open_session
 from services.supervisor.parent_death import die_with_parent
 from services.tools.fleet import controllers, plants
 from services.tools.fleet.controllers import Controllers
@@ -68,7 +69,7 @@ def run(fleet: Fleet, processes: int, *, on_progress: Callable[[float], None] = 
     ``on_progress`` receives the elapsed share of the trial.
     """
     processes = min(processes, fleet.vehicles)
-    with _started() as start:
+    with started_processes() as start:
         way = start("router", _router, fleet.router)
         # One after the other: what the first has compiled the others find.
         children = [
@@ -90,10 +91,10 @@ def run(fleet: Fleet, processes: int, *, on_progress: Callable[[float], None] = 
         _sleep_until(end_ns, report)
         routed_s = way.cpu_s() - before_s
         wait_s = 10.0 + fleet.seconds
-        return _row(fleet, [child.receive(wait_s) for child in children], world.receive(wait_s), routed_s)
+        return row_of(fleet, [child.receive(wait_s) for child in children], world.receive(wait_s), routed_s)
 
 
-def _row(fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float) -> Row:
+def row_of(fleet: Fleet, reports: list[Controllers], world: Plants, routed_s: float) -> Row:
     busy = {
         "router": routed_s / fleet.seconds,
         "plants": world.cpu_s / fleet.seconds,
@@ -176,7 +177,7 @@ class _Child:
 
 
 @contextmanager
-def _started() -> Iterator[Callable[..., _Child]]:
+def started_processes() -> Iterator[Callable[..., _Child]]:
     """Provide a function that starts a process and waits until it is ready; at the end stop all in reverse order."""
     context = multiprocessing.get_context("spawn")
     children: list[_Child] = []

@@ -20,9 +20,10 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ltv_mpc.errors import ConfigError
 from services.bus import certificates
+from services.bus.options import BusOptions
 from services.bus.roles import ROLES, access_control, reads, writes
 from services.bus.security import credentials
-from services.bus.session import BusOptions, configuration
+from services.bus.session import configuration
 from services.bus.topics import TOPICS
 from services.cli.app import run
 

@@ -8,7 +8,7 @@ import pytest
 
 from ltv_mpc import ControllerConfig, Vehicle
 from ltv_mpc.control.horizon_selection import proposed_horizon_s
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.cli.app import run
 from services.processes import controller
 

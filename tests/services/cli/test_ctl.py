@@ -19,8 +19,9 @@ import pytest
 from ltv_mpc import config, references
 from ltv_mpc.messages import Authority, Estimate, Plan
 from services.bus.latest_cache import LatestCache
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.cli.app import run

@@ -26,8 +26,9 @@ from ltv_mpc.messages import (
     Truth,
 )
 from services.bus.mailbox import Mailbox
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, Session, open_session
+from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import decode
 from services.dashboard import page, serve

@@ -10,7 +10,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from services.bus.session import BusOptions, open_session
+from services.bus.options import BusOptions
+from services.bus.session import open_session
 from services.dashboard import sidecar
 from services.dashboard.serve import NICE
 from services.dashboard.sidecar import Sidecar

@@ -54,7 +54,7 @@ def visit(here: RunConfig) -> Visit:
     learned = EstimatedCurrent()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(lockstep_run, "make_nodes", lambda _, **_every: nodes)
-        lockstep_run._go(here, None, None, lambda: False, learned)
+        lockstep_run.simulate(here, None, None, lambda: False, learned)
     saved = learned.prior()
     (estimator,) = (node for node in nodes if isinstance(node, Estimator))
     assert saved is not None

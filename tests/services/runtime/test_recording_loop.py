@@ -14,8 +14,9 @@ import msgpack
 import pytest
 
 from ltv_mpc.messages import Clock, ClockState, Message, NodeStatus, PressureDepth, RejectedFrame, RunEvent
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, encode, to_map
 from services.recording import segments

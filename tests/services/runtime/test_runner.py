@@ -34,8 +34,9 @@ from ltv_mpc.messages import (
 )
 from ltv_mpc.node import Cycle, Grid, Inbox, Node, OnMessage
 from services.bus.mailbox import Frame, Mailbox
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, Session, open_session
+from services.bus.session import Session, open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, crc, decode
 from services.runtime.clock import monotonic_us

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.processes import plant
 from services.supervisor import forkserver, orphan_cleanup
 from services.supervisor.child_processes import ChildProcesses

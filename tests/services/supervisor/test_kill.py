@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 
 from ltv_mpc.messages import Kill
+from services.bus.options import BusOptions
 from services.bus.outbox import Outbox
-from services.bus.session import BusOptions, open_session
+from services.bus.session import open_session
 from services.bus.topics import OPERATOR
 from services.supervisor.bus_monitor import BusMonitor
 

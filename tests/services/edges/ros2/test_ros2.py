@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 
 from ltv_mpc.messages import Estimate, Plan, PlanOrigin, Solve, SolveStatus
 from services.bus.mailbox import Mailbox
-from services.bus.session import BusOptions, open_session
+from services.bus.options import BusOptions
+from services.bus.session import open_session
 from services.bus.topics import BY_TYPE
 from services.bus.wire import Header, decode, encode
 from services.cli.app import run

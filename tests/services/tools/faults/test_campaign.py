@@ -12,7 +12,7 @@ import pytest
 from msgspec import structs
 
 from ltv_mpc.messages import Injection, MessageFault
-from services.bus.session import BusOptions
+from services.bus.options import BusOptions
 from services.cli.app import run as command
 from services.replay import replay
 from services.supervisor.entry_point import read_config, write_config

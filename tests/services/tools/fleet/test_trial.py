@@ -42,7 +42,7 @@ def row(*, late: int = 0, plans: int = 150, mind_cpu_s: float = 1.0, world_cpu_s
         mean_error_m=0.1,
         cpu_s=world_cpu_s,
     )
-    return trial._row(FLEET, [one], world, routed_s)
+    return trial.row_of(FLEET, [one], world, routed_s)
 
 
 def test_a_fleet_that_keeps_up_has_no_limit_and_says_what_each_vehicle_costs():
@@ -70,7 +70,10 @@ def test_what_gives_way_is_the_process_that_has_no_more_to_give(monkeypatch, fig
 
 
 def test_a_process_that_ends_early_is_named():
-    with pytest.raises(trial.TrialFailed, match="breaks has ended with exit code 3"), trial._started() as start:
+    with (
+        pytest.raises(trial.TrialFailed, match="breaks has ended with exit code 3"),
+        trial.started_processes() as start,
+    ):
         start("breaks", _breaks)
 
 
