@@ -152,15 +152,15 @@ class GlrDetector:
             return None
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
-        some = np.flatnonzero(share > _MIN_EVIDENCE)
-        E, moves, roots = signatures.error, [], []
-        for k in some:
+        selected = np.flatnonzero(share > _MIN_EVIDENCE)
+        E, means, roots = signatures.error, [], []
+        for k in selected:
             since = E[:, first[k] : first[k] + 2]
-            its = since if last[k] < 0 else since - E[:, last[k] : last[k] + 2]
-            moves.append(its @ nu[k])
-            roots.append(math.sqrt(share[k]) * its @ np.linalg.cholesky(covariance[k]))
-        error = share[some] @ np.array(moves)
-        roots += [math.sqrt(share[k]) * (move - error)[:, None] for k, move in zip(some, moves, strict=True)]
+            signature = since if last[k] < 0 else since - E[:, last[k] : last[k] + 2]
+            means.append(signature @ nu[k])
+            roots.append(math.sqrt(share[k]) * signature @ np.linalg.cholesky(covariance[k]))
+        error = share[selected] @ np.array(means)
+        roots += [math.sqrt(share[k]) * (mean - error)[:, None] for k, mean in zip(selected, means, strict=True)]
         roots.append(_SHAPE_ERROR * error[:, None])
         old = share[self._start_ns[first // 2] <= belief.t_ns - reach_ns].sum() > _OLD
         return OnsetDetection(float(statistic.max()), bool(old), error, np.concatenate(roots, axis=1))

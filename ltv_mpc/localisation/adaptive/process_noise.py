@@ -8,8 +8,8 @@ Inflation   All grid points in the state get a random walk that is smooth over d
             P_water += q^2 dt exp(-|z_i - z_j| / 30 m),  north and east,
         of one of two strengths q, for a limited time:
             SLOW  3 mm/s per sqrt(s), after a shear: waves of 5 cm/s in 300 s change by 1 cm/s within 10 s
-            FAST  5 cm/s per sqrt(s), after a uniform current. A tenth of it or more gives the same result while a front
-                  passes, because the vehicle's velocity then rests on the IMU alone
+            FAST  5 cm/s per sqrt(s), after a uniform current. A tenth or ten times of it makes no difference while a
+                  front passes, because the vehicle's velocity then rests on the IMU alone
         What FAST does not explain is caused by the IMU or the ADCP, not by the water. It is left to the gate, and the
         filter is reported as inconsistent.
 IMU     A slow gyro fault tilts the level. The velocity error g b t^2 / 2 looks like a front. But a front passes: the
@@ -69,7 +69,7 @@ _LIMIT_FAST = innovation_tests.threshold(2, 1e-7)
 velocity accuracy for the rest of a dive (docs/notes/adaptive-process-noise.md).
 """
 
-_MAX_HOLD_NS = 120_000_000_000
+_MAX_DURATION_NS = 120_000_000_000
 """Longest duration of one inflation."""
 
 _INCONSISTENT_NS = 2_000_000_000
@@ -92,7 +92,11 @@ class NoiseLevel(enum.IntEnum):
 
 
 WALK_MPS_PER_RTS = {NoiseLevel.NONE: 0.0, NoiseLevel.SLOW: 0.003, NoiseLevel.FAST: 0.05, NoiseLevel.FAST_AND_IMU: 0.05}
-_HOLD_NS = {NoiseLevel.SLOW: 60_000_000_000, NoiseLevel.FAST: 10_000_000_000, NoiseLevel.FAST_AND_IMU: 10_000_000_000}
+_DURATION_NS = {
+    NoiseLevel.SLOW: 60_000_000_000,
+    NoiseLevel.FAST: 10_000_000_000,
+    NoiseLevel.FAST_AND_IMU: 10_000_000_000,
+}
 
 _GYRO_SD_RADPS, _TILT_SD_RAD, _VELOCITY_SD_MPS = 5e-4, 0.01, 0.3
 """Standard deviations added once with FAST_AND_IMU: a gyro bias of 100 deg/h, the tilt that it causes in 20 s, and the
@@ -113,7 +117,7 @@ class AdaptiveProcessNoise:
         self._cell_m = cell_m
         self._from_ns = from_ns
         self._until_ns: dict[NoiseLevel, int] = {}
-        self._held_ns: dict[NoiseLevel, int] = {}
+        self._lasted_ns: dict[NoiseLevel, int] = {}
         self._inflates_imu = False  # at the next propagation
         self._glr = GlrDetector()
         self._drift: FrontOrGyroTest | None = None  # while the level is FAST
@@ -125,7 +129,7 @@ class AdaptiveProcessNoise:
         other = AdaptiveProcessNoise.__new__(AdaptiveProcessNoise)
         other.__dict__.update(self.__dict__)
         other._means, other._vertical, other._shears = self._means.copy(), self._vertical.copy(), self._shears.copy()
-        other._until_ns, other._held_ns = dict(self._until_ns), dict(self._held_ns)
+        other._until_ns, other._lasted_ns = dict(self._until_ns), dict(self._lasted_ns)
         other._glr = self._glr.copy()
         other._drift = None if self._drift is None else self._drift.copy()
         return other
@@ -220,13 +224,13 @@ class AdaptiveProcessNoise:
         )
         return found if moves else None
 
-    def required_level(self, t_ns: int, began: OnsetDetection | None = None) -> NoiseLevel:
+    def required_level(self, t_ns: int, onset: OnsetDetection | None = None) -> NoiseLevel:
         """Return the level that the last ping requires if it is above the level at ``t_ns``, else NONE.
 
         Parameters
         ----------
         t_ns : time of the last ping.
-        began : drift found by ``detect_onset``.
+        onset : drift found by ``detect_onset``.
         """
         level, chi_square = self.level(t_ns), self._means.chi_square()
         means = chi_square > _LIMIT_FAST
@@ -238,24 +242,24 @@ class AdaptiveProcessNoise:
             return NoiseLevel.FAST_AND_IMU
         if means.any() and level < NoiseLevel.FAST:
             return NoiseLevel.FAST_AND_IMU if self._is_persistent(means, t_ns) else NoiseLevel.FAST
-        if began is not None and not began.is_old and level < NoiseLevel.FAST:
+        if onset is not None and not onset.is_old and level < NoiseLevel.FAST:
             return NoiseLevel.FAST
         if (self._shears.chi_square() > _LIMIT_2).any() and level < NoiseLevel.SLOW:
             return NoiseLevel.SLOW
         return NoiseLevel.NONE
 
-    def inflate(self, change: NoiseLevel, until_ns: int, now_ns: int) -> None:
+    def inflate(self, level: NoiseLevel, until_ns: int, now_ns: int) -> None:
         """Inflate the process noise.
 
         Parameters
         ----------
-        change : level.
+        level : level from now on.
         until_ns : end, from ``inflation_end_ns``.
         now_ns : start: the time to which the filter has gone back.
         """
-        self._held_ns[change] = until_ns - now_ns
-        self._until_ns[change] = until_ns
-        self._inflates_imu = change is NoiseLevel.FAST_AND_IMU
+        self._lasted_ns[level] = until_ns - now_ns
+        self._until_ns[level] = until_ns
+        self._inflates_imu = level is NoiseLevel.FAST_AND_IMU
         self._is_gyro_fault = False
 
     def _is_persistent(self, means: npt.NDArray[np.bool_], t_ns: int) -> bool:
@@ -266,22 +270,22 @@ class AdaptiveProcessNoise:
             or self._was_recent(NoiseLevel.FAST_AND_IMU, t_ns)
         )
 
-    def _was_recent(self, change: NoiseLevel, t_ns: int) -> bool:
+    def _was_recent(self, level: NoiseLevel, t_ns: int) -> bool:
         """Return True if a level was in force and ended no longer ago than it lasted."""
-        return change in self._until_ns and t_ns < self._until_ns[change] + self._held_ns[change]
+        return level in self._until_ns and t_ns < self._until_ns[level] + self._lasted_ns[level]
 
-    def inflation_end_ns(self, change: NoiseLevel, now_ns: int) -> int:
+    def inflation_end_ns(self, level: NoiseLevel, now_ns: int) -> int:
         """Return the end of an inflation that starts now: twice as long as the last one if that was recent.
 
         Parameters
         ----------
-        change : level.
+        level : level to inflate to.
         now_ns : start of the inflation.
         """
-        last_ns, hold_ns = self._held_ns.get(change, 0), _HOLD_NS[change]
-        if last_ns and now_ns < self._until_ns[change] + 2 * last_ns:
-            hold_ns = min(2 * last_ns, _MAX_HOLD_NS)
-        return now_ns + hold_ns
+        last_ns, duration_ns = self._lasted_ns.get(level, 0), _DURATION_NS[level]
+        if last_ns and now_ns < self._until_ns[level] + 2 * last_ns:
+            duration_ns = min(2 * last_ns, _MAX_DURATION_NS)
+        return now_ns + duration_ns
 
     def add_correction(self, belief: Belief, upper: npt.NDArray[np.int64], error: Array) -> None:
         """Add the correction of one ping to the drift test.

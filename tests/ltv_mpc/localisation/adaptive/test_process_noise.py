@@ -217,7 +217,7 @@ def test_a_second_inflation_that_goes_back_beyond_the_first_keeps_it(dives, run,
     monkeypatch.setattr(
         AdaptiveProcessNoise, "required_level", lambda _, t_ns, _began: calls.pop(t_ns // 333_333_333, NoiseLevel.NONE)
     )
-    water = run([m for m in dives[0].messages if m.t_ns <= 35 * SECOND]).water
+    water = run([m for m in dives[0].messages if m.t_ns <= 35 * SECOND]).process_noise
     assert calls == {}
     assert water.level(35 * SECOND) is NoiseLevel.SLOW
 
