@@ -184,7 +184,7 @@ def test_at_once_is_what_steps_one_by_one_are_and_most_are_made_at_once(monkeypa
 
         monkeypatch.setattr(kind, method, outer)
 
-    counted(Plant, "_go")
+    counted(Plant, "_step")
     counted(Sensors, "_step")
     counted(Estimator, "_step")
     run_config = descent("sensors=paper", duration_s=4.0)

@@ -1,9 +1,9 @@
-"""Attacks on the processes of a run: signals and resource limits. A process is found by its parent and its name.
+"""Attacks on the processes of a run by signals and resource limits; a process is found by its parent and its name.
 
 crash     SIGKILL
-hang      SIGSTOP, and never SIGCONT
-slow      stopped for a share of each period, shorter than what counts as hung
-full disk no file of the process may grow beyond what it has now (RLIMIT_FSIZE), for a while
+hang      SIGSTOP, without SIGCONT
+slow      stopped for a share of each period, too short to count as hung
+full disk no file of the process may grow beyond its present size for some time (RLIMIT_FSIZE)
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from services.tools.faults.fault import Fault
 PROC = Path("/proc")
 
 ENDING = ("process_crash", "process_hang", "router_killed", "disk_full")
-"""Classes after which something has to be back."""
+"""Classes after which a process must work again."""
 
 ATTACKS = (*ENDING, "process_slow")
 

@@ -2,8 +2,8 @@
 
     plant, sensors, estimator, recorder -- router A -- inject -- router B -- controller
 
-So what the controller reads and writes passes the injector, and what it accepts is in the recording at A, but for what
-was harmed on its way to B.
+All messages of the controller pass the injector. The recording at A holds what the controller received, except for
+messages that were harmed on their way to B.
 """
 
 from __future__ import annotations
@@ -96,11 +96,11 @@ def run(of: RunConfig, faults: Sequence[Fault], folder: Path, *, patience_s: flo
             BusOptions(connect=(place.router,), mode="client", namespace=namespace, role=inject.NAME)
             for place in (a, b)
         )
-        asked = tuple(injection(fault) for fault in faults)
+        injections = tuple(injection(fault) for fault in faults)
         start(
             "inject",
             inject.__name__,
-            inject.Config(node=UNDER_TEST, injections=asked, at_a=at_a, at_b=at_b),
+            inject.Config(node=UNDER_TEST, injections=injections, at_a=at_a, at_b=at_b),
         )
         for name in ("recorder", "plant", "sensors", "estimator", UNDER_TEST):
             start(name, modules[name], process_table.config_of(name, of, b if name == UNDER_TEST else a))

@@ -1,7 +1,7 @@
 """Random draw of the faults of a campaign: class, target, time, duration and size as a function of the seed.
 
-Faults are dealt to classes in turn and to targets in turn, so that n of them are spread evenly; times, durations and
-sizes are drawn. A run has several, one after the other: each is over, and a minute has passed, before the next.
+Faults are assigned to classes in turn and to targets in turn, so that n of them are spread evenly. Times, durations and
+sizes are random. A run has several faults in sequence: each starts a minute after the end of the one before.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from services.tools.faults.fault import Fault
 from services.tools.faults.kinds import AFLOAT, FaultClass
 
 LAST_S = 75.0
-"""From a permanent fault's start to the run's end."""
+"""Time from the start of a permanent fault to the end of the run."""
 
 PERMANENT = 0.3
-"""Share of the faults that may last which do."""
+"""Share of permanent faults among those that may be permanent."""
 
 AFLOAT_S = (-24.0, -16.0)
-"""When one of an instrument that works afloat begins; it is over before the descent."""
+"""Start of a fault of a sensor that works at the surface only; it ends before the descent."""
 
 
 class Pace(NamedTuple):

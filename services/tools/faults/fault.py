@@ -7,7 +7,7 @@ import enum
 import msgspec
 
 RECOVERED = 2.0
-"""Mean tracking error after a fault over that without: at most."""
+"""Largest ratio of the mean tracking error after a fault to that without faults."""
 
 
 class Place(enum.StrEnum):
@@ -26,7 +26,7 @@ class Fault(msgspec.Struct, frozen=True, kw_only=True):
     end_s: float
     size: float
     seed: int
-    permanent: bool = False  # it lasts until the run's end: no recovery is asked for
+    permanent: bool = False  # it lasts until the run's end, and no recovery is required
 
 
 class FaultOutcome(msgspec.Struct, frozen=True, kw_only=True):

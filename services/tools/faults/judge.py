@@ -2,7 +2,7 @@
 
 reaction   by the class (``reactions.py``)
 error      largest true horizontal error from the fault's start until a minute after its end
-grown      by how much it moved, at most, from what it was when the fault began; what is lost has a bound for it
+grown      largest change of that error since the start of the fault; a lost sensor has a bound for it
 recovery   mean tracking error 30 to 60 s after its end over that of the same seed without any fault: the larger of its
            means in the same half minute and under water in all. A vehicle that holds its place is off it by a few
            centimetres that come and go: of two half minutes of one run without faults the one is more than twice the
@@ -32,11 +32,11 @@ from services.tools.faults.lockstep_runs import Log, Observed
 from services.tools.faults.reactions import Case, reaction, uncounted
 
 THREE_SIGMA = 11.829
-"""Chi-square of two degrees of freedom at the 0.27 % that a normal one leaves outside 3 sigma."""
+"""Chi-square quantile of two degrees of freedom at 99.73 %, the probability of 3 sigma of a normal variable."""
 
 AFTER_NS = (30_000_000_000, 60_000_000_000)
 FLAG_NS = 1_100_000_000
-"""A report of the localisation comes each second: so long a flag may be under way."""
+"""Longest delay of a flag: localisation reports come each second."""
 
 
 class Errors(NamedTuple):
@@ -64,14 +64,14 @@ def errors(log: Log) -> Errors:
     places = np.array([place for _, place in log.target])
     target = places[np.clip(np.searchsorted(since, at, side="right") - 1, 0, None)]
     zero = np.array([np.interp(0.0, truth[:, 0], truth[:, i]) for i in (1, 2)])
-    begun = np.array([np.interp(0.0, estimate[:, 0], estimate[:, i]) for i in (1, 2)])
+    initial = np.array([np.interp(0.0, estimate[:, 0], estimate[:, i]) for i in (1, 2)])
     off = there - true
     P = squares[known].reshape(-1, 2, 2, 2)  # instant, position or velocity, row, column
     far = np.column_stack([_mahalanobis(off[:, 2 * i : 2 * i + 2], P[:, i]) for i in (0, 1)])
     return Errors(
         t_ns=at,
         tracking_m=np.hypot(*(there[:, :2] - target).T),
-        true_m=(true[:, :2] - zero) - (target - begun),
+        true_m=(true[:, :2] - zero) - (target - initial),
         outside=np.any(far > THREE_SIGMA, axis=1),
     )
 

@@ -1,6 +1,6 @@
 """Fault classes: effect, target, duration, size, and the reaction that is required.
 
-Sizes are drawn from ``size`` by the class's own meaning: a share of the messages, seconds, a factor; see
+Sizes are drawn from ``size``. Their meaning depends on the class: a share of the messages, seconds, or a factor; see
 ``sim/faults``. Durations are in vehicle seconds.
 """
 
@@ -41,7 +41,7 @@ INSTRUMENTS: Mapping[str, type[Message]] = {
     "tdcp": TdcpFix,
 }
 AFLOAT = ("gnss", "tdcp")
-"""Of use, and so to be broken, before the descent only."""
+"""Sensors that work, and so can fail, before the descent only."""
 
 MESSAGES: Mapping[str, tuple[type[Message], ...]] = {
     "estimate": (Estimate,),
@@ -105,16 +105,16 @@ KINDS = (
     FaultClass("disk_full",           PROCESSES, ("recorder",),                (0, 0),    (1, 1),        DEAD),
     FaultClass("router_killed",       PROCESSES, ("router",),                  (0, 0),    (1, 1),        DEAD),
 )  # fmt: skip
-"""Every class; one of messages on their way has a row in each place."""
+"""All classes; those of messages have a row in each place."""
 
 ADRIFT_M = 15.0
-"""0.2 m/s of water for 75 s: a vehicle that nothing drives goes with it."""
+"""Drift of a vehicle without control: 75 s in water of 0.2 m/s."""
 
 INERTIAL_M = 25.0
-"""3 sigma of an inertial unit alone for 75 s, its level and biases as the profiler has told of them before."""
+"""3 sigma of an IMU without aiding for 75 s, with level and biases estimated with the current profiler before."""
 
 AIDED_M = 2.0
-"""With the profiler: 3 sigma of a velocity of 5 mm/s over two minutes."""
+"""With the current profiler: 3 sigma of a velocity of 5 mm/s over two minutes."""
 
 BOUNDS_M: Mapping[tuple[str, str], float] = {
     ("sensor_off", "imu"): ADRIFT_M,
@@ -127,8 +127,8 @@ BOUNDS_M: Mapping[tuple[str, str], float] = {
     ("thruster_loss", "starboard"): ADRIFT_M,
     ("thruster_loss", "both"): ADRIFT_M,
 }
-"""By class and target: how far what is lost may move the true horizontal error (m) while it is gone, 75 s where it is
-for good, and in the minute after.
+"""Largest change of the true horizontal error (m) by class and target, during the fault and the minute after it; a
+permanent fault counts for 75 s.
 """
 
 NAMES = tuple(dict.fromkeys(kind.name for kind in KINDS))

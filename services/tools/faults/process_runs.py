@@ -1,7 +1,7 @@
 """Fault injection in processes: a run of ``ltv-mpc sim`` whose processes are attacked.
 
-Both go at twice real time. What is done to a run is done by this process, when the run's own clock says that it is
-time; the run knows nothing of it.
+Runs go at twice real time. This process attacks the run when the run's clock reaches the time of a fault; the run does
+not know of it.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from services.tools.faults.subprocess_tools import Process, Started
 
 SPEED = 2.0
 START_S = 90.0
-"""At most so long a run may take to begin, on a machine that does other things too."""
+"""Longest wait for the start of a run, on a machine with other load."""
 
 POLL_S = 0.02
 END_S = 30.0
-"""Of wall time after a run's end, until its processes have ended too."""
+"""Longest wall time from a run's end to the exit of its processes."""
 
 
 LAST_LINES, MAX_TEXT = 4, 500

@@ -22,17 +22,17 @@ from services.tools.faults.reactions import Case, Reaction
 from services.tools.faults.recorded import ESTIMATE, PLAN, TRUTH, Recorded, Taken
 
 BACK_S = 2.0
-"""Wall time from a process's end to its first message that was accepted."""
+"""Longest wall time from the end of a process to the first accepted message of its successor."""
 
 OUTAGE_US = 60_000
-"""The plant speaks every 5 ms at twice real time: so long a silence of the recording is one."""
+"""Shortest gap in the recording that counts as an outage; the plant publishes every 5 ms at twice real time."""
 
 MAX_OUTAGE_US = 10_000_000
 
 RECORDER = "recorder"
 
 READ_BY = {"estimate": "controller", "applied": "controller", "plan": "plant"}
-"""Who reads the keys that are harmed between processes."""
+"""Reader of each key whose messages are harmed between processes."""
 
 
 class OfProcesses(NamedTuple):

@@ -1,8 +1,8 @@
 """Reaction rules: the reaction that each fault class requires, and whether it came in time.
 
-Of every fault: a finite command each cycle, a health of the controller that is what the age of the newest estimate asks
-for, and one of the actuators that says when plans are missing. Beyond that ``RULES`` says what is asked of each class.
-A rule looks at a run's messages and at nothing inside a node.
+Every fault requires a finite command each cycle, a health of the controller that matches the age of the newest
+estimate, and a health of the actuators that shows missing plans. ``RULES`` has the further requirements of each class.
+A rule reads the messages of a run only, and nothing inside a node.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ LEVELS = ((Health.FAILSAFE, 6, 3.0), (Health.HOLD, 4, 1.5), (Health.DEGRADED, 3,
 SEVERITY = {Health.NOMINAL: 0, Health.DEGRADED: 1, Health.HOLD: 2, Health.FAILSAFE: 3}
 
 FUTURE_NS = 50_000_000
-"""An estimate stamped further ahead of its arrival tells nothing of how old what is known is."""
+"""Largest lead of an estimate's stamp over its arrival at which the stamp still shows the estimate's age."""
 
 SPACINGS = 9
-"""Of which the period of estimates is the median."""
+"""Number of intervals whose median is the period of the estimates."""
 
 REPLACEMENTS, MIN_SILENCE_S = 5, 0.5
-"""Half periods without a plan after which the second replacement is missing, and the least that counts."""
+"""Half periods without a plan after which the second replacement is missing, and the shortest silence that counts."""
 
 APPLIED_NS = 100_000_000
 SILENT_PERIODS = 3
@@ -39,10 +39,10 @@ REPORT_NS = 1_000_000_000
 CYCLE_NS = 300_000_000
 
 ALARM_NEWTON_S = 10.0
-"""N s of impulse that a lost thruster may cost before the model's alarm."""
+"""Largest lost impulse (N s) before the alarm of the model check."""
 
 CHECK_NS = 1_000_000_000
-"""Between two words on the model."""
+"""Time between two messages of the model check."""
 
 
 class Reaction(NamedTuple):
@@ -119,20 +119,20 @@ def _health_by_age(case: Case) -> Reaction:
     log = case.of.log
     plans = {plan.cycle_ns: plan for plan in log.plans}
     took: float | None = None
-    heard, stamps = iter([*log.received_estimates, (10**19, 0)]), [-(10**18)]
-    received_ns, stamp_ns = next(heard)
+    received, stamps = iter([*log.received_estimates, (10**19, 0)]), [-(10**18)]
+    received_ns, stamp_ns = next(received)
     for cycle_ns in log.cycles:
         while received_ns <= cycle_ns:
             if stamps[-1] < stamp_ns <= received_ns + FUTURE_NS:
                 stamps.append(stamp_ns)
-            received_ns, stamp_ns = next(heard)
+            received_ns, stamp_ns = next(received)
         plan = plans.get(cycle_ns)
         if plan is None or not case.start_ns <= cycle_ns <= case.end_ns + 2 * REPORT_NS:
             continue
         level, over_ns = _asked_for(cycle_ns - stamps[-1], stamps)
         if SEVERITY[plan.health] < SEVERITY[level]:
             age_s = (cycle_ns - stamps[-1]) * 1e-9
-            return Reaction(None, f"{plan.health} with an estimate {age_s:.2f} s old: {level} is asked for")
+            return Reaction(None, f"{plan.health} with an estimate {age_s:.2f} s old: {level} is required")
         if 0 < over_ns <= CYCLE_NS:
             took = max(took or 0.0, over_ns * 1e-9)
     return Reaction(took)
@@ -176,17 +176,17 @@ def _silence_flagged(case: Case) -> Reaction:
     """Check that the first report after three missing messages flags the instrument as silent."""
     name, fault = case.fault.target, case.fault
     if name == "imu":
-        return Reaction(None)  # without it there is neither estimate nor report: the health says so
+        return Reaction(None)  # without it there is neither estimate nor report, which the health shows
     threshold_ns = case.start_ns + SILENT_PERIODS * BY_TYPE[INSTRUMENTS[name]].period_ns
     until_ns = min(case.end_ns, 0) if name in AFLOAT else case.end_ns
     due = [report for report in case.of.log.reports if threshold_ns + REPORT_NS < report.t_ns <= until_ns]
     if not due:
         return Reaction(None)
-    said = next((r for r in case.of.log.reports if threshold_ns < r.t_ns <= until_ns and name in r.wrong), None)
-    if said is None:
+    detected = next((r for r in case.of.log.reports if threshold_ns < r.t_ns <= until_ns and name in r.wrong), None)
+    if detected is None:
         return Reaction(None, f"silent for {fault.end_s - fault.start_s:.1f} s, not reported")
-    seconds = (said.t_ns - threshold_ns) * 1e-9
-    late = f"reported {seconds:.1f} s after its threshold" if said.t_ns > due[0].t_ns else ""
+    seconds = (detected.t_ns - threshold_ns) * 1e-9
+    late = f"reported {seconds:.1f} s after its threshold" if detected.t_ns > due[0].t_ns else ""
     return Reaction(seconds, late)
 
 
@@ -225,12 +225,12 @@ def _not_followed(case: Case) -> Reaction:
     during = [row for row in case.of.log.applied if case.start_ns <= row[0] <= case.end_ns + REPORT_NS]
     if any(epoch == INTRUDERS_EPOCH for _, _, epoch, *_ in during):
         return Reaction(None, "the plant follows the second commander")
-    refused = [t for t, reader, key in case.of.log.rejected if reader == "plant" and t >= case.start_ns]
+    rejected = [t for t, reader, key in case.of.log.rejected if reader == "plant" and t >= case.start_ns]
     before = [count for t, *_, count, _ in case.of.log.applied if t < case.start_ns]
-    refused += [t for t, *_, count, _ in during if count > before[-1]]
-    if not refused:
+    rejected += [t for t, *_, count, _ in during if count > before[-1]]
+    if not rejected:
         return Reaction(None, "no status reports the rejected second commander")
-    return Reaction(max(0.0, (min(refused) - case.start_ns) * 1e-9))
+    return Reaction(max(0.0, (min(rejected) - case.start_ns) * 1e-9))
 
 
 def _alarm_in_time(case: Case) -> Reaction:
@@ -245,16 +245,18 @@ def _alarm_in_time(case: Case) -> Reaction:
             if lost_Ns >= ALARM_NEWTON_S:
                 due_ns = t_ns
                 break
-    said = next((t for t, alarm in case.of.log.alarms if alarm and case.start_ns <= t <= case.end_ns + REPORT_NS), None)
+    detected = next(
+        (t for t, alarm in case.of.log.alarms if alarm and case.start_ns <= t <= case.end_ns + REPORT_NS), None
+    )
     if due_ns is None or due_ns + CHECK_NS > case.end_ns:
         return Reaction(None)
-    if said is None:
+    if detected is None:
         return Reaction(
             None, f"no alarm, {ALARM_NEWTON_S:g} N s were lost {(due_ns - case.start_ns) * 1e-9:.1f} s after it began"
         )
-    seconds = (said - due_ns) * 1e-9
+    seconds = (detected - due_ns) * 1e-9
     return Reaction(
-        seconds, f"alarm {seconds:.1f} s after {ALARM_NEWTON_S:g} N s were lost" if said > due_ns + CHECK_NS else ""
+        seconds, f"alarm {seconds:.1f} s after {ALARM_NEWTON_S:g} N s were lost" if detected > due_ns + CHECK_NS else ""
     )
 
 
@@ -269,4 +271,4 @@ RULES: Mapping[str, tuple[Callable[[Case], Reaction], ...]] = {
     "second_commander": (_not_followed,),
     "thruster_loss": (_alarm_in_time,),
 }
-"""What is asked of a class beyond what is asked of all."""
+"""Requirements of a class beyond those of all classes."""

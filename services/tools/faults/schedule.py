@@ -24,7 +24,7 @@ SHARES = (
     MessageFault.CORRUPTION,
     MessageFault.NOT_A_NUMBER,
 )
-"""Harms whose size is a share of the messages."""
+"""Faults whose size is a share of the messages."""
 
 MAX_DELAY_S = 60.0
 
@@ -43,7 +43,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def injection(self, source: str) -> Injection:
         """Convert the entry to the injector's message. Raises ``ConfigError``."""
-        said = Injection(
+        injection = Injection(
             key=self.key,
             fault=self.harm,
             start_t_ns=round(self.start_s * 1e9),
@@ -51,9 +51,9 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             size=self.size,
             seed=self.seed,
         )
-        if (found := problem(said)) is not None:
+        if (found := problem(injection)) is not None:
             raise ConfigError(source, *found)
-        return said
+        return injection
 
 
 class Schedule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -62,20 +62,20 @@ class Schedule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     fault: tuple[Entry, ...]
 
 
-def problem(asked: Injection) -> tuple[str, str] | None:
+def problem(injection: Injection) -> tuple[str, str] | None:
     """Return field and violated bound of an injection that is not possible, or None."""
-    topic = topic_at(asked.key)
+    topic = topic_at(injection.key)
     if topic is None:
         return "key", "must be a key of `ltv-mpc topics`"
-    if asked.end_t_ns <= asked.start_t_ns:
-        return "end_s", f"must be > start_s = {asked.start_t_ns / 1e9:g}"
-    if asked.fault in SHARES and not 0 < asked.size <= 1:
-        return "size", f"must be > 0 and <= 1 (a share of the messages) for {asked.fault}"
-    if asked.fault is MessageFault.DELAY and not 0 < asked.size <= MAX_DELAY_S:
-        return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {asked.fault}"
+    if injection.end_t_ns <= injection.start_t_ns:
+        return "end_s", f"must be > start_s = {injection.start_t_ns / 1e9:g}"
+    if injection.fault in SHARES and not 0 < injection.size <= 1:
+        return "size", f"must be > 0 and <= 1 (a share of the messages) for {injection.fault}"
+    if injection.fault is MessageFault.DELAY and not 0 < injection.size <= MAX_DELAY_S:
+        return "size", f"must be > 0 and <= {MAX_DELAY_S:g} (s) for {injection.fault}"
     # NaN in an array with gaps is a missing value.
     harmable = (isinstance(of.low, float) and not of.has_gaps for of in bounds(topic.message_type).values())
-    if asked.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
+    if injection.fault is MessageFault.NOT_A_NUMBER and not any(harmable):
         return "key", "has no field that can be NaN"
     return None
 
@@ -87,14 +87,14 @@ def load(path: Path) -> list[Injection]:
     return [entry.injection(f"{source}: [[fault]] {i + 1}") for i, entry in enumerate(schedule.fault)]
 
 
-def parse(words: Sequence[str]) -> list[Injection]:
+def parse(texts: Sequence[str]) -> list[Injection]:
     """Parse faults of the command line: ``HARM,KEY,START_S,END_S[,SIZE[,SEED]]``. Raises ``ConfigError``."""
     names = Entry.__struct_fields__
     injections = []
-    for word in words:
-        values = [value.strip() for value in word.split(",")]
+    for text in texts:
+        values = [value.strip() for value in text.split(",")]
         if not 4 <= len(values) <= len(names):
-            raise ConfigError("option --fault", "", f"must be {WORDS}", value=word)
+            raise ConfigError("option --fault", "", f"must be {WORDS}", value=text)
         table = {name: _number(value) for name, value in zip(names, values, strict=False)}
         injections.append(config.parse(table, Entry, source="option --fault").injection("option --fault"))
     return injections
