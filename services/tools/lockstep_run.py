@@ -24,7 +24,7 @@ from sim.scheduler import EPOCH, LockStep, Step
 LATEST = frozenset(topic.message_type for topic in topics.TOPICS if topic.delivery is topics.LATEST)
 
 PROGRESS_NS = 1_000_000_000
-"""Vehicle time between two words about how far the run is."""
+"""Vehicle time between two reports of progress."""
 
 
 def run(

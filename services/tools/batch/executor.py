@@ -30,20 +30,20 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 MAX_LOSSES = 3
-"""A job is given up when it has lost its worker so often while it ran alone."""
+"""Number of lost workers after which a job that runs alone is abandoned."""
 
 POLL_S = 0.2
 """Interval at which a stop request is noticed."""
 
 AHEAD = 3
-"""Jobs submitted for each worker: the next one is there when one ends."""
+"""Jobs submitted for each worker, so that the next one is ready when one ends."""
 
 CLUSTER_TIMEOUT_S = 30.0
-"""For a scheduler's answer, and for its first worker."""
+"""Longest wait for the answer of a scheduler, and for its first worker."""
 
 
 class WorkerLost(RuntimeError):
-    """A job has ended its worker each time."""
+    """Failure of a job that has ended its worker at each attempt."""
 
 
 def run_each(
@@ -56,7 +56,7 @@ def run_each(
     stop: Callable[[], bool] = lambda: False,
     lost: Callable[[T], R] | None = None,
 ) -> Iterator[tuple[int, R]]:
-    """Do all jobs; give each one's index and result as it ends.
+    """Execute all jobs; yield the index and result of each as it ends.
 
     Raises what a job raises, and ends all others then, as it does when the reader closes it or ``stop`` returns True.
 
@@ -120,7 +120,7 @@ def run_each(
 
 
 class _Pool(Protocol):
-    """A ``concurrent.futures`` executor that can be replaced after a loss."""
+    """Executor of ``concurrent.futures`` that can be replaced after a lost worker."""
 
     workers: int
     executor: Executor
@@ -139,7 +139,7 @@ class _Pool(Protocol):
 
 
 class _Processes:
-    """Processes of this machine, which end with this one however it ends."""
+    """Processes of this machine, which always end with this process."""
 
     def __init__(self, workers: int) -> None:
         self.workers = workers
@@ -165,7 +165,7 @@ class _Processes:
 
 
 def _begin(parent: int) -> None:
-    """Begin a worker: an interrupt from the terminal is handled by its parent alone."""
+    """Initialise a worker: only its parent handles an interrupt from the terminal."""
     die_with_parent(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -188,7 +188,7 @@ class _Threads:
 
 
 class _Cluster:
-    """The workers of a Dask scheduler."""
+    """Workers of a Dask scheduler."""
 
     def __init__(self, address: str) -> None:
         """Connect, and wait for a first worker. Raises ``ConfigError``."""

@@ -1,4 +1,4 @@
-"""A lock-step run as a job of a batch: a scenario and settings, which pickle and resolve anywhere."""
+"""Lock-step run as a job of a batch: a scenario and settings, which can be pickled and resolved on any worker."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sim.evaluation.summary import Summary
 
 
 class Job(NamedTuple):
-    """One run: a scenario's NAME or FILE, and settings on top of it, each KEY=VALUE."""
+    """Run of a scenario (NAME or FILE) with settings, each KEY=VALUE."""
 
     scenario: str
     settings: tuple[str, ...]

@@ -27,7 +27,7 @@ R = TypeVar("R")
 
 NAME = "results.jsonl"
 MAX_DIFFERENCES = 3
-"""Settings that a refusal names."""
+"""Largest number of differing settings that an error names."""
 
 
 class ResultsStore:
@@ -96,7 +96,7 @@ def read(path: Path) -> tuple[dict[str, Any], Iterator[tuple[str, Any]]]:
 
 
 def decode(plain: Any, kind: type[R]) -> R:
-    """Make a value of type ``kind`` of what ``ResultsStore.results`` has read."""
+    """Convert a result that ``ResultsStore.results`` has read to type ``kind``."""
     return msgspec.convert(plain, kind, dec_hook=_to_array)
 
 

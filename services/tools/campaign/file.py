@@ -141,7 +141,7 @@ NO_FIGURES = frozenset(
         "stages_us", "qp_status", "plan_origin",
     }
 )  # fmt: skip
-"""Of summary.json: what identifies a run, what is measured on the wall, and counts by name, which ``trial.py`` adds."""
+"""Keys of summary.json without a column: identification, wall times, and counts by name, which ``trial.py`` adds."""
 
 
 def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:

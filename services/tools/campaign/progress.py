@@ -18,7 +18,7 @@ from services.tools.campaign.trial import Row
 
 BEST = 5
 TABLE_S, PLAIN_S = 2.0, 10.0
-"""Between two tables, and between two lines where no terminal shows a bar."""
+"""Time between two tables, and between two lines if there is no terminal for a progress bar."""
 
 
 class Progress:

@@ -36,7 +36,7 @@ from services.tools.campaign.keys import Value
 from sim.evaluation.summary import Summary
 
 Base: TypeAlias = tuple[tuple[str, str], ...]
-"""Path in a run's folder, text: what ``RunConfig.files`` holds."""
+"""Files of a run's folder, as (path, text), from ``RunConfig.files``."""
 
 Row: TypeAlias = dict[str, Any]
 
@@ -44,10 +44,10 @@ COUNTS: Mapping[str, tuple[str, ...]] = {
     "qp_status": tuple(status.value for status in SolveStatus),
     "plan_origin": tuple(origin.value for origin in PlanOrigin),
 }
-"""Of summary.json: counts by name, each a column of its own, 0 where there is none."""
+"""Counts by name of summary.json; each is a column, with 0 if the name is missing."""
 
 TIMING = ("host", "ended", "wall_s")
-"""What is measured: it goes into another file than what is computed."""
+"""Columns of measured times, which go into a file of their own."""
 
 
 class Trial(NamedTuple):
@@ -66,7 +66,7 @@ class Trial(NamedTuple):
 
 
 def run(base: Base, version: str, trial: Trial) -> Row:
-    """Make the trial's row: that of a run which could not be made says why, in ``failed``."""
+    """Make the run and return its row; if the run fails, ``failed`` has the reason."""
     ours = version_of(provenance_table())
     if ours != version:
         raise RuntimeError(f"this worker has version {ours}, the campaign {version}")

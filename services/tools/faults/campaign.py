@@ -36,10 +36,10 @@ from services.tools.faults.result import problems
 
 SEVERAL, SEVERAL_QUICK = 8, 10
 SEVERAL_IN_PROCESSES = 5
-"""Faults a run."""
+"""Number of faults in each run."""
 
 A_SEED = 100
-"""Faults for each seed of the scenario: every seed needs a run without faults."""
+"""Number of faults for each seed of the scenario; every seed also needs a run without faults."""
 
 SEEDS_IN_PROCESSES = 2
 SHARE_IN_PROCESSES = 0.2

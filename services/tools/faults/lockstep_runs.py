@@ -48,13 +48,13 @@ from sim.scheduler import Delivery, LockStep, Step
 SCENARIO = "hover"
 
 INTRUDERS_EPOCH = 7
-"""Of the second commander's messages: it is another process than the controller."""
+"""Epoch of the second commander's messages, which is another process than the controller."""
 
 POLL_NS = 500_000_000
 """Time between two readings of the validators' counts."""
 
 SLEW_ROUNDING = 1e-6
-"""N/s of the largest slew between two reports, a difference of commands over 10 ms."""
+"""Tolerance (N/s) of the largest slew between two reports, a difference of commands over 10 ms."""
 
 
 class PlanSeen(NamedTuple):

@@ -33,12 +33,12 @@ from sim.water.column import WaterSample
 
 STEP_NS = 10_000_000
 CELLS = 71
-"""Depths of a profile, as the filter's of 70 m."""
+"""Number of depths of a profile, as in the filter's of 70 m."""
 DEPTHS = np.array([0.0, 100.0])
 SPEED_MPS = 0.1
-"""Of the currents."""
+"""Speed of the currents."""
 OFF_M = 0.3
-"""How far off its point each begins, at most, each way."""
+"""Largest initial distance of a vehicle from its point, in each direction."""
 
 
 class Plants(msgspec.Struct, frozen=True, kw_only=True):

@@ -25,13 +25,13 @@ from services.tools.fleet.plants import Plants
 from sim.evaluation.summary import Quantiles
 
 LEAD_S = 0.5
-"""From the last "ready" to t = 0."""
+"""Time from the last "ready" to t = 0."""
 READY_S = 600.0
-"""A first start compiles."""
+"""Longest wait for a process to be ready; the first start compiles."""
 BUSY = 0.9
 """Share of a core from which a process, and of all cores from which the machine, counts as the limit."""
 FEW = 0.01
-"""Share of cycles that may miss their deadline before something counts as having given way."""
+"""Share of missed cycles above which a resource counts as overloaded."""
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,1 +1,1 @@
-"""The paper's figures and tables from runs of this project: ``python -P -m services.tools.paper``."""
+"""Figures and tables of the paper from runs of this project: ``python -P -m services.tools.paper``."""

@@ -18,10 +18,10 @@ from sim.evaluation.summary import Summary
 
 SEED = 1
 SURFACE_S = 30.0
-"""Of the recorded ones: thirty TDCP fixes before the descent."""
+"""Time afloat of the recorded descents: thirty TDCP fixes."""
 
 AHEAD = ("horizon", "ahead")
-"""Tables of the newest plan: of a run that has ended they say nothing."""
+"""Tables of the newest plan, which have no meaning for a run that has ended."""
 
 
 class Flight(NamedTuple):

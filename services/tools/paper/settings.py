@@ -15,16 +15,16 @@ SHORT_S, LONG_S = 2.5, 5.0
 """Horizons of the paper; in whole stages of 0.3 s they are 2.4 s and 5.1 s."""
 
 COMPUTING_S = {SHORT_S: 0.40, LONG_S: 0.71}
-"""What one optimisation took on the paper's machine, by horizon."""
+"""Time of one optimisation on the paper's machine, by horizon."""
 
 PAPER_COST = (
     "controller.weights.terminal_position_per_m2=0.0",
     "controller.weights.terminal_velocity_s2_per_m2=0.0",
 )
-"""Positions alone, but for this project's small weights on thrust: without them the QP has no unique solution."""
+"""Cost of positions only, and this project's small weights on thrust, without which the QP has no unique solution."""
 
 KNOWN = ("run.perfect_state=true",)
-"""Without localisation: what the controller does."""
+"""Setting without localisation, which shows the controller alone."""
 
 
 class Setting(NamedTuple):
@@ -52,11 +52,11 @@ RECORDED = (
     _setting(OURS_SHORT, "ours", SHORT_S, computing=False),
     _setting(OURS_LONG, "ours", LONG_S, computing=False),
 )
-"""The runs that the figures are drawn from."""
+"""Runs of the figures."""
 
 AVERAGED = (
     *RECORDED,
     _setting("ours-2.5s-late", "ours, the paper's delay", SHORT_S, computing=True),
     _setting("ours-5s-late", "ours, the paper's delay", LONG_S, computing=True),
 )
-"""The rows of the table over many seeds."""
+"""Rows of the table over many seeds."""

@@ -17,7 +17,7 @@ from services.tools.paper.water import Profile, rms_difference_mps
 from sim.evaluation.summary import Summary
 
 LAGS_M = (8.0, 24.0)
-"""At which every profile has differences: the coarsest has cells of 8 m."""
+"""Lags at which every profile has differences; the coarsest one has cells of 8 m."""
 
 
 # --- what stands in them ---------------------------------------------------------------------------------------------

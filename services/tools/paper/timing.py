@@ -18,7 +18,7 @@ from services.tools.profile.run import WARM_UP, Spread
 
 SHIPPED = ControllerConfig()
 SOLVER = SolverByName(SHIPPED.solver)
-"""That of the controller as it is shipped."""
+"""Solver of the shipped controller."""
 
 
 class Cycle(NamedTuple):

@@ -22,7 +22,7 @@ from sim.scenario import Water
 from sim.water import make
 
 DEEPEST_M = 72.0
-"""Of measured profiles what lies above is used: what the descent and its ADCP see, and a whole cell of the coarsest."""
+"""Depth above which measured profiles are used: the range of descent and ADCP, and a whole cell of the coarsest one."""
 
 FILES = {
     "MORIA-80_ladcp.csv": "LADCP MORIA-80",
@@ -30,14 +30,14 @@ FILES = {
     "kolumbo_dive_a_mean.csv": "Kolumbo, dive a",
     "kolumbo_dive_e_mean.csv": "Kolumbo, dive e",
 }
-"""Measured profiles by file, and what they are called."""
+"""Measured profiles by file, with their names."""
 
 SHOWN_SEEDS = 2
 SEEDS = 200
-"""Of the band."""
+"""Number of seeds of the band."""
 
 LEAST_PAIRS = 4
-"""Of fewer differences a mean square says nothing."""
+"""Smallest number of differences with a meaningful mean square."""
 
 
 class Profile(NamedTuple):
