@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -28,8 +29,11 @@ class Sidecar:
     Start it from the main thread: the process ends with the thread that started it.
     """
 
-    def __init__(self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool) -> None:
+    def __init__(
+        self, say: Say, *, folder: Path, vehicle: Path, open_browser: bool, needs: Sequence[str] = NEEDS
+    ) -> None:
         self._say = say
+        self._needs = needs
         self._log = folder / "logs" / "dashboard.log"
         self._config = folder / "logs" / "dashboard.json"
         self._vehicle = vehicle
@@ -38,7 +42,7 @@ class Sidecar:
 
     def start(self, bus: BusOptions) -> None:
         """Start the page on this bus, or report that a package is missing."""
-        missing = next((name for name in NEEDS if find_spec(name) is None), None)
+        missing = next((name for name in self._needs if find_spec(name) is None), None)
         if missing is not None:
             self._say(f"no live page: {missing} is not installed: pip install {missing} (extra viz)")
             return
@@ -61,6 +65,11 @@ class Sidecar:
                 start_new_session=True,
             )
         threading.Thread(target=self._receive, args=(self._process,), name="page", daemon=True).start()
+
+    @property
+    def pid(self) -> int | None:
+        """Process identifier of the page; None before its start."""
+        return None if self._process is None else self._process.pid
 
     def stop(self) -> None:
         """Stop the process; kill it after ``STOP_S``."""

@@ -40,7 +40,8 @@ UNIDIOMATIC = re.compile(
     r"|by turns|the other way round|comes? to nothing|in the midst|none of its)\b"
 )
 PARAMETERS = re.compile(r"^\s*Parameters\n\s*-{3,}", re.MULTILINE)
-PRIVATE = re.compile(r"(?<!self)(?<!cls)\._[a-z]\w*")
+# The underscored methods of named tuples and os._exit are public and documented.
+PRIVATE = re.compile(r"(?<!self)(?<!cls)(?<!os)\._(?!(?:replace|asdict|fields|make)\b)[a-z]\w*")
 PATCHED = re.compile(r"monkeypatch\.(?:setattr|delattr)")
 
 

@@ -11,24 +11,21 @@ from tests.docs.readability import OF_CODE, OF_TESTS, Place, Source
 
 # Highest number of places allowed. A limit is lowered when the code has become better; it is never raised.
 LIMITS = {
-    "docstrings that open with a fragment": 1190,
-    "unidiomatic words": 280,
-    "public names of ltv_mpc without a docstring": 7,
-    "public functions of ltv_mpc without a Parameters section": 375,
-    "functions above 60 lines": 8,
-    "functions with more than 8 parameters": 23,
-    "classes with more than 12 attributes": 14,
+    "docstrings that open with a fragment": 446,
+    "unidiomatic words": 96,
+    "public names of ltv_mpc without a docstring": 1,
+    "public functions of ltv_mpc without a Parameters section": 125,
+    "functions above 60 lines": 4,
+    "functions with more than 8 parameters": 11,
+    "classes with more than 12 attributes": 6,
     "folders of services that import each other": 0,
-    "private attributes in tests": 102,
-    "patched names in tests": 67,
-    "names of tests above 80 characters": 153,
+    "private attributes in tests": 43,
+    "patched names in tests": 66,
+    "names of tests above 80 characters": 0,
 }
 
 # Places that may stay as they are and are not counted: figure, then file and name, then the reason.
 EXCEPTIONS: dict[str, dict[str, str]] = {
-    "functions above 60 lines": {
-        "services/cli/start.py sim": "a typer command declares each of its options as a parameter",
-    },
     "functions with more than 8 parameters": {
         "services/cli/start.py sim": "a typer command declares each of its options as a parameter",
         "services/cli/fleet.py fleet": "a typer command declares each of its options as a parameter",
@@ -115,6 +112,7 @@ def test_a_property_or_a_class_may_open_with_an_article() -> None:
             "class C:\n    def f(self):\n" + "".join(f"        self.a{i} = 0\n" for i in range(12)),
         ),
         (readability.private_attributes, f"node.{'_state'}", "self._state"),
+        (readability.private_attributes, f"node.{'_replaced'}", "pair._replace(x=1)"),
         (readability.patched_names, f"{'monkeypatch'}.setattr(m, 'f', g)", "monkeypatch.setenv('A', 'b')"),
         (readability.long_test_names, f"def test_{76 * 'x'}(): ...", f"def test_{75 * 'x'}(): ..."),
     ],

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import http.client
 import os
-import sys
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import pytest
-
 from services.bus.options import BusOptions
 from services.bus.session import open_session
-from services.dashboard import sidecar
 from services.dashboard.serve import NICE
-from services.dashboard.sidecar import Sidecar
+from services.dashboard.sidecar import NEEDS, Sidecar
 from services.reporting.plots.recorded import VEHICLE as VEHICLE_FILE
 from tests.services.dashboard.synthetic_vehicle import until
 from tests.services.reporting import synthetic_run
 
 
-def page_of(folder: Path) -> tuple[Sidecar, list[str]]:
+def page_of(folder: Path, needs: Sequence[str] = NEEDS) -> tuple[Sidecar, list[str]]:
     said: list[str] = []
     (folder / "logs").mkdir()
     vehicle = folder / VEHICLE_FILE
     vehicle.parent.mkdir()
     vehicle.write_text(synthetic_run.VEHICLE)
-    return Sidecar(said.append, folder=folder, vehicle=vehicle, open_browser=False), said
+    return Sidecar(said.append, folder=folder, vehicle=vehicle, open_browser=False, needs=needs), said
 
 
 def gives_way(pid: int) -> None:
@@ -50,17 +47,16 @@ def test_the_address_is_said_and_the_page_ends_with_the_run(tmp_path: Path, free
             connection.request("GET", "/")
             assert connection.getresponse().status == 200
             connection.close()
-            assert page._process is not None
-            gives_way(page._process.pid)
+            assert page.pid is not None
+            gives_way(page.pid)
         finally:
             page.stop()
     page.stop()  # of one that has ended
     assert (tmp_path / "logs" / "dashboard.log").read_text() == ""
 
 
-def test_without_the_extra_the_run_says_so_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page, said = page_of(tmp_path)
-    monkeypatch.setattr(sidecar, "find_spec", lambda name: None if name == "uvicorn" else sys)
+def test_without_the_extra_the_run_reports_it_and_continues(tmp_path: Path) -> None:
+    page, lines = page_of(tmp_path, needs=("starlette", "no_such_package"))
     page.start(BusOptions(connect=("tcp/127.0.0.1:1",)))
     page.stop()
-    assert said == ["no live page: uvicorn is not installed: pip install uvicorn (extra viz)"]
+    assert lines == ["no live page: no_such_package is not installed: pip install no_such_package (extra viz)"]
