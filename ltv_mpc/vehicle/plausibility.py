@@ -105,14 +105,14 @@ def _thruster_time_warnings(where: str, thruster: Thruster) -> Iterator[str]:
 def _damping_warnings(vehicle: Vehicle) -> Iterator[str]:
     for name, means in (
         ("surge", "there is no top speed"),
-        ("sway", "sway never decays"),
+        ("sway", "a sideways drift never ends"),
         ("heave", "the sinking speed has no limit"),
     ):
         table: Translation | None = getattr(vehicle, name)
         if table is not None and table.linear_damping_kgps + table.quadratic_damping_kgpm == 0.0:
             yield f"[{name}] both dampings are 0: {means}"
     if vehicle.yaw.linear_damping_Nms + vehicle.yaw.quadratic_damping_kgm2 == 0.0:
-        yield "[yaw] both dampings are 0: a turn never decays"
+        yield "[yaw] both dampings are 0: a turn never ends"
 
 
 def _motion_warnings(vehicle: Vehicle, can: Performance) -> Iterator[str]:

@@ -28,19 +28,19 @@ SWAY = lines("quadratic_damping_kgpm = 800.0", 1)
 """Sway in the paper's file, which has quadratic damping only."""
 
 
-def doubted(vehicle: Vehicle) -> list[str]:
+def warnings_of(vehicle: Vehicle) -> list[str]:
     return warnings(vehicle, performance(vehicle))
 
 
 @pytest.mark.parametrize("name", ["paper", "surface", "low-yaw", "weak-reverse", str(FOLDER / "template.toml")])
 def test_shipped_vehicles_and_the_template_give_no_warning(name: str) -> None:
-    assert doubted(Vehicle.load(name)) == []
+    assert warnings_of(Vehicle.load(name)) == []
 
 
 def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
     vehicles = [drawn(seed) for seed in range(12)]
     assert min(v.dry_mass_kg for v in vehicles) < 60 < 2000 < max(v.dry_mass_kg for v in vehicles)
-    assert {v.name: doubted(v) for v in vehicles} == {v.name: [] for v in vehicles}
+    assert {v.name: warnings_of(v) for v in vehicles} == {v.name: [] for v in vehicles}
 
 
 @pytest.mark.parametrize(
@@ -94,19 +94,21 @@ def test_vehicles_from_30_kg_to_3_t_give_no_warning() -> None:
 def test_a_wrong_value_is_named(before: str, after: str, says: str, tmp_path: Path) -> None:
     assert before in PAPER
     (tmp_path / "mine.toml").write_text(PAPER.replace(before, after, 1 if before == SWAY else -1))
-    sentences = doubted(Vehicle.load(str(tmp_path / "mine.toml")))
+    sentences = warnings_of(Vehicle.load(str(tmp_path / "mine.toml")))
     assert any(says in sentence for sentence in sentences), sentences
 
 
 def test_a_thruster_without_any_delay_gives_a_warning(tmp_path: Path) -> None:
     text = PAPER.replace("lag_s = 0.3 ", "lag_s = 0.0 ").replace("slew_N_per_s = 100.0", "slew_N_per_s = 100000.0")
     (tmp_path / "mine.toml").write_text(text)
-    assert any("full thrust in 0.62 ms" in sentence for sentence in doubted(Vehicle.load(str(tmp_path / "mine.toml"))))
+    assert any(
+        "full thrust in 0.62 ms" in sentence for sentence in warnings_of(Vehicle.load(str(tmp_path / "mine.toml")))
+    )
 
 
 def test_drag_faster_than_a_stage_gives_a_warning(tmp_path: Path) -> None:
     text = PAPER.replace("linear_damping_Nms = 15.0", "linear_damping_Nms = 3000.0")
     (tmp_path / "mine.toml").write_text(text)
     assert any(
-        "drag changes the motion within 0.06 s" in one for one in doubted(Vehicle.load(str(tmp_path / "mine.toml")))
+        "drag changes the motion within 0.06 s" in one for one in warnings_of(Vehicle.load(str(tmp_path / "mine.toml")))
     )
