@@ -60,7 +60,7 @@ WORST: dict[str, Callable[[Summary], float | None]] = {
     "plans refused by the actuators": lambda s: float(s.plans_refused),
     "plans late": lambda s: float(s.deadline_misses),
 }
-"""Of the worst run of all."""
+"""Figures that are taken from the worst run."""
 
 
 def main() -> None:

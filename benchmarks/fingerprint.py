@@ -48,7 +48,7 @@ S = 1_000_000_000
 DURATION_S = 40.0
 RESTART_NS = 20 * S
 FAULT_S = (20.0, 26.0)
-"""When a fault begins and ends."""
+"""Start and end of a fault."""
 
 Values: TypeAlias = dict[str, np.ndarray]
 """Role -> its numbers, message after message in the order of time."""

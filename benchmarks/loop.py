@@ -1,4 +1,4 @@
-"""A closed loop without messages, sensors or recording: the true vehicle, the controller, and the figures of both.
+"""Closed loop without messages, sensors or recording: true vehicle, controller, and the figures of both.
 
 The instants of a run in lock step with ``run.perfect_state``: a cycle each 0.3 s on the truth of that instant, the
 plant in steps of 10 ms. Its figures are those of ``ltv-mpc sim --lockstep`` to 1e-3 m, in a fraction of the time, and
@@ -24,12 +24,12 @@ from sim.plant import apply_mismatch, level_to_ned
 from sim.water import WaterColumn
 
 STEP_NS = 10_000_000
-"""As the plant."""
+"""Step of the true vehicle, as in the plant."""
 
 SIDES = ("min_N", "max_N")
 
 Told = Callable[[Estimate], Estimate]
-"""What the controller is told, made of the truth."""
+"""Function that returns the controller's estimate for a true one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,14 @@
-"""When the alarm "the vehicle does not do what its model says" comes, and when it must not.
+"""Delay and false alarms of the model check.
 
     .venv/bin/python -m benchmarks.model_alarm [--nominal N] [--losses N] [--duration-s S] [--first-seed N]
                                                [--sensors paper|realistic] [--out FILE.json]
                                                [--picture FILE.png]
 
-FILE.json is written after every run; the same command goes on where it was interrupted.
+FILE.json is written after every run; the same command continues an interrupted benchmark.
 
 Nominal: descents in lock step with mass, drag and thrust off by 10 % at most: in every second run each of the three
-drawn from -10 % to 10 %, in the others all at the edge that looks most like a loss (thrust 0.9, drag and mass 1.1). The
-state is known in half of them, estimated in the other half. Every alarm is a false one.
+is random from -10 % to 10 %, in the others all are at the edge that resembles a loss most (thrust 0.9, drag and mass
+1.1). The state is known in half of them, estimated in the other half. Every alarm is false.
 
 Losses: every 30 s port, starboard or both deliver 30 % less than they report, for 8 s. The cost of a loss is the
 impulse that is missing since, the integral of what was reported less what was delivered; the table has it at the alarm,

@@ -1,14 +1,13 @@
-"""A long run of processes: does anything grow that should not? Memory, file handles and threads of each process, and
-misses by quarter.
+"""Soak test: growth of memory, file handles and threads of each process in a long run, and misses by quarter.
 
     .venv/bin/python -m benchmarks.soak [--minutes 60] [--speed 10] [--every-s 10] [--out DIR] [--json]
 
-`hover` by `ltv-mpc sim`, looked at from outside (/proc) all the while, and ended by Ctrl-C after so much wall time.
-Memory is what a process has written, what several forks share of it divided among them (Pss_Anon of smaps_rollup).
-Pages of files, as of libraries, are not in it: whatever else runs shares them, and they come and go with that.
+`hover` by `ltv-mpc sim` is observed through /proc and ended by Ctrl-C after the given wall time. Memory is what a
+process has written; memory that several forks share is divided among them (Pss_Anon of smaps_rollup). Pages of files,
+as of libraries, are not included: other programs share them, so their size depends on these programs.
 
-    growth   of a process: median of its last quarter minus that of its second one; the first is for warming up
-    misses   from the run's recording: cycles whose plan was not solved, plans that came late, messages missing by their
+    growth   of a process: median of its last quarter minus that of its second one; the first is warm-up
+    misses   from the run's recording: cycles whose plan was not solved, late plans, messages missing by their
              sequence numbers; in each quarter of the vehicle's time
 
 Exit 1 where memory grew by more than 2 MB and 2 % of it (the recorder: by what the index of its chunks takes on top,
@@ -39,7 +38,7 @@ from services.tools.faults.attacks import children
 
 MOST_GROWTH_MB, MOST_GROWTH = 2.0, 0.02
 INDEX_MB_PER_HOUR = 30.0
-"""Of the recorder: mcap's writer keeps an entry for each chunk until the end (docs/notes/libraries.md)."""
+"""Growth of the recorder: mcap's writer keeps an entry for each chunk until the end (docs/notes/libraries.md)."""
 FEW = 5
 QUARTERS = 4
 SUPERVISOR = "supervisor"

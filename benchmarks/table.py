@@ -1,4 +1,4 @@
-"""A table of means over seeds: one row a setting, the same seeds for all."""
+"""Table of means over seeds: one row for each setting, with the same seeds for all."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from sim.water import WaterColumn
 
 SPEED_MPS = 0.04
 TURN_RAD = 2.4
-"""From seed to seed."""
+"""Angle by which the current turns from seed to seed."""
 
 STATE, NO_STATE = "controller.disturbance.sd_mps=0.1", "controller.disturbance.sd_mps=0.0"
 """Always, never; as it is, where nobody tells of a current."""

@@ -44,7 +44,7 @@ from sim.sensors.outlier_masks import Mask
 from sim.water.features import Feature
 
 BEGINS_S = 50.0
-"""What has a beginning begins then: in 10 m of depth, with water seen and errors settled."""
+"""Start of every change: at 10 m of depth, with observed water and settled errors."""
 
 _OPEN = msgspec.structs.replace(EstimatorConfig(), adapts_to_water=False, gate_probability=1.0)
 """Linear: everything is used, nothing adapted."""

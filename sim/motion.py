@@ -57,7 +57,7 @@ class MotionState(NamedTuple):
 
 
 State: TypeAlias = tuple[float, float, float, float, float, float, float, float]
-"""The state s as a tuple."""
+"""State s as a tuple."""
 
 
 def pack(vehicle: Vehicle, p: Coefficients, factor: float = 1.0) -> Array:

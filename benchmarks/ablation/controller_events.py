@@ -38,10 +38,10 @@ from sim.scheduler import LockStep
 S = 1_000_000_000
 SAMPLES_PER_S = 100
 NEAR_M = 0.2
-"""A vehicle that stays within this distance has recovered."""
+"""Distance within which a vehicle must stay to have recovered."""
 
 BEGINS_S, ENDS_S = 20.0, 28.0
-"""When an event begins and ends, if nothing else is said."""
+"""Default start and end of an event."""
 
 
 def distances(distance_m: np.ndarray, ended_s: float) -> dict[str, float]:
@@ -558,7 +558,7 @@ class Replaced:
 
 
 TAKEN_OVER_S = 3.0
-"""When another controller takes over."""
+"""Time at which another controller takes over."""
 
 
 def far_off_locked(seed: int, **others: Any) -> Locked:

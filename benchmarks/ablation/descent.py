@@ -35,12 +35,12 @@ from sim.sensors.node import Sensors
 
 S = 1_000_000_000
 BEGINS_S = 30.0
-"""When events begin: 6 m deep, with water seen and errors settled."""
+"""Start of events: at 6 m of depth, with observed water and settled errors."""
 DURATION_S = 80.0
 THREE_SIGMA = 11.83
 """Chi-square of two degrees of freedom that 0.27 % exceed."""
 SEEN_SD_MPS = 0.03
-"""A cell whose standard deviation is smaller has been measured: the prior's is 0.11 m/s."""
+"""Largest standard deviation of a measured cell; the prior's is 0.11 m/s."""
 
 settings: tuple[str, ...] = ()
 """Settings on top of those of every descent: a switch may replace them."""

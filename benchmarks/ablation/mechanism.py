@@ -1,4 +1,4 @@
-"""A mechanism that can be switched off, and the event it exists for."""
+"""Mechanism that can be switched off, and the event that it exists for."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ RATIOS = tuple(np.geomspace(0.2, 4.0, 30).tolist())
 PAPER_S = 5.0
 
 Rule: TypeAlias = Callable[[Place], float]
-"""The horizon (s) for a place."""
+"""Function that returns the horizon (s) for a place."""
 
 
 def features(groups: Array) -> Array:
@@ -74,7 +74,7 @@ RULES: Mapping[str, Callable[[Sequence[Place]], Rule]] = {
     "four groups": lambda of: _by_groups(fitted(of)),
     "5 s": lambda _: _always(PAPER_S),
 }
-"""Each from the places that it may know."""
+"""Rules by name; each is fitted to given places."""
 
 
 def judged(of: Sequence[Place]) -> dict[str, dict[str, float]]:

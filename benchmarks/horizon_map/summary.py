@@ -19,7 +19,7 @@ RULES = {
     "four groups": "log(H / T) linear in the four groups",
     "5 s": "5 s",
 }
-"""By name, as the page calls them."""
+"""Rules by name, with their text on the page."""
 
 
 def summary(of: Sequence[Place]) -> dict[str, Any]:

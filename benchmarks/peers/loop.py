@@ -1,4 +1,4 @@
-"""A peer in the controller's place: as a contestant of the profile, and in a closed loop of its own."""
+"""Peer in the place of the controller's solver: in the profile, and in a closed loop."""
 
 from __future__ import annotations
 

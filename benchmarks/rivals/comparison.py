@@ -32,7 +32,7 @@ from services.tools.campaign.trial import version_of
 TUNED_ON, TUNED_S = range(300, 304), 60.0
 FIRST_SEED = 400
 DELAY_S = 0.71
-"""The paper's cycle at 5 s of horizon."""
+"""Delay of the paper's cycle at a horizon of 5 s."""
 
 
 class Row(NamedTuple):

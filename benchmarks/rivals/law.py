@@ -1,4 +1,4 @@
-"""A feedback law in the loop of ``benchmarks/loop.py``: the same vehicle, water and instants, no plan.
+"""Feedback law in the loop of ``benchmarks/loop.py``: same vehicle, water and instants, without a plan.
 
 A law is asked ten times a second for port and starboard thrust; the actuators bring the command there within box and
 slew, as the gate does with a plan. It computes in no time. The vertical thruster is at its maximum from t = 0 on, which

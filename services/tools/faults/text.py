@@ -1,4 +1,4 @@
-"""A campaign of faults for people: one line a class, then what was not kept."""
+"""Text report of a fault campaign: one line for each class, then the violated requirements."""
 
 from __future__ import annotations
 
