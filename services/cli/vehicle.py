@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import typer
 
@@ -25,48 +25,57 @@ def register(app: typer.Typer, panel: str) -> None:
     app.command(rich_help_panel=panel)(topics)
 
 
+SettingsFile: TypeAlias = Annotated[
+    Path | None, typer.Option("--settings", metavar="FILE", help="TOML file with the controller table alone.")
+]
+ComputeDelay: TypeAlias = Annotated[
+    float, typer.Option("--compute-delay-s", metavar="D", help="Delay each plan by this much (s).", min=0, max=60)
+]
+Rate: TypeAlias = Annotated[
+    float | None,
+    typer.Option("--rate-hz", metavar="R", help="Cycles a second. Default 3.33.", min=1 / 60, max=50),
+]
+Horizon: TypeAlias = Annotated[
+    float | None,
+    typer.Option(
+        "--horizon-s",
+        metavar="H",
+        help="Length of a plan (s). Default: proposed by `vehicle check`.",
+        min=0.3,
+        max=120,
+    ),
+]
+Metrics: TypeAlias = Annotated[
+    int | None,
+    typer.Option("--metrics", metavar="PORT", help="Serve /metrics for Prometheus on 127.0.0.1.", min=1, max=65535),
+]
+InputDelay: TypeAlias = Annotated[
+    float,
+    typer.Option(
+        "--input-delay-s",
+        metavar="D",
+        help="Smallest delay of an estimate (s), used without clock and without plan reports in applied.",
+        min=0,
+        max=10,
+    ),
+]
+FailedQps: TypeAlias = Annotated[
+    Path | None,
+    typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
+]
+
+
 @with_bus("controller")
 def controller(
     vehicle: VehicleFile = "paper",
     reference: ReferenceFile = "descent",
-    settings: Annotated[
-        Path | None, typer.Option("--settings", metavar="FILE", help="The [controller] table alone, as TOML.")
-    ] = None,
-    compute_delay_s: Annotated[
-        float, typer.Option("--compute-delay-s", metavar="D", help="Delay each plan by this much (s).", min=0, max=60)
-    ] = 0.0,
-    rate_hz: Annotated[
-        float | None,
-        typer.Option("--rate-hz", metavar="R", help="Cycles a second. Default 3.33.", min=1 / 60, max=50),
-    ] = None,
-    horizon_s: Annotated[
-        float | None,
-        typer.Option(
-            "--horizon-s",
-            metavar="H",
-            help="Length of a plan (s). Default: proposed by `vehicle check`.",
-            min=0.3,
-            max=120,
-        ),
-    ] = None,
-    metrics: Annotated[
-        int | None,
-        typer.Option("--metrics", metavar="PORT", help="Serve /metrics for Prometheus on 127.0.0.1.", min=1, max=65535),
-    ] = None,
-    input_delay_s: Annotated[
-        float,
-        typer.Option(
-            "--input-delay-s",
-            metavar="D",
-            help="Smallest delay of an estimate (s), used without clock and without plan reports in applied.",
-            min=0,
-            max=10,
-        ),
-    ] = 0.0,
-    failed_qps: Annotated[
-        Path | None,
-        typer.Option("--failed-qps", metavar="DIR", help="Store QPs that were not solved here, for `ltv-mpc qp show`."),
-    ] = None,
+    settings: SettingsFile = None,
+    compute_delay_s: ComputeDelay = 0.0,
+    rate_hz: Rate = None,
+    horizon_s: Horizon = None,
+    metrics: Metrics = None,
+    input_delay_s: InputDelay = 0.0,
+    failed_qps: FailedQps = None,
     *,
     bus: BusOptions,
 ) -> int:
