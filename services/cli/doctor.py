@@ -24,6 +24,6 @@ def doctor(as_json: Json = False) -> int:
     else:
         for finding in found:
             typer.echo(f"{finding.level:<8} {finding.check:<15} {finding.found}")
-            if finding.mend:
-                typer.echo(f"{'':<24} -> {finding.mend}")
+            if finding.remedy:
+                typer.echo(f"{'':<24} -> {finding.remedy}")
     return int(any(finding.level is Level.PROBLEM for finding in found))

@@ -28,21 +28,21 @@ from services.run.provenance import provenance_table
 DISTRIBUTION = "auv-ltv-mpc"
 OURS = ("ltv_mpc", "sim", "services")
 ROOT = Path(__file__).resolve().parents[2]
-"""Where this project's packages lie, a checkout or site-packages."""
+"""Folder of this project's packages: a checkout or site-packages."""
 
 PYTHONS = ((3, 11), (3, 14))
-FEWEST_CORES = 2
-COARSEST_CLOCK_S = 1e-3
-WORST_SLEEP_S = 5e-3
-"""Beyond what is asked for, in the median: a step of the plant comes every 10 ms."""
-LITTLE_SPACE, TOO_LITTLE_SPACE = 1_000_000_000, 100_000_000
-"""Bytes; a recorded descent of 200 s has 15 MB."""
-FEWEST_FILES = 256
+MIN_CORES = 2
+MAX_CLOCK_STEP_S = 1e-3
+MAX_OVERSLEEP_S = 5e-3
+"""Largest median excess of a sleep; a step of the plant is due every 10 ms."""
+LOW_SPACE_BYTES, MIN_SPACE_BYTES = 1_000_000_000, 100_000_000
+"""Free space (bytes) below which there is a warning, and a problem; a recorded descent of 200 s takes 15 MB."""
+MIN_FILES = 256
 TOOLS = ("dev", "bench", "docs", "mutation")
-"""Extras that are for this project's own work."""
+"""Extras for the development of this project, which are not reported."""
 
 MODULES = {"eclipse-zenoh": "zenoh", "tomli-w": "tomli_w", "prometheus-client": "prometheus_client"}
-"""Import names that are not their distribution's."""
+"""Import names that differ from the name of their distribution."""
 
 
 class Level(enum.StrEnum):
@@ -60,7 +60,7 @@ class Finding:
     check: str
     level: Level
     found: str
-    mend: str = ""
+    remedy: str = ""
 
 
 def ok(check: str, found: str) -> Finding:
@@ -68,14 +68,14 @@ def ok(check: str, found: str) -> Finding:
     return Finding(check, Level.OK, found)
 
 
-def warning(check: str, found: str, mend: str) -> Finding:
+def warning(check: str, found: str, remedy: str) -> Finding:
     """Return a finding of a run that works with reduced performance."""
-    return Finding(check, Level.WARNING, found, mend)
+    return Finding(check, Level.WARNING, found, remedy)
 
 
-def problem(check: str, found: str, mend: str) -> Finding:
+def problem(check: str, found: str, remedy: str) -> Finding:
     """Return a finding that makes a run fail."""
-    return Finding(check, Level.PROBLEM, found, mend)
+    return Finding(check, Level.PROBLEM, found, remedy)
 
 
 def examine() -> list[Finding]:
@@ -84,7 +84,7 @@ def examine() -> list[Finding]:
     for check in CHECKS:
         try:
             found.append(check())
-        except Exception as error:  # whatever it is: the other checks go on
+        except Exception as error:  # any error: the other checks still run
             text = " ".join(str(error).split()) or type(error).__name__
             name = check.__name__.replace("_", " ")
             found.append(problem(name, f"cannot be checked: {text}", "make clean && make setup"))
@@ -97,20 +97,20 @@ def examine() -> list[Finding]:
 def python() -> Finding:
     """Check the Python version."""
     (low, high), version = PYTHONS, sys.version_info[:2]
-    said = ".".join(map(str, sys.version_info[:3]))
+    summary = ".".join(map(str, sys.version_info[:3]))
     if low <= version < high:
-        return ok("python", f"{said}, {sys.executable}")
+        return ok("python", f"{summary}, {sys.executable}")
     newest = f"{high[0]}.{high[1] - 1}"
-    return problem("python", said, f"install Python {low[0]}.{low[1]} to {newest}, then make clean && make setup")
+    return problem("python", summary, f"install Python {low[0]}.{low[1]} to {newest}, then make clean && make setup")
 
 
 def project() -> Finding:
     """Report version and commit of this project."""
     made = provenance_table()
-    said = f"{made['ltv_mpc']}, commit {made['commit'][:12]}, in {ROOT}"
+    summary = f"{made['ltv_mpc']}, commit {made['commit'][:12]}, in {ROOT}"
     if requirements() is None:
-        return warning("project", f"{said}; its packages are not installed", f"pip install -e {ROOT}")
-    return ok("project", said)
+        return warning("project", f"{summary}; its packages are not installed", f"pip install -e {ROOT}")
+    return ok("project", summary)
 
 
 def packages() -> Finding:
@@ -124,13 +124,13 @@ def packages() -> Finding:
             wrong.append((f"{name} is missing", f"{name}{bounds}"))
         elif not within(version, bounds):
             wrong.append((f"{name} is {version}, must be {bounds}", f"{name}{bounds}"))
-        elif said := import_error(MODULES.get(name, name)):
-            wrong.append((f"{name} {version} cannot be imported ({said})", f"--force-reinstall {name}"))
+        elif summary := import_error(MODULES.get(name, name)):
+            wrong.append((f"{name} {version} cannot be imported ({summary})", f"--force-reinstall {name}"))
         else:
             there.append(f"{name} {version}")
     if wrong:
         needed = " ".join(f'"{what}"' if " " not in what else what for _, what in wrong)
-        return problem("packages", "; ".join(said for said, _ in wrong), f"pip install {needed}")
+        return problem("packages", "; ".join(summary for summary, _ in wrong), f"pip install {needed}")
     return ok("packages", ", ".join(there))
 
 
@@ -154,13 +154,13 @@ def names() -> Finding:
     owners = {name: sorted(set(owners_of(name)) - {DISTRIBUTION}) for name in OURS}
     taken = {name: others for name, others in owners.items() if others}
     if taken:
-        said = "; ".join(f"{name} also belongs to {', '.join(others)}" for name, others in taken.items())
+        summary = "; ".join(f"{name} also belongs to {', '.join(others)}" for name, others in taken.items())
         others = sorted({other for found in taken.values() for other in found})
-        return problem("names", said, f"pip uninstall {' '.join(others)}")
+        return problem("names", summary, f"pip uninstall {' '.join(others)}")
     elsewhere = {name: folder for name in OURS if (folder := folder_of(name)) != ROOT}
     if elsewhere:
-        said = "; ".join(f"{name} is taken from {folder or 'nowhere'}" for name, folder in elsewhere.items())
-        return problem("names", said, f"rename that folder or start in another one, then pip install -e {ROOT}")
+        summary = "; ".join(f"{name} is taken from {folder or 'nowhere'}" for name, folder in elsewhere.items())
+        return problem("names", summary, f"rename that folder or start in another one, then pip install -e {ROOT}")
     return ok("names", f"{', '.join(OURS)} are imported from this project")
 
 
@@ -170,25 +170,25 @@ def names() -> Finding:
 def cores() -> Finding:
     """Check the number of cores and their load."""
     count, busy = core_count(), os.getloadavg()[0]
-    said = f"{count} cores, load {busy:.2f}"
-    if count < FEWEST_CORES:
-        return warning("cores", said, "a run at real time (--speed 1) or --lockstep needs less")
+    summary = f"{count} cores, load {busy:.2f}"
+    if count < MIN_CORES:
+        return warning("cores", summary, "a run at real time (--speed 1) or --lockstep needs less")
     if busy > count:
         return warning(
-            "cores", said, "load is above the number of cores, so measured times are too long: end other programs"
+            "cores", summary, "load is above the number of cores, so measured times are too long: end other programs"
         )
-    return ok("cores", said)
+    return ok("cores", summary)
 
 
 def clock() -> Finding:
     """Check the resolution of the monotonic clock and the delay of a sleep of 1 ms."""
     resolution_s, late_s = time.get_clock_info("monotonic").resolution, oversleep_s()
-    said = f"resolution {resolution_s * 1e9:.0f} ns, a sleep of 1 ms is {late_s * 1e3:.2f} ms longer"
-    if resolution_s > COARSEST_CLOCK_S:
-        return problem("clock", said, "another clock source: /sys/devices/system/clocksource/clocksource0")
-    if late_s > WORST_SLEEP_S:
-        return warning("clock", said, "steps come every 10 ms: end other programs, or run at a lower --speed")
-    return ok("clock", said)
+    summary = f"resolution {resolution_s * 1e9:.0f} ns, a sleep of 1 ms is {late_s * 1e3:.2f} ms longer"
+    if resolution_s > MAX_CLOCK_STEP_S:
+        return problem("clock", summary, "another clock source: /sys/devices/system/clocksource/clocksource0")
+    if late_s > MAX_OVERSLEEP_S:
+        return warning("clock", summary, "steps come every 10 ms: end other programs, or run at a lower --speed")
+    return ok("clock", summary)
 
 
 def open_files() -> Finding:
@@ -196,22 +196,22 @@ def open_files() -> Finding:
     import resource
 
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    if 0 <= soft < FEWEST_FILES:
-        return warning("open files", f"at most {soft} a process", f"ulimit -n {4 * FEWEST_FILES}")
+    if 0 <= soft < MIN_FILES:
+        return warning("open files", f"at most {soft} a process", f"ulimit -n {4 * MIN_FILES}")
     return ok("open files", f"at most {soft} a process")
 
 
 def space() -> Finding:
     """Check the free space of the current folder and that it can be written."""
     here, free = Path.cwd(), shutil.disk_usage(Path.cwd()).free
-    said = f"{free / 1e9:.1f} GB free in {here}"
+    summary = f"{free / 1e9:.1f} GB free in {here}"
     if not writable(here):
         return warning("space", f"{here} cannot be written", "start in another folder, or give each run an --out DIR")
-    if free < TOO_LITTLE_SPACE:
-        return problem("space", said, "free disk space, or start in a folder on another disk")
-    if free < LITTLE_SPACE:
-        return warning("space", said, "a recorded descent takes 15 MB: remove old folders below runs/")
-    return ok("space", said)
+    if free < MIN_SPACE_BYTES:
+        return problem("space", summary, "free disk space, or start in a folder on another disk")
+    if free < LOW_SPACE_BYTES:
+        return warning("space", summary, "a recorded descent takes 15 MB: remove old folders below runs/")
+    return ok("space", summary)
 
 
 def temporary() -> Finding:
@@ -228,8 +228,8 @@ def loopback() -> Finding:
     try:
         echoed = echo()
     except OSError as error:
-        mend = "bring the loopback interface up (ip link set lo up), or allow it in the firewall or sandbox"
-        return problem("loopback", f"127.0.0.1 cannot be used: {error.strerror or error}", mend)
+        remedy = "bring the loopback interface up (ip link set lo up), or allow it in the firewall or sandbox"
+        return problem("loopback", f"127.0.0.1 cannot be used: {error.strerror or error}", remedy)
     router = "a router listens" if router_answers() else "no router listens"
     return ok("loopback", f"{echoed} bytes there and back; {router} at 127.0.0.1:7447, the default router address")
 
@@ -244,8 +244,8 @@ def solver() -> Finding:
     """
     x = solution()
     if not all(abs(xi - 0.5) <= 1e-3 for xi in x):
-        mend = "pip install --force-reinstall osqp; until then --set controller.solver=riccati"
-        return problem("solver", f"osqp gives {x} for (0.5, 0.5)", mend)
+        remedy = "pip install --force-reinstall osqp; until then --set controller.solver=riccati"
+        return problem("solver", f"osqp gives {x} for (0.5, 0.5)", remedy)
     return ok("solver", "osqp solves a QP")
 
 
@@ -255,8 +255,8 @@ def compiled() -> Finding:
     from services.supervisor.jit_cache import is_warm
 
     if not CACHE_IS_PERSISTENT:
-        mend = "make ~/.cache writable, or set XDG_CACHE_HOME to a folder that is: until then each run compiles again"
-        return warning("compiled code", f"no writable cache folder; temporary folder {CACHE}", mend)
+        remedy = "make ~/.cache writable, or set XDG_CACHE_HOME to a folder that is: until then each run compiles again"
+        return warning("compiled code", f"no writable cache folder; temporary folder {CACHE}", remedy)
     if not is_warm():
         return warning(
             "compiled code",
@@ -271,7 +271,7 @@ CHECKS: tuple[Callable[[], Finding], ...] = (
     *(cores, clock, open_files, space, temporary, loopback),
     *(solver, compiled),
 )
-"""In the order in which they are printed: what others stand on first."""
+"""Checks in the order in which they are printed; those on which others depend come first."""
 
 
 # --- what the checks look at ----------------------------------------------------------------------------------------
@@ -321,7 +321,7 @@ def import_error(module: str) -> str:
     """Return why a module cannot be imported; empty if it can."""
     try:
         importlib.import_module(module)
-    except Exception as error:  # a broken extension raises what it likes
+    except Exception as error:  # a broken extension may raise any error
         return " ".join(str(error).split())[:120] or type(error).__name__
     return ""
 

@@ -44,8 +44,8 @@ def raises(error: Exception) -> Callable[..., Any]:
 def is_(found: Finding, level: Level, *words: str) -> None:
     assert found.level is level, found
     for word in words:
-        assert word in f"{found.found} -> {found.mend}"
-    assert bool(found.mend) is (level is not Level.OK)
+        assert word in f"{found.found} -> {found.remedy}"
+    assert bool(found.remedy) is (level is not Level.OK)
 
 
 Break = Callable[[Callable[..., None]], None]
