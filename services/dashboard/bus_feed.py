@@ -57,9 +57,9 @@ class PageStatus(msgspec.Struct, frozen=True, kw_only=True):
     """Status shown by the page. Ages are vehicle time from the validity of a message to now."""
 
     t_s: float | None
-    clock: str  # waiting, running, paused; "silent" where nothing was decoded
+    clock: str  # waiting, running, paused; "own" without a clock message, "silent" without any time
     speed: float  # of the clock, times real time
-    requested_speed: float  # more than that where the machine cannot keep up
+    requested_speed: float  # larger than ``speed`` if the machine cannot keep it
     authority: str
     health: str
     origin: str

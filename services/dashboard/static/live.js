@@ -1,12 +1,12 @@
-// The live page: keeps what the stream brings, draws one plot after the other, sends what is pressed.
+// Live page: stores the data of the stream, draws one plot after the other, sends the commands of the buttons.
 "use strict";
 (() => {
-  const AGAIN_MS = 1000; // between two tries to connect
+  const AGAIN_MS = 1000; // between two attempts to connect
   const SILENT_MS = 3000; // without a text the page says "no data"
-  const DRAW_MS = 60; // between two plots: all seven in less than half a second, and time for the machine between them
+  const DRAW_MS = 60; // between two plots: all seven in less than 0.5 s, with idle time between them
   const SPEEDS = [0.5, 1, 2, 5, 10, 20];
   const MAX_AGE_S = { estimate: 0.5, plan: 1.0, actuators: 1.0 }; // vehicle seconds
-  const RESTARTED = ["estimator", "controller", "recorder"]; // a run goes on without them for a short time
+  const RESTARTED = ["estimator", "controller", "recorder"]; // a run continues without them for a short time
 
   const token = location.hash.slice(1);
   const byId = (id) => document.getElementById(id);
@@ -37,7 +37,7 @@
     run.name = text.name;
     byId("name").textContent = text.name;
     document.title = `${text.name} · ltv-mpc`;
-    if (places.size > 0) return; // it has only connected again
+    if (places.size > 0) return; // connected again
     plots = text.plots;
     places = Plots.frames(byId("plots"), plots, false);
   }
@@ -69,9 +69,9 @@
     return all;
   }
 
-  // --- what is shown ------------------------------------------------------------------------------------------------
+  // --- display ------------------------------------------------------------------------------------------------------
 
-  // One plot at a time, so that no turn is long.
+  // Draw one plot at a time, so that the page stays responsive.
   function draw() {
     const idle = plots.length === 0 || document.hidden || (!dirty && next === 0);
     if (!idle) {
@@ -134,7 +134,7 @@
     return row;
   }
 
-  // A row stays as long as its process, so that its button can be pressed.
+  // Keep the row of a process, so that its button can be pressed.
   function processRow(name) {
     const row = document.createElement("tr");
     row.append(element("td", name), element("td", ""), element("td", "", "number"), element("td", ""),
@@ -173,14 +173,14 @@
     });
   }
 
-  // --- what is pressed ----------------------------------------------------------------------------------------------
+  // --- commands -----------------------------------------------------------------------------------------------------
 
   function controls() {
     const live = token !== "" && socket.readyState === WebSocket.OPEN;
     for (const control of document.querySelectorAll("#buttons button, #buttons select")) control.disabled = !live;
     document.querySelector(".simulated").hidden = !status.simulated;
     const paused = status.clock === "paused";
-    byId("pause").textContent = paused ? "Go on" : "Pause";
+    byId("pause").textContent = paused ? "Resume" : "Pause";
     byId("pause").dataset.button = paused ? "resume" : "pause";
     const speed = byId("speed");
     if (document.activeElement !== speed) speed.value = String(status.requested_speed);

@@ -1,4 +1,4 @@
-// Draws the plots that services/reporting/plots/catalogue.py describes, with plotly. Knows nothing of any one of them.
+// Plotly renderer of the plot descriptions in services/reporting/plots/catalogue.py; it holds no plot-specific code.
 //
 // A run is {name, colour, tables: {name: {column: [numbers]}}, values: {name: number}, marks: [{t_s, node, text}]}; its
 // colour is null where there is one run alone.
@@ -9,7 +9,7 @@ const Plots = (() => {
   const COMPARED_DASHES = ["solid", "dash", "dot"];
   const GRID = "#e6e8eb";
   const INK = "#2b2f33";
-  const MARK = "#a0522d"; // as palette.py has it
+  const MARK = "#a0522d"; // the same colour as in palette.py
   const CONFIG = { displayModeBar: false, responsive: true, displaylogo: false };
 
   const column = (run, series, name) => (run.tables[series.table] || {})[name] || [];
@@ -37,7 +37,7 @@ const Plots = (() => {
     };
   }
 
-  // The first row at t = 0 or after it; 0 where there is none yet.
+  // Return the first row at t >= 0; 0 if there is none yet.
   function start(run, series) {
     return Math.max(0, column(run, series, "t_s").findIndex((t) => t >= 0));
   }
@@ -69,7 +69,7 @@ const Plots = (() => {
     return plot.levels.flatMap((one) => level(run, one, ends)).concat(series);
   }
 
-  // Runs that began elsewhere can be compared once each begins at zero.
+  // Shift a track to start at zero, to compare runs with different starting points.
   function fromItsStart(trace) {
     for (const axis of ["x", "y"]) {
       const zero = trace[axis].find((value) => value !== null) || 0;
@@ -113,7 +113,7 @@ const Plots = (() => {
     return least <= most ? [least, most] : null;
   }
 
-  // With a margin, and at least as long as the axis asks for.
+  // Return the range of an axis with a margin, at least min_span long.
   function range(axis, traces, name) {
     const ends = extent(traces, name);
     if (ends === null) return [0, 1];
@@ -135,7 +135,7 @@ const Plots = (() => {
     };
   }
 
-  // The same time axis in all plots that have one, so that what happened at once stands below each other.
+  // Return the common range of all time axes, so that simultaneous values are aligned.
   function times(runs) {
     const columns = runs.flatMap((run) => Object.values(run.tables)).map((table) => ({ x: table.t_s || [] }));
     return range({ label: "time" }, columns, "x");
@@ -174,7 +174,7 @@ const Plots = (() => {
     return item;
   }
 
-  // What the lines mean, in words beside their colours. Several runs: the dashes here, the colours in one legend of all.
+  // Return the legend of a plot. With several runs it explains the dashes; one common legend explains the colours.
   function legend(plot, several) {
     const list = document.createElement("ul");
     list.className = "legend";
@@ -194,7 +194,7 @@ const Plots = (() => {
     return list;
   }
 
-  // A section for each plot below `parent`; by name, where it is drawn.
+  // Add a section for each plot to `parent` and return the elements to draw in, by name.
   function frames(parent, plots, several) {
     const places = new Map();
     for (const plot of plots) {
